@@ -176,14 +176,6 @@ def told_by_modes(
         return calibrate_modes(room, modes, measured, equation=equation)
 
 
-modes_option = click.option(
-    "--modes",
-    type=click.Path(dir_okay=False),
-    help="Table (CSV) of measured modes: frequency, decay or T, and its uncertainty; or responses "
-    "(SOFA), whose modes are found. Below the Schroeder frequency they stand in place of T.",
-)
-
-
 def _kept(context: click.Context, parameter: click.Parameter, value: bool) -> bool:
     """Keep a flag with the call of the command, from which what prints asks for it."""
     context.meta[f"rtcal.{parameter.name}"] = value
@@ -201,29 +193,6 @@ def is_quiet() -> bool:
     return _flag("quiet")
 
 
-_quiet_option = click.option(
-    "--quiet",
-    "-q",
-    is_flag=True,
-    expose_value=False,
-    callback=_kept,
-    help="Print nothing but errors, and the JSON.",
-)
-_json_option = click.option(
-    "--json",
-    "as_json",
-    is_flag=True,
-    expose_value=False,
-    callback=_kept,
-    help="Print JSON in place of text.",
-)
-
-
-def output_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Add --json and --quiet to a command, for which `tell` asks."""
-    return _json_option(_quiet_option(command))
-
-
 def _force(context: click.Context, parameter: click.Parameter, value: bool) -> None:
     """Let the command replace files that rtcal did not write, and write what it advises against."""
     if value:
@@ -236,88 +205,150 @@ def is_forced() -> bool:
     return _flag("force")
 
 
-force_option = click.option(
-    "--force",
-    is_flag=True,
-    expose_value=False,
-    is_eager=True,
-    callback=_force,
-    help="Replace files of these names that rtcal did not write, or that were changed since.",
-)
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
-def writing_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Add --json, --quiet and --force to a command that writes files."""
-    return output_options(force_option(command))
+def flag(name: str, help: str, *names: str, **more: Any) -> Decorator:
+    """Return an option without a value; ``names`` are further ones."""
+    return click.option(f"--{name}", *names, is_flag=True, help=help, **more)
 
 
-method_option = click.option(
-    "--method",
-    type=click.Choice(("mle", "lse", "soft", "smooth", "robust")),
-    default="mle",
-    show_default=True,
-    help="mle: by the stated sigmas; lse: all sigmas alike; soft: T within its uncertainty; smooth: "
-    "soft, with neighbouring bands alike; robust: soft, and a single sigma may be wrong.",
-)
-equation_option = click.option(
-    "--equation",
-    type=click.Choice(equation_keys(LinearEquation)),
-    default="eyring",
-    show_default=True,
-    callback=lambda context, parameter, key: EQUATIONS[key](),
-    help="The reverberation equation.",
-)
-seed_option = click.option(
-    "--seed",
-    type=click.IntRange(0),
-    default=0,
-    show_default=True,
-    help="Seed of the random numbers.",
-)
-exclude_option = click.option(
-    "--exclude",
-    multiple=True,
-    metavar="SOURCE:RECEIVER",
-    help="Leave a pair out. The option may be repeated.",
-)
-match_option = click.option(
-    "--match",
-    multiple=True,
-    type=click.Choice(tuple(OBSERVABLES)),
-    help="What is compared at every position. The option may be repeated; by default "
-    f"{', '.join(MATCH)}.",
-)
-paths_option = click.option(
-    "--paths",
-    type=click.IntRange(100, 10_000_000),
-    help=f"Paths that are traced from each source; by default {PATHS}.",
-)
-scattering_option = click.option(
-    "--scattering", type=float, help="Scattering coefficient where none is stated."
-)
-bands_option = click.option(
-    "--bands",
-    metavar="octave|third-octave|HZ,HZ...",
-    callback=lambda context, parameter, text: bands(text),
-    help="The bands; by default octaves where responses are measured, and the list's for a room.",
-)
-decimals_option = click.option(
-    "--decimals",
-    type=click.IntRange(1, 15),
-    help="Decimals of a coefficient in the program (3 for CATT: 0.1 %).",
-)
-entries_option = click.option(
-    "--as",
-    "entries",
-    multiple=True,
-    metavar="MATERIAL=ENTRY",
-    help="Name of a material in the list or library, if another. The option may be repeated.",
-)
-repeats_option = click.option(
-    "--repeats",
-    is_flag=True,
-    help="Several values of one source and receiver are repeats: average.",
-)
+def file(name: str, help: str, **more: Any) -> Decorator:
+    """Return an option of a file."""
+    return click.option(f"--{name}", type=click.Path(dir_okay=False), help=help, **more)
+
+
+def folder(help: str, name: str = "out") -> Decorator:
+    """Return an option of a folder, which the command gets as a path or None; "" is a DataError."""
+
+    def path(context: click.Context, parameter: click.Parameter, text: str | None) -> Path | None:
+        if text == "":
+            raise DataError(f"--{name} is empty; it is a folder")
+        return None if text is None else Path(text)
+
+    return click.option(f"--{name}", type=click.Path(file_okay=False), callback=path, help=help)
+
+
+def choice(name: str, of: Sequence[str], help: str, **more: Any) -> Decorator:
+    """Return an option of one of several values; the default is shown, if there is one."""
+    shown = {"show_default": True} if "default" in more else {}
+    return click.option(f"--{name}", type=click.Choice(of), help=help, **shown, **more)
+
+
+def several(name: str, metavar: str, help: str, into: str = "") -> Decorator:
+    """Return an option that may be repeated; the command gets all of its values, by ``into``."""
+    names = [f"--{name}", *filter(None, [into])]
+    return click.option(*names, multiple=True, metavar=metavar, help=help)
+
+
+def whole(name: str, least: int, help: str, **more: Any) -> Decorator:
+    """Return an option of a whole number; the default is shown, if there is one."""
+    shown = {"show_default": True} if "default" in more else {}
+    return click.option(f"--{name}", type=click.IntRange(least), help=help, **shown, **more)
+
+
+OPTIONS: dict[str, Decorator] = {
+    "quiet": flag(
+        "quiet", "Print nothing but errors, and the JSON.", "-q", expose_value=False, callback=_kept
+    ),
+    "json": flag(
+        "json", "Print JSON in place of text.", "as_json", expose_value=False, callback=_kept
+    ),
+    "force": flag(
+        "force",
+        "Replace files of these names that rtcal did not write, or that were changed since.",
+        expose_value=False,
+        is_eager=True,
+        callback=_force,
+    ),
+    "method": choice(
+        "method",
+        ("mle", "lse", "soft", "smooth", "robust"),
+        "mle: by the stated sigmas; lse: all sigmas alike; soft: T within its uncertainty; smooth: "
+        "soft, with neighbouring bands alike; robust: soft, and a single sigma may be wrong.",
+        default="mle",
+    ),
+    "equation": choice(
+        "equation",
+        equation_keys(LinearEquation),
+        "The reverberation equation.",
+        default="eyring",
+        callback=lambda context, parameter, key: EQUATIONS[key](),
+    ),
+    "seed": whole("seed", 0, "Seed of the random numbers.", default=0),
+    "exclude": several(
+        "exclude", "SOURCE:RECEIVER", "Leave a pair out. The option may be repeated."
+    ),
+    "match": click.option(
+        "--match",
+        multiple=True,
+        type=click.Choice(tuple(OBSERVABLES)),
+        help="What is compared at every position. The option may be repeated; by default "
+        f"{', '.join(MATCH)}.",
+    ),
+    "paths": click.option(
+        "--paths",
+        type=click.IntRange(100, 10_000_000),
+        help=f"Paths that are traced from each source; by default {PATHS}.",
+    ),
+    "scattering": click.option(
+        "--scattering", type=float, help="Scattering coefficient where none is stated."
+    ),
+    "bands": click.option(
+        "--bands",
+        metavar="octave|third-octave|HZ,HZ...",
+        callback=lambda context, parameter, text: bands(text),
+        help="The bands; by default octaves where responses are measured, and the list's for a room.",
+    ),
+    "decimals": click.option(
+        "--decimals",
+        type=click.IntRange(1, 15),
+        help="Decimals of a coefficient in the program (3 for CATT: 0.1 %).",
+    ),
+    "as": several(
+        "as",
+        "MATERIAL=ENTRY",
+        "Name of a material in the list or library, if another. The option may be repeated.",
+        "entries",
+    ),
+    "repeats": flag("repeats", "Several values of one source and receiver are repeats: average."),
+    "modes": file(
+        "modes",
+        "Table (CSV) of measured modes: frequency, decay or T, and its uncertainty; or responses "
+        "(SOFA), whose modes are found. Below the Schroeder frequency they stand in place of T.",
+    ),
+    "before": file(
+        "before",
+        "What was measured at the same positions before something was changed (CSV): it is about "
+        "what changed.",
+    ),
+}
+"""The options that several commands have."""
+
+
+def takes(*given: str | Decorator, writes: bool = True, shared: bool = True) -> Decorator:
+    """Add arguments and options to a command, in this order.
+
+    A name in upper case is the path of a file, with a question mark one that may be left out; another
+    name is an option of `OPTIONS`. Last are, if not left out, those that all commands have ``shared``:
+    --json, --quiet and, where the command ``writes`` files, --force.
+    """
+    last = (("json", "quiet", "force") if writes else ("json", "quiet")) if shared else ()
+
+    def decorator(one: str | Decorator) -> Decorator:
+        if not isinstance(one, str):
+            return one
+        if not one.isupper():
+            return OPTIONS[one]
+        name = one.rstrip("?")
+        return click.argument(name.lower(), type=click.Path(), required=name == one)
+
+    def decorated(command: Callable[..., Any]) -> Callable[..., Any]:
+        for one in reversed((*given, *last)):
+            command = decorator(one)(command)
+        return command
+
+    return decorated
 
 
 def bands(text: str | None) -> str | list[float] | None:
@@ -435,13 +466,6 @@ def fit_ending(option: str, path: str | None, *written: str) -> None:
         )
 
 
-def output_folder(option: str, path: str | None) -> Path | None:
-    """Return the folder that an option names; DataError if the name is empty."""
-    if path == "":
-        raise DataError(f"{option} is empty; it is a folder")
-    return None if path is None else Path(path)
-
-
 def said() -> Callable[[str], None] | None:
     """Return what prints progress where no bar is shown, one line on standard error; None if quiet."""
     return None if is_quiet() else warn
@@ -450,6 +474,16 @@ def said() -> Callable[[str], None] | None:
 def bar_wanted() -> bool:
     """Whether to show a progress bar: on a terminal."""
     return not is_quiet() and sys.stderr is not None and sys.stderr.isatty()
+
+
+@contextmanager
+def control_bar() -> Iterator[Callable[[int, int], None]]:
+    """Show a bar of the simulator's control runs; it yields what counts them."""
+    from rtcal.loop.control_runs import RUNS
+    from rtcal.support.speed import bar, following
+
+    with bar(RUNS, "control run", bar_wanted(), said()) as shown:
+        yield following(shown)
 
 
 def written(paths: Sequence[object]) -> str:

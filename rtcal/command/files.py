@@ -14,25 +14,25 @@ from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.command.console import (
     ARGUMENTS,
     as_options,
-    bands_option,
     bar_wanted,
-    decimals_option,
-    entries_option,
+    choice,
     errors_name_options,
+    file,
     fit_ending,
+    flag,
+    folder,
     heading_options,
     is_quiet,
     numbers,
-    output_folder,
-    repeats_option,
     said,
+    several,
+    takes,
     tell,
     texts,
     warn,
-    writing_options,
 )
 from rtcal.files import disk
-from rtcal.files.disk import spare, write_text
+from rtcal.files.disk import make_folder, spare, write_all, write_text
 from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
 from rtcal.support.errors import DataError
 
@@ -46,35 +46,36 @@ _TABLES = (".csv", ".xlsx")
 PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 
 
+_OUT = file("out", "Measurement (CSV, xlsx) to write.")
+
+
 @click.command(short_help="Impulse responses (sound, SOFA) to T20, EDT, C80 and others.")
-@click.argument("responses", type=click.Path(), nargs=-1, required=True)
-@bands_option
-@click.option(
-    "--minimum-range",
-    "ranges",
-    multiple=True,
-    metavar="PARAMETER=DB",
-    help="Impulse-to-noise ratio in dB that a parameter needs, if not ISO 3382's: t30=38.",
+@takes(
+    click.argument("responses", type=click.Path(), nargs=-1, required=True),
+    "bands",
+    several(
+        "minimum-range",
+        "PARAMETER=DB",
+        "Impulse-to-noise ratio in dB that a parameter needs, if not ISO 3382's: t30=38.",
+        "ranges",
+    ),
+    click.option(
+        "--channels",
+        metavar="N|receivers",
+        help="In files of several channels: the one to read, or 'receivers' if each is a receiver.",
+    ),
+    flag(
+        "uncertainty",
+        "Write the standard uncertainty of T20, T30, EDT, C50 and C80 too: per value that of one "
+        "decay, in common what teams differ by.",
+    ),
+    "repeats",
+    file(
+        "positions",
+        "File (TOML) to write: [sources] and [receivers] of one SOFA file, for the room's file.",
+    ),
+    _OUT,
 )
-@click.option(
-    "--channels",
-    metavar="N|receivers",
-    help="In files of several channels: the one to read, or 'receivers' if each is a receiver.",
-)
-@click.option(
-    "--uncertainty",
-    is_flag=True,
-    help="Write the standard uncertainty of T20, T30, EDT, C50 and C80 too: per value that of one "
-    "decay, in common what teams differ by.",
-)
-@repeats_option
-@click.option(
-    "--positions",
-    type=click.Path(dir_okay=False),
-    help="File (TOML) to write: [sources] and [receivers] of one SOFA file, for the room's file.",
-)
-@click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV, xlsx) to write.")
-@writing_options
 def measure(
     responses: tuple[str, ...],
     bands: str | list[float] | None,
@@ -149,41 +150,34 @@ def _positions_text(responses: tuple[str, ...]) -> str:
 
 
 @click.command(short_help="A measuring system's table (CSV, xlsx, REW) to a measurement.")
-@click.argument("paths", type=click.Path(), nargs=-1, required=True)
-@click.option(
-    "--decay-time",
-    type=click.Choice(DECAY_TIMES_OF_RT60, case_sensitive=False),
-    help="The decay time in a column RT60 or T60.",
+@takes(
+    click.argument("paths", type=click.Path(), nargs=-1, required=True),
+    click.option(
+        "--decay-time",
+        type=click.Choice(DECAY_TIMES_OF_RT60, case_sensitive=False),
+        help="The decay time in a column RT60 or T60.",
+    ),
+    click.option(
+        "--parameter",
+        type=click.Choice(tuple(OBSERVABLES), case_sensitive=False),
+        help="The parameter of the values, if the table does not name it.",
+    ),
+    several("where", "COLUMN=ENTRY", "Read only rows with this entry."),
+    several("ignore", "COLUMN", "Leave a column out."),
+    click.option(
+        "--sources",
+        "n_sources",
+        type=click.IntRange(1),
+        help="The values are means over N sources.",
+    ),
+    click.option(
+        "--receivers", "n_receivers", type=click.IntRange(1), help="And over N receivers."
+    ),
+    "repeats",
+    several("sheets", "SHEET", "Read only this sheet of a workbook."),
+    _OUT,
 )
-@click.option(
-    "--parameter",
-    type=click.Choice(tuple(OBSERVABLES), case_sensitive=False),
-    help="The parameter of the values, if the table does not name it.",
-)
-@click.option(
-    "--where", multiple=True, metavar="COLUMN=ENTRY", help="Read only rows with this entry."
-)
-@click.option("--ignore", multiple=True, metavar="COLUMN", help="Leave a column out.")
-@click.option("--sources", type=click.IntRange(1), help="The values are means over N sources.")
-@click.option("--receivers", type=click.IntRange(1), help="And over N receivers.")
-@repeats_option
-@click.option(
-    "--sheets", multiple=True, metavar="SHEET", help="Read only this sheet of a workbook."
-)
-@click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV, xlsx) to write.")
-@writing_options
-def table(
-    paths: tuple[str, ...],
-    decay_time: str | None,
-    parameter: str | None,
-    where: tuple[str, ...],
-    ignore: tuple[str, ...],
-    sources: int | None,
-    receivers: int | None,
-    repeats: bool,
-    sheets: tuple[str, ...],
-    out: str | None,
-) -> None:
+def table(paths: tuple[str, ...], where: tuple[str, ...], out: str | None, **stated: Any) -> None:
     """Read measuring systems' tables (CSV, Excel's xlsx, REW's and Dirac's text) as one measurement.
 
     Prints how each column was read.
@@ -197,17 +191,8 @@ def table(
     spare([] if out is None else [out], paths)
     fit_ending("--out", out, *_TABLES)
     with errors_name_options(*ARGUMENTS):
-        table_read = tables.read(
-            paths,
-            decay_time=decay_time,
-            parameter=parameter,
-            where=texts("--where", where, "NAME=ENTRY"),
-            ignore=ignore,
-            n_sources=sources,
-            n_receivers=receivers,
-            repeats=repeats,
-            sheets=sheets,
-        )
+        entries = texts("--where", where, "NAME=ENTRY")
+        table_read = tables.read(paths, where=entries, **stated)
     columns = tuple(as_options(line, ARGUMENTS) for line in table_read.columns)
     table_read = replace(table_read, columns=columns)
     notes = {"columns": table_read.columns, "doubts": table_read.doubts}
@@ -235,24 +220,24 @@ def _write_and_tell(
 
 
 @click.command(short_help="A calibrated room into a program's material list, changed or new.")
-@click.argument("program", type=click.Choice(PROGRAMS))
-@click.argument("room", type=click.Path())
-@click.argument("materials", type=click.Path())
-@click.option(
-    "--template",
-    type=click.Path(),
-    help="Program's file whose changed copy is MATERIALS; by default MATERIALS itself.",
+@takes(
+    click.argument("program", type=click.Choice(PROGRAMS)),
+    "ROOM",
+    "MATERIALS",
+    click.option(
+        "--template",
+        type=click.Path(),
+        help="Program's file whose changed copy is MATERIALS; by default MATERIALS itself.",
+    ),
+    "decimals",
+    "as",
+    choice(
+        "missing-bands",
+        ("refuse", "nearest"),
+        "If the room lacks a band of a new list (CATT, ODEON): refuse, or use the nearest band.",
+        default="refuse",
+    ),
 )
-@decimals_option
-@entries_option
-@click.option(
-    "--missing-bands",
-    type=click.Choice(("refuse", "nearest")),
-    default="refuse",
-    show_default=True,
-    help="If the room lacks a band of a new list (CATT, ODEON): refuse, or use the nearest band.",
-)
-@writing_options
 def export(
     program: str,
     room: str,
@@ -323,27 +308,23 @@ _LIST = "\b\n" + "\n".join(f"    {name:16s}{text}" for name, text in _PURPOSES.i
     Example: rtcal example room --out my-room
     """,
 )
-@click.argument("name", type=click.Choice(tuple(_PURPOSES)))
-@click.option("--out", type=click.Path(file_okay=False), help="Folder to write; NAME if not given.")
-@writing_options
-def example(
-    name: str,
-    out: str | None,
-) -> None:
+@takes(
+    click.argument("name", type=click.Choice(tuple(_PURPOSES))),
+    folder("Folder to write; NAME if not given."),
+)
+def example(name: str, out: Path | None) -> None:
     """Write the files of a small project, and print the commands that use them."""
     from rtcal.datasets import examples
-    from rtcal.files.disk import make_folder, write_all
-    from rtcal.support.errors import DataError
     from rtcal.support.text import shell
 
     project = examples.example(name)
-    folder = output_folder("--out", out) or Path(name)
-    targets = {folder / file: content for file, content in project.files.items()}
+    into = out or Path(name)
+    targets = {into / file: content for file, content in project.files.items()}
     if present := [path for path in targets if path.exists()]:
         raise DataError(f"{present[0]} exists; an example writes over no file: give another --out")
-    make_folder(folder)
+    make_folder(into)
     write_all(targets)
-    commands = [f"cd {shlex.quote(str(folder))}", *project.commands]
+    commands = [f"cd {shlex.quote(str(into))}", *project.commands]
     lines = ["\nNext:", *(line for command in commands for line in shell(command, "  "))]
     tell("", {"commands": list(project.commands)}, "\n".join(lines))
 
@@ -352,20 +333,16 @@ _FIGURES = 5
 
 
 @click.command(short_help="Write a saved result as one HTML page.")
-@click.argument("result", type=click.Path())
-@click.option(
-    "--out",
-    type=click.Path(dir_okay=False),
-    help="Page (HTML) to write, by default report.html beside the result; or, as tables.xlsx, a "
-    "workbook of all its tables.",
+@takes(
+    "RESULT",
+    file(
+        "out",
+        "Page (HTML) to write, by default report.html beside the result; or, as tables.xlsx, a "
+        "workbook of all its tables.",
+    ),
+    heading_options,
 )
-@heading_options
-@writing_options
-def report(
-    result: str,
-    out: str | None,
-    heading: Heading,
-) -> None:
+def report(result: str, out: str | None, heading: Heading) -> None:
     """Write RESULT as one HTML page: summary, doubts, tables, figures; or its tables as a workbook.
 
     RESULT is the folder of `rtcal calibrate`, `fit`, `find`, `predict` or `design --out`, its
@@ -385,9 +362,9 @@ def report(
 
     if out == "":
         raise DataError("--out is empty; it is a file")
-    folder = Path(result) if Path(result).is_dir() else Path(result).parent
-    kept = [folder / name for name in figures.FILES if (folder / name).exists()]
-    target = Path(out) if out is not None else folder / "report.html"
+    beside = Path(result) if Path(result).is_dir() else Path(result).parent
+    kept = [beside / name for name in figures.FILES if (beside / name).exists()]
+    target = Path(out) if out is not None else beside / "report.html"
     spare([target], [result, *kept])
     fit_ending("--out", out, ".html", ".htm", workbook.ENDING)
     if target.suffix.lower() == workbook.ENDING:

@@ -18,20 +18,16 @@ import click
 from rtcal.command.console import (
     as_options,
     bar_wanted,
+    choice,
     errors_name_options,
-    exclude_option,
-    force_option,
+    file,
     heading_options,
-    match_option,
     numbers,
-    output_folder,
-    output_options,
     pairs,
-    paths_option,
     read_measured,
     said,
-    scattering_option,
-    seed_option,
+    several,
+    takes,
     tell,
 )
 from rtcal.files.disk import spare, write_all
@@ -242,58 +238,46 @@ def verified(finding: Any, cache: Path) -> Any:
         return finder.verify(finding, seeds=SEEDS, cache=cache, progress=progress)
 
 
-_before_option = click.option(
-    "--before",
-    type=click.Path(dir_okay=False),
-    help="What was measured at the same positions before something was changed (CSV): it is about "
-    "what changed.",
-)
-
-
 @click.command(short_help="Find what a model misses.")
-@click.argument("case", metavar="CASE|ROOM", type=click.Path())
-@click.argument("measured", type=click.Path(), required=False)
-@_before_option
-@click.option(
-    "--simulated",
-    type=click.Path(dir_okay=False),
-    help="What another program gave for the model as stated (CSV), with positions.",
+@takes(
+    click.argument("case", metavar="CASE|ROOM", type=click.Path()),
+    "MEASURED?",
+    "before",
+    file("simulated", "What another program gave for the model as stated (CSV), with positions."),
+    "match",
+    "exclude",
+    "scattering",
+    "paths",
+    click.option(
+        "--engine",
+        multiple=True,
+        help="Simulator of the control rooms, at least two; by default path tracing and image "
+        "sources.",
+    ),
+    several("without", "EFFECT", "Do not try this effect."),
+    several("only", "EFFECT", "Try this effect alone."),
+    several(
+        "prior",
+        "EFFECT=ODDS",
+        "Prior odds of an effect, of none or of coefficients: opening=2.",
+    ),
+    click.option(
+        "--most",
+        type=int,
+        default=1,
+        show_default=True,
+        help="Largest number of effects that may be missing at once, up to 3.",
+    ),
+    click.option("--expected", type=float, help="Expected number of effects, with --most."),
+    "seed",
+    click.option(
+        "--out",
+        type=click.Path(),
+        help="Folder for page (report.html), figures (PNG) and the finding (result.json), which is "
+        "then verified, too; or a file that ends in .json, for the finding alone.",
+    ),
+    heading_options,
 )
-@match_option
-@exclude_option
-@scattering_option
-@paths_option
-@click.option(
-    "--engine",
-    multiple=True,
-    help="Simulator of the control rooms, at least two; by default path tracing and image sources.",
-)
-@click.option("--without", multiple=True, metavar="EFFECT", help="Do not try this effect.")
-@click.option("--only", multiple=True, metavar="EFFECT", help="Try this effect alone.")
-@click.option(
-    "--prior",
-    multiple=True,
-    metavar="EFFECT=ODDS",
-    help="Prior odds of an effect, of none or of coefficients: opening=2.",
-)
-@click.option(
-    "--most",
-    type=int,
-    default=1,
-    show_default=True,
-    help="Largest number of effects that may be missing at once, up to 3.",
-)
-@click.option("--expected", type=float, help="Expected number of effects, with --most.")
-@seed_option
-@click.option(
-    "--out",
-    type=click.Path(),
-    help="Folder for page (report.html), figures (PNG) and the finding (result.json), which is then "
-    "verified, too; or a file that ends in .json, for the finding alone.",
-)
-@heading_options
-@output_options
-@force_option
 def find(heading: Heading, out: str | None, **stated: Any) -> None:
     """Print whether the model misses something, where it shows, and what it is.
 
@@ -314,44 +298,42 @@ def find(heading: Heading, out: str | None, **stated: Any) -> None:
     \b
     Example: rtcal find room.toml measured.csv --out found
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    search = Search(**stated)
-    if out is None:
-        finding = search.finding()
-        tell(str(finding), finding.to_dict())
-        return
     from rtcal.report import of_finding
 
-    output_folder("--out", out)
-    folder = Path(out)
-    if folder.suffix == ".json":
-        finding = search.finding([folder])
-        finding.save(folder)
+    search = Search(**stated)
+    if out == "":
+        raise DataError("--out is empty; it is a folder")
+    target = None if out is None else Path(out)
+    if target is None or target.suffix == ".json":
+        finding = search.finding([] if target is None else [target])
+        if target is not None:
+            finding.save(target)
         tell(str(finding), finding.to_dict())
         return
-    finding = search.finding([folder / name for name in of_finding.WRITTEN])
-    verification = None
-    if finding.can_be_verified:
-        verification = verified(finding, search.cache)
-    command = shlex.join(["rtcal", "find", *search.words, "--out", out])
-    place = next(iter(_further_places(finding)), None)
+    finding = search.finding([target / name for name in of_finding.WRITTEN])
+    verification = verified(finding, search.cache) if finding.can_be_verified else None
+    command = shlex.join(["rtcal", "find", *search.words, "--out", str(out)])
     again = of_finding.Reproduction(command, search.files, search.seed)
-    of_finding.write(finding, verification, folder, heading, again, place)
-    record = finding.to_dict()
+    place = next(iter(_further_places(finding)), None)
+    of_finding.write(finding, verification, target, heading, again, place)
+    record, said = finding.to_dict(), str(finding)
     if verification is not None:
         record["verification"] = verification.to_dict()
-    first = [] if verification is None else [verification.sentence]
-    tell("\n".join([*first, str(finding)]), record)
+        said = f"{verification.sentence}\n{said}"
+    tell(said, record)
 
 
 @click.command(short_help="Compare the gaps with and without what was found.")
-@click.argument("found", type=click.Path())
-@_before_option
-@click.option(
-    "--after",
-    type=click.Path(dir_okay=False),
-    help="Of two states, with --before: the same after the change, at pairs that the finding predicts.",
+@takes(
+    "FOUND",
+    "before",
+    file(
+        "after",
+        "Of two states, with --before: the same after the change, at pairs that the finding "
+        "predicts.",
+    ),
+    writes=False,
 )
-@output_options
 def verify(found: str, before: str | None, after: str | None) -> None:
     """Add the named effect, calibrate again, and compare the gaps that alpha cannot close.
 
@@ -387,35 +369,37 @@ def verify(found: str, before: str | None, after: str | None) -> None:
 
 
 @click.command(short_help="Add what was found to the model.")
-@click.argument("found", type=click.Path())
-@click.option(
-    "--out",
-    type=click.Path(),
-    required=True,
-    help="The case with the effect (JSON); of two states or with a geometry, a folder.",
+@takes(
+    "FOUND",
+    click.option(
+        "--out",
+        type=click.Path(),
+        required=True,
+        help="The case with the effect (JSON); of two states or with a geometry, a folder.",
+    ),
+    file(
+        "room",
+        "The room with the effect (TOML), for rtcal calibrate. Absorbers are materials of it.",
+    ),
+    choice(
+        "form",
+        ("patch", "material"),
+        "With a geometry: a patch on the surface (default), or the whole surface.",
+    ),
+    click.option(
+        "--at",
+        metavar="X,Y,Z",
+        callback=lambda context, parameter, text: _place(text),
+        help="With a geometry: middle of the patch in m, on its surface.",
+    ),
+    click.option(
+        "--effect",
+        metavar="NAME",
+        help="The candidate to add; needed where none has a probability of 0.3.",
+    ),
 )
-@click.option(
-    "--room",
-    type=click.Path(dir_okay=False),
-    help="The room with the effect (TOML), for rtcal calibrate. Absorbers are materials of it.",
-)
-@click.option(
-    "--form",
-    type=click.Choice(("patch", "material")),
-    help="With a geometry: a patch on the surface (default), or the whole surface.",
-)
-@click.option(
-    "--at", metavar="X,Y,Z", help="With a geometry: middle of the patch in m, on its surface."
-)
-@click.option(
-    "--effect",
-    metavar="NAME",
-    help="The candidate to add; needed where none has a probability of 0.3.",
-)
-@force_option
-@output_options
 def apply(
-    found: str, out: str, room: str | None, form: str | None, at: str | None, effect: str | None
+    found: str, out: str, room: str | None, form: str | None, at: Any, effect: str | None
 ) -> None:
     """Add the named effect to the model, and print the calibration with it.
 
@@ -462,39 +446,34 @@ def apply(
         refuse({"form": form, "at": at, "room": room, "effect": effect}, " is not of two states")
     else:
         refuse({"room": room}, ": with a geometry the room is written into the folder of --out")
-    place = _place(at)
     if (nothing := finding.reason_for_none) is not None:
         tell(f"{nothing}\nNothing is written.", finding.to_dict())
         raise click.exceptions.Exit(NOTHING_TO_ADD)
     with errors_name_options("effect", "at"):
-        made = finding.apply() if two else finding.apply(form or "patch", at=place, effect=effect)
+        made = finding.apply() if two else finding.apply(form or "patch", at=at, effect=effect)
     made.save(Path(out))
     tell("\n".join([finding.headline, *made.in_words]), {**finding.to_dict(), **made.to_dict()})
 
 
 @click.command(short_help="Which effects the data could tell apart; what to measure next.")
-@click.argument("case", metavar="CASE|FOUND", type=click.Path())
-@click.option(
-    "--relative-change",
-    "change",
-    type=float,
-    help="Relative change of T by each effect, in the band that changes most; "
-    f"{CHANGE:g} unless stated.",
+@takes(
+    click.argument("case", metavar="CASE|FOUND", type=click.Path()),
+    click.option(
+        "--relative-change",
+        "change",
+        type=float,
+        help="Relative change of T by each effect, in the band that changes most; "
+        f"{CHANGE:g} unless stated.",
+    ),
+    click.option(
+        "--case",
+        "further",
+        type=click.Path(dir_okay=False),
+        help="With FOUND: a case whose configurations without measurements could be measured next.",
+    ),
+    several("cost", "MEASUREMENT=HOURS", "Hours of a further measurement, such as G=0.5.", "costs"),
+    writes=False,
 )
-@click.option(
-    "--case",
-    "further",
-    type=click.Path(dir_okay=False),
-    help="With FOUND: a case whose configurations without measurements could be measured next.",
-)
-@click.option(
-    "--cost",
-    "costs",
-    multiple=True,
-    metavar="MEASUREMENT=HOURS",
-    help="Hours of a further measurement, such as G=0.5.",
-)
-@output_options
 def plan(case: str, change: float | None, further: str | None, costs: tuple[str, ...]) -> None:
     """Print which effects the data could distinguish, and what to measure next.
 

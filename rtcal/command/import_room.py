@@ -15,16 +15,13 @@ from click.core import ParameterSource
 
 from rtcal.command.console import (
     as_options,
-    bands_option,
-    entries_option,
     errors_name_options,
     fit_ending,
     numbers,
     said,
-    scattering_option,
+    takes,
     tell,
     texts,
-    writing_options,
 )
 from rtcal.command.files import PROGRAMS
 from rtcal.files.disk import commit, spare
@@ -100,8 +97,7 @@ _USED_BY_CHECK = {
     metavar="MATERIAL=ENTRY",
     help="Take a material from the catalogue (Vorländer 2008).",
 )
-@entries_option
-@bands_option
+@takes("as", "bands", shared=False)
 @click.option(
     "--temperature", type=float, help="Temperature of the air in °C (20 with --humidity alone)."
 )
@@ -132,9 +128,9 @@ _USED_BY_CHECK = {
     show_default=True,
     help="Factor on every sigma, such as 2 where specimens were mounted otherwise.",
 )
-@scattering_option
+@takes("scattering", shared=False)
 @click.option("--out", type=click.Path(dir_okay=False), help="Room (TOML) to write.")
-@writing_options
+@takes()
 def import_room(
     program: str,
     materials: str | None,

@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
-from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.observables import parameter_label
 from rtcal.command.console import (
-    decimals_option,
-    equation_option,
-    method_option,
-    modes_option,
+    choice,
+    file,
+    flag,
     numbers,
     read_measured,
+    several,
+    takes,
     tell,
     told_by_modes,
-    writing_options,
 )
 from rtcal.files.disk import spare
 
-_state_option = click.option(
-    "--state",
-    type=click.Path(dir_okay=False),
-    required=True,
-    help="File of the loop's state (JSON).",
-)
-_out_option = click.option(
-    "--out",
-    type=click.Path(dir_okay=False),
-    required=True,
-    help="Room to simulate next (TOML) to write.",
-)
+_STATE = file("state", "File of the loop's state (JSON).", required=True)
+_OUT = file("out", "Room to simulate next (TOML) to write.", required=True)
 
 
 @click.group(short_help="The closed loop with a program that is run by hand.")
@@ -39,40 +30,36 @@ def loop() -> None:
 
 
 @loop.command(short_help="Begin: write what to simulate first.")
-@click.argument("room", type=click.Path())
-@click.argument("measured", type=click.Path())
-@_state_option
-@_out_option
-@method_option
-@equation_option
-@click.option(
-    "--rule",
-    type=click.Choice(("secant", "safeguarded")),
-    default="safeguarded",
-    show_default=True,
-    help="How the loop chooses the next target; see docs/closed_loop.md.",
+@takes(
+    "ROOM",
+    "MEASURED",
+    _STATE,
+    _OUT,
+    "method",
+    "equation",
+    choice(
+        "rule",
+        ("secant", "safeguarded"),
+        "How the loop chooses the next target; see docs/closed_loop.md.",
+        default="safeguarded",
+    ),
+    several(
+        "weight",
+        "PARAMETER=NUMBER",
+        "Match the mean of T20 and EDT with these weights: --weight t20=1 --weight edt=0.5.",
+        "weights",
+    ),
+    "decimals",
+    "modes",
 )
-@click.option(
-    "--weight",
-    "weights",
-    multiple=True,
-    metavar="PARAMETER=NUMBER",
-    help="Match the mean of T20 and EDT with these weights: --weight t20=1 --weight edt=0.5.",
-)
-@decimals_option
-@modes_option
-@writing_options
 def start(
     room: str,
     measured: str,
     state: str,
     out: str,
-    method: str,
-    equation: LinearEquation,
-    rule: str,
     weights: tuple[str, ...],
-    decimals: int | None,
     modes: str | None,
+    **stated: Any,
 ) -> None:
     """Write ROOM (TOML) with the coefficients to simulate first, for MEASURED (CSV).
 
@@ -88,21 +75,16 @@ def start(
     from rtcal.loop.closed import start as begin
     from rtcal.support import text
 
-    spare([state, out], [room, measured, *([] if modes is None else [modes])])
+    spare([state, out], [path for path in (room, measured, modes) if path is not None])
     closed.refuse_progress(state)
-    stated_room = Room.from_file(room)
-    data = read_measured(measured)
-    stated = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
-    told = None if modes is None else told_by_modes(stated_room, modes)
+    prior, data = Room.from_file(room), read_measured(measured)
+    weighted = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
     begun = begin(
-        stated_room,
+        prior,
         data,
-        rule=rule,  # type: ignore[arg-type]
-        method=method,
-        equation=equation,
-        decimals=decimals,
-        weights=stated or None,
-        modes=told,
+        weights=weighted or None,
+        modes=None if modes is None else told_by_modes(prior, modes),
+        **stated,
     )
     first = begun.calibrated(begun.wanted)
     closed.write(begun, state, out)
@@ -132,23 +114,14 @@ def _next_step(out: str) -> str:
 
 
 @loop.command(name="next", short_help="Go on: read what was simulated.")
-@click.argument("room", type=click.Path())
-@click.argument("simulated", type=click.Path())
-@_state_option
-@_out_option
-@click.option(
-    "--again",
-    is_flag=True,
-    help="Accept a table equal to the last step's, or to the measurement.",
+@takes(
+    "ROOM",
+    "SIMULATED",
+    _STATE,
+    _OUT,
+    flag("again", "Accept a table equal to the last step's, or to the measurement."),
 )
-@writing_options
-def next_(
-    room: str,
-    simulated: str,
-    state: str,
-    out: str,
-    again: bool,
-) -> None:
+def next_(room: str, simulated: str, state: str, out: str, again: bool) -> None:
     """Read what the program SIMULATED (CSV) and write what to simulate next.
 
     ROOM is the file that `start` read. `rtcal report STATE` shows the steps so far, `rtcal loop
@@ -205,15 +178,8 @@ def next_(
 
 
 @loop.command(short_help="Take the last step back.")
-@click.argument("room", type=click.Path())
-@_state_option
-@_out_option
-@writing_options
-def back(
-    room: str,
-    state: str,
-    out: str,
-) -> None:
+@takes("ROOM", _STATE, _OUT)
+def back(room: str, state: str, out: str) -> None:
     """Forget the table that `next` read last, and write the room to simulate in its place.
 
     \b
@@ -227,9 +193,6 @@ def back(
     spare([state, out], [room])
     before = Loop.load(state, Room.from_file(room)).back()
     closed.write(before, state, out)
-    record = {"simulations": len(before.steps), "state": state, "simulate": out}
-    text = (
-        f"{state} now holds {len(before.steps)} "
-        f"{'simulation' if len(before.steps) == 1 else 'simulations'}. {_next_step(out)}"
-    )
-    tell(text, record)
+    n = len(before.steps)
+    said = f"{state} now holds {n} simulation{'s' * (n != 1)}. {_next_step(out)}"
+    tell(said, {"simulations": n, "state": state, "simulate": out})

@@ -1,8 +1,8 @@
-"""``rtcal predict``: T after changes of a room, with its interval."""
+"""``rtcal predict`` and ``design``: T after changes of a room with its interval, and what to change."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,15 +11,13 @@ import click
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.command.console import (
     PATHS,
-    bar_wanted,
-    equation_option,
-    output_folder,
-    paths_option,
+    control_bar,
+    flag,
+    folder,
     read_measured,
-    said,
+    takes,
     tell,
     without_air_warning,
-    writing_options,
 )
 from rtcal.files.disk import read_text
 from rtcal.support.errors import DataError
@@ -34,37 +32,25 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 2**18
 """Largest size of a file of variants or treatments in bytes."""
+_KNOWN = (
+    click.option(
+        "--also",
+        nargs=2,
+        type=click.Path(),
+        multiple=True,
+        metavar="ROOM MEASURED",
+        help="A further measured state: the same room with other areas. It narrows the interval most.",
+    ),
+    "equation",
+    folder("Folder for all numbers (result.json), of which `rtcal report` makes a page."),
+)
+"""Options of measured states, of the equation, and of what is done with the result."""
 
 
-def what_is_known(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the options of measured states, the equation and what is done with the result."""
-    for option in (
-        writing_options,
-        click.option(
-            "--out",
-            type=click.Path(file_okay=False),
-            help="Folder for all numbers (result.json), of which `rtcal report` makes a page.",
-        ),
-        equation_option,
-        click.option(
-            "--also",
-            nargs=2,
-            type=click.Path(),
-            multiple=True,
-            metavar="ROOM MEASURED",
-            help="A further measured state: the same room with other areas. It narrows the interval "
-            "most.",
-        ),
-    ):
-        command = option(command)
-    return command
-
-
-def told(found: Result, out: str | None) -> None:
+def told(found: Result, out: Path | None) -> None:
     """Write a result's file where asked for, and print the result."""
-    folder = output_folder("--out", out)
-    if folder is not None:
-        found.save(folder)
+    if out is not None:
+        found.save(out)
     tell(str(found), found.to_dict())
 
 
@@ -78,21 +64,19 @@ def read_changes(path: str, read: Callable[[str], Any]) -> Any:
 
 
 @click.command(short_help="Predict T after changes of a room, and how sure that is.")
-@click.argument("room", type=click.Path())
-@click.argument("measured", type=click.Path(), required=False)
-@click.option(
-    "--change",
-    type=click.Path(),
-    required=True,
-    help="File of variants (TOML): `rtcal example change` writes one; see docs/files.md.",
+@takes(
+    "ROOM",
+    "MEASURED?",
+    click.option(
+        "--change",
+        type=click.Path(),
+        required=True,
+        help="File of variants (TOML): `rtcal example change` writes one; see docs/files.md.",
+    ),
+    flag("means", "Predict T by an equation, although ROOM states a mesh and positions."),
+    "paths",
+    *_KNOWN,
 )
-@click.option(
-    "--means",
-    is_flag=True,
-    help="Predict T by an equation, although ROOM states a mesh and positions.",
-)
-@paths_option
-@what_is_known
 def predict(
     room: str,
     measured: str | None,
@@ -101,7 +85,7 @@ def predict(
     paths: int | None,
     also: tuple[tuple[str, str], ...],
     equation: LinearEquation,
-    out: str | None,
+    out: Path | None,
 ) -> None:
     """Predict T of ROOM (TOML), MEASURED (CSV) as it is, after the changes of a file.
 
@@ -118,12 +102,9 @@ def predict(
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.datasets import catalogue
-    from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions_result import predict_positions
     from rtcal.prediction.predicted import compare
-    from rtcal.support.speed import bar, following
 
-    output_folder("--out", out)
     # What the file of variants states is checked before anything is calibrated.
     fitted = fitted_folder(room, measured)
     before = Room.from_file(room) if fitted is None else fitted.prior
@@ -144,12 +125,12 @@ def predict(
         raise DataError(f"{stated} takes T by an equation; add --means")
     if isinstance(known, Measurement):
         known = calibrated_to_positions(Path(room), before, known, paths or PATHS)
-    with bar(RUNS, "control run", bar_wanted(), said()) as shown:
+    with control_bar() as progress:
         at_positions = predict_positions(
             known,
             variants,
             position_uncertainty=before.scene.position_uncertainty,
-            progress=following(shown),
+            progress=progress,
         )
     told(at_positions, out)
 
@@ -185,19 +166,17 @@ def calibrated_to_positions(
     from rtcal.calibration.measured import tell_data
     from rtcal.finder.means.engines import FOLDER
     from rtcal.io import geometry_files
-    from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
-    from rtcal.support.speed import bar, following
 
     tell_data(room, heard)
-    with without_air_warning(), bar(RUNS, "control run", bar_wanted(), said()) as shown:
+    with without_air_warning(), control_bar() as progress:
         return calibrate_positions(
             geometry_files.path_tracing(room, n_paths=paths),
             room,
             heard,
             cache=file.parent / FOLDER,
             position_uncertainty=room.scene.position_uncertainty,
-            progress=following(shown),
+            progress=progress,
         )
 
 
@@ -221,29 +200,29 @@ def calibrated(
     if not also:
         with without_air_warning():
             return calibrate(rooms[0], times[0], equation=equation)
-    names = [new_name_of(i, each.name, rooms) for i, each in enumerate(rooms)]
+    every = [each.name for each in rooms]
+    names = [
+        f"{name} ({i})" if every.count(name) > 1 else name for i, name in enumerate(every, start=1)
+    ]
     with without_air_warning():
         joint = calibrate(Configurations(rooms, names), times, method="joint", equation=equation)
     return joint.results[0]
 
 
-def new_name_of(number: int, name: str, rooms: Sequence[Room]) -> str:
-    """Return a state's name: the room's, with a number where several rooms have it."""
-    same = sum(room.name == name for room in rooms) > 1
-    return f"{name} ({number + 1})" if same else name
-
-
 @click.command(short_help="Find the cheapest treatments with which T meets a target.")
-@click.argument("room", type=click.Path())
-@click.argument("measured", type=click.Path())
-@click.option(
-    "--treatments",
-    type=click.Path(),
-    required=True,
-    help="File of treatments and target (TOML): `rtcal example change` writes one; see docs/files.md.",
+@takes(
+    "ROOM",
+    "MEASURED",
+    click.option(
+        "--treatments",
+        type=click.Path(),
+        required=True,
+        help="File of treatments and target (TOML): `rtcal example change` writes one; see "
+        "docs/files.md.",
+    ),
+    click.option("--probability", type=float, help="0.8 or more; by default that of the file."),
+    *_KNOWN,
 )
-@click.option("--probability", type=float, help="0.8 or more; by default that of the file.")
-@what_is_known
 def design(
     room: str,
     measured: str,
@@ -251,7 +230,7 @@ def design(
     probability: float | None,
     also: tuple[tuple[str, str], ...],
     equation: LinearEquation,
-    out: str | None,
+    out: Path | None,
 ) -> None:
     """Find the cheapest treatments of ROOM (TOML), MEASURED (CSV) as it is.
 
@@ -263,15 +242,8 @@ def design(
     from rtcal.datasets import catalogue
     from rtcal.prediction.designed import design as cheapest
 
-    output_folder("--out", out)
     result = calibrated(room, measured, also, equation)
     stated, target, in_file = read_changes(
         treatments, lambda text: read_treatments(text, result.prior, catalogue.material)
     )
-    found = cheapest(
-        result,
-        stated,
-        target,
-        in_file if probability is None else probability,
-    )
-    told(found, out)
+    told(cheapest(result, stated, target, in_file if probability is None else probability), out)
