@@ -13,8 +13,8 @@ import base64
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, cached_property
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,9 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.marks import rms
+from rtcal.acoustics.room import Room
 from rtcal.io import geometry_files
+from rtcal.report.figures import likely_shares
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.blocks import Note
 from rtcal.support.errors import DataError
@@ -47,6 +49,14 @@ _SIZE = 7
 _FLAT = 0.01
 """Largest sine between the normals of two faces without an edge between them."""
 _MOST_NAMES = 40
+MOST_FACES = 5000
+"""Largest number of faces that are drawn: the page stays below 2 MB."""
+MOST_TRIANGLES = 20_000
+ABSORBS = ("#ffffd9", "#c7e9b4", "#41b6c4", "#225ea8", "#081d58")
+MOVES = ("#2166ac", "#92c5de", "#f7f7f7", "#f4a582", "#b2182b")
+LIKELY = ("#f7f7f7", "#e8a268", "#d55e00")
+GAPS = ("#fee838", "#bcae6c", "#7c7b78", "#434e6c", "#00224e")
+"""Colours from the lowest value to the highest; each scale can be read in grey, or has a middle."""
 
 
 def between(colours: Sequence[str], share: float) -> str:
@@ -65,37 +75,50 @@ def between(colours: Sequence[str], share: float) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Look:
-    """A direction of view of a geometry, and its picture's scale.
+    """A direction of view of a geometry: ``turn`` round z, ``tilt`` above the horizontal, in radians.
 
-    Attributes
-    ----------
-    turn, tilt : float
-        Of the view, round z and above the horizontal, in radians.
-    owners : int array (n_faces,)
-        Part of each face, -1 without one.
-    edges : int array (n_edges, 2)
-        Vertices of the edges that are drawn.
-    scale : float
-        Units of the picture per m.
-    origin : array (2,)
-        Of the picture, in m.
-    size : tuple of float
-        Width and height of the picture.
+    ``owners`` (n_faces,) is the part of each face, -1 without one.
     """
 
     geometry: Polyhedron
+    owners: NDArray[np.int64]
     turn: float
     tilt: float
-    owners: NDArray[np.int64]
-    edges: NDArray[np.int64]
-    scale: float
-    origin: Array
-    size: tuple[float, float]
+
+    @cached_property
+    def frame(self) -> tuple[float, Array, Array]:
+        """Units of the picture per m, its origin in m, and its size."""
+        right, up, _ = axes_of(self.turn, self.tilt)
+        corners = self.geometry.vertices
+        flat = np.stack([corners @ right, corners @ up], axis=1)
+        low, high = flat.min(axis=0), flat.max(axis=0)
+        space = np.array([_WIDTH, _HEIGHT]) - 2 * _MARGIN
+        scale = float((space / np.maximum(high - low, 1e-9)).min())
+        origin = np.array([low[0] - _MARGIN / scale, high[1] + _MARGIN / scale])
+        return scale, origin, scale * (high - low) + 2 * _MARGIN
 
     @property
     def box(self) -> str:
         """The picture's extent as an SVG's viewBox."""
-        return f"0 0 {self.size[0]:.0f} {self.size[1]:.0f}"
+        width, height = self.frame[2]
+        return f"0 0 {width:.0f} {height:.0f}"
+
+    @cached_property
+    def edges(self) -> NDArray[np.int64]:
+        """Vertices of the edges that are drawn, (n_edges, 2): between parts, and where a part bends."""
+        of_edge: dict[tuple[int, int], list[int]] = {}
+        for i, face in enumerate(self.geometry.faces):
+            for edge in _around(face):
+                of_edge.setdefault(edge, []).append(i)
+
+        def drawn(faces: list[int]) -> bool:
+            if len(faces) < 2 or len({int(self.owners[i]) for i in faces}) > 1:
+                return True
+            bends = np.cross(self.geometry.normals[faces[0]], self.geometry.normals[faces[1:]])
+            return bool((np.linalg.norm(bends, axis=1) > _FLAT).any())
+
+        kept = [edge for edge, faces in of_edge.items() if drawn(faces)]
+        return np.array(kept, dtype=np.int64).reshape(-1, 2)
 
     def shapes(self) -> dict[str, Any]:
         """Return polygons (points, part, edges), the farthest first, and the edges before them."""
@@ -104,38 +127,34 @@ class Look:
         drawn = {(int(a), int(b)) for a, b in self.edges}
         depth = self.geometry.vertices @ into
         faces = [list(face) for face in self.geometry.faces]
-        seen = self.geometry.normals @ into > 0
         order = sorted(
-            np.flatnonzero(seen),
+            np.flatnonzero(self.geometry.normals @ into > 0),
             key=lambda i: (-float(depth[faces[i]].max()), -float(depth[faces[i]].mean())),
         )
         of_face = {i: drawn.intersection(_around(faces[i])) for i in order}
-        near = drawn.difference(*of_face.values())
         return {
             "polygons": [
                 (_points(flat[faces[i]]), int(self.owners[i]), _path(flat, of_face[i]))
                 for i in order
             ],
-            "near": _path(flat, near),
+            "near": _path(flat, drawn.difference(*of_face.values())),
         }
 
-    def marks(self, stands: Iterable[tuple[str, str, Any, str]]) -> list[dict[str, Any]]:
+    def marks(self, stands: Sequence[tuple[str, str, Any, str]]) -> list[dict[str, Any]]:
         """Return sources and receivers: (kind, name, place, colour), with names unless many."""
-        every = list(stands)
-        low = self.geometry.vertices[:, 2].min()
+        low, s = self.geometry.vertices[:, 2].min(), _SIZE
         made = []
-        for kind, name, place, colour in every:
+        for kind, name, place, colour in stands:
             (x, y), (_, foot) = self._flat(np.array([place, (place[0], place[1], low)]))
-            s = _SIZE
-            corners = [(x, y - s), (x - s, y + 0.7 * s), (x + s, y + 0.7 * s)]
+            triangle = np.array([(x, y - s), (x - s, y + 0.7 * s), (x + s, y + 0.7 * s)])
             made.append(
                 {
                     "kind": kind,
-                    "name": name if len(every) <= _MOST_NAMES else "",
+                    "name": name if len(stands) <= _MOST_NAMES else "",
                     "x": f"{x:.1f}",
                     "y": f"{y:.1f}",
                     "foot": f"{foot:.1f}",
-                    "corners": _points(np.array(corners)),
+                    "corners": _points(triangle),
                     "colour": colour,
                 }
             )
@@ -143,9 +162,10 @@ class Look:
 
     def _flat(self, points: Array) -> Array:
         """Return points (n, 3) in m in the picture, (n, 2), whose y is downward."""
+        scale, origin, _ = self.frame
         right, up, _ = axes_of(self.turn, self.tilt)
-        flat = np.stack([points @ right, points @ up], axis=1) - self.origin
-        return np.asarray(flat * self.scale * (1, -1))
+        flat = np.stack([points @ right, points @ up], axis=1) - origin
+        return np.asarray(flat * scale * (1, -1))
 
 
 def axes_of(turn: float, tilt: float) -> Array:
@@ -162,45 +182,11 @@ def look(
 ) -> Look:
     """Return the look from which most of the faces' weights (n_faces,) is seen from inside."""
 
-    def shown(turn: float) -> float:
+    def seen(turn: float) -> float:
         return float(weights @ np.clip(geometry.normals @ axes_of(turn, tilt)[2], 0, None))
 
-    turn = float(max(TURNS, key=shown))
-    right, up, _ = axes_of(turn, tilt)
-    flat = np.stack([geometry.vertices @ right, geometry.vertices @ up], axis=1)
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    room = np.array([_WIDTH, _HEIGHT]) - 2 * _MARGIN
-    scale = float((room / np.maximum(high - low, 1e-9)).min())
-    width, height = scale * (high - low) + 2 * _MARGIN
-    return Look(
-        geometry=geometry,
-        turn=turn,
-        tilt=float(tilt),
-        owners=owners,
-        edges=_edges(geometry, owners),
-        scale=scale,
-        origin=np.array([low[0] - _MARGIN / scale, high[1] + _MARGIN / scale]),
-        size=(float(width), float(height)),
-    )
-
-
-def _edges(geometry: Polyhedron, owners: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the edges between parts and where a part bends, but none within a plane."""
-    of_edge: dict[tuple[int, int], list[int]] = {}
-    for i, face in enumerate(geometry.faces):
-        for edge in _around(face):
-            of_edge.setdefault(edge, []).append(i)
-
-    def drawn(faces: list[int]) -> bool:
-        if len(faces) < 2 or len({int(owners[i]) for i in faces}) > 1:
-            return True
-        first = geometry.normals[faces[0]]
-        return any(
-            float(np.linalg.norm(np.cross(first, geometry.normals[i]))) > _FLAT for i in faces[1:]
-        )
-
-    kept = [edge for edge, faces in of_edge.items() if drawn(faces)]
-    return np.array(kept, dtype=np.int64).reshape(-1, 2)
+    turn = float(max(TURNS, key=seen))
+    return Look(geometry=geometry, owners=owners, turn=turn, tilt=float(tilt))
 
 
 def _points(flat: Array) -> str:
@@ -219,40 +205,13 @@ def _path(flat: Array, edges: Iterable[tuple[int, int]]) -> str:
     )
 
 
-MOST_FACES = 5000
-"""Largest number of faces that are drawn: the page stays below 2 MB."""
-MOST_TRIANGLES = 20_000
-
-ABSORBS = ("#ffffd9", "#c7e9b4", "#41b6c4", "#225ea8", "#081d58")
-MOVES = ("#2166ac", "#92c5de", "#f7f7f7", "#f4a582", "#b2182b")
-LIKELY = ("#f7f7f7", "#e8a268", "#d55e00")
-GAPS = ("#fee838", "#bcae6c", "#7c7b78", "#434e6c", "#00224e")
-"""Colours from the lowest value to the highest; each scale can be read in grey, or has a middle."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Quantity:
-    """Numbers that colour the parts.
+    """Numbers (n_parts, n_columns) that colour the parts, NaN where nothing is known.
 
-    Attributes
-    ----------
-    name : str
-    head : str
-        The same in a table's head.
-    columns : sequence of str (n_columns,)
-        What each column is: the mean over the bands, or a band.
-    values : array (n_parts, n_columns)
-        NaN where nothing is known.
-    low, high : float
-        Ends of the colours.
-    colours : sequence of str
-        From ``low`` to ``high``, as #rrggbb.
-    digits : int
-        Decimals of a value in text.
-    factor, unit : float, str
-        A value in text is multiplied by ``factor`` and followed by ``unit``.
-    still : bool
-        Whether it has a still picture.
+    ``head`` is the name in a table's head. ``columns`` says what each column is: the mean over the
+    bands, or a band. ``colours`` go from ``low`` to ``high``. A value in text has so many ``digits``,
+    is multiplied by ``factor`` and followed by ``unit``. ``still``: whether it has a still picture.
     """
 
     name: str
@@ -277,6 +236,12 @@ class Quantity:
         """Return the colour of a value, grey for NaN."""
         return between(self.colours, (value - self.low) / (self.high - self.low))
 
+    @property
+    def plain(self) -> dict[str, Any]:
+        """The quantity as the page's script reads it."""
+        values = [[round(float(v), 4) if np.isfinite(v) else None for v in r] for r in self.values]
+        return {**vars(self), "values": values}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Stand:
@@ -289,8 +254,8 @@ class Stand:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RoomView:
-    """A room to be turned.
+class RoomSection:
+    """The room on a page, for the template ``room.html``, below a heading of a ``level`` or none.
 
     Attributes
     ----------
@@ -315,29 +280,104 @@ class RoomView:
     quantities: Sequence[Quantity]
     stands: Sequence[Stand] = ()
     whens: Sequence[str] = ()
-    gap: Quantity = field(init=False)
+    level: int | None = 2
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def gap(self) -> Quantity:
+        """The gaps of the stands, and their colours."""
         gaps = np.array([s.gaps for s in self.stands], dtype=float)
         gaps = gaps.reshape(len(self.stands), len(self.whens))
         most = float(np.ceil(np.nanmax(gaps, initial=2.0)))
-        scale = Quantity(
-            name="Gap / JND",
-            head="Gap / JND",
-            columns=tuple(self.whens),
-            values=gaps,
-            low=0.0,
-            high=most,
-            colours=GAPS,
-            digits=1,
-        )
-        object.__setattr__(self, "gap", scale)
+        name, whens = "Gap / JND", tuple(self.whens)
+        ends = {"low": 0.0, "high": most, "colours": GAPS}
+        return Quantity(name=name, head=name, columns=whens, values=gaps, digits=1, **ends)
+
+    @cached_property
+    def _looks(self) -> list[Look]:
+        """From above and from below; by area and the first quantity faces are to be seen."""
+        owners = np.full(len(self.geometry.faces), -1)
+        for i, faces in enumerate(self.parts.values()):
+            owners[faces] = i
+        first = self.quantities[0]
+        shares = np.nan_to_num(first.values[:, 0] - first.low) / (first.high - first.low)
+        weights = self.geometry.face_areas * (0.05 + np.append(shares, 0.0)[owners])
+        return [look(self.geometry, owners, weights, tilt) for tilt in (ABOVE, BELOW)]
+
+    @property
+    def looks(self) -> list[dict[str, Any]]:
+        """Each look's shapes, with sources and receivers in the colour of their last gap."""
+        last = self.gap.values[:, -1] if self.whens else np.full(len(self.stands), np.nan)
+        marks = [
+            (s.kind, s.name, s.place, self.gap.colour(gap))
+            for s, gap in zip(self.stands, last, strict=True)
+        ]
+        return [
+            {"name": name, "box": of.box, **of.shapes(), "marks": of.marks(marks)}
+            for name, of in zip(("above", "below"), self._looks, strict=True)
+        ]
+
+    @property
+    def data(self) -> str:
+        """The data of the script as JSON that holds no character of markup."""
+        geometry, above = self.geometry, self._looks[0]
+        corners = np.round(1000 * geometry.triangles).astype(int).reshape(-1, 3)
+        points, triangles = np.unique(corners, axis=0, return_inverse=True)
+        content = {
+            "points": points.ravel().tolist(),
+            "triangles": triangles.ravel().tolist(),
+            "owners": above.owners[geometry.triangle_faces].tolist(),
+            "edges": np.round(1000 * geometry.vertices[above.edges]).astype(int).ravel().tolist(),
+            "parts": list(self.parts),
+            "quantities": [q.plain for q in self.quantities],
+            "gap": self.gap.plain,
+            "stands": [{"kind": s.kind, "name": s.name, "place": s.place} for s in self.stands],
+            "turn": above.turn,
+            "tilt": above.tilt,
+        }
+        text = json.dumps(content, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+        for character in "<>&":
+            text = text.replace(character, f"\\u{ord(character):04x}")
+        return text
+
+    @property
+    def script(self) -> str:
+        """The page's script, ``room.js``."""
+        return _script()
+
+    @property
+    def fingerprint(self) -> str:
+        """What the page's policy allows to run: this script, and nothing else."""
+        digest = hashlib.sha256(_script().encode()).digest()
+        return f"'sha256-{base64.b64encode(digest).decode()}'"
 
 
-def of_materials(geometry: Polyhedron, materials: Sequence[str]) -> dict[str, NDArray[np.int64]]:
-    """Return the faces of each of a room's materials, none for one that the geometry lacks."""
+@cache
+def _script() -> str:
+    return resources.files("rtcal.report").joinpath("templates/room.js").read_text("utf-8")
+
+
+def _section(**of: Any) -> list[Any]:
+    """Return the room as a block of a page; of too many faces a note that it is not drawn."""
+    geometry = of["geometry"]
+    if len(geometry.faces) > MOST_FACES or len(geometry.triangles) > MOST_TRIANGLES:
+        return [_missing(f"it has more than {MOST_FACES} faces or {MOST_TRIANGLES} triangles")]
+    return [RoomSection(**of)]
+
+
+def _missing(why: str) -> Note:
+    return Note(f"The room is not drawn: {why}.", kind="note")
+
+
+def _of_materials(geometry: Polyhedron, room: Room, alpha: Array, shift: Array) -> dict[str, Any]:
+    """Return the parts of a room by material, with what colours them."""
     of_face = np.array(geometry.materials, dtype=object)
-    return {m: np.flatnonzero(of_face == m) for m in materials}
+    return {
+        "geometry": geometry,
+        "parts": {m: np.flatnonzero(of_face == m) for m in room.materials},
+        "part": "Material",
+        "areas": room.areas,
+        "quantities": absorption(room.centre_frequencies, room.alpha, alpha, shift),
+    }
 
 
 def absorption(
@@ -351,43 +391,30 @@ def absorption(
     highest = float(np.ceil(10 * max(stated.max(), calibrated.max(), 0.1))) / 10
     reach = float(np.ceil(max(2.0, np.abs(shift).max())))
 
-    def alpha(when: str, values: Array, still: bool) -> Quantity:
-        return Quantity(
-            name=f"Absorption coefficient, {when}",
-            head=f"α {when}",
-            columns=columns,
-            values=_with_mean(values),
-            low=0.0,
-            high=highest,
-            colours=ABSORBS,
-            still=still,
-        )
+    def quantity(name: str, head: str, values: Array, **more: Any) -> Quantity:
+        table = np.column_stack([values.mean(axis=1), values])
+        return Quantity(name=name, head=head, columns=columns, values=table, **more)
 
+    alpha = {"low": 0.0, "high": highest, "colours": ABSORBS}
+    moved = {"low": -reach, "high": reach, "colours": MOVES, "digits": 1}
+    name = "Absorption coefficient"
     return [
-        alpha("calibrated", calibrated, True),
-        Quantity(
-            name="Shift of the coefficient in standard deviations of what was stated",
-            head="shift / σ",
-            columns=columns,
-            values=_with_mean(shift),
-            low=-reach,
-            high=reach,
-            colours=MOVES,
-            digits=1,
+        quantity(f"{name}, calibrated", "α calibrated", calibrated, **alpha),
+        quantity(
+            "Shift of the coefficient in standard deviations of what was stated",
+            "shift / σ",
+            shift,
+            **moved,
         ),
-        alpha("stated", stated, False),
+        quantity(f"{name}, stated", "α stated", stated, **alpha, still=False),
     ]
-
-
-def _with_mean(values: Array) -> Array:
-    return np.column_stack([values.mean(axis=1), values])
 
 
 def stands(
     sources: Mapping[str, Any],
     receivers: Mapping[str, Any],
-    pairs: Sequence[tuple[str, str]],
-    gaps: Sequence[Array],
+    pairs: Sequence[tuple[str, str]] = (),
+    gaps: Sequence[Array] = (),
 ) -> list[Stand]:
     """Return sources and receivers with the root mean square gap of their pairs in JND.
 
@@ -401,131 +428,6 @@ def stands(
             values = tuple(float(rms(gap[:, own])) for gap in gaps)
             made.append(Stand(kind=kind, name=name, place=(x, y, z), gaps=values))
     return made
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RoomSection:
-    """The room on a page, for the template ``room.html``: what it shows, and in which heading."""
-
-    view: RoomView
-    looks: Sequence[Mapping[str, Any]]
-    stills: Sequence[Mapping[str, Any]]
-    data: str
-    level: int | None
-    script: str
-    fingerprint: str
-
-
-def _section(view: RoomView, level: int | None) -> list[Any]:
-    """Return the room as a block of a page; of too many faces a note that it is not drawn."""
-    geometry = view.geometry
-    if len(geometry.faces) > MOST_FACES or len(geometry.triangles) > MOST_TRIANGLES:
-        limits = f"{MOST_FACES} faces or {MOST_TRIANGLES} triangles"
-        return [_missing(f"it has more than {limits}")]
-    above, below = (look(geometry, _owners(view), _weights(view), tilt) for tilt in (ABOVE, BELOW))
-    return [
-        RoomSection(
-            view=view,
-            looks=[_look(view, above, "above"), _look(view, below, "below")],
-            stills=[_still(quantity) for quantity in view.quantities if quantity.still],
-            data=_data(view, above),
-            level=level,
-            script=script(),
-            fingerprint=fingerprint(),
-        )
-    ]
-
-
-def _missing(why: str) -> Note:
-    return Note(f"The room is not drawn: {why}.", kind="note")
-
-
-@cache
-def script() -> str:
-    """Return the page's script, ``room.js``."""
-    return resources.files("rtcal.report").joinpath("templates/room.js").read_text("utf-8")
-
-
-def fingerprint() -> str:
-    """Return what the page's policy allows to run: this script, and nothing else."""
-    digest = hashlib.sha256(script().encode()).digest()
-    return f"'sha256-{base64.b64encode(digest).decode()}'"
-
-
-def _owners(view: RoomView) -> NDArray[np.int64]:
-    """Return the number of each face's part, -1 without one."""
-    owners = np.full(len(view.geometry.faces), -1)
-    for i, faces in enumerate(view.parts.values()):
-        owners[faces] = i
-    return owners
-
-
-def _weights(view: RoomView) -> Array:
-    """Return how much each face is to be seen from inside: by area and the first quantity's value."""
-    first = view.quantities[0]
-    values = np.nan_to_num(first.values[:, 0] - first.low) / (first.high - first.low)
-    return np.asarray(view.geometry.face_areas * (0.05 + np.append(values, 0.0)[_owners(view)]))
-
-
-def _look(view: RoomView, look: Look, name: str) -> dict[str, Any]:
-    """Return a look's shapes, with sources and receivers in the colour of their last gap."""
-    last = view.gap.values[:, -1] if view.whens else np.full(len(view.stands), np.nan)
-    marks = [
-        (s.kind, s.name, s.place, view.gap.colour(gap))
-        for s, gap in zip(view.stands, last, strict=True)
-    ]
-    return {"name": name, "box": look.box, **look.shapes(), "marks": look.marks(marks)}
-
-
-def _still(quantity: Quantity) -> dict[str, Any]:
-    first, middle = quantity.columns[0], (quantity.low + quantity.high) / 2
-    return {
-        "colours": [quantity.colour(value) for value in quantity.values[:, 0]],
-        "name": f"{quantity.name}, {first}" if first else quantity.name,
-        "legend": {
-            "gradient": ", ".join(quantity.colours),
-            "ticks": [quantity.text(v) for v in (quantity.low, middle, quantity.high)],
-        },
-    }
-
-
-def _data(view: RoomView, look: Look) -> str:
-    """Return the data of the script as JSON that holds no character of markup."""
-    geometry = view.geometry
-    corners = np.round(1000 * geometry.triangles).astype(int).reshape(-1, 3)
-    points, triangles = np.unique(corners, axis=0, return_inverse=True)
-    content = {
-        "points": points.ravel().tolist(),
-        "triangles": triangles.ravel().tolist(),
-        "owners": _owners(view)[geometry.triangle_faces].tolist(),
-        "edges": np.round(1000 * geometry.vertices[look.edges]).astype(int).ravel().tolist(),
-        "parts": list(view.parts),
-        "quantities": [_plain(q) for q in view.quantities],
-        "gap": _plain(view.gap),
-        "stands": [{"kind": s.kind, "name": s.name, "place": s.place} for s in view.stands],
-        "turn": look.turn,
-        "tilt": look.tilt,
-    }
-    text = json.dumps(content, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
-    for character in "<>&":
-        text = text.replace(character, f"\\u{ord(character):04x}")
-    return text
-
-
-def _plain(scale: Quantity) -> dict[str, Any]:
-    return {
-        "name": scale.name,
-        "columns": list(scale.columns),
-        "values": [
-            [round(float(v), 4) if np.isfinite(v) else None for v in row] for row in scale.values
-        ],
-        "low": scale.low,
-        "high": scale.high,
-        "colours": list(scale.colours),
-        "digits": scale.digits,
-        "factor": scale.factor,
-        "unit": scale.unit,
-    }
 
 
 def of_calibration(result: CalibrationResult, level: int = 2) -> list[Any]:
@@ -543,15 +445,11 @@ def of_calibration(result: CalibrationResult, level: int = 2) -> list[Any]:
     shift = np.divide(
         result.alpha - room.alpha, room.sigma, out=np.zeros_like(room.alpha), where=room.sigma > 0
     )
-    view = RoomView(
-        geometry=geometry,
-        parts=of_materials(geometry, room.materials),
-        part="Material",
-        areas=room.areas,
-        quantities=absorption(room.centre_frequencies, room.alpha, result.alpha, shift),
-        stands=stands(room.scene.sources, room.scene.receivers, (), ()),
+    return _section(
+        **_of_materials(geometry, room, result.alpha, shift),
+        stands=stands(room.scene.sources, room.scene.receivers),
+        level=level,
     )
-    return _section(view, level)
 
 
 def of_positions(result: PositionsResult) -> list[Any]:
@@ -560,22 +458,12 @@ def of_positions(result: PositionsResult) -> list[Any]:
     geometry = getattr(tracer, "geometry", None)
     if not isinstance(geometry, Polyhedron):
         return []
-    room = result.prior
-    view = RoomView(
-        geometry=geometry,
-        parts=of_materials(geometry, room.materials),
-        part="Material",
-        areas=room.areas,
-        quantities=absorption(room.centre_frequencies, room.alpha, result.alpha, result.shift),
-        stands=stands(
-            tracer.sources,
-            tracer.receivers,
-            result.pairs,
-            (result.gap_before, result.gap_after),
-        ),
+    gaps = result.gap_before, result.gap_after
+    return _section(
+        **_of_materials(geometry, result.prior, result.alpha, result.shift),
+        stands=stands(tracer.sources, tracer.receivers, result.pairs, gaps),
         whens=("before", "after"),
     )
-    return _section(view, 2)
 
 
 def of_finding(
@@ -588,16 +476,15 @@ def of_finding(
     Its gaps are those of a verification at pairs that were not fitted. ``place`` is a further receiver.
     """
     case, room = finding.case, finding.case.room
-    none = finding.verdict == "none" or not finding.likely_surfaces
-    chance = [0.0 if none else finding.surfaces.get(name, 0.0) for name in case.faces]
     rows = [
         room.material_index(case.geometry.materials[int(faces[0])]) for faces in case.faces.values()
     ]
+    alpha, none = room.alpha[rows], np.zeros((len(rows), 1))
     likely = Quantity(
         name="Probability that something is missing on this surface",
         head="Probability",
         columns=("",),
-        values=np.array(chance)[:, np.newaxis],
+        values=np.array([*likely_shares(finding).values()])[:, np.newaxis],
         low=0.0,
         high=1.0,
         colours=LIKELY,
@@ -605,23 +492,18 @@ def of_finding(
         factor=100.0,
         unit=" %",
     )
-    alpha = absorption(
-        room.centre_frequencies, room.alpha[rows], room.alpha[rows], np.zeros((len(rows), 1))
-    )[-1]
     sources, receivers = case.simulator.sources, dict(case.simulator.receivers)
     if place is not None:
         receivers["to measure here"] = place.point
-    gaps, whens = [], []
-    if verification is not None:
-        gaps = [np.concatenate(gap) for gap in verification.gaps[[0, -1]]]
-        whens = ["as stated", "corrected"]
-    view = RoomView(
+    verified = verification is not None
+    gaps = [np.concatenate(gap) for gap in verification.gaps[[0, -1]]] if verified else []
+    return _section(
         geometry=case.geometry,
         parts=case.faces,
         part="Surface",
         areas=np.array([case.geometry.face_areas[f].sum() for f in case.faces.values()]),
-        quantities=[likely, alpha],
+        quantities=[likely, absorption(room.centre_frequencies, alpha, alpha, none)[-1]],
         stands=stands(sources, receivers, finding.pairs, gaps),
-        whens=whens,
+        whens=["as stated", "corrected"] if verified else [],
+        level=None,
     )
-    return _section(view, None)

@@ -23,8 +23,10 @@ from rtcal.studies.paper import (
     redrawn_share,
 )
 from rtcal.studies.runner import table_csv
-from rtcal.studies.study import Study, Table, analytic_scores, run
-from rtcal.support import checks, text
+from rtcal.studies.study import Study, analytic_scores, run
+from rtcal.studies.study import Table as Scores
+from rtcal.support import checks
+from rtcal.support.blocks import Block, Note, Row, Table, lines
 
 __all__ = ["StudyReport", "priors", "report", "spread"]
 __dir__ = __all__.copy
@@ -61,7 +63,7 @@ def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
     return figure
 
 
-def spread(table: Table, aace: Sequence[float], title: str) -> Any:
+def spread(table: Scores, aace: Sequence[float], title: str) -> Any:
     """Return the box plot of the root of EMSE over realisations (Fig. 4b).
 
     ``table`` is `Study.spread`'s. ``aace`` is one error for each of its rows, drawn as a dashed line.
@@ -116,14 +118,14 @@ _PAPER_SCORES = {"shoebox": paper.TABLE_2, "lecture-hall": paper.TABLE_3}
 
 @dataclass(frozen=True)
 class StudyReport:
-    """The printed lines of a study, its tables as plain records, and its files by name."""
+    """What a study prints, its tables as plain records, and its files by name."""
 
-    lines: list[str] = field(default_factory=list)
+    blocks: list[Block] = field(default_factory=list)
     records: list[dict[str, Any]] = field(default_factory=list)
     files: dict[str, bytes] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        return "\n".join(self.lines)
+        return "\n".join(lines(self.blocks))
 
 
 def report(
@@ -165,22 +167,20 @@ def report(
         checks.choice("rooms", room, (*_HEADINGS, "halls"))
     sigma_r = checks.array("sigma_r", sigma_r).ravel().tolist()
     checks.choice("sampling", sampling, _SAMPLINGS)
-    result = StudyReport()
+    result = StudyReport([*map(Note, (*_LEGEND, _SAMPLINGS[sampling]))])
     if checks.flag("with_files", with_files):
         new_figure()
-    for sentence in (*_LEGEND, _SAMPLINGS[sampling]):
-        result.lines.extend(text.wrapped(sentence))
     for room in dict.fromkeys(rooms):
         if room == "halls":
             _add_halls(result, sigma_r, realisations, seed, sampling)
             continue
-        result.lines.extend(["", *text.wrapped(_HEADINGS[room])])
+        result.blocks.extend([Note(""), Note(_HEADINGS[room])])
         for level in sigma_r:
-            stem = f"{room}-{level:g}"
+            stem, record = f"{room}-{level:g}", {"room": room, "sigma_r": level}
             if trials == 0:
                 table = analytic_scores(AREAS[room], level, realisations, seed, sampling=sampling)
-                result.lines.extend(_scores(room, level, sampling, table))
-                result.records.append({"room": room, "sigma_r": level, "scores": table})
+                result.blocks.append(_scores(room, level, sampling, table))
+                result.records.append({**record, "scores": table})
                 if with_files:
                     result.files[f"{stem}-analytic-scores.csv"] = table_csv(table)
                 continue
@@ -195,34 +195,19 @@ def report(
                 folder=None if folder is None else folder / stem,
                 progress=progress,
             )
-            _add_study(result, room, study)
+            scores, effects = study.scores(), study.bound_effects()
+            result.blocks.extend([_scores(room, level, sampling, scores), _bound_effects(effects)])
+            result.records.append({**record, "scores": scores, "bound_effects": effects})
             if with_files:
                 result.files.update(_study_files(study, stem))
         if room == "shoebox":
-            result.lines.extend(_table_1())
+            result.blocks.append(_table_1())
     if with_files:
         result.files.update(_prior_files())
     return result
 
 
-def _add_study(result: StudyReport, room: str, study: Study) -> None:
-    result.lines.extend(
-        [
-            *_scores(room, study.sigma_r, study.sampling, study.scores()),
-            *_bound_effects(study),
-        ]
-    )
-    result.records.append(
-        {
-            "room": room,
-            "sigma_r": study.sigma_r,
-            "scores": study.scores(),
-            "bound_effects": study.bound_effects(),
-        }
-    )
-
-
-def _scores(room: str, sigma_r: float, sampling: Sampling, table: Table) -> list[str]:
+def _scores(room: str, sigma_r: float, sampling: Sampling, table: Scores) -> Table:
     """Return the scores of each method, with the paper's if it states this sigma_r."""
     rows = []
     for row in table:
@@ -232,20 +217,19 @@ def _scores(room: str, sigma_r: float, sampling: Sampling, table: Table) -> list
             printed = f"{_PAPER_SCORES[room][method][paper.SIGMA_R.index(sigma_r)]:.1f}"
         score = [f"{100 * row.score:.3f}", f"{100 * row.standard_error:.3f}"]
         label = NAMES[method] + (", bounded" if row.bounded else "")
-        rows.append((label, [f"{row.aace:.5f}", *score, printed]))
-    again = (
+        rows.append(Row(label, [f"{row.aace:.5f}", *score, printed]))
+    title = (
         f"sigma_R = {sigma_r:g}: the Rayleigh parameter from which the uncertainty of each coefficient "
         "is drawn."
     )
     if share := redrawn_share(sigma_r, sampling):
-        again += f" {100 * share:.4f} % of them are 0.25 or more and drawn again."
-    header = ("method", ["error", "score / %", "± / %", "paper / %"])
-    return ["", *text.wrapped(again), *text.table(rows, header=header)]
+        title += f" {100 * share:.4f} % of them are 0.25 or more and drawn again."
+    return Table(["error", "score / %", "± / %", "paper / %"], rows, title, "method")
 
 
-def _bound_effects(study: Study) -> list[str]:
+def _bound_effects(effects: Scores) -> Table:
     rows = [
-        (
+        Row(
             NAMES[str(row.method)],
             [
                 f"{100 * row.difference:+.5f}",
@@ -253,14 +237,13 @@ def _bound_effects(study: Study) -> list[str]:
                 f"{100 * row.active_share:.3f}",
             ],
         )
-        for row in study.bound_effects()
+        for row in effects
     ]
     title = (
         "What bounds change: the score with bounds less the score without, in percentage points, and "
         "the trials in which a coefficient is at a bound."
     )
-    header = ("method", ["change", "±", "trials at a bound / %"])
-    return ["", *text.wrapped(title), *text.table(rows, header=header)]
+    return Table(["change", "±", "trials at a bound / %"], rows, title, "method")
 
 
 def _add_halls(
@@ -270,26 +253,25 @@ def _add_halls(
     seed: int,
     sampling: Sampling,
 ) -> None:
-    methods = ("scaling", "lse", "mle")
     rows = []
     for hall in HALL_SEEDS:
         for level in sigma_r:
             table = analytic_scores(random_hall(hall), level, realisations, seed, sampling=sampling)
             result.records.append({"room": f"hall {hall}", "sigma_r": level, "scores": table})
             cells = [f"{100 * r.score:.2f} ± {100 * r.standard_error:.2f}" for r in table[1:]]
-            rows.append((f"{hall}", [f"{level:g}", *cells]))
+            rows.append(Row(f"{hall}", [f"{level:g}", *cells]))
     title = (
         "Five random halls with the paper's number of surfaces, volume and ratio of areas: scores in "
         "% ± standard error, computed without trials, not bounded."
     )
-    header = ("hall", ["sigma_R", *(NAMES[m] for m in methods)])
-    result.lines.extend(["", *text.wrapped(title), *text.table(rows, header=header)])
+    columns = ["sigma_R", *(NAMES[m] for m in ("scaling", "lse", "mle"))]
+    result.blocks.append(Table(columns, rows, title, "hall"))
 
 
-def _table_1() -> list[str]:
+def _table_1() -> Table:
     low, high = paper.table_1_range(np.array(SHOEBOX))
     rows = [
-        (NAMES[method], [f"{1e4 * value:.1f}", f"{1e4 * low[i]:.1f} to {1e4 * high[i]:.1f}"])
+        Row(NAMES[method], [f"{1e4 * value:.1f}", f"{1e4 * low[i]:.1f} to {1e4 * high[i]:.1f}"])
         for i, (method, value) in enumerate(paper.TABLE_1_EMSE.items())
     ]
     title = (
@@ -297,7 +279,7 @@ def _table_1() -> list[str]:
         "prints mu and sigma of this room rounded. Of what they can have been, 98 % give an error in "
         "the range."
     )
-    return ["", *text.wrapped(title), *text.table(rows, header=("method", ["paper", "range"]))]
+    return Table(["paper", "range"], rows, title, "method")
 
 
 def _study_files(study: Study, stem: str) -> dict[str, bytes]:

@@ -118,7 +118,7 @@ def test_a_still_shows_three_walls_of_a_box_from_inside(tilt, seen) -> None:
     for points, part, _ in shapes["polygons"]:
         x, y = np.array([p.split(",") for p in points.split()], dtype=float).T
         area = abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / 2
-        wanted = BOX.face_areas[part] * (BOX.normals[part] @ into) * look.scale**2
+        wanted = BOX.face_areas[part] * (BOX.normals[part] @ into) * look.frame[0] ** 2
         assert area == pytest.approx(wanted, rel=0.01)  # a tenth of a unit of the picture
     lines = sum(edges.count("M") for _, _, edges in shapes["polygons"])
     assert (lines, shapes["near"].count("M")) == (12, 3)  # 9 edges of three walls, 3 of them twice
