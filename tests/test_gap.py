@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.command.finder import Search
+from rtcal.command.finder import read_case
 from rtcal.command.main import cli
 from rtcal.finder import Case, MeansFinding, verify
 from rtcal.finder.finding import Size
@@ -127,7 +127,7 @@ def test_a_room_and_its_measurement_are_a_case(folder: Path, tmp_path: Path) -> 
         f'room = "{room}"\n[[configuration]]\nname = "as measured"\nmeasured = "{measured}"\n'
     )
     stated = Case.from_file(str(tmp_path / "case.toml"))
-    assert Search(case=room, measured=measured).read().to_dict() == stated.to_dict()
+    assert read_case({"case": room, "measured": measured}).to_dict() == stated.to_dict()
     with pytest.raises(rt.errors.DataError, match="--paths needs a room that states its sources"):
         run("find", room, measured, "--paths", "100")
 

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.acoustics.observables import observable
-from rtcal.command.finder import Search
+from rtcal.command.finder import read_case
 from rtcal.command.main import cli
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
@@ -360,11 +360,13 @@ def test_a_workbook_is_read_as_every_command_reads_it(folder: Path) -> None:
     made = rt.Measurement.from_file(str(folder / "pairs.csv"))
     tables.write(made, folder / "pairs.xlsx")
     of_text, of_book = (
-        Search(
-            case=str(folder / "room.toml"),
-            measured=str(folder / f"pairs.{ending}"),
-            scattering=0.4,
-        ).read()
+        read_case(
+            {
+                "case": str(folder / "room.toml"),
+                "measured": str(folder / f"pairs.{ending}"),
+                "scattering": 0.4,
+            }
+        )
         for ending in ("csv", "xlsx")
     )
     assert of_book.pairs == of_text.pairs

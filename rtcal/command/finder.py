@@ -9,7 +9,7 @@ import os
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,7 @@ from rtcal.command.console import (
 )
 from rtcal.files.disk import spare, write_all
 from rtcal.files.saved import Result, load
-from rtcal.support import text
+from rtcal.support.blocks import Block, Note, Row, Table, lines
 from rtcal.support.errors import DataError
 from rtcal.support.speed import bar
 
@@ -54,114 +54,97 @@ _NEEDS_POSITIONS = " needs a room that states its sources and receivers, measure
 _NO_SURFACE = ": a finding without a geometry has no surface"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Search:
-    """The arguments and options of ``rtcal find``."""
+def stated(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """Return the values of the options of these names that are not at their defaults."""
+    every = {name: options.get(name) for name in names}
+    return {k: v for k, v in every.items() if v not in (None, ()) and (k, v) != ("most", 1)}
 
-    case: str
-    measured: str | None = None
-    before: str | None = None
-    simulated: str | None = None
-    match: tuple[str, ...] = ()
-    exclude: tuple[str, ...] = ()
-    scattering: float | None = None
-    paths: int | None = None
-    engine: tuple[str, ...] = ()
-    without: tuple[str, ...] = ()
-    only: tuple[str, ...] = ()
-    prior: tuple[str, ...] = ()
-    most: int = 1
-    expected: float | None = None
-    seed: int = 0
 
-    @property
-    def cache(self) -> Path:
-        """The folder in which simulations are kept, beside the case or room."""
-        from rtcal.finder.means.engines import FOLDER
+def files_of(options: Mapping[str, Any]) -> list[str]:
+    """Return the paths of the files that ``rtcal find`` reads."""
+    from rtcal.finder.case import files_of_case
 
-        return Path(self.case).parent / FOLDER
+    if options.get("measured") is None:
+        return [os.fspath(path) for path in files_of_case(options["case"])]
+    return [*stated(options, "case", "measured", "before", "simulated").values()]
 
-    @property
-    def files(self) -> list[str]:
-        """The paths of the files that are read."""
-        from rtcal.finder.case import files_of_case
 
-        if self.measured is None:
-            return [os.fspath(path) for path in files_of_case(self.case)]
-        read = (self.case, self.measured, self.before, self.simulated)
-        return [path for path in read if path is not None]
+def words(options: Mapping[str, Any]) -> list[str]:
+    """Return the words that search the same again, with what is stated."""
+    out = [*stated(options, "case", "measured").values()]
+    chosen = stated(options, "before", *_OF_POSITIONS) | {"seed": options["seed"]}
+    for name, value in {**chosen, **stated(options, "without", "only", *_OF_MEANS)}.items():
+        for one in value if isinstance(value, tuple) else (value,):
+            out += [f"--{name}", f"{one:g}" if isinstance(one, float) else str(one)]
+    return out
 
-    def stated(self, *names: str) -> dict[str, Any]:
-        """Return the values of the options of these names that are not at their defaults."""
-        every = {name: getattr(self, name) for name in names}
-        return {k: v for k, v in every.items() if v not in (None, (), getattr(Search, k, None))}
 
-    @property
-    def words(self) -> list[str]:
-        """The command's words that search the same again."""
-        out = [self.case] if self.measured is None else [self.case, self.measured]
-        stated = self.stated("before", *_OF_POSITIONS) | {"seed": self.seed}
-        for name, value in {**stated, **self.stated("without", "only", *_OF_MEANS)}.items():
-            for one in value if isinstance(value, tuple) else (value,):
-                out += [f"--{name}", f"{one:g}" if isinstance(one, float) else str(one)]
-        return out
+def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) -> Any:
+    """Return the case of ``rtcal find``; DataError if a file to be written is one of those read."""
+    from rtcal.acoustics.room import Room
+    from rtcal.finder import Case
+    from rtcal.finder.search import case_of
 
-    def read(self, targets: Sequence[str | Path] = ()) -> Any:
-        """Read the case; DataError if a file to be written is also one of those that are read."""
-        from rtcal.acoustics.room import Room
-        from rtcal.finder import Case
-        from rtcal.finder.search import case_of
+    path, before = options["case"], options.get("before")
+    spare(targets, [path])
+    if options.get("measured") is None:
+        if before is not None:
+            raise DataError(
+                "--before needs a room and what was measured after: ROOM AFTER --before BEFORE"
+            )
+        refuse(stated(options, *_OF_POSITIONS), _NEEDS_POSITIONS)
+        case = Case.from_file(path)
+        spare(targets, files_of(options))
+        return case
+    room = Room.from_file(path)
+    read = [*files_of(options), *([] if room.scene.mesh is None else [room.scene.mesh])]
+    spare(targets, read)
+    measured = read_measured(options["measured"], quietly=before is not None)
+    at_positions = bool(room.scene.sources) and not measured.is_summary
+    more: dict[str, Any] = {}
+    if before is not None:
+        more["before"] = read_measured(before, quietly=True)
+        at_positions = at_positions and not more["before"].is_summary
+        others = [n for n in (*_OF_POSITIONS, *_OF_MEANS) if n != "scattering"]
+        refuse(stated(options, *others), " is not of what changed between two states")
+    if not at_positions:
+        refuse(stated(options, *_OF_POSITIONS), _NEEDS_POSITIONS)
+        return case_of(room, measured, **more)
+    refuse(stated(options, *_OF_MEANS), ": with a geometry there is no such option")
+    if before is None:
+        more |= stated(options, "match") | {
+            "exclude": pairs("--exclude", options.get("exclude", ()))
+        }
+        if options.get("simulated") is not None:
+            more["simulated"] = read_measured(options["simulated"])
+    tracing = {"paths": "n_paths", "scattering": "scattering"}
+    more["tracing"] = {tracing[k]: v for k, v in stated(options, *tracing).items()}
+    with errors_name_options("scattering", "match", "exclude"):
+        return case_of(room, measured, **more)
 
-        spare(targets, [self.case])
-        if self.measured is None:
-            if self.before is not None:
-                raise DataError(
-                    "--before needs a room and what was measured after: ROOM AFTER --before BEFORE"
-                )
-            refuse(self.stated(*_OF_POSITIONS), _NEEDS_POSITIONS)
-            case = Case.from_file(self.case)
-            spare(targets, self.files)
-            return case
-        room = Room.from_file(self.case)
-        spare(targets, [path for path in (*self.files, room.scene.mesh) if path is not None])
-        measured = read_measured(self.measured, quietly=self.before is not None)
-        at_positions = bool(room.scene.sources) and not measured.is_summary
-        more: dict[str, Any] = {}
-        if self.before is not None:
-            more["before"] = read_measured(self.before, quietly=True)
-            at_positions = at_positions and not more["before"].is_summary
-            others = [n for n in (*_OF_POSITIONS, *_OF_MEANS) if n != "scattering"]
-            refuse(self.stated(*others), " is not of what changed between two states")
-        if not at_positions:
-            refuse(self.stated(*_OF_POSITIONS), _NEEDS_POSITIONS)
-            return case_of(room, measured, **more)
-        refuse(self.stated(*_OF_MEANS), ": with a geometry there is no such option")
-        if self.before is None:
-            more["exclude"] = pairs("--exclude", self.exclude)
-            if self.simulated is not None:
-                more["simulated"] = read_measured(self.simulated)
-            if self.match:
-                more["match"] = self.match
-        tracing = {"n_paths": self.paths, "scattering": self.scattering}
-        more["tracing"] = {k: v for k, v in tracing.items() if v is not None}
-        with errors_name_options("scattering", "match", "exclude"):
-            return case_of(room, measured, **more)
 
-    def finding(self, targets: Sequence[str | Path] = ()) -> Any:
-        """Find what the room's model misses, or what changed; simulations are kept beside its file."""
-        from rtcal.finder import Case
-        from rtcal.finder.search import find
+def searched(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) -> Any:
+    """Find what the room's model misses, or what changed; simulations are kept beside its file."""
+    from rtcal.finder import Case
+    from rtcal.finder.search import find
 
-        case = self.read(targets)
-        options: dict[str, Any] = {"seed": self.seed, "without": self.without, "only": self.only}
-        if isinstance(case, Case):
-            odds = numbers("--prior", self.prior, "EFFECT=ODDS, such as opening=2")
-            options |= {"prior": odds, "most": self.most, "expected": self.expected}
-            options |= {"engines": self.engine} if self.engine else {}
-        if self.before is not None:
-            return find(case, **options)
-        with _progress("step") as progress:
-            return find(case, **options, cache=self.cache, progress=progress)
+    case = read_case(options, targets)
+    chosen = {name: options[name] for name in ("seed", "without", "only")}
+    if isinstance(case, Case):
+        chosen |= {name: options[name] for name in ("most", "expected")}
+        chosen["prior"] = numbers("--prior", options["prior"], "EFFECT=ODDS, such as opening=2")
+        chosen |= {"engines": options["engine"]} if options["engine"] else {}
+    if options["before"] is not None:
+        return find(case, **chosen)
+    with _progress("step") as progress:
+        return find(case, **chosen, cache=kept_beside(options["case"]), progress=progress)
+
+
+def kept_beside(path: str) -> Path:
+    """Return the folder in which simulations are kept, beside a case, room or finding."""
+    from rtcal.finder.means.engines import FOLDER
+
+    return Path(path).parent / FOLDER
 
 
 def refuse(stated: Mapping[str, object], why: str) -> None:
@@ -278,7 +261,7 @@ def verified(finding: Any, cache: Path) -> Any:
     ),
     heading_options,
 )
-def find(heading: Heading, out: str | None, **stated: Any) -> None:
+def find(heading: Heading, out: str | None, **options: Any) -> None:
     """Print whether the model misses something, where it shows, and what it is.
 
     A ROOM and what was MEASURED in it are two files. If ROOM states a mesh, sources and receivers, and
@@ -300,20 +283,21 @@ def find(heading: Heading, out: str | None, **stated: Any) -> None:
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.report import of_finding
 
-    search = Search(**stated)
     if out == "":
         raise DataError("--out is empty; it is a folder")
     target = None if out is None else Path(out)
     if target is None or target.suffix == ".json":
-        finding = search.finding([] if target is None else [target])
+        finding = searched(options, [] if target is None else [target])
         if target is not None:
             finding.save(target)
         tell(str(finding), finding.to_dict())
         return
-    finding = search.finding([target / name for name in of_finding.WRITTEN])
-    verification = verified(finding, search.cache) if finding.can_be_verified else None
-    command = shlex.join(["rtcal", "find", *search.words, "--out", str(out)])
-    again = of_finding.Reproduction(command, search.files, search.seed)
+    finding = searched(options, [target / name for name in of_finding.WRITTEN])
+    verification = (
+        verified(finding, kept_beside(options["case"])) if finding.can_be_verified else None
+    )
+    command = shlex.join(["rtcal", "find", *words(options), "--out", str(out)])
+    again = of_finding.Reproduction(command, files_of(options), options["seed"])
     place = next(iter(_further_places(finding)), None)
     of_finding.write(finding, verification, target, heading, again, place)
     record, said = finding.to_dict(), str(finding)
@@ -345,7 +329,6 @@ def verify(found: str, before: str | None, after: str | None) -> None:
     Example: rtcal verify found
     """
     from rtcal import finder
-    from rtcal.finder.means.engines import FOLDER
     from rtcal.finder.means.finding import MeansFinding
     from rtcal.finder.states import StatesFinding
 
@@ -364,7 +347,7 @@ def verify(found: str, before: str | None, after: str | None) -> None:
         if nothing is not None:
             tell(nothing, {"verdict": None, "sentence": nothing, "finding": finding.to_dict()})
             return
-        verification = verified(finding, Path(found).parent / FOLDER)
+        verification = verified(finding, kept_beside(found))
     tell(str(verification), verification.to_dict())
 
 
@@ -539,29 +522,33 @@ def _further_places(finding: Any) -> tuple[Place, ...]:
 def _tell_places(finding: PositionsFinding) -> None:
     """Print where a further receiver would tell the surfaces apart that are in question."""
     places = _further_places(finding)[:PROPOSED]
-    lines = [*text.wrapped(finding.headline), ""]
+    said: list[Block] = [Note(finding.headline), Note("")]
     if places:
-        names = [f'"{name}"' for name in finding.likely_surfaces]
-        lines += text.wrapped(
-            "A further receiver is expected to tell these surfaces apart with so many nats of "
-            f"evidence (2.3 are odds of ten to one): {', '.join(names)}."
-        )
+        names = ", ".join(f'"{name}"' for name in finding.likely_surfaces)
         rows = [
-            (f"{', '.join(f'{x:.2f}' for x in place.point)} m", [place.source, f"{place.nats:.1f}"])
-            for place in places
+            Row(f"{', '.join(f'{x:.2f}' for x in p.point)} m", [p.source, f"{p.nats:.1f}"])
+            for p in places
         ]
-        lines += text.table(rows, header=("receiver", ["source", "nats"]))
+        said += [
+            Note(
+                "A further receiver is expected to tell these surfaces apart with so many nats of "
+                f"evidence (2.3 are odds of ten to one): {names}."
+            ),
+            Table(["source", "nats"], rows, corner="receiver"),
+        ]
     else:
-        lines += text.wrapped(
-            "No surfaces are in question that a further receiver would tell apart. Which other "
-            "measurement would tell most is planned with means over positions: name a case that states "
-            "the room, or a measurement of means."
+        said.append(
+            Note(
+                "No surfaces are in question that a further receiver would tell apart. Which other "
+                "measurement would tell most is planned with means over positions: name a case that "
+                "states the room, or a measurement of means."
+            )
         )
     record = {
         "places": [{**vars(place), "point": list(place.point)} for place in places],
         "finding": finding.to_dict(),
     }
-    tell("\n".join(lines), record)
+    tell("\n".join(lines(said)), record)
 
 
 def _place(stated: str | None) -> tuple[float, ...] | None:
