@@ -231,8 +231,8 @@ def folder(help: str, name: str = "out") -> Decorator:
 
 def choice(name: str, of: Sequence[str], help: str, **more: Any) -> Decorator:
     """Return an option of one of several values; the default is shown, if there is one."""
-    shown = {"show_default": True} if "default" in more else {}
-    return click.option(f"--{name}", type=click.Choice(of), help=help, **shown, **more)
+    of_one = click.Choice(of)
+    return click.option(f"--{name}", type=of_one, help=help, show_default="default" in more, **more)
 
 
 def several(name: str, metavar: str, help: str, into: str = "") -> Decorator:
@@ -243,8 +243,10 @@ def several(name: str, metavar: str, help: str, into: str = "") -> Decorator:
 
 def whole(name: str, least: int, help: str, **more: Any) -> Decorator:
     """Return an option of a whole number; the default is shown, if there is one."""
-    shown = {"show_default": True} if "default" in more else {}
-    return click.option(f"--{name}", type=click.IntRange(least), help=help, **shown, **more)
+    at_least = click.IntRange(least)
+    return click.option(
+        f"--{name}", type=at_least, help=help, show_default="default" in more, **more
+    )
 
 
 OPTIONS: dict[str, Decorator] = {

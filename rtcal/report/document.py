@@ -113,7 +113,10 @@ class Files:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A figure, which ``draw`` makes, with a text in its place and a caption; ``tall`` may be high."""
+    """A figure, which ``draw`` makes, and its caption; ``tall`` says that it may be high.
+
+    ``alt`` stands in its place for who does not see it; without one the caption does.
+    """
 
     draw: Callable[[], Any]
     caption: str

@@ -179,22 +179,18 @@ def _gap(result: CalibrationResult) -> Picture:
         lambda: figures.gap(result),
         "How far the model's reverberation time was from the measured one: before (bars) and after "
         f"calibration (dots), in {compared}. One JND, the just noticeable difference, is 5 %.",
-        f"{result.prior.name}: gap to the measured reverberation time by band, before and after",
     )
 
 
 def _pictures(result: CalibrationResult) -> list[Picture]:
-    name = result.prior.name
     pictures = [
         Picture(
             lambda: figures.reverberation_time(result),
             "Reverberation time by band, with the band of one JND around the measured one.",
-            f"{name}: reverberation time by band: measured, before, after",
         ),
         Picture(
             lambda: figures.shares(result),
             "Who absorbs: each material's share of the room's whole absorption, after calibration.",
-            f"{name}: share of each material in the absorption by band",
         ),
     ]
     if len(result.prior.materials) > 1 and result.matched.any():
@@ -204,7 +200,6 @@ def _pictures(result: CalibrationResult) -> list[Picture]:
                 "The step that the calibration takes, shown for two materials: from what was stated "
                 "to what the method chose. On the line lie all coefficients that give the measured "
                 "reverberation time.",
-                f"{name}: the calibration in the plane of two materials",
                 tall=True,
             )
         )
@@ -214,7 +209,6 @@ def _pictures(result: CalibrationResult) -> list[Picture]:
         Picture(
             lambda: figures.coefficients(result),
             f"Absorption coefficients before and after, with 90 % intervals. {alike}",
-            f"{name}: absorption coefficients by material and band",
             tall=True,
         ),
     ]
@@ -372,7 +366,6 @@ def page_of_modes(result: ModesResult) -> Page:
                 lambda: figures.decays_of_modes(result),
                 "Decay time of each mode used: measured, with the stated coefficients, and after the "
                 "calibration.",
-                f"{room.name}: decay times of the modes, measured, before and after",
             ),
             Items(notes(blocks)),
             Section("By band", "bands"),

@@ -347,7 +347,7 @@ def _pictures_of_means(finding: MeansFinding, verified: Verification | None) -> 
             "They do not sum to 100 %.",
         )
     if verified is None:
-        return _with_words(shown)
+        return shown
     shown["reverberation_time"] = Picture(
         lambda: figures.corrected_times(verified),
         "T(f). Plain calibration meets T whatever is missing: that proves nothing.",
@@ -363,12 +363,7 @@ def _pictures_of_means(finding: MeansFinding, verified: Verification | None) -> 
             lambda: figures.decay(verified),
             "The decay in the band whose shape differs most: alpha cannot bend it, the effect does.",
         )
-    return _with_words(shown)
-
-
-def _with_words(shown: dict[str, Picture]) -> dict[str, Picture]:
-    """Return pictures that have their captions in their place as well."""
-    return {name: replace(picture, alt=picture.caption) for name, picture in shown.items()}
+    return shown
 
 
 def _reproduced(finding: MeansFinding, reproduction: Reproduction | None) -> list[Any]:
@@ -500,7 +495,7 @@ def _of_states(finding: StatesFinding, verification: Any) -> list[Any]:
     """Return the blocks of a finding between two states."""
     headline, *others = notes(finding.blocks())
     kinds = finding.candidates if finding.best is not None else ()
-    name, n = finding.case.room.name, len(finding.case.differences.pairs)
+    n = len(finding.case.differences.pairs)
     verified = [] if verification is None else [Note(f"Verification: {verification.sentence}")]
     surfaces = [
         Row(s, [f"{100 * p:.0f}", "claimed" if s in finding.claimed_surfaces else ""])
@@ -517,7 +512,6 @@ def _of_states(finding: StatesFinding, verification: Any) -> list[Any]:
         Picture(
             lambda: figures.change(finding),
             "Change of the absorption area with its 90 % interval, if it changed.",
-            f"{name}: change of the absorption area, by band",
         ),
         Items(others),
         Table(
@@ -531,7 +525,6 @@ def _of_states(finding: StatesFinding, verification: Any) -> list[Any]:
         Picture(
             lambda: figures.states(finding),
             "T by band, mean over the pairs that both states have.",
-            f"{name}: T before and after, by band",
         ),
         *(replace(table, title="Both states") for table in tables(finding.blocks())),
         Section("What was assumed", "assumed"),

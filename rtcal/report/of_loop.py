@@ -96,7 +96,6 @@ def page(result: Loop | LoopResult) -> Page:
             Picture(
                 lambda: first,
                 f"By band: {label}, and how far each simulation was off. One JND is 5 %.",
-                f"{label}, wanted and simulated, by band; gap by simulation",
             ),
             Section("Tables", "tables"),
             Table(labels, rows, "By band"),

@@ -68,7 +68,6 @@ def page(result: PositionsResult) -> Page:
                 lambda: figures.shifts(result, order),
                 "How far each coefficient moved, in standard deviations of what was stated. "
                 "Above 2 either the stated deviation was too small, or something is missing.",
-                f"{room.name}: how far each coefficient moved",
                 tall=True,
             ),
             coefficients(

@@ -75,7 +75,6 @@ def page(result: Prediction | Predictions | Design) -> Page:
             Picture(
                 lambda: figures.predicted_times(f, first.time_before, drawn, ends),
                 f"{caption}{'.' if target is None else '; grey: the target.'}",
-                f"{room.name}: T before and after, by band",
             ),
             *beside,
             *(
@@ -117,7 +116,6 @@ def page_at_positions(result: PositionsPrediction | PositionsPredictions) -> Pag
                 lambda: figures.predicted_times(f, before, drawn),
                 f"{parameter_label(t)} by band, mean over {n} pairs: before (dashed), and of each "
                 "variant with its 90 % interval.",
-                f"{room.name}: {parameter_label(t)} before and after, by band",
             ),
             Table(bands.labels(f), means, f"Side by side: {parameter_label(t)} / s"),
             *(
@@ -159,7 +157,6 @@ def _variant(
         Picture(
             lambda: figures.parts(frequencies, shares),
             f"What the interval is made of: shares of the variance of {of}, the largest at the bottom.",
-            f"{name}: what the interval is made of, by band",
         ),
     ]
 

@@ -289,7 +289,7 @@ class RoomSection:
         gaps = gaps.reshape(len(self.stands), len(self.whens))
         most = float(np.ceil(np.nanmax(gaps, initial=2.0)))
         name, whens = "Gap / JND", tuple(self.whens)
-        ends = {"low": 0.0, "high": most, "colours": GAPS}
+        ends: dict[str, Any] = {"low": 0.0, "high": most, "colours": GAPS}
         return Quantity(name=name, head=name, columns=whens, values=gaps, digits=1, **ends)
 
     @cached_property
@@ -495,8 +495,8 @@ def of_finding(
     sources, receivers = case.simulator.sources, dict(case.simulator.receivers)
     if place is not None:
         receivers["to measure here"] = place.point
-    verified = verification is not None
-    gaps = [np.concatenate(gap) for gap in verification.gaps[[0, -1]]] if verified else []
+    ends = [] if verification is None else verification.gaps[[0, -1]]
+    gaps = [np.concatenate(gap) for gap in ends]
     return _section(
         geometry=case.geometry,
         parts=case.faces,
@@ -504,6 +504,6 @@ def of_finding(
         areas=np.array([case.geometry.face_areas[f].sum() for f in case.faces.values()]),
         quantities=[likely, absorption(room.centre_frequencies, alpha, alpha, none)[-1]],
         stands=stands(sources, receivers, finding.pairs, gaps),
-        whens=["as stated", "corrected"] if verified else [],
+        whens=["as stated", "corrected"] if gaps else [],
         level=None,
     )
