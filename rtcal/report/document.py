@@ -287,15 +287,17 @@ def coefficients(
         )
         return f"{room.alpha[i, k]:.3f}\u00a0→ {alpha[i, k]:.3f}{star}{ends}"
 
-    chosen = range(room.n_materials) if rows is None else rows
+    others = {} if interval is None else {"90 %: from": interval[0], "to": interval[1]}
     return Table(
         bands.labels(room.centre_frequencies),
         [
             Row(
                 f"{room.materials[i]}, {room.areas[i]:.4g} m²",
-                [cell(i, k) for k in range(room.n_bands)],
+                alpha[i],
+                shown=[cell(i, k) for k in range(room.n_bands)],
+                others={"stated": room.alpha[i], **{k: end[i] for k, end in others.items()}},
             )
-            for i in chosen
+            for i in (range(room.n_materials) if rows is None else rows)
         ],
         title,
         "Material",

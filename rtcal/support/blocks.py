@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from numpy.typing import NDArray
@@ -30,12 +30,18 @@ class Row:
         Format of the numbers, such as ".3f"; with "+", 0 has no sign.
     shade : sequence of float (n_columns,)
         From -1 (blue) over 0 (none) to 1 (orange), which repeats the text; () for none.
+    shown : sequence of str (n_columns,)
+        What is printed in place of the values; () for the values in their form.
+    others : mapping of str to array (n_columns,)
+        Numbers that stand in ``shown``, too, by their name.
     """
 
     name: str
     values: Sequence[Any] | NDArray[Any]
     form: str = ""
     shade: Sequence[float] | NDArray[Any] = ()
+    shown: Sequence[str] = ()
+    others: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     @property
     def cells(self) -> list[str]:
@@ -48,7 +54,7 @@ class Row:
         """
         return [
             v if isinstance(v, str) else text.number(float("nan") if v is None else v, self.form)
-            for v in self.values
+            for v in self.shown or self.values
         ]
 
     @property
@@ -58,7 +64,7 @@ class Row:
         Examples
         --------
         >>> Row("gap / JND", [2.1, 0.0], "+.1f", [0.5, 0.0]).styles
-        ['background: rgba(230, 159, 0, 0.22)', '']
+        ['background: rgba(230, 159, 0, 0.23)', '']
         """
         shades = self.shade if len(self.shade) else [0.0] * len(self.values)
         return [
@@ -79,7 +85,7 @@ class Row:
         """
         return [
             cell if isinstance(v, str) else "–" if cell == "-" else cell.replace("-", "−")
-            for v, cell in zip(self.values, self.cells, strict=True)
+            for v, cell in zip(self.shown or self.values, self.cells, strict=True)
         ]
 
 
