@@ -495,7 +495,7 @@ def of_finding(
     sources, receivers = case.simulator.sources, dict(case.simulator.receivers)
     if place is not None:
         receivers["to measure here"] = place.point
-    ends = [] if verification is None else verification.gaps[[0, -1]]
+    ends: Sequence[Array] = [] if verification is None else [*verification.gaps[[0, -1]]]
     gaps = [np.concatenate(gap) for gap in ends]
     return _section(
         geometry=case.geometry,
