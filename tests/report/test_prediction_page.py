@@ -39,7 +39,7 @@ def test_variants_stand_side_by_side_and_names_are_text(folder: Path) -> None:
     assert "window open" in html
     assert "<b>" not in html
     assert "panel &lt;b&gt;" in html
-    assert html.count("What the interval is made of") == 2
+    assert html.count("<figcaption>What the interval is made of") == 2
     assert "To narrow it" in html
     assert "://" not in html
 
