@@ -12,7 +12,7 @@ import rtcal as rt
 from benchmarks import records as benchmark
 from rtcal.acoustics.observables import LEVEL
 from rtcal.finder import records
-from rtcal.finder.records import HANDBOOK, IN_SITU, Share, TrackRecord
+from rtcal.finder.records import HANDBOOK, IN_SITU, Share, record_of
 
 VERDICTS = ("none", "hint", "named", "family", "ambiguous", "unknown")
 
@@ -37,8 +37,8 @@ def test_every_record_of_means_has_counts_and_an_interval(verdict: str, data: st
     said = records.record_of_means(verdict, data)
     assert "not used to make the finder" in said
     assert data in said
-    record = TrackRecord.from_dict(records.stored()["means"][data])
-    if (right := record.right.get(verdict)) is not None:
+    record = record_of("means", data)
+    if (right := record.get(verdict)) is not None:
         assert re.search(
             rf"\b{right.of} .* were claimed, and {right.count} .*\({right.in_words}\)", said
         )
@@ -66,8 +66,8 @@ def test_a_search_at_positions_states_the_claims_of_rooms_like_its_own(
     room = room.replace(sigma=(0.3 if statement == HANDBOOK else 0.1) * room.alpha)
     assert records.statement_of(room) == statement
     data = records.WITH_LEVEL if LEVEL.key in match else records.WITHOUT_LEVEL
-    record = TrackRecord.from_dict(records.stored()["positions"][statement][data])
+    record = record_of("positions", statement, data)
     said = records.record_of_positions(room, match)
-    for share in (record.detected, record.flagged, *record.right.values()):
+    for share in record.values():
         assert {f"{share.count}", f"{share.of}"} <= set(re.findall(r"\d+", said))
         assert share.in_words in said

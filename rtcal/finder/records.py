@@ -59,42 +59,27 @@ class Share:
         return f"{100 * low:.0f} to {100 * high:.0f} %, 95 % interval"
 
 
-@dataclass(frozen=True)
-class TrackRecord:
-    """Counts in judged rooms with data of one kind.
-
-    Attributes
-    ----------
-    detected : Share
-        Rooms in which something was detected, of the rooms in which something was hidden.
-    flagged : Share
-        Rooms in which something was detected, of the rooms in which nothing was hidden.
-    right : mapping of str to Share
-        By what is claimed, claims that were right, of the claims. An "ambiguous" set is right if it
-        holds the truth. A "surface" is the most probable one of an absorber that was detected, whether
-        it was claimed or not.
-    """
-
-    detected: Share
-    flagged: Share
-    right: Mapping[str, Share]
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> TrackRecord:
-        """Return the record of plain values, as `FILE` has them."""
-        return cls(
-            Share(*data["detected"]),
-            Share(*data["flagged"]),
-            {claimed: Share(*counts) for claimed, counts in data["right"].items()},
-        )
-
-
 @cache
 def stored() -> Mapping[str, Any]:
     """Return the contents of `FILE`."""
     text = resources.files("rtcal.finder").joinpath(FILE).read_text(encoding="utf-8")
     out: dict[str, Any] = json.loads(text)
     return out
+
+
+def record_of(*kind: str) -> dict[str, Share]:
+    """Return the counts in judged rooms with data of one kind: its keys in `FILE`.
+
+    "detected" are the rooms in which something was detected, of those in which something was hidden;
+    "flagged" the same of those in which nothing was. The others are claims that were right, by what is
+    claimed. An "ambiguous" set is right if it holds the truth. A "surface" is the most probable one of
+    an absorber that was detected, whether it was claimed or not.
+    """
+    table = stored()
+    for key in kind:
+        table = table[key]
+    counts = {"detected": table["detected"], "flagged": table["flagged"], **table["right"]}
+    return {what: Share(*both) for what, both in counts.items()}
 
 
 def data_of(case: Case) -> str:
@@ -116,46 +101,39 @@ def record_of_means(verdict: str, data: str) -> str:
 T20, EDT and T30 of one configuration, 10 of 359 rooms that lack nothing were flagged (1 to 5 %, 95 % \
 interval).
     """
-    record = TrackRecord.from_dict(stored()["means"][data])
+    record = record_of("means", data)
     rooms = (
         "In simulated rooms that were not used to make the finder, by an earlier version of it with "
         f"{data},"
     )
+    flagged, detected = record["flagged"], record["detected"]
     if verdict == "unknown":
-        flagged = record.flagged
         return (
             f"{rooms} {flagged.count} of {flagged.of} rooms that lack nothing were flagged "
             f"({flagged.in_words})."
         )
-    if verdict not in record.right:
-        missed = Share(record.detected.of - record.detected.count, record.detected.of)
+    if verdict not in record:
+        missed = Share(detected.of - detected.count, detected.of)
         return (
             f"{rooms} {missed.count} of {missed.of} hidden effects were not detected "
             f"({missed.in_words}), so this is no proof that nothing is missing."
         )
-    right = record.right[verdict]
     if verdict == "ambiguous":
-        return f"{rooms} {_given(right, 'sets of candidates', 'held the truth')}"
+        return f"{rooms} {_given(record[verdict], 'sets of candidates', 'held the truth')}"
     kind = {"named": "effects", "family": "families"}[verdict]
-    return f"{rooms} {_given(right, kind, 'were right')} {_in_measured_rooms()}"
+    measured = stored()["measured"]
+    wrong = Share(measured["wrong"], measured["claims"])
+    was = {0: "none was", 1: "1 was"}.get(wrong.count, f"{wrong.count} were")
+    return (
+        f"{rooms} {_given(record[verdict], kind, 'were right')} In measured rooms, {wrong.of} effects "
+        f"or families were claimed in {measured['cases']} cases, and {was} wrong (error rate "
+        f"{wrong.in_words})."
+    )
 
 
 def _given(right: Share, kind: str, was: str) -> str:
     """Return claims made, claims right, and the interval, in a sentence without its beginning."""
     return f"{right.of} {kind} were claimed, and {right.count} {was} ({right.in_words})."
-
-
-def _in_measured_rooms() -> str:
-    """Return how many claims were made in measured rooms, and how many of them were wrong."""
-    measured = stored()["measured"]
-    wrong = Share(measured["wrong"], measured["claims"])
-    number = (
-        "none was" if wrong.count == 0 else f"{wrong.count} {'was' if wrong.count == 1 else 'were'}"
-    )
-    return (
-        f"In measured rooms, {wrong.of} effects or families were claimed in {measured['cases']} cases, "
-        f"and {number} wrong (error rate {wrong.in_words})."
-    )
 
 
 def record_of_several(claimed: Sequence[str]) -> str:
@@ -179,15 +157,13 @@ def statement_of(room: Room) -> str:
 def record_of_positions(room: Room, match: Sequence[str]) -> str:
     """Return how often hidden effects were detected and empty rooms flagged, with such data."""
     stated, data = statement_of(room), WITH_LEVEL if LEVEL.key in match else WITHOUT_LEVEL
-    record = TrackRecord.from_dict(stored()["positions"][stated][data])
-    right = record.right
+    record = record_of("positions", stated, data)
+    detected, flagged, surface = record["detected"], record["flagged"], record["surface"]
     return (
         f"In simulated rooms with coefficients {stated} that were not used to make the finder, "
-        f"{record.detected.count} of {record.detected.of} hidden effects were detected "
-        f"({record.detected.in_words}), and {record.flagged.count} of {record.flagged.of} rooms that "
-        f"lack nothing were flagged ({record.flagged.in_words}). "
-        f"{_given(right['family'], 'effects or families', 'were right')} "
-        f"{_given(right['surface claimed'], 'surfaces', 'were right')} Of {right['surface'].of} "
-        f"absorbers that were detected, {right['surface'].count} are on the most probable surface "
-        f"({right['surface'].in_words})."
+        f"{detected.count} of {detected.of} hidden effects were detected ({detected.in_words}), and "
+        f"{flagged.count} of {flagged.of} rooms that lack nothing were flagged ({flagged.in_words}). "
+        f"{_given(record['family'], 'effects or families', 'were right')} "
+        f"{_given(record['surface claimed'], 'surfaces', 'were right')} Of {surface.of} absorbers that "
+        f"were detected, {surface.count} are on the most probable surface ({surface.in_words})."
     )
