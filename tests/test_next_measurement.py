@@ -80,9 +80,9 @@ def test_hypotheses_of_one_set_are_not_told_apart() -> None:
 def test_the_model_s_error_of_a_further_configuration_is_that_of_the_first() -> None:
     c = compared(*BOTH)
     further = possible(c.case)
-    whole = extended(c, further)
-    error = whole.problem.discrepancy
-    n, size = len(whole.problem.case.configurations), len(c.discrepancy.bias)
+    whole, measured, masks = extended(c, further)
+    error = whole.discrepancy
+    n, size = len(whole.case.configurations), len(c.discrepancy.bias)
     blocks = error.covariance.reshape(n, size, n, size)
     np.testing.assert_allclose(blocks[1, :, 1], c.discrepancy.covariance)
     same = [f.same_error for f in further if f.configuration is not None]
@@ -90,7 +90,7 @@ def test_the_model_s_error_of_a_further_configuration_is_that_of_the_first() -> 
     assert np.linalg.eigvalsh(error.covariance).min() > -1e-12
     # Nothing of the measured configuration is in a further one.
     for f in further:
-        assert not (whole.masks[f.words] & whole.measured).any()
+        assert not (masks[f.words] & measured).any()
 
 
 def test_a_plan_proposes_what_tells_most_per_hour_and_then_goes_on() -> None:

@@ -296,21 +296,32 @@ def plan(
         if any(p in c.measured.values for c in case.configurations)
     )
     further = possible(case, planned)
-    whole = extended(problem, further)
+    whole, there, masks = extended(problem, further)
     if finding is None:
         every = _before(case, predicted)
     else:
         every = [(effects_of, p) for effects_of, p in finding.likely if p > _NEGLIGIBLE]
-    about = _information(whole, every, None if finding is None else observed)
-    proposals = _ranked(about, whole, further, hours)
+    about = _information(whole, there, every, None if finding is None else observed)
+
+    def ranked(done: Mask) -> list[Proposal]:
+        """Return every measurement that adds something to ``done``, the most nats per hour first."""
+        start = about.of(done) if done.any() else 0.0
+        added = [
+            Proposal(f.words, f.kind, max(about.of(done | mask) - start, 0.0), hours[f.kind])
+            for f in further
+            if ((mask := masks[f.words]) & ~done).any()
+        ]
+        return sorted(added, key=lambda p: -p.per_cost)
+
+    done: Mask = np.zeros(len(there), dtype=bool)
+    proposals, sequence = ranked(done), list[Proposal]()
+    best = proposals
+    while best and len(sequence) < STEPS:
+        sequence.append(best[0])
+        done = done | masks[best[0].measurement]
+        best = ranked(done) if len(sequence) < STEPS else []
     return Plan(
-        measured,
-        change,
-        reached,
-        table,
-        tuple(proposals),
-        tuple(_greedy(about, whole, further, hours)),
-        about.entropy(),
+        measured, change, reached, table, tuple(proposals), tuple(sequence), about.entropy()
     )
 
 
@@ -344,7 +355,7 @@ def _before(case: Case, predicted: MeansHypotheses) -> Weighted:
 
 
 def _information(
-    whole: Extended, every: Weighted, observed: ObservedFeatures | None
+    whole: MeansProblem, measured: Mask, every: Weighted, observed: ObservedFeatures | None
 ) -> Information:
     """Return the information about the hypotheses, given what was ``observed``."""
     grids: dict[str, list[Mapping[str, float]]] = {}
@@ -355,7 +366,7 @@ def _information(
             grid = grids.setdefault(a.name, [])
             if a.parameters not in grid:
                 grid.append(a.parameters)
-    predicted = predict_hypotheses(whole.problem.case, list(effects.values()), list(grids.values()))
+    predicted = predict_hypotheses(whole.case, list(effects.values()), list(grids.values()))
     first = {name: predicted.names.index(name) for name in grids}
     rows = [
         tuple(first[a.name] + grids[a.name].index(a.parameters) for a in applied)
@@ -363,56 +374,15 @@ def _information(
     ]
     names = [tuple(a.name for a in applied) for applied, _ in every]
     groups = {n: k for k, n in enumerate(dict.fromkeys(names))}
-    of = moments(compare(replace(whole.problem, predicted=predicted)), rows)
+    of = moments(compare(replace(whole, predicted=predicted)), rows)
     weights = np.array([p for _, p in every]) * of.possible
     return Information(
         of,
         weights / weights.sum(),
         np.array([groups[n] for n in names]),
-        whole.measured,
+        measured,
         None if observed is None else observed.values,
     )
-
-
-def _ranked(
-    about: Information,
-    whole: Extended,
-    further: Sequence[FurtherMeasurement],
-    hours: Mapping[str, float],
-    before: Mask | None = None,
-) -> list[Proposal]:
-    """Return every measurement that adds something, the most nats per hour first.
-
-    ``before`` are features that earlier measurements of a sequence give.
-    """
-    done: Mask = np.zeros(len(whole.measured), dtype=bool) if before is None else before
-    start = about.of(done) if done.any() else 0.0
-    out = [
-        Proposal(
-            f.words, f.kind, max(about.of(done | whole.masks[f.words]) - start, 0.0), hours[f.kind]
-        )
-        for f in further
-        if (whole.masks[f.words] & ~done).any()
-    ]
-    return sorted(out, key=lambda p: -p.per_cost)
-
-
-def _greedy(
-    about: Information,
-    whole: Extended,
-    further: Sequence[FurtherMeasurement],
-    hours: Mapping[str, float],
-) -> list[Proposal]:
-    """Return `STEPS` measurements, each the best after those before it."""
-    out: list[Proposal] = []
-    done: Mask = np.zeros(len(whole.measured), dtype=bool)
-    for _ in range(min(STEPS, len(further))):
-        best = _ranked(about, whole, further, hours, done)
-        if not best:
-            break
-        out.append(best[0])
-        done = done | whole.masks[best[0].measurement]
-    return out
 
 
 Mask = NDArray[np.bool_]
@@ -617,21 +587,14 @@ def _covered(case: Case, again: Configuration) -> FurtherMeasurement:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Extended:
-    """A problem with all further configurations, and which features each measurement would add.
+def extended(
+    problem: MeansProblem, further: Sequence[FurtherMeasurement]
+) -> tuple[MeansProblem, Mask, dict[str, Mask]]:
+    """Return the problem with every further configuration in its case.
 
-    Its hypotheses are those of the case as it is. ``measured`` (m,) are the features in use that are
-    measured already; ``masks`` those of each further measurement.
+    Its hypotheses are those of the case as it is. Of the features in use, (m,), follow which are
+    measured already, and which each further measurement adds, by its words.
     """
-
-    problem: MeansProblem
-    measured: Mask
-    masks: Mapping[str, Mask]
-
-
-def extended(problem: MeansProblem, further: Sequence[FurtherMeasurement]) -> Extended:
-    """Return the problem with every further configuration in its case."""
     case, observed = problem.case, problem.observed
     new = [(f, f.configuration) for f in further if f.configuration is not None]
     added = [replace(c, name=f"further {i}") for i, (_, c) in enumerate(new)]
@@ -658,20 +621,15 @@ def extended(problem: MeansProblem, further: Sequence[FurtherMeasurement]) -> Ex
     every = used | np.any(list(masks.values()), axis=0)
     flat = every.ravel()
     full = np.diag(variance.ravel())
-    old = np.zeros_like(every)
-    old[:count] = observed.used
-    places = np.flatnonzero(old.ravel())
+    places = np.flatnonzero(used.ravel())
     full[np.ix_(places, places)] = observed.covariance
-    return Extended(
-        replace(
-            problem,
-            case=replace(case, configurations=configurations),
-            observed=ObservedFeatures(np.zeros(every.shape), every, full[np.ix_(flat, flat)]),
-            discrepancy=_model_error(problem.discrepancy, count, [f.same_error for f, _ in new]),
-        ),
-        used.ravel()[flat],
-        {words: mask.ravel()[flat] for words, mask in masks.items()},
+    whole = replace(
+        problem,
+        case=replace(case, configurations=configurations),
+        observed=ObservedFeatures(np.zeros(every.shape), every, full[np.ix_(flat, flat)]),
+        discrepancy=_model_error(problem.discrepancy, count, [f.same_error for f, _ in new]),
     )
+    return whole, used.ravel()[flat], {words: m.ravel()[flat] for words, m in masks.items()}
 
 
 def _model_error(
