@@ -229,6 +229,8 @@ class Configuration:
 
     def __post_init__(self) -> None:
         where = f'configuration "{text_name("configuration: name", self.name)}"'
+        if not self.name.strip():
+            raise DataError(f"configuration: name = {self.name!r} is blank")
         checks.instance(f"{where}: measured", self.measured, Measurement)
         self.measured.refuse_large_uncertainty()
         changes = checks.mapped(f"{where}: changes", self.changes)
@@ -244,9 +246,12 @@ class Configuration:
         if self.air is not None:
             checks.instance(f"{where}: air", self.air, Air)
         if self.distances is not None:
-            distances = checks.array(f"{where}: distances", self.distances)
-            if distances.ndim != 1 or not distances.size or not np.isfinite(distances).all():
-                raise DataError(f"{where}: distances is not an array (n_pairs,) of finite values")
+            distances, n = (
+                checks.array(f"{where}: distances", self.distances),
+                len(self.measured.pairs),
+            )
+            if distances.shape != (n,) or not ((distances > 0) & np.isfinite(distances)).all():
+                raise DataError(f"{where}: distances is not {n} values above 0, one per pair")
             object.__setattr__(self, "distances", read_only(distances))
 
     def coefficients(self, room: Room) -> tuple[Array, Array]:
@@ -605,55 +610,41 @@ def in_room_bands(room: Room, c: Configuration) -> Configuration:
 
 def check_configuration(room: Room, c: Configuration) -> None:
     """Refuse a configuration that does not fit its room, or with impossible values."""
-    if not text_name("configuration: name", c.name).strip():
-        raise DataError(f"configuration: name = {c.name!r} is blank")
     where = f'configuration "{c.name}"'
     if "t20" not in c.measured.values and "t30" not in c.measured.values:
         raise DataError(f"{where} has neither t20 nor t30")
     for material, change in c.changes.items():
         room.material_index(material)
         for name in ("alpha", "sigma"):
-            value = getattr(change, name)
-            if value.shape != (room.n_bands,) or not ((value >= 0) & (value <= 1)).all():
+            if getattr(change, name).shape != (room.n_bands,):
                 raise DataError(
                     f'{where}: {name} of "{material}" is not {room.n_bands} values from 0 to 1'
                 )
     if c.distances is not None:
-        n = len(c.measured.pairs)
-        if c.distances.shape != (n,) or not (c.distances > 0).all():
-            raise DataError(f"{where}: distances is not {n} values above 0, one per pair")
-        _check_distances(where, room, c.distances)
-    for name, value in c.measured.values.items():
-        if name in PARAMETERS:
-            _check_values(where, room, name, value)
-
-
-def _check_distances(where: str, room: Room, distances: Array) -> None:
-    if room.dimensions is not None:
-        longest, rule = float(np.linalg.norm(room.dimensions)), "the room's diagonal"
-    else:
         # A convex room of volume V and surface S is at most S²/(3 pi V) long, as a double cone is.
         # Three times that is allowed, since the stated area or volume may be wrong.
         longest = room.total_area**2 / (np.pi * room.volume)
         rule = "the longest that a room of this volume and area can be"
-    if distances.max() > longest:
-        raise DataError(
-            f"{where}: distances has {distances.max():g} m; at most {longest:.3g} m, {rule}"
-        )
-
-
-def _check_values(where: str, room: Room, name: str, values: Array) -> None:
-    kind = observable(name)
-    least, most = LEVEL_LIMITS.get(name, kind.limits)
-    with np.errstate(invalid="ignore"):
-        outside = np.isfinite(values) & ~((values >= least) & (values <= most))
-    for i, k in np.argwhere(outside):
-        place, value = f"{where}: {name} at {bands.label(room.centre_frequencies[k])}", values[i, k]
-        if name not in LEVEL_LIMITS:
-            kind.refuse(place, value)
-        else:
+        if room.dimensions is not None:
+            longest, rule = float(np.linalg.norm(room.dimensions)), "the room's diagonal"
+        if c.distances.max() > longest:
             raise DataError(
-                f"{place} = {value:g} dB is not from {least:g} to {most:g} dB, which no room exceeds"
+                f"{where}: distances has {c.distances.max():g} m; at most {longest:.3g} m, {rule}"
+            )
+    for name in PARAMETERS:
+        if name not in c.measured.values:
+            continue
+        kind, values = observable(name), c.measured.values[name]
+        least, most = LEVEL_LIMITS.get(name, kind.limits)
+        with np.errstate(invalid="ignore"):
+            outside = np.isfinite(values) & ~((values >= least) & (values <= most))
+        for i, k in np.argwhere(outside):
+            place = f"{where}: {name} at {bands.label(room.centre_frequencies[k])}"
+            if name not in LEVEL_LIMITS:
+                kind.refuse(place, values[i, k])
+            raise DataError(
+                f"{place} = {values[i, k]:g} dB is not from {least:g} to {most:g} dB, which no room "
+                "exceeds"
             )
 
 
