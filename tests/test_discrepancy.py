@@ -457,8 +457,6 @@ def test_the_plan_knows_what_cannot_be_told_apart() -> None:
     assert made_plan.separations["noise floor", "opening"] > 2.3
     for name in ("furniture", "people"):
         assert made_plan.separations[name, "opening"] < 2.3
-    level = next(p for p in made_plan.proposals if p.kind == "G")
-    assert level.information > 0.1  # a volume that is off leaves T, and not the level
     json.dumps(made_plan.to_dict())
 
 
