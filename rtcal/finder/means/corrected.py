@@ -458,7 +458,7 @@ def _is_air(air: Air | None, s: RoomState) -> bool:
 
 def _sigma(case: Case, before: RoomState, after: RoomState) -> Array:
     """Return sigma of the stated materials: that of what is seen of them, and of the effects' sizes."""
-    if after.alpha is before.alpha:
+    if np.array_equal(after.alpha, before.alpha):
         return case.room.sigma
     base = _base(case)
     variance = (case.room.sigma * seen(case, base)) ** 2
