@@ -123,7 +123,7 @@ def test_where_several_surfaces_may_have_changed_their_sum_is_explained(
     finding: StatesFinding,
 ) -> None:
     some = replace(finding, surfaces={"north": 0.7, "south": 0.6})
-    assert "together, so these need not add up to 100 %" in some.not_told_where
+    assert "together, so these need not add up to 100 %" in " ".join(some.sentences)
     assert finding.or_nothing == ""
     open_ = replace(finding, probabilities={**finding.probabilities, "none": 0.12})
     assert open_.headline.startswith("Changed (nothing: 12 %): ")

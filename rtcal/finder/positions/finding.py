@@ -264,41 +264,27 @@ class PositionsFinding(Finding):
         if self.verdict == "hint":
             said = f"hint{self.or_nothing}: {first}{best.title}, but not claimed."
             return f"{said} {' '.join(self.reasons[:1])}".rstrip()
-        what = {
-            "unknown": "Something is other than stated that no effect of the library explains."
-            f"{self._of_the_rest}",
-            "named": f"Other than stated: {self.effect}.",
-            "family": f"Other than stated: {self.family}.",
-        }.get(self.verdict, f"Other than stated: {listed(self._names(), last='or')}.")
+        some = dict.fromkeys(c.effect for c in self.candidates if c.probability >= SAID)
+        names = [f"{e} ({100 * self.probabilities[e]:.0f} %)" for e in some]
+        claimed = {"named": self.effect, "family": self.family}
+        what = f"Other than stated: {claimed.get(self.verdict, listed(names, last='or'))}."
+        rest, likely = "", self.likeliest
+        if self.verdict != UNKNOWN and self.unexplained >= MOST:
+            rest = (
+                " This does not explain everything that was measured "
+                f"({100 * self.unexplained:.0f} %): something else is other than stated, too."
+            )
+        if self.verdict == UNKNOWN:
+            what = "Something is other than stated that no effect of the library explains."
+            if likely is not None:
+                known = [c for c in self.candidates if c.effect != UNKNOWN]
+                alike = sum(c.probability for c in known if kind(c) == kind(likely))
+                share = 100 * alike / sum(c.probability for c in known)
+                what += (
+                    f" Of the library, {kind(likely)} explains most ({share:.0f} % of the rest)."
+                )
         said = f"{self.verdict}{self.or_nothing}: {first}{what} {self.place_in_words}".rstrip()
-        return f"{said}{self.rest_in_words}"
-
-    @property
-    def _of_the_rest(self) -> str:
-        """Words on what explains most where no effect explains all, after a blank; "" of none."""
-        likely = self.likeliest
-        if likely is None:
-            return ""
-        known = [c for c in self.candidates if c.effect != UNKNOWN]
-        share = sum(c.probability for c in known if kind(c) == kind(likely)) / sum(
-            c.probability for c in known
-        )
-        return f" Of the library, {kind(likely)} explains most ({100 * share:.0f} % of the rest)."
-
-    @property
-    def rest_in_words(self) -> str:
-        """That what is found does not explain everything, after a blank; "" where it may."""
-        if self.verdict == "unknown" or self.unexplained < MOST:
-            return ""
-        return (
-            " This does not explain everything that was measured "
-            f"({100 * self.unexplained:.0f} %): something else is other than stated, too."
-        )
-
-    @property
-    def detection_in_words(self) -> str:
-        """The score and its threshold in a sentence or two."""
-        return detection_in_words(self.detection)
+        return f"{said}{rest}"
 
     @property
     def place_in_words(self) -> str:
@@ -312,17 +298,13 @@ class PositionsFinding(Finding):
         some = [f'"{n}" ({100 * self.surfaces[n]:.0f} %)' for n in self.likely_surfaces]
         return f"These positions do not say on which surface: {listed(some, last='or')}."
 
-    def _names(self) -> list[str]:
-        every = dict.fromkeys(c.effect for c in self.candidates if c.probability >= SAID)
-        return [f"{e} ({100 * self.probabilities[e]:.0f} %)" for e in every]
-
     def blocks(self) -> list[Block]:
         """Return what the result says."""
         apart = (
             f"Not told apart by these positions: {listed(group, last='or')}."
             for group in self.groups
         )
-        notes = (*apart, self.detection_in_words, *self.reasons, *self.notes)
+        notes = (*apart, detection_in_words(self.detection), *self.reasons, *self.notes)
         table = [self.probable] if self.probable.rows else []
         return [Note(self.headline), *table, *map(Note, notes)]
 

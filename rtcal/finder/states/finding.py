@@ -173,18 +173,15 @@ class StatesFinding(Finding):
             return "another climate of the air, and nothing else"
         if not np.isfinite(self.size.mean):  # nothing but the climate was tried
             return "another climate of the air"
+        added = self.families.get(f"{ADDED} absorption", 0.0)
+        said = f"{'more' if added > (1 - self.probabilities[NONE]) / 2 else 'less'} absorption"
+        said += f", {self.spectrum}" if self.spectrum else ""
         low, high = sorted((abs(self.size.low), abs(self.size.high)))
         size = amount(abs(self.size.mean), "m²", (low, high))
         at = bands.label(self.middle[0])
         if len(self.middle) > 1:
             at = f"{self.middle[0]:g} to {self.middle[-1]:g} Hz"
-        return f"{self._direction}; {size} at {at}"
-
-    @property
-    def _direction(self) -> str:
-        added = self.families.get(f"{ADDED} absorption", 0.0)
-        direction = f"{'more' if added > (1 - self.probabilities[NONE]) / 2 else 'less'} absorption"
-        return f"{direction}, {self.spectrum}" if self.spectrum else direction
+        return f"{said}; {size} at {at}"
 
     @property
     def spectrum(self) -> str:
@@ -207,42 +204,28 @@ class StatesFinding(Finding):
         return " ".join([*self.reasons, said])
 
     @property
-    def climate_in_words(self) -> str:
-        """Words on a climate that changed beside the surfaces; "" where it hardly did."""
-        if self.verdict == NONE or self.family == "climate" or self.climate < 0.5:
-            return ""
-        return f"Another climate of the air explains a part of it ({100 * self.climate:.0f} %)."
-
-    @property
-    def not_told_apart(self) -> str:
-        """The kinds of change that explain the data about as well, in a sentence; "" without two."""
-        some = [f"{c.effect} ({100 * c.probability:.0f} %)" for c in self.candidates]
-        if self.verdict == NONE or len(some) < 2:
-            return ""
-        return f"Not told apart by T: {listed(some)}."
-
-    @property
-    def not_told_where(self) -> str:
-        """The surfaces that are neither claimed nor excluded, in a sentence; "" without any."""
+    def sentences(self) -> tuple[str, ...]:
+        """What is not told apart, a climate that changed as well, where else, the score, and notes."""
+        said, changed = list[str](), self.verdict != NONE
+        kinds = [f"{c.effect} ({100 * c.probability:.0f} %)" for c in self.candidates]
+        if changed and len(kinds) > 1:
+            said.append(f"Not told apart by T: {listed(kinds)}.")
+        if changed and self.family != "climate" and self.climate >= 0.5:
+            share = 100 * self.climate
+            said.append(f"Another climate of the air explains a part of it ({share:.0f} %).")
         some = [
             f'"{name}" ({100 * p:.0f} %)'
             for name, p in self.surfaces.items()
             if 1 - CLAIMED <= p < CLAIMED
         ]
-        if not some:
-            return ""
-        together = "Several may have changed together, so these need not add up to 100 %."
-        return f"It may be on {listed(some)} as well. {together}"
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """Sentences on what cannot be told apart, on the score, and notes."""
+        if some:
+            together = "Several may have changed together, so these need not add up to 100 %."
+            said.append(f"It may be on {listed(some)} as well. {together}")
         score = (
             f"Evidence that something changed: {self.score:+.1f} nats; threshold "
             f"{self.threshold:.1f} nats."
         )
-        said = (self.not_told_apart, self.climate_in_words, self.not_told_where, score, *self.notes)
-        return tuple(filter(None, said))
+        return (*said, score, *self.notes)
 
     def blocks(self) -> list[Block]:
         """Return what the result says."""
