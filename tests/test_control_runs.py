@@ -192,3 +192,13 @@ def test_unexplained_errors_are_those_under_which_the_data_are_likeliest():
         assert found == pytest.approx(wanted, rel=0.15, abs=0.2)
     far = unexplained_errors(drawn[0] + 20 * unit * (of == 0), expected, unit, of)
     assert far[0] < 4  # 20 JND that all values have in common are no error of each
+
+
+def test_small_unexplained_errors_are_found():
+    """The search stayed at 0 where a step of it had come there: data were 55 nats less likely."""
+    rng, of = np.random.default_rng(2), np.repeat([0, 1], 90)
+    common = rng.standard_normal((180, 10))
+    expected = common @ common.T + np.diag(np.full(180, 0.2**2))
+    drawn = rng.multivariate_normal(np.zeros(180), expected + np.diag(np.full(180, 0.3**2)))
+    found = unexplained_errors(drawn, expected, np.ones(180), of)
+    assert found == pytest.approx([0.3, 0.3], rel=0.2)

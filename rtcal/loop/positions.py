@@ -168,22 +168,23 @@ def unexplained_errors(
     square = unit**2
     number = int(parameter.max()) + 1
 
-    def loss(deviation: Array) -> tuple[float, Array]:
-        covariance = expected + np.diag(deviation[parameter] ** 2 * square)
+    def loss(variance: Array) -> tuple[float, Array]:
+        covariance = expected + np.diag(variance[parameter] * square)
         factor = cho_factor(covariance, lower=True)
         pull = cho_solve(factor, innovation)
         of_variance = np.diag(cho_solve(factor, np.eye(len(square)))) - pull**2
-        slope = np.bincount(parameter, of_variance * square, minlength=number) * deviation
+        slope = np.bincount(parameter, of_variance * square, minlength=number) / 2
         return 0.5 * float(innovation @ pull) + float(np.log(np.diag(factor[0])).sum()), slope
 
+    # In variances: by a deviation the slope is 0 at 0, so that a search that came there would stay.
     found = minimize(
         loss,
         np.ones(number),
         jac=True,
         method="L-BFGS-B",
-        bounds=[(0.0, _MOST_UNEXPLAINED)] * number,
+        bounds=[(0.0, _MOST_UNEXPLAINED**2)] * number,
     )
-    return np.asarray(found.x)
+    return np.asarray(np.sqrt(found.x))
 
 
 STEPS = 6
