@@ -15,7 +15,7 @@ from rtcal.loop.control_runs import (
     simulated_controls,
 )
 from rtcal.loop.positions import unexplained_errors
-from rtcal.simulators import PathTracing, Polyhedron, paths
+from rtcal.simulators import PathTracing, Polyhedron, path_tracing
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
 
@@ -146,13 +146,13 @@ def test_no_control_run_is_traced_twice(monkeypatch):
         receivers={"R1": [4.5, 3.5, 1.2], "R2": [3.0, 3.9, 1.2]},
         n_paths=800,
     )
-    traced, trace = [], paths.trace
+    traced, trace = [], path_tracing.trace
 
     def counted(*points, **options):
         traced.append(options["seed"])
         return trace(*points, **options)
 
-    monkeypatch.setattr(paths, "trace", counted)
+    monkeypatch.setattr(path_tracing, "trace", counted)
     made = simulated_controls(tracer, room, ("t20", "edt"))
     assert len(traced) == 1 + 16  # the simulator itself, and each run
     assert 12 <= len(made.errors) <= 16

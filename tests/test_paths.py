@@ -7,7 +7,7 @@ import pytest
 
 from rtcal.acoustics.observables import TARGET
 from rtcal.datasets import halls
-from rtcal.simulators import kernels, paths
+from rtcal.simulators import kernels, path_tracing
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.tracer import jackknife
 from rtcal.support.errors import DataError
@@ -22,7 +22,7 @@ def trace(geometry, sources, receivers, scattering, seconds, **options):
     receivers = np.array(receivers, dtype=float)
     names = list(geometry.areas)
     settings = {"n_paths": 4000, "n_batches": 16, "scattering_model": "random", "seed": 1} | options
-    return paths.trace(
+    return path_tracing.trace(
         geometry,
         np.array(sources, dtype=float),
         receivers,
@@ -166,7 +166,7 @@ def test_the_receivers_radius_does_not_bias_the_energy():
     # A sphere as large as its distance to the walls allows hears, reflection by reflection, what
     # a point hears: here the first reflections from six walls, 1 % with the noise.
     receiver = np.array([2.5, 4.4, 1.5])
-    made = paths.trace(
+    made = path_tracing.trace(
         BOX,
         np.array(SOURCE),
         receiver[np.newaxis],

@@ -146,7 +146,7 @@ def first_hit(p: Array, v: Array, planes: Array, sides: Array) -> tuple[NDArray[
     """Return the first triangle that each ray hits and its distance, infinite if it hits none.
 
     ``p`` and ``v`` (n_rays, 3) are the rays' origins and directions. Planes and sides are those of
-    `rtcal.simulators.paths.planes_of`.
+    `rtcal.simulators.path_tracing.planes_of`.
     """
     approach = -(v @ planes[:, :3].T)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -22,7 +22,7 @@ _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = (np.uint64(s) for s in (30, 27, 31, 11))
 Batch = tuple[Any, Any, Any, Any]
-"""Events, starts, lengths and weights of paths; see `rtcal.simulators.paths.Batch`."""
+"""Events, starts, lengths and weights of paths; see `rtcal.simulators.path_tracing.Batch`."""
 Weighing = tuple[Array, Array, Array, float]
 """ln(1 - alpha) of every code of a wall hit, (n_codes, n_bands); air attenuation, (n_bands,), in 1/m;
 length of each receiver's first sound, (n_receivers,), and of a bin, in m."""
@@ -135,7 +135,7 @@ def trace(
     thinned: float,
     shares: Array,
 ) -> tuple[Any, Any, Any, Any, Array]:
-    """Trace paths: events, starts, lengths, weights (see `rtcal.simulators.paths.Batch`), counts.
+    """Trace paths; return events, starts, lengths, weights (see `path_tracing.Batch`) and counts.
 
     ``owners`` has the face of each triangle, ``scattering`` the coefficient of each face. Paths whose
     number 2^i does not divide end at i times the length ``thinned``; what is heard after it weighs 1 /

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.geometry import convex_parts
-from rtcal.simulators.paths import direct_lengths
+from rtcal.simulators.path_tracing import direct_lengths
 from rtcal.simulators.tracer import Tracer, check_seconds, of_all_bands
 from rtcal.support import checks, library
 from rtcal.support.errors import DataError

@@ -53,7 +53,7 @@ from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.loop.control_runs import ControlRuns, simulated_controls, trace_ahead
 from rtcal.loop.measured_pairs import Linearisation, pairs_to_match
 from rtcal.loop.positions import MORE_PATHS, precise
-from rtcal.simulators import PathTracing, paths
+from rtcal.simulators import PathTracing, path_tracing
 from rtcal.simulators.base import Observations
 from rtcal.simulators.tracer import ScatteringModel
 
@@ -72,26 +72,26 @@ class Traces:
     """Counts the traces of the path tracer while it is entered."""
 
     def __enter__(self) -> Traces:
-        self.number, self._trace = 0, paths.trace
+        self.number, self._trace = 0, path_tracing.trace
 
         def counted(*args: Any, **options: Any) -> Any:
             self.number += 1
             return self._trace(*args, **options)
 
-        paths.trace = counted
+        path_tracing.trace = counted
         return self
 
     def __exit__(self, *_: object) -> None:
-        paths.trace = self._trace
+        path_tracing.trace = self._trace
 
 
 class KeptTraces:
     """Keeps a room's traces while it is entered: they do not depend on alpha, nor on its prior."""
 
     def __enter__(self) -> KeptTraces:
-        self._trace, self._kept = paths.trace, dict[tuple[Any, ...], paths.Paths]()
+        self._trace, self._kept = path_tracing.trace, dict[tuple[Any, ...], path_tracing.Paths]()
 
-        def kept(geometry: Any, *points: np.ndarray, **options: Any) -> paths.Paths:
+        def kept(geometry: Any, *points: np.ndarray, **options: Any) -> path_tracing.Paths:
             key = (
                 geometry.vertices.tobytes(),
                 *(x.tobytes() for x in points),
@@ -105,11 +105,11 @@ class KeptTraces:
                 self._kept[key] = self._trace(geometry, *points, **options)
             return self._kept[key]
 
-        paths.trace = kept
+        path_tracing.trace = kept
         return self
 
     def __exit__(self, *_: object) -> None:
-        paths.trace = self._trace
+        path_tracing.trace = self._trace
 
 
 def calibrate(

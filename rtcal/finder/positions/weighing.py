@@ -50,9 +50,8 @@ from rtcal.finder.positions.case import (
 )
 from rtcal.finder.positions.surfaces import Faces
 from rtcal.loop.control_runs import scattered, share_of_signal
-from rtcal.simulators import paths
 from rtcal.simulators.base import LARGEST_ALPHA, observe, values_of_decays
-from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
+from rtcal.simulators.path_tracing import DENSER, LARGER, Paths, PathTracing
 from rtcal.simulators.tracer import LONGEST, decay_long_enough, eyring_seconds
 from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError, TooShortError
@@ -359,7 +358,7 @@ class Weighing:
     def _bands(self) -> list[NDArray[np.int64]]:
         return self.tracer.bands_of_paths()
 
-    def _by_face(self, band: int) -> paths.Paths:
+    def _by_face(self, band: int) -> Paths:
         """Return the band's paths with each face as a material of its own."""
         traced = self.tracer.traced(band, self.seconds, seed=self.seed)
         n_faces = len(traced.materials)
