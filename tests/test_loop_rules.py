@@ -5,7 +5,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.loop import rules
-from rtcal.loop.matched import Matched
+from rtcal.loop.closed import Matched
 
 LOW, HIGH, NAN = 0.01, 100.0, np.nan
 

@@ -13,7 +13,7 @@ import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.loop import control_runs
 from rtcal.loop.control_runs import MaterialScattering, scattered
-from rtcal.loop.matched import Beside
+from rtcal.loop.measured_pairs import Beside
 from rtcal.loop.positions import precise
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.simulators import PathTracing

@@ -136,7 +136,7 @@ def next_(room: str, simulated: str, state: str, out: str, again: bool) -> None:
     from rtcal.acoustics.room import Room
     from rtcal.loop import closed
     from rtcal.loop.closed import Loop
-    from rtcal.loop.matched import sentences
+    from rtcal.loop.measured_pairs import sentences
     from rtcal.report.of_loop import other_rows, statuses
     from rtcal.support import blocks, text
     from rtcal.support.blocks import Table

@@ -8,7 +8,7 @@ evaluation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -37,7 +37,7 @@ from rtcal.simulators.base import Observations, checked_parameters, jacobian, ob
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.errors import DataError
 from rtcal.support.text import as_sentence
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only
 
 Pair = tuple[str, str]
 
@@ -112,7 +112,7 @@ def gap_at_pairs(simulated: Observations, measured: Observations, *, relative: b
         if name == LEVEL.key and relative:
             model = with_reference(model, wanted, measured.pairs)
         gaps.append(gap_jnd(model, wanted, name))
-    return np.stack(gaps)
+    return np.reshape(gaps, measured.values.shape)
 
 
 def with_t30(match: Sequence[str], measured: Measurement) -> tuple[str, ...]:
@@ -636,3 +636,91 @@ def beyond_prior(here: Linearisation, room: Room, prior: Array, error: Array) ->
         bands=int(beyond.sum()),
         of_bands=len(bands),
     )
+
+
+SHOWN = tuple(key for key, kind in OBSERVABLES.items() if kind.shown)
+"""Parameters that are shown before and after, fitted or not."""
+_LEFT = 1.0
+"""JND by which a gap grows in some band where a parameter left what was measured."""
+
+Gaps = Mapping[str, tuple[Array, Array]]
+"""Gaps before and after in JND by parameter, each (n_bands,)."""
+
+
+def means(measurement: Measurement) -> dict[str, Array]:
+    """Return the means over pairs of the parameters that are shown and there, each (n_bands,)."""
+    found = {p: read_only(measurement.mean(p)) for p in SHOWN}
+    return {p: mean for p, mean in found.items() if np.isfinite(mean).any()}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Beside:
+    """Parameters at positions that are not matched: measured, before and after.
+
+    Attributes
+    ----------
+    measured, before, after : Observations
+        Of the same parameters and pairs.
+    """
+
+    measured: Observations
+    before: Observations
+    after: Observations
+
+    @classmethod
+    def of(
+        cls,
+        measured: Measurement,
+        parameters: Sequence[str],
+        pairs: Sequence[Pair],
+        before: Observations,
+        after: Observations,
+    ) -> Beside:
+        """Return some parameters at some pairs, where they were measured and simulated."""
+        kept = [pair for pair in pairs if pair in before.pairs]
+        values = Observations.of_measurement(measured, parameters, kept)
+        there = [p for p in parameters if np.isfinite(values.natural(p)).any()]
+        wanted = Observations.of_measurement(measured, there, kept)
+        return cls(measured=wanted, before=before.at(wanted), after=after.at(wanted))
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The parameters that were measured and not matched."""
+        return self.measured.parameters
+
+    @property
+    def gap_before(self) -> Array:
+        """Simulated less measured, with the prior, in JND, (n_parameters, n_pairs, n_bands)."""
+        return gap_at_pairs(self.before, self.measured, relative=False)
+
+    @property
+    def gap_after(self) -> Array:
+        """Simulated less measured, in JND, (n_parameters, n_pairs, n_bands)."""
+        return gap_at_pairs(self.after, self.measured, relative=False)
+
+    @property
+    def gaps(self) -> Gaps:
+        """Root mean squares over the pairs."""
+        ends = zip(self.parameters, self.gap_before, self.gap_after, strict=True)
+        return {p: (rms(before, axis=0), rms(after, axis=0)) for p, before, after in ends}
+
+
+def left(gaps: Gaps) -> tuple[str, ...]:
+    """Return the parameters that left what was measured, in some band by more than one JND."""
+    return tuple(
+        parameter
+        for parameter, (before, after) in gaps.items()
+        if (np.abs(after) > np.abs(before) + _LEFT).any()
+    )
+
+
+def sentences(gaps: Gaps, frequencies: Array) -> Iterator[str]:
+    """Yield by how much each parameter of `left` left what was measured, in its worst band."""
+    for parameter in left(gaps):
+        before, after = (np.abs(gap) for gap in gaps[parameter])
+        k = int(np.nanargmax(after - before))
+        yield (
+            f"{parameter_label(parameter)}, which was not fitted, left what was measured: by "
+            f"{before[k]:.1f} JND before and {after[k]:.1f} JND after, at {label(frequencies[k])}. "
+            "Match it at every position, or look for what the model misses (rtcal find)."
+        )

@@ -53,23 +53,23 @@ from rtcal.loop.control_runs import (
     simulated_controls,
     trace_ahead,
 )
-from rtcal.loop.matched import BelowSchroeder, Beside
-from rtcal.loop.matched import means as measured_beside
 from rtcal.loop.measured_pairs import (
     T30_ALONE,
+    Beside,
     BeyondPrior,
     Linearisation,
     MeasuredPairs,
     Pair,
     beyond_prior,
     history,
+    means,
     pairs_to_match,
     refuse_known,
     with_t30,
     without_place,
 )
 from rtcal.loop.positions_result import PositionsResult
-from rtcal.modes.calibrate import ModesResult
+from rtcal.modes.calibrate import BelowSchroeder, ModesResult
 from rtcal.simulators import base
 from rtcal.simulators.base import (
     DifferentiableSimulator,
@@ -856,7 +856,7 @@ def _first(
 
     Those are also of what was measured and is not matched. Notes name what the simulator does not give.
     """
-    more = [p for p in measured_beside(measured) if p not in match]
+    more = [p for p in means(measured) if p not in match]
     if isinstance(simulator, DifferentiableSimulator):
         try:
             return match, observe(simulator, alpha, (*match, *more), seed=seed), ()

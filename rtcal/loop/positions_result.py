@@ -75,16 +75,18 @@ from rtcal.loop.control_runs import (
     noise_of_a_run,
     simulated_controls,
 )
-from rtcal.loop.matched import Beside, left, sentences
 from rtcal.loop.measured_pairs import (
     CONTRADICTION,
+    Beside,
     BeyondPrior,
     Linearisation,
     MeasuredPairs,
     Pair,
     by_band,
+    left,
     of_level,
     rows_of_pairs,
+    sentences,
 )
 from rtcal.prediction import words
 from rtcal.prediction.predicted import COVERAGE

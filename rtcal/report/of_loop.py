@@ -11,8 +11,8 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.observables import observable, parameter_label
-from rtcal.loop import matched
 from rtcal.loop.closed import Loop, LoopResult
+from rtcal.loop.measured_pairs import sentences
 from rtcal.report import figures
 from rtcal.report.document import Code, Items, Page, Picture, Section, coefficients, doubts, tables
 from rtcal.support import __version__
@@ -92,7 +92,7 @@ def page(result: Loop | LoopResult) -> Page:
             Section("Summary", "summary"),
             *map(Note, _summary(loop, status)),
             *([] if final is None else [Note(_confirmed(final))]),
-            *map(Note, matched.sentences(result.gaps_beside, room.centre_frequencies)),
+            *map(Note, sentences(result.gaps_beside, room.centre_frequencies)),
             Picture(
                 lambda: first,
                 f"By band: {label}, and how far each simulation was off. One JND is 5 %.",

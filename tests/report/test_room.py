@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.loop.matched import Beside
+from rtcal.loop.measured_pairs import Beside
 from rtcal.report import document, pages, room_view
 from rtcal.simulators.base import Observations
 from rtcal.simulators.geometry import Polyhedron
