@@ -45,8 +45,12 @@ __all__ = ["MeasuredModes", "read"]
 __dir__ = __all__.copy
 
 _LEAST_FREQUENCY, _LARGEST_FREQUENCY = 1.0, 1000.0
-_DECAY_TIMES = 0.03, 30.0
-"""Decay times of modes in s that need no unit: outside, ms is likelier."""
+_NEED_NO_UNIT = {
+    "frequency": (_LEAST_FREQUENCY, _LARGEST_FREQUENCY),
+    "T": (0.03, 30.0),
+    "decay": (DECAY / 30.0, DECAY / 0.03),
+}
+"""Values that need no unit: outside, kHz or ms is likelier."""
 _LARGEST_UNCERTAINTY = 0.3
 """Relative uncertainty that needs no unit: above, % or ms is likelier."""
 _UNITS = {
@@ -251,13 +255,13 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
     def values(name: str) -> Array:
         (k, factor, relative, stated), found = columns[name], np.zeros(len(rows))
         whole = name.removeprefix("u_")
-        unlikely = partial(_refuse_unit, stated, name, columns[whole][1])
         of_whole = values(whole) if whole != name else np.zeros(len(rows))
         for i, (_, cells) in enumerate(rows):
             found[i] = number(cells[k].replace(",", "."), at(name, i))
             if not found[i] > 0:
                 raise DataError(f"{at(name, i)}: {found[i]:g} is not above 0")
-            unlikely(at(name, i), found[i], of_whole[i])
+            if not stated:
+                _refuse_unit(name, columns[whole][1], at(name, i), found[i], of_whole[i])
         return factor * found * (of_whole if relative else 1)
 
     rows = [rows[i] for i in np.argsort(values("frequency"), kind="stable")]
@@ -293,38 +297,22 @@ def _sheet(content: bytes, place: str) -> Sheet:
     return sheets[0]
 
 
-def _refuse_unit(
-    stated: bool, name: str, factor: float, place: str, value: float, of_whole: float
-) -> None:
+def _refuse_unit(name: str, factor: float, place: str, value: float, of_whole: float) -> None:
     """Raise DataError for a value whose unit is not stated, and of which another unit is likelier.
 
     ``factor`` is that of the unit of the value to which an uncertainty belongs, ``of_whole`` it.
     """
-    if stated:
-        return
     whole = name.removeprefix("u_")
-    low, high = {
-        "frequency": (_LEAST_FREQUENCY, _LARGEST_FREQUENCY),
-        "T": _DECAY_TIMES,
-        "decay": (DECAY / _DECAY_TIMES[1], DECAY / _DECAY_TIMES[0]),
-    }[whole]
+    low, high = _NEED_NO_UNIT[whole] if name == whole else (0.0, _LARGEST_UNCERTAINTY * of_whole)
+    if factor == 1 and low <= value <= high:
+        return
     unit = next(u for u in _UNITS[whole] if u)
-    likely = f'state its unit, as in "{name} [{_LIKELY[whole]}]" or "{name} [{unit}]"'
-    if name == whole:
-        if not low <= value <= high:
-            raise DataError(
-                f"{place}: {value:g} has no unit, and is not from {low:.3g} to {high:.3g} {unit}: "
-                f"{likely}"
-            )
-    elif factor != 1:
-        raise DataError(
-            f"{place}: no unit is stated, and {whole} has another than {unit}: {likely}"
-        )
-    elif value > _LARGEST_UNCERTAINTY * of_whole:
-        raise DataError(
-            f"{place}: {value:g} has no unit, and is more than {_LARGEST_UNCERTAINTY:g} of {whole}: "
-            f'{likely}, or "{name} [%]"'
-        )
+    more = "" if name == whole else f', or "{name} [%]"'
+    raise DataError(
+        f"{place}: {value:g} has no unit. In {unit} it would be from {low:.3g} to {high:.3g}, and "
+        f'{whole} in {unit}, too: state its unit, as in "{name} [{_LIKELY[whole]}]" or "{name} '
+        f'[{unit}]"{more}'
+    )
 
 
 def _columns(header: Sequence[str], place: str) -> dict[str, tuple[int, float, bool, bool]]:
