@@ -15,7 +15,7 @@ from rtcal.calibration import exact
 pytest.importorskip("qpbenchmark")
 pytest.importorskip("piqp")
 
-from benchmarks.solvers import measure, render, results, routes, truth
+from benchmarks.solvers import render, run, truth
 from benchmarks.solvers.cases import Case, Rooms
 
 
@@ -39,13 +39,14 @@ def impossible(cases: dict[str, Case]) -> Case:
     return next(c for c in cases.values() if c.family == "infeasible")
 
 
-def right(case: Case, test_set: Rooms) -> routes.Found:
-    return routes.by_clarabel(case, test_set.solver_settings["high_accuracy"], "high_accuracy")
+def right(case: Case, test_set: Rooms) -> run.Found:
+    settings = test_set.solver_settings["high_accuracy"]
+    return run.by_qpsolvers("clarabel", case, settings, "high_accuracy")
 
 
-def judged(case: Case, test_set: Rooms, **broken: object) -> measure.Row:
+def judged(case: Case, test_set: Rooms, **broken: object) -> run.Row:
     found = dataclasses.replace(right(case, test_set), **broken)
-    return measure.judge(case, "broken", "mid_accuracy", found, test_set.tolerances["mid_accuracy"])
+    return run.judge(case, "broken", "mid_accuracy", found, test_set.tolerances["mid_accuracy"])
 
 
 def test_a_right_answer_is_caught_by_nothing(feasible: Case, test_set: Rooms) -> None:
@@ -78,8 +79,8 @@ def test_a_right_answer_is_caught_by_nothing(feasible: Case, test_set: Rooms) ->
     ids=["infeasible", "wrong duals", "no duals", "nan", "claimed", "not complementary"],
 )
 def test_a_broken_solver_is_caught(
-    broken: Callable[[routes.Found], dict[str, object]],
-    seen: Callable[[measure.Row], bool],
+    broken: Callable[[run.Found], dict[str, object]],
+    seen: Callable[[run.Row], bool],
     feasible: Case,
     test_set: Rooms,
 ) -> None:
@@ -113,18 +114,6 @@ def test_solved_claimed_of_an_infeasible_problem(impossible: Case, test_set: Roo
     assert judged(impossible, test_set, status="infeasible").detected
 
 
-def test_a_warm_start_that_is_ignored(feasible: Case, test_set: Rooms) -> None:
-    """The count of iterations tells a start that was used from one that was not."""
-    settings = test_set.solver_settings["mid_accuracy"]
-    settings.set_param("osqp", "check_termination", 1)
-    good = right(feasible, test_set)
-    start = (good.x, np.concatenate([good.y, good.z]))
-    cold = routes.by_osqp(feasible, settings, "", None)
-    used = routes.by_osqp(feasible, settings, "", start)
-    assert used.iterations < 0.2 * cold.iterations
-    assert used.status == cold.status == "solved"
-
-
 @pytest.mark.long
 def test_the_truth_is_that_of_rational_arithmetic(cases: dict[str, Case]) -> None:
     """Two ways to it that share nothing: band by band, and from the matrices of all bands."""
@@ -132,7 +121,7 @@ def test_the_truth_is_that_of_rational_arithmetic(cases: dict[str, Case]) -> Non
     found = truth.of_matrices(case.to_sparse())
     assert found.residual < 1e-20
     assert found.error < 1e-20
-    np.testing.assert_allclose(case.whitened.alpha(found.x), case.alpha, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(case.of(found.x), case.alpha, rtol=0, atol=1e-15)
     seen = 0
     for case in cases.values():
         given = case.separable
@@ -180,9 +169,12 @@ def test_a_wrong_active_set_does_not_become_the_truth(monkeypatch) -> None:
 
 @pytest.mark.long
 def test_a_tiny_run_resumes_and_renders(tmp_path: Path, cases: dict[str, Case]) -> None:
-    known = routes.available()
-    chosen = {n: known[n] for n in ("own:clarabel", "own:osqp", "rtcal:clarabel", "rtcal.exact")}
-    rows = results.run(tmp_path, "tiny", chosen)
+    known = run.available()
+    chosen = {
+        n: known[n]
+        for n in ("qpsolvers:clarabel", "qpsolvers:osqp", "rtcal:clarabel", "rtcal.exact")
+    }
+    rows = run.run(tmp_path, "tiny", chosen)
     assert {r.problem for r in rows} == set(cases)
     default = [r for r in rows if r.route == "rtcal:clarabel"]
     assert not any(r.failed or r.off(1e-6) for r in default)
@@ -191,8 +183,8 @@ def test_a_tiny_run_resumes_and_renders(tmp_path: Path, cases: dict[str, Case]) 
     whole = path.read_text()
     # Stopped in the middle of a line: only what is missing is run again.
     path.write_text(whole[: 2 * len(whole) // 3])
-    kept = results.read(path)
-    again = results.run(tmp_path, "tiny", chosen)
+    kept = run.read(path)
+    again = run.run(tmp_path, "tiny", chosen)
     assert 0 < len(kept) < len(rows) == len(again)
     assert str(again[: len(kept)]) == str(kept)  # as text: NaN is not equal to itself
     assert [(r.problem, r.route, r.settings) for r in again] == [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from benchmarks.solvers import render, results
+from benchmarks.solvers import render, run
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = Path(__file__).parent / "results"
@@ -21,8 +21,8 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=FOLDER)
     given = parser.parse_args()
     if given.command == "run":
-        rows = results.run(given.folder, given.size)
-        results.finish(given.folder, given.size)
+        rows = run.run(given.folder, given.size)
+        run.finish(given.folder, given.size)
         print(f"{len(rows)} solves in {given.folder / given.size}.csv.gz")
     else:
         render.page(given.folder, given.size, ROOT / "docs")

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import qpbenchmark
@@ -19,16 +17,13 @@ from rtcal import terms
 from rtcal.acoustics.bands import third_octaves
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem, measured_times
-from rtcal.calibration.unknowns import Configurations, Layout
-from rtcal.datasets.halls import lecture_hall
-from rtcal.studies.paper import SHOEBOX, SIGMA_R, TABLE_1_MU, TABLE_1_SIGMA, realisations
+from rtcal.calibration.unknowns import Configurations
+from rtcal.studies.paper import SHOEBOX, TABLE_1_MU, TABLE_1_SIGMA
 from rtcal.support.types import Array
 from tests import problems
 
 OCTAVES = [63, 125, 250, 500, 1000, 2000, 4000, 8000]
 THIRDS = third_octaves(50, 10_000)
-BRAS = Path(__file__).resolve().parents[3] / "shared" / "data" / "bras"
-"""Where the two rooms of BRAS in third-octaves are, if they are (CC BY-SA 4.0; not in the repo)."""
 RUNTIME = 2.0  # s allowed a solve, for the solvers that take a limit
 RANDOM = 10  # random rooms of each size in a full run
 COMPOSED = {
@@ -52,35 +47,34 @@ class Separable:
         return rt.exact.solve(self.mu.T, self.sigma.T, self.areas, self.target, self.lower.T)
 
 
-class Matrices(NamedTuple):
-    """minimise ½ x'Px + q'x subject to A x = b (the first n_equal rows) and A x <= b."""
+class Case(qpbenchmark.Problem):
+    """A calibration's QP for any solver, and its exact answer: alpha = centre + scale x.
 
-    P: Any
-    q: Array
-    A: Any
-    b: Array
-    n_equal: int
+    After x come helper variables. ``alpha`` is None where no answer exists; ``alpha_within`` bounds the
+    error of ``alpha`` itself.
+    """
 
-
-@dataclass(frozen=True, eq=False)
-class Whitened:
-    """The QP of a calibration for any solver: alpha = centre + scale x; then helper variables."""
-
-    matrices: Matrices
-    centre: Array
-    scale: Array
-    layout: Layout
-
-    @classmethod
-    def of(cls, built: CalibrationProblem[Any], measured: Any, room: Any) -> Whitened:
-        """Return the QP of a measurement, unsolved and unchecked: it may have no answer."""
+    def __init__(
+        self,
+        name: str,
+        family: str,
+        built: CalibrationProblem[Any],
+        measured: Any,
+        room: Any,
+        separable: Separable | None,
+    ) -> None:
+        self.family, self.built, self.measured, self.room = family, built, measured, room
+        self.separable = separable
+        # Unsolved and unchecked: it may have no answer.
         alone = isinstance(built.room, rt.Room)
-        rooms = Configurations([room or built.room]) if alone else room or built.room
+        rooms = Configurations([room]) if alone else room
         times = measured_times(rooms, [measured] if alone else measured)
         numbers = built.composition.numbers(rooms, times)
+        self.centre, self.scale, self.layout = numbers.mu, numbers.sigma, numbers.layout
         qp = built.composition.qp(numbers)
-        order = qp.compiled.unknowns
-        order = np.concatenate([order, np.setdiff1d(np.arange(len(qp.c)), order)])
+        order = np.concatenate(
+            [qp.compiled.unknowns, np.setdiff1d(np.arange(len(qp.c)), qp.compiled.unknowns)]
+        )
         quadratic, rows = (part.tocsc()[:, order] for part in qp.matrices)
         low, high = qp.lower[order], qp.upper[order]
         one = sp.eye_array(len(order), format="csr")
@@ -89,67 +83,40 @@ class Whitened:
         limits = np.concatenate([qp.b, -low[bounded[0]], high[bounded[1]]])
         size = np.sqrt(np.asarray(every.power(2).sum(axis=1)).ravel())
         unit = np.divide(1.0, size, out=np.ones_like(size), where=size > 0)
-        matrices = Matrices(
+        every, limits, n = (
+            sp.csr_matrix(sp.diags_array(unit) @ every),
+            unit * limits,
+            qp.equal.sum(),
+        )
+        super().__init__(
             sp.csc_matrix(quadratic.tocsr()[order]),
             qp.c[order],
-            sp.csc_matrix(sp.diags_array(unit) @ every),
-            unit * limits,
-            int(qp.equal.sum()),
-        )
-        return cls(matrices, numbers.mu, numbers.sigma, numbers.layout)
-
-    def alpha(self, x: Array) -> Array:
-        """Return the absorption coefficients of a point x, (n_materials, n_bands)."""
-        return self.layout.expand(self.centre + self.scale * x[: len(self.centre)])
-
-
-class Case(qpbenchmark.Problem):
-    """A problem with its exact answer.
-
-    ``alpha`` is None where no answer exists; ``alpha_within`` bounds the error of ``alpha`` itself.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        family: str,
-        built: CalibrationProblem[Any],
-        measured: object,
-        room: object,
-        separable: Separable | None,
-    ) -> None:
-        self.family, self.built, self.measured, self.room = family, built, measured, room
-        self.separable = separable
-        self.whitened = Whitened.of(built, measured, room)
-        qp = self.whitened.matrices
-        rows = sp.csr_matrix(qp.A)
-        n = qp.n_equal
-        super().__init__(
-            qp.P,
-            qp.q,
-            sp.csc_matrix(rows[n:]),
-            qp.b[n:],
-            sp.csc_matrix(rows[:n]) if n else None,
-            qp.b[:n] if n else None,
+            sp.csc_matrix(every[n:]),
+            limits[n:],
+            sp.csc_matrix(every[:n]) if n else None,
+            limits[:n] if n else None,
             None,
             None,
             name,
         )
         self.alpha: Array | None = None
         self.alpha_within = truth.EPS
-        if separable is not None:
-            given = separable
-            self.alpha = truth.of_bands(
-                given.mu, given.sigma, given.areas, given.target, given.lower
-            )
-        else:
+        if separable is None:
             found = truth.of_matrices(self.to_sparse())
-            self.alpha = self.whitened.alpha(found.x)
+            self.alpha = self.of(found.x)
             self.alpha_within += found.error
+        else:
+            self.alpha = truth.of_bands(
+                separable.mu, separable.sigma, separable.areas, separable.target, separable.lower
+            )
 
     @property
     def unknowns(self) -> int:
-        return len(self.whitened.centre)
+        return len(self.centre)
+
+    def of(self, x: Array) -> Array:
+        """Return the absorption coefficients of a point x, (n_materials, n_bands)."""
+        return self.layout.expand(self.centre + self.scale * x[: len(self.centre)])
 
 
 def _single(
@@ -188,22 +155,6 @@ def room_of(
     )
     drawn = np.clip(room.alpha + room.sigma * rng.standard_normal(shape), 0.01, 0.99)
     return room, rt.Eyring().time(room, room.areas @ drawn)
-
-
-def warm_cases(n: int, box: str, count: int, seed: int) -> Iterator[Case]:
-    """Yield rooms to start a solver on: ``box`` inactive, or active as T asks for little absorption."""
-    rng = np.random.default_rng([seed, n])
-    built = None
-    while count:
-        room, times = room_of(n, OCTAVES, rng)
-        if box == "active":
-            times = rt.Eyring().time(room, 0.6 * room.absorption_area)
-        built = built or preset("mle").build(room)
-        case = _single(f"{box} {n} x 8", "warm", built, room, times)
-        inside = (case.alpha > 0) & (case.alpha < 1)
-        if inside.all() == (box == "inactive"):
-            count -= 1
-            yield case
 
 
 def _one_band(mu: Array, sigma: Array, areas: Array, lower: Array | None = None) -> rt.Room:
@@ -275,20 +226,6 @@ class Rooms(qpbenchmark.TestSet):
             sigma = np.where(room.sigma > 0, 1.0, 0.0) if method == "lse" else None
             yield _single(f"CR2 {method}", "real", built, room, times, sigma)
 
-        for name in ("CR2", "CR3"):
-            if self.left_out or self.size == "tiny":
-                continue
-            room, t20 = bras_thirds(name, BRAS)
-            for method in ("mle", "lse"):
-                built = preset(method).build(room)
-                sigma = np.ones_like(room.sigma) if method == "lse" else None
-                yield _single(f"{name} thirds {method}", "real", built, room, t20, sigma)
-
-    @property
-    def left_out(self) -> str:
-        """Why the rooms of BRAS in third-octaves are not there; empty if they are."""
-        return "" if BRAS.is_dir() else "CR2 and CR3 in third-octaves: their data are not here"
-
     def _paper(self) -> Iterator[Case]:
         # Two walls of 47 m² as in Figs. 1 and 3, and Table 1's shoebox.
         rows = [
@@ -302,36 +239,6 @@ class Rooms(qpbenchmark.TestSet):
             for share in (0.1, 0.4, 0.8):
                 times = rt.Sabine().time(room, np.array([share * sum(areas)]))
                 yield _single(f"{name} mean {share}", "paper", built, room, times)
-
-        yield from self._lecture_hall()
-
-    def _lecture_hall(self) -> Iterator[Case]:
-        # Table 3 by a stand-in with the paper's 23 surfaces, 334 m³ and ratio of areas.
-        hall = lecture_hall()
-        areas = np.array(hall.geometry.face_areas)
-        for sigma_r in SIGMA_R:
-            rng = np.random.default_rng([self.seed, 5])
-            mu, sigma = (v[0] for v in realisations(rng, 1, len(areas), sigma_r, "sigma_n"))
-            drawn = np.clip(mu + sigma * rng.standard_normal(len(areas)), 0, 1)
-            one = _one_band(mu, sigma, areas)
-            times = rt.Sabine().time(one, np.array([areas @ drawn]))
-            built = preset("mle").build(one, rt.Sabine())
-            yield _single(f"Table 3 hall sigma_r {sigma_r}", "paper", built, one, times)
-        rows = [hall.room.material_index(m) for m in hall.geometry.materials]
-        room = rt.Room(
-            name="lecture hall",
-            volume=hall.room.volume,
-            areas=areas,
-            air=hall.room.air,
-            materials=hall.geometry.names,
-            alpha=hall.room.alpha[rows],
-            sigma=hall.room.sigma[rows],
-            centre_frequencies=hall.room.centre_frequencies,
-        )
-        rng = np.random.default_rng([self.seed, 6])
-        drawn = np.clip(room.alpha + room.sigma * rng.standard_normal(room.alpha.shape), 0.01, 0.99)
-        times = rt.Eyring().time(room, areas @ drawn)
-        yield _single("lecture hall 23 x 7", "paper", preset("mle").build(room), room, times)
 
     def _random(self) -> Iterator[Case]:
         count = {"tiny": 1, "short": 3, "full": RANDOM}[self.size]
@@ -393,31 +300,3 @@ class Rooms(qpbenchmark.TestSet):
 
 def _times(built: CalibrationProblem[Any], measured: rt.Measurement, room: rt.Room) -> Array:
     return np.array(built.solve(measured).joint.measured_times[0].reverberation_time)
-
-
-def bras_thirds(name: str, folder: Path) -> tuple[rt.Room, Array]:
-    """Return a room of BRAS with its initial coefficients and its T20, both in third-octaves."""
-
-    def table(file: str) -> list[dict[str, str]]:
-        with (folder / file).open(newline="", encoding="utf-8") as stream:
-            return [r for r in csv.DictReader(stream) if r["room"] == name]
-
-    measured = next(r for r in table("measured_third_octave.csv") if r["parameter"] == "T20")
-    bands = [c for c in measured if c.isdigit()]
-    given = {
-        r["material"]: r for r in table("absorption_third_octave.csv") if r["set"] == "initial"
-    }
-    areas = {r["material"]: float(r["area_m2"]) for r in table("surfaces.csv")}
-    whole = table("rooms.csv")[0]
-    alpha = np.array([[float(given[m][b]) for b in bands] for m in areas])
-    room = rt.Room(
-        name=name,
-        volume=float(whole["volume_m3"]),
-        materials=list(areas),
-        areas=list(areas.values()),
-        alpha=alpha,
-        sigma=np.maximum(0.3 * alpha, 0.01),
-        centre_frequencies=[float(b) for b in bands],
-        air=rt.Air(float(whole["temperature_C"]), float(whole["rel_humidity_pct"])),
-    )
-    return room, np.array([float(measured[b]) for b in bands])

@@ -1,4 +1,4 @@
-"""The page and figures of a run: every number in it is computed from the table."""
+"""The page of a run: every number in it is computed from the table."""
 
 # ruff: noqa: E501 (the lines of the page are prose)
 
@@ -13,19 +13,22 @@ from typing import Any
 import numpy as np
 from qpbenchmark.shgeom import shgeom
 
-from benchmarks.solvers import figures
 from benchmarks.solvers.cases import RUNTIME
-from benchmarks.solvers.figures import by_size, grouped
-from benchmarks.solvers.measure import ENOUGH, Row
-from benchmarks.solvers.results import TOO_SLOW, read
-from benchmarks.solvers.routes import CVXPY_LIMIT, DENSE_LIMIT, EPS, SLSQP_LIMIT
-from rtcal.files.disk import write_bytes, write_text
+from benchmarks.solvers.run import DENSE_LIMIT, ENOUGH, EPS, TOO_SLOW, Row, read
+from rtcal.files.disk import write_text
 
 SHIFT = 10.0  # microseconds; qpbenchmark's ten seconds would hide every difference here
 DEFAULT, OTHER = "rtcal:clarabel", "rtcal:osqp"
 SHOWN = ("default", "high_accuracy")
-"""Settings of the tables and figures; the page says what the others change."""
-_SIZES_FROM = 400  # unknowns: below, the cost of a call hides the slope
+"""Settings of the tables; the page says what the others change."""
+
+
+def grouped(rows: Sequence[Row]) -> dict[tuple[str, str], list[Row]]:
+    """Return the rows by route and setting."""
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        found.setdefault((row.route, row.settings), []).append(row)
+    return found
 
 
 def _table(head: Sequence[object], lines: Sequence[Sequence[object]]) -> str:
@@ -38,45 +41,58 @@ def _worst(values: Sequence[float]) -> str:
     return f"{max(finite):.0e}" if finite else "–"
 
 
+@dataclass(frozen=True)
+class Score:
+    """The outcome of a route at one setting."""
+
+    feasible: int
+    failed: int
+    wrong: int
+    off: int
+    worst: str
+    residuals: tuple[str, str, str]
+    passes: str
+    detected: str
+
+
+def score(own: Sequence[Row]) -> Score:
+    """Count what a route did."""
+    feasible = [r for r in own if r.feasible]
+    solved = [r for r in feasible if r.status == "solved"]
+    residuals = tuple(
+        _worst([getattr(r, name) for r in solved]) for name in ("primal", "dual", "gap")
+    )
+    return Score(
+        len(feasible),
+        sum(r.failed for r in own),
+        sum(r.wrong for r in own),
+        sum(r.off(1e-6) for r in own),
+        _worst([r.error for r in solved]),
+        residuals,
+        str(sum(r.passes for r in solved)) if residuals[1] != "–" else "–",
+        f"{sum(r.detected for r in own)} of {len(own) - len(feasible)}",
+    )
+
+
 def accuracy(rows: Sequence[Row]) -> str:
     """One line a route and setting: failures, wrong answers, errors, residuals, infeasible ones."""
     lines = []
     for (route, setting), own in grouped(rows).items():
-        if setting not in SHOWN:
-            continue
-        feasible = [r for r in own if r.feasible]
-        solved = [r for r in feasible if r.status == "solved"]
-        lines.append(
-            (
-                route,
-                setting.removesuffix("_accuracy"),
-                len(feasible),
-                sum(r.failed for r in feasible),
-                sum(r.wrong for r in own),
-                sum(r.off(1e-6) for r in own),
-                _worst([r.error for r in solved]),
-                _worst([r.primal for r in solved]),
-                _worst([r.dual for r in solved]),
-                _worst([r.gap for r in solved]),
-                sum(r.passes for r in solved) if _worst([r.dual for r in solved]) != "–" else "–",
-                f"{sum(r.detected for r in own)}/{len(own) - len(feasible)}",
+        if setting in SHOWN:
+            s = score(own)
+            counts = (
+                s.feasible,
+                s.failed,
+                s.wrong,
+                s.off,
+                s.worst,
+                *s.residuals,
+                s.passes,
+                s.detected,
             )
-        )
-    head = (
-        "route",
-        "settings",
-        "feasible",
-        "failed",
-        "wrong > 1e-4",
-        "off > 1e-6",
-        "worst error",
-        "primal",
-        "dual",
-        "gap",
-        "within tolerance",
-        "infeasible detected",
-    )
-    return _table(head, lines)
+            lines.append((route, setting.removesuffix("_accuracy"), *counts))
+    head = "route settings feasible failed wrong>1e-4 off>1e-6 worst&nbsp;error primal dual gap within&nbsp;tolerance infeasible&nbsp;detected"
+    return _table(head.split(), lines)
 
 
 def _mean_of(own: Sequence[Row]) -> float:
@@ -112,54 +128,31 @@ def times(rows: Sequence[Row]) -> str:
     return _table(("route", "settings", *(name for name, _ in ranges)), lines)
 
 
-def exponent(curve: dict[int, float]) -> float:
-    """Slope of log time over log unknowns from `_SIZES_FROM` on, over three sizes at least.
-
-    A route that was stopped early is fitted over its three largest sizes; NaN if it has fewer.
-    """
-    known = sorted(curve.items())
-    large = [(n, t) for n, t in known if n >= _SIZES_FROM]
-    chosen = large if len(large) >= 3 else known[-3:]
-    if len(chosen) < 3:
-        return float("nan")
-    n, t = np.log(np.array(chosen)).T
-    return float(np.polyfit(n, t, 1)[0])
-
-
 def sizes(rows: Sequence[Row]) -> str:
-    """Unknowns against time in ms, with the fitted exponents."""
-    curves = by_size(rows)
+    """Unknowns against time in ms at default settings, with one equality a band and separate bands."""
+    curves: dict[str, dict[int, float]] = {}
+    for r in rows:
+        of_curve = (r.family, r.settings, r.status) == ("sizes", "default", "solved")
+        if of_curve and r.problem.startswith("mle"):
+            curves.setdefault(r.route, {})[r.unknowns] = 1e-3 * r.microseconds
     columns = sorted({n for curve in curves.values() for n in curve})
-    lines = []
-    for (route, kind), curve in sorted(curves.items()):
-        slope = exponent(curve)
-        lines.append(
-            (
-                route,
-                kind,
-                *(f"{1e-3 * curve[n]:.3g}" if n in curve else "–" for n in columns),
-                f"{slope:.2f}" if np.isfinite(slope) else "–",
-            )
-        )
-    return _table(("route", "problem", *columns, "slope"), lines)
+    lines = [
+        (route, *(f"{curve[n]:.3g}" if n in curve else "–" for n in columns))
+        for route, curve in sorted(curves.items())
+    ]
+    return _table(("route", *columns), lines)
 
 
 def _iterations(also: dict[str, Any]) -> str:
-    starts = ("cold", "closed form", "closed form, held", "previous room", "exact answer")
     lines = []
-    for n in (6, 23, 40):
-        for box in ("inactive", "active"):
-            own = [c for c in also["iterations"] if (c["n"], c["box"]) == (n, box)]
-
-            def median(solver: str, start: str, own: Sequence[Any] = own) -> str:
-                used = [
-                    c["iterations"] for c in own if (c["solver"], c["start"]) == (solver, start)
-                ]
-                return f"{np.median(used):.0f}"
-
-            osqp = [median("osqp", start) for start in starts]
-            lines.append((f"{n} x 8", box, *osqp, median("clarabel", "cold")))
-    return _table(("size", "box", *starts, "Clarabel, cold"), lines)
+    for n in sorted({c["unknowns"] for c in also["iterations"]}):
+        own = [c for c in also["iterations"] if c["unknowns"] == n]
+        medians = (
+            f"{np.median([c['iterations'] for c in own if c['warm'] == warm]):.0f}"
+            for warm in (False, True)
+        )
+        lines.append((n, *medians))
+    return _table(("unknowns", "cold", "from the closed form"), lines)
 
 
 def _throughput(rows: Sequence[Row], also: dict[str, Any]) -> str:
@@ -182,31 +175,6 @@ def _throughput(rows: Sequence[Row], also: dict[str, Any]) -> str:
     return _table(head, sorted(lines, key=lambda line: line[0]))
 
 
-@dataclass(frozen=True)
-class Score:
-    """The outcome of a route at one setting."""
-
-    feasible: int
-    failed: int
-    wrong: int
-    off: int
-    worst: str
-    detected: str
-
-
-def score(rows: Sequence[Row], route: str, setting: str = "default") -> Score:
-    own = [r for r in rows if (r.route, r.settings) == (route, setting)]
-    feasible = [r for r in own if r.feasible]
-    return Score(
-        len(feasible),
-        sum(r.failed for r in own),
-        sum(r.wrong for r in own),
-        sum(r.off(1e-6) for r in own),
-        _worst([r.error for r in feasible if r.status == "solved"]),
-        f"{sum(r.detected for r in own)} of {len(own) - len(feasible)}",
-    )
-
-
 def _ratio(rows: Sequence[Row], family: str, unknowns: int) -> str:
     """OSQP's time over Clarabel's, both polished."""
     times = [
@@ -225,14 +193,22 @@ def _ratio(rows: Sequence[Row], family: str, unknowns: int) -> str:
 
 def verdict(rows: Sequence[Row]) -> str:
     """Which solver and settings, with the numbers that say so; and what they do not say."""
-    own, other = score(rows, DEFAULT), score(rows, OTHER)
-    raw, other_raw = score(rows, f"{DEFAULT} raw"), score(rows, f"{OTHER} raw")
-    exact, plain = score(rows, "rtcal.exact"), score(rows, "own:clarabel")
-    tight = score(rows, "own:clarabel", "high_accuracy")
+    of = {key: score(own) for key, own in grouped(rows).items()}
+    own, other, exact, plain, raw, other_raw = (
+        of[route, "default"]
+        for route in (
+            DEFAULT,
+            OTHER,
+            "rtcal.exact",
+            "qpsolvers:clarabel",
+            f"{DEFAULT} raw",
+            f"{OTHER} raw",
+        )
+    )
     largest = max(r.unknowns for r in rows)
     levels = []
     for setting in EPS:
-        c, o = score(rows, DEFAULT, setting), score(rows, OTHER, setting)
+        c, o = of[DEFAULT, setting], of[OTHER, setting]
         levels.append(f"| {EPS[setting]:.0e} | {c.failed} | {c.worst} | {o.failed} | {o.worst} |")
     return f"""**Keep the default: Clarabel with rtcal's polish and certificate.** Of {own.feasible} feasible problems it failed on
 {own.failed}. It returned {own.wrong} wrong answers as solved (an error above 1e-4; {own.off} above 1e-6). Its worst error in α is {own.worst} against exact
@@ -253,8 +229,7 @@ The settings matter only before the polish. After it, whatever the tolerance was
 |---|---|---|---|---|
 {chr(10).join(levels)}
 
-Before it, Clarabel has an error of {plain.worst} at its own default of 1e-8, and of {raw.worst} at 1e-10. Tighter still it fails (1e-9 with no
-relative gap: {tight.failed})."""
+Through qpsolvers, without rtcal's polish, Clarabel at its own default of 1e-8 has an error of {plain.worst}."""
 
 
 def text(folder: Path, size: str) -> str:
@@ -265,7 +240,6 @@ def text(folder: Path, size: str) -> str:
     versions = ", ".join(f"{k} {v}" for k, v in also["versions"].items())
     families = sorted({r.family for r in rows})
     counts = ", ".join(f"{len({r.problem for r in rows if r.family == f})} {f}" for f in families)
-    left_out = f"\nLeft out here: {also['left_out']}.\n" if also["left_out"] else ""
     return f"""# Which solver should calibrate a room
 
 {verdict(rows)}
@@ -280,10 +254,8 @@ its Clarabel then ran at 1e-10. Now Clarabel runs at its own 1e-8 before the pol
 
 {len({r.problem for r in rows})} problems: {counts}.
 
-- *Real* is the shipped CR2 room, and CR2 and CR3 of BRAS in 24 third-octaves where their data lie beside the checkout. Each is
-  solved as mle and lse.
-- *Paper* is Figs. 1 and 3 and Table 1 of Bellows & Katz (2025). A stand-in with 23 surfaces, 334 m³ and the same ratio of areas
-  replaces Table 3's lecture hall.
+- *Real* is the shipped CR2 room, solved as mle and lse.
+- *Paper* is Figs. 1 and 3 and Table 1 of Bellows & Katz (2025).
 - *Random* is 6, 23 and 40 materials in 8 bands.
 - *Hard* and *infeasible* are one band with areas over 1000:1 and σ over 100:1. Targets lie at, near and beyond both ends.
   Some have σ = 0, one bound active, or all but one.
@@ -291,7 +263,7 @@ its Clarabel then ran at 1e-10. Now Clarabel runs at its own 1e-8 before the pol
 - *Sizes* goes up to {max(r.unknowns for r in rows)} unknowns.
 
 They are a qpbenchmark `TestSet` (`benchmarks.solvers.cases.Rooms`), in the whitened unknowns $x = (\\alpha - \\mu) / \\sigma$.
-{left_out}
+
 The exact answer shares nothing with rtcal's solvers, polish or certificate (`benchmarks/solvers/truth.py`). A separable problem
 is solved in rational arithmetic. For a composed problem PIQP names the active set. The optimality conditions on that set are
 solved with residuals in rational arithmetic, and feasibility, signs and stationarity are checked in it. What passes is the
@@ -305,39 +277,30 @@ to find. "Within tolerance" counts solved problems within qpbenchmark's toleranc
 "high". "–" means that the route gives no duals. The rows of 1e-3 and 1e-6 ("low", "mid") are in the stored table. The default
 of an rtcal route is rtcal's own. In its other row the solver's tolerances are replaced.
 
-A route is a package and a solver. rtcal itself takes Clarabel, OSQP and the other solvers of cvxpy's; qpsolvers serves this comparison alone. "own" is the solver's own Python interface; "raw" is rtcal's solver before the polish.
-
-![A row of strokes per route, at its default and at high accuracy: the errors of its answers from 1e-17 to 1, with a dot at the worst. The polished routes of rtcal and rtcal.exact end below 1e-11. OSQP and SCS at their defaults reach beyond the dashed line at 1e-4.](figures/solver_errors.png)
+A route is a package and a solver. rtcal itself takes Clarabel, OSQP and the other solvers of cvxpy's; qpsolvers serves this comparison alone. "raw" is rtcal's solver before the polish.
 
 {accuracy(rows)}
 
 ## Time
 
-Microseconds, shifted geometric mean with a shift of {SHIFT:.0f} microseconds, of what was solved. A call by cvxpy or rtcal includes filling in the
-numbers, rtcal's also the polish and the certificate; a "raw" time is the solver's own. Timings are the
+Microseconds, shifted geometric mean with a shift of {SHIFT:.0f} microseconds, of what was solved. A call by rtcal includes filling in the
+numbers, the polish and the certificate; a "raw" time is the solver's own. Timings are the
 best of up to three calls, as many as fit in {ENOUGH} s. `python -m benchmarks.resolve` prints the times of rtcal as it is installed.
 
 {times(rows)}
 
 ## Unknowns against time
 
-Milliseconds at default settings, and the slope on log-log axes from {_SIZES_FROM} unknowns on (over the three largest sizes of a route
-that was stopped before). A route that took over {TOO_SLOW:.0f} s at some size was not given larger ones.
-
-![Three panels of time over the number of unknowns, from 120 to 4992, on logarithmic axes. rtcal.exact stays below a millisecond. rtcal with Clarabel or OSQP rises from some 8 ms to 100 to 160 ms. HiGHS and quadprog rise the steepest, to seconds at 1000 to 2000 unknowns.](figures/solver_sizes.png)
+Milliseconds at default settings, `mle` in third-octaves. A route that took over {TOO_SLOW:.0f} s at some size was not given larger ones.
 
 {sizes(rows)}
 
 ## OSQP's iterations, cold and warm
 
-Medians at eps 1e-8, without polishing. There are five starts. Three are cold, the paper's closed form (primal and dual), and the
-closed form with violators of the box fixed at their bound and the others solved again. Two are the answer of the room before and the
-exact answer. The third is rtcal's (`warm_start=True`, the default). Clarabel has no warm start.
+Medians over the random rooms at eps 1e-8, looked at every 5 iterations: from 0, and from the closed form in which violators of the
+box are held at their bound (`warm_start=True`, the default), which is the answer there. Clarabel has no warm start.
 
 {_iterations(also)}
-
-If no bound is active, the closed form is the answer. If one is active, it saves no iterations; with the violators fixed it
-is then the answer too. Another room's answer is no useful start.
 
 ## Throughput
 
@@ -349,20 +312,15 @@ One-band problems: a batch by `rtcal.exact`, and one by one by the quickest solv
 
 - One machine, whose cores did other work beside the run. The run was stopped and taken up once, for the largest tolerances and
   pairs of configurations. Each problem is timed three times at most: read ratios, not times.
-- cvxpy compiles in its first solve of a shape; the best of three calls leaves that out.
-- Correlated bands at 480 unknowns take interior-point solvers longer than at 960. The ordering of the factor happens to
-  fill it more there (Clarabel: 40,123 to 67,690 entries against 34,891). Their exponents are too small for it.
 - Tens of problems a family, not thousands; `Rooms("full", seed)` gives others.
-- A setting means something else to each solver. The table of settings is qpbenchmark's, as it is. Only some of them are passed
-  on by cvxpy (to ProxQP no gap tolerance).
+- A setting means something else to each solver. The table of settings is qpbenchmark's, as it is.
 - qpsolvers tells only "found" or not, so an infeasible problem counts as detected if it is not called solved.
 - Beside the sizes on which it met the time limit, HiGHS fails at its default on {_named(rows, "qpsolvers:highs")}.
   In these, one row's bound is below 1e-7 ("excessively small"). Its own final check calls its point infeasible by 1e-6 to
   1e-5, and it returns "Solve error". The point is right to 1e-13.
 - rtcal's "raw" rows exist only where the polished answer passed its certificate. rtcal checks feasibility before any solver
   runs. So its solvers see no unreachable target, and coefficients that a target at an end pins do not come from the solver.
-- Solvers that have a time limit had {RUNTIME:.0f} s. Dense solvers were given at most {DENSE_LIMIT} variables, cvxpy {CVXPY_LIMIT} unknowns, SLSQP {SLSQP_LIMIT}.
-- SciPy stands for general nonlinear solvers by SLSQP only.
+- Solvers that have a time limit had {RUNTIME:.0f} s. Dense solvers were given at most {DENSE_LIMIT} variables.
 - quadprog is GPL: it is run where the user has it, and is not a dependency.
 """
 
@@ -377,8 +335,5 @@ def _named(rows: Sequence[Row], route: str) -> str:
 
 
 def page(folder: Path, size: str, docs: Path) -> None:
-    """Write the page and its figures."""
+    """Write the page."""
     write_text(docs / "solver_comparison.md", text(folder, size))
-    rows = read(folder / f"{size}.csv.gz")
-    for name, draw in (("solver_errors", figures.errors), ("solver_sizes", figures.sizes)):
-        write_bytes(docs / "figures" / f"{name}.png", draw(rows))
