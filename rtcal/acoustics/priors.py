@@ -23,7 +23,14 @@ from rtcal.support.errors import DataError
 from rtcal.support.normal import FINE, truncated_moments, truncated_normal
 from rtcal.support.types import Array, read_only
 
-__all__ = ["TIERS", "TruncatedNormal", "in_situ", "sigma_iso_12999_2", "sigma_relative"]
+__all__ = [
+    "TIERS",
+    "SigmaRule",
+    "TruncatedNormal",
+    "in_situ",
+    "sigma_iso_12999_2",
+    "sigma_relative",
+]
 __dir__ = __all__.copy
 
 TIERS: dict[str, float] = {"low": 0.01, "moderate": 0.05, "high": 0.1}
@@ -196,6 +203,33 @@ def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array)
             f"sigma_iso_12999_2: alpha has shape {coefficients.shape}; its last axis has {len(f)} bands"
         )
     return np.asarray(m * coefficients + n)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SigmaRule:
+    """A rule for the sigma of materials that state none.
+
+    sigma = in_situ_factor * max(relative * alpha, minimum), or with ``iso_12999_2`` the maximum also of
+    ISO 12999-2's sigma_R.
+    """
+
+    relative: float = 0.3
+    minimum: float = 0.01
+    iso_12999_2: bool = False
+    in_situ_factor: float = 1.0
+
+    def sigma(self, alpha: Array, centre_frequencies: Array) -> Array:
+        """Return sigma, (n_bands,)."""
+        sigma = sigma_relative(alpha, self.relative, self.minimum)
+        if self.iso_12999_2:
+            sigma = np.maximum(sigma, sigma_iso_12999_2(alpha, centre_frequencies))
+        return in_situ(sigma, self.in_situ_factor)
+
+    def __str__(self) -> str:
+        rules = [f"{self.relative:g} alpha", f"{self.minimum:g}"]
+        rules += ["ISO 12999-2's"] if self.iso_12999_2 else []
+        factor = "" if self.in_situ_factor == 1 else f"{self.in_situ_factor:g} "
+        return f"sigma = {factor}max({', '.join(rules)})"
 
 
 def in_situ(sigma: Array, factor: float) -> Array:

@@ -24,7 +24,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.directivity import Lobe
 from rtcal.acoustics.observables import OBSERVABLES, parameter_label
-from rtcal.acoustics.priors import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
+from rtcal.acoustics.priors import TIERS, SigmaRule
 from rtcal.acoustics.scene import GeometryTable, Places, Scene, SceneTables
 from rtcal.files.disk import json_numbers, read_text, write_text
 from rtcal.files.schema import FileTable, Number, Share, read, toml_table, toml_text
@@ -1078,7 +1078,10 @@ def material(table: MaterialTable, frequencies: Array, prior: PriorTable | None)
                 f'material "{table.name}" states no sigma, and the file has no [prior] to derive it '
                 "from; if in doubt, write [prior] with relative = 0.3 and minimum = 0.01"
             )
-        sigma = _prior_sigma(prior, alpha, frequencies)
+        rule = msgspec.structs.asdict(prior)
+        rule.pop("band_correlation")
+        # The rules take up to 2; the room refuses or cuts what lies above 1.
+        sigma = SigmaRule(**rule).sigma(np.clip(alpha, 0, 2), frequencies).tolist()
     return Material(
         name=table.name,
         alpha=alpha,
@@ -1087,15 +1090,6 @@ def material(table: MaterialTable, frequencies: Array, prior: PriorTable | None)
         scattering=None if table.scattering is None else per_band("scattering", table.scattering),
         source=table.source,
     )
-
-
-def _prior_sigma(prior: PriorTable, alpha: list[float], frequencies: Array) -> list[float]:
-    """Return sigma by the file's [prior], for materials that state none."""
-    limited = np.clip(alpha, 0, 2)  # the rules' limits; the room refuses or cuts what lies above 1
-    sigma = sigma_relative(limited, prior.relative, prior.minimum)
-    if prior.iso_12999_2:
-        sigma = np.maximum(sigma, sigma_iso_12999_2(limited, frequencies))
-    return list(map(float, in_situ(sigma, prior.in_situ_factor)))
 
 
 _ALWAYS = ("areas", "alpha", "sigma", "centre_frequencies", "band_correlation", "air")

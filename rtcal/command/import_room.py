@@ -179,8 +179,8 @@ def import_room(
     \b
     Example: rtcal import check hall.glb --picture hall.png
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    from rtcal.acoustics.priors import SigmaRule
     from rtcal.io.material_formats import read_sigma
-    from rtcal.io.material_list import SigmaRule
 
     options = {"unit": unit, "space": space, "weld": weld, "largest_hole": hole}
     if program == "check":

@@ -11,8 +11,8 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from importlib import metadata, resources
-from typing import Any
 
 import numpy as np
 
@@ -70,7 +70,19 @@ def names() -> dict[str, str]:
 
     Raises MissingDependencyError without pyroomacoustics.
     """
-    return {name: str(entry["description"]) for name, entry in _entries()[1].items()}
+    try:
+        # Only the data file is read; the package itself is not imported.
+        text = (resources.files(_TABLE) / "data" / "materials.json").read_text(encoding="utf-8")
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            "the catalogue is read from pyroomacoustics: pip install 'rtcal[geometry]'"
+        ) from error
+    groups = json.loads(text)["absorption"].values()
+    return {
+        _RENAMED.get(name, name): str(entry["description"])
+        for group in groups
+        for name, entry in group.items()
+    }
 
 
 def material(
@@ -96,15 +108,14 @@ def material(
         Without pyroomacoustics.
     """
     f = bands.as_bands(centre_frequencies)
-    centres, entries = _entries()
+    entries = {m.name: m for m in material_list().materials}
     if name not in entries:
         near = ", ".join(sorted(n for n in entries if n.split("_")[0] == name.split("_")[0]))
         raise DataError(
             f'"{name}" is not in the catalogue of {len(entries)} materials'
             + (f"; similar: {near}" if near else "")
         )
-    coefficients = [float(v) for v in entries[name]["coeffs"]]
-    by_band = dict(zip(centres, coefficients, strict=False))  # some end at 4 kHz
+    by_band = dict(zip(entries[name].centre_frequencies, entries[name].alpha, strict=True))
     for frequency in f:
         if frequency not in by_band:
             has = ", ".join(bands.labels(by_band))
@@ -114,16 +125,15 @@ def material(
     sigma = np.array(
         [sigma_iso_12999_2(alpha[k : k + 1], tabulated[k : k + 1])[0] for k in range(len(f))]
     )
-    version = metadata.version(_TABLE)
     return Material(
         name=name,
         alpha=alpha.tolist(),
         sigma=in_situ(sigma, in_situ_factor).tolist(),
-        source=f"pyroomacoustics {version} materials.json (after Vorländer 2008): "
-        f"{entries[name]['description']}",
+        source=entries[name].source,
     )
 
 
+@cache
 def material_list() -> MaterialList:
     """Return the catalogue as a material list, each material in the bands that it has.
 
@@ -208,19 +218,3 @@ def _closest(word: str, others: set[str]) -> float:
     )
     best = max(likeness, default=0.0)
     return best if best >= _LEAST_LIKENESS else 0.0
-
-
-def _entries() -> tuple[list[float], dict[str, dict[str, Any]]]:
-    """The table's centre frequencies and its absorbing materials by name."""
-    try:
-        # Only the data file is read; the package itself is not imported.
-        text = (resources.files(_TABLE) / "data" / "materials.json").read_text(encoding="utf-8")
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            "the catalogue is read from pyroomacoustics: pip install 'rtcal[geometry]'"
-        ) from error
-    content = json.loads(text)
-    groups = content["absorption"].values()
-    return [float(c) for c in content["center_freqs"]], {
-        _RENAMED.get(name, name): entry for group in groups for name, entry in group.items()
-    }

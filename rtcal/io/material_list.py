@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import band_conversion, bands, marks, priors
+from rtcal.acoustics import band_conversion, bands, marks
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.priors import SigmaRule
 from rtcal.acoustics.room import Material, Room, Surface, above_one_hint, times_of
 from rtcal.files.disk import read_bytes, write_bytes
 from rtcal.io.text import MAX_TEXT, Text, number
@@ -30,33 +31,6 @@ Span = tuple[int, int]
 """The positions of the start and the end of a number in a file's text."""
 Token = tuple[str, int, int]
 """The characters of a number or cell, and its span."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SigmaRule:
-    """A rule for the sigma of materials that state none; see `rtcal.acoustics.priors`.
-
-    sigma = in_situ_factor * max(relative * alpha, minimum), or with ``iso_12999_2`` the maximum also of
-    ISO 12999-2's sigma_R.
-    """
-
-    relative: float = 0.3
-    minimum: float = 0.01
-    iso_12999_2: bool = False
-    in_situ_factor: float = 1.0
-
-    def sigma(self, alpha: Array, centre_frequencies: Array) -> Array:
-        """Return sigma, (n_bands,)."""
-        sigma = priors.sigma_relative(alpha, self.relative, self.minimum)
-        if self.iso_12999_2:
-            sigma = np.maximum(sigma, priors.sigma_iso_12999_2(alpha, centre_frequencies))
-        return priors.in_situ(sigma, self.in_situ_factor)
-
-    def __str__(self) -> str:
-        rules = [f"{self.relative:g} alpha", f"{self.minimum:g}"]
-        rules += ["ISO 12999-2's"] if self.iso_12999_2 else []
-        factor = "" if self.in_situ_factor == 1 else f"{self.in_situ_factor:g} "
-        return f"sigma = {factor}max({', '.join(rules)})"
 
 
 @dataclass(frozen=True, kw_only=True)
