@@ -40,7 +40,6 @@ from rtcal.finder import (
 )
 from rtcal.finder.effects import AT_1_KHZ
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.evidence import MINIMUM
 from rtcal.finder.search import find
 
 STORED = Path(__file__).parents[1] / "hidden_world" / "population_1_findings.jsonl.gz"
@@ -261,16 +260,14 @@ def found(row: dict[str, Any]) -> bool:
 
 
 def table(folder: str | None) -> None:
-    """Print confusion matrix, rates, rates by size, ROC; then what correction and proof did."""
+    """Print confusion matrix, rates, ROC; then what correction and proof did."""
     rows = rows_of(folder)
     for data, label in (("one", "T20, EDT, T30; one configuration"), ("all", "all data")):
         print(f"\n== {label} ==")
         here = [(r, r[data]) for r in rows if data in r]
         naming(here, data, rows)
         confusion(here)
-        by_size(here)
         roc(here)
-        floors(here)
         mending(here)
 
 
@@ -326,28 +323,6 @@ def confusion(here: list[Any]) -> None:
         print(f"  {name}: {cells or '-'}")
 
 
-def by_size(here: list[Any]) -> None:
-    print("\ndetected by size, thirds of each kind from small to large")
-    for kind, name in NAMES.items():
-        group = [(size_of(r), found(x)) for r, x in here if r["kind"] == kind]
-        group = sorted(g for g in group if np.isfinite(g[0]))
-        if group:
-            thirds = np.array_split([hit for _, hit in group], 3)
-            print(f"  {name:18}" + "  ".join(f"{t.sum()}/{len(t)}" for t in thirds))
-
-
-def size_of(row: dict[str, Any]) -> float:
-    """Return how far the effect is from nothing, for ordering."""
-    effect = row["truth"][0]
-    key = SIZES.get(effect["kind"])
-    if key is None:
-        return float("nan")
-    value = effect[key] if key in effect else effect.get("persons", float("nan"))
-    if key == "ratio":
-        return abs(float(np.log(value)))
-    return -value if key == "scattering" else float(value)
-
-
 def roc(here: list[Any]) -> None:
     none = np.array([x["score"] for r, x in here if r["kind"] == 0])
     some = np.array([x["score"] for r, x in here if 1 <= r["kind"] <= 12])
@@ -359,27 +334,6 @@ def roc(here: list[Any]) -> None:
         print(f"  {alarms:.2f}: {np.mean(some > limit):.3f}", end="")
     area = np.mean(some[:, None] > none) + 0.5 * np.mean(some[:, None] == none)
     print(f"   area {area:.3f}")
-
-
-def floors(here: list[Any]) -> None:
-    """Print what a higher floor under the threshold would give: fewer rooms, named better."""
-    none = [x for r, x in here if r["kind"] == 0]
-    some = [(hidden_in(r), x) for r, x in here if 1 <= r["kind"] <= 12]
-    if not none or not some:
-        return
-    print("\nat another floor in nats: flagged; detected; of these right name, single name")
-    for floor in (MINIMUM, 3.0, 4.0, 5.0):
-
-        def over(x: dict[str, Any], floor: float = floor) -> bool:
-            return bool(x["score"] > max(floor, x["threshold"]))
-
-        caught = [(n, x) for n, x in some if over(x)]
-        right = np.mean([x["effect"] == n for n, x in caught])
-        single = np.mean([x["verdict"] == "named" for _, x in caught])
-        print(
-            f"  {floor:.1f}: {np.mean([over(x) for x in none]):.3f}; {len(caught) / len(some):.3f}; "
-            f"{right:.3f}, {single:.3f}"
-        )
 
 
 def mending(here: list[Any]) -> None:
