@@ -31,13 +31,13 @@ from rtcal.finder.effects import CoupledDecay, Opening, Porous, Resonator, Wrong
 from rtcal.finder.means import problem as problem_of_means
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.engines import ControlRooms, recentred
-from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.problem import (
     MeansProblem,
     ModelDiscrepancy,
     alpha_covariance,
     distances,
     estimate_discrepancy,
+    evaluate,
     observe,
     predict_hypotheses,
     state,

@@ -18,10 +18,16 @@ from rtcal.finder import Case, ChangedMaterial, Configuration, library, recalibr
 from rtcal.finder.claim import by_family, claimed
 from rtcal.finder.effects import Audience, CoupledRoom, Opening, People, WrongVolume
 from rtcal.finder.evidence import log_mixture
-from rtcal.finder.means import evidence as bootstrap
+from rtcal.finder.means import problem as bootstrap
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.evidence import MeansEvidence, draw_null_features
-from rtcal.finder.means.problem import distances, observe, predict_hypotheses, state
+from rtcal.finder.means.problem import (
+    MeansEvidence,
+    distances,
+    draw_null_features,
+    observe,
+    predict_hypotheses,
+    state,
+)
 from rtcal.finder.model import predict
 from rtcal.finder.prior import SHARPER, prior_of, probability_off
 from rtcal.finder.search import find

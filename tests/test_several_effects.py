@@ -26,11 +26,11 @@ from rtcal.finder.claim import numbers_of
 from rtcal.finder.evidence import DEGREES
 from rtcal.finder.means import problem
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.problem import (
     MeansProblem,
     alpha_covariance,
     estimate_discrepancy,
+    evaluate,
     observe,
     predict_hypotheses,
 )

@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from rtcal.finder.means.corrected import corrected_room as corrected_room
     from rtcal.finder.means.corrected import simulator as simulator
     from rtcal.finder.means.engines import control_rooms as control_rooms
-    from rtcal.finder.means.evidence import Threshold as Threshold
     from rtcal.finder.means.finding import MeansFinding as MeansFinding
     from rtcal.finder.means.planning import Plan as Plan
     from rtcal.finder.means.planning import Proposal as Proposal
     from rtcal.finder.means.planning import plan as plan
+    from rtcal.finder.means.problem import Threshold as Threshold
     from rtcal.finder.means.recalibration import Recalibrated as Recalibrated
     from rtcal.finder.means.recalibration import recalibrate as recalibrate
     from rtcal.finder.search import verify as verify

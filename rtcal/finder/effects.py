@@ -97,6 +97,10 @@ class Effect(ABC):
     needs_directions : bool
         Whether it acts by the directions in which surfaces face. In a room of which nothing says them
         it is not judged.
+    ranges : mapping of str to (float, float)
+        Where the physics of each parameter ends in any room.
+    tried : mapping of str to sequence of float
+        Values of the parameters that are tried.
     not_in_simulator : str or None
         Why a simulator of a room cannot have the effect; None where it can, or has it already. Asked
         only of effects that no material can represent.
@@ -120,14 +124,16 @@ class Effect(ABC):
     shares: ClassVar[Sequence[float]] = ()
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.106, 0.0, 0.0)
     needs_directions: ClassVar[bool] = False
+    ranges: ClassVar[Limits] = {}
+    tried: ClassVar[Mapping[str, Sequence[float]]] = {}
     not_in_simulator: ClassVar[str | None] = (
         "it bends the decay, which no material of a simulator does; without make the case's own "
         "model is the simulator"
     )
 
-    @abstractmethod
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return the parameters to try."""
+        """Return the parameters to try: every combination of `tried`, unless a subclass has others."""
+        return every(self.tried)
 
     @abstractmethod
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
@@ -159,9 +165,9 @@ class Effect(ABC):
         """Return where the physics of the parameters ends, in this room; None: in any room.
 
         A size is sought and stated within them, and a case refuses parameters outside. A parameter
-        that is not among them may have any value; by default, none is.
+        that is not among them may have any value. By default they are `ranges`.
         """
-        return {}
+        return self.ranges
 
     def size_limits(self, room: Room) -> tuple[float, float]:
         """Return the least and the largest possible size in this room."""
@@ -228,14 +234,33 @@ class Effect(ABC):
         return None
 
 
+def every(tried: Mapping[str, Sequence[float]]) -> list[Parameters]:
+    """Return every combination of the values of parameters; a single set without any."""
+    return [dict(zip(tried, values, strict=True)) for values in product(*tried.values())]
+
+
 class AbsorbingObject(Effect):
-    """An effect that adds absorption in proportion to its size, and can be taken out of the room."""
+    """An effect that adds absorption in proportion to its size, and can be taken out of the room.
+
+    Sizes are tried that have from ``least`` to ``most`` times the room's absorption area at 500 to
+    2000 Hz, where one has ``of_one`` m².
+    """
 
     removable: ClassVar[bool] = True
+    least: ClassVar[float] = 0.05
+    most: ClassVar[float] = 1.2
+    steps: ClassVar[int] = 10
+    of_one: ClassVar[float] = 1.0
 
     def limits(self, room: Room | None) -> Limits:
         """Return 0 or more: objects need no wall."""
         return {self.size: (0.0, np.inf)}
+
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
+        """Return every combination of `tried` with every size."""
+        sizes = np.geomspace(self.least, self.most, self.steps) * middle_absorption(state)
+        sizes = (sizes / self.of_one).tolist()
+        return [{**kind, self.size: a} for kind, a in product(every(self.tried), sizes)]
 
     def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
         """Return the difference of the absorption areas in m², (n_bands,)."""
@@ -244,47 +269,32 @@ class AbsorbingObject(Effect):
 
 
 class Absorber(AbsorbingObject):
-    """A surface with a spectrum of its own in place of wall; a subclass has ``name`` and `spectrum`.
-
-    Areas are tried from ``least`` to ``most`` times the room's absorption area at 500 to 2000 Hz.
-    """
+    """A surface with a spectrum of its own in place of wall; a subclass has ``name`` and `spectrum`."""
 
     size: ClassVar[str] = "area"
     unit: ClassVar[str] = "m²"
     parameter_units: ClassVar[Mapping[str, str]] = {"area": " m²"}
     stands_on: ClassVar[Sequence[str]] = ("wall", "ceiling")
-    least: ClassVar[float] = 0.05
-    most: ClassVar[float] = 1.2
-    steps: ClassVar[int] = 10
 
     @abstractmethod
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return alpha, (n_bands,), which the size does not change."""
 
     def limits(self, room: Room | None) -> Limits:
-        """Return an area from 0 to that of all surfaces."""
-        return {self.size: (0.0, all_surfaces(room))}
+        """Return an area from 0 to that of all surfaces, and `ranges`."""
+        return {self.size: (0.0, all_surfaces(room)), **self.ranges}
 
     def wall_area(self, parameters: Parameters) -> float:
         """Return the absorber's area."""
         return float(parameters[self.size])
 
-    def kinds(self) -> Sequence[Parameters]:
-        """Return the grid of the parameters other than the area; a single set without any."""
-        return [{}]
-
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
-        """Return every kind with its alpha."""
-        return [(dict(k), self._checked_alpha(frequencies, k)) for k in self.kinds()]
+        """Return every combination of `tried` with its alpha."""
+        return [(kind, self._checked_alpha(frequencies, kind)) for kind in every(self.tried)]
 
     def _checked_alpha(self, frequencies: Array, parameters: Parameters) -> Array:
         alpha = self.spectrum(frequencies, parameters)
         return checked_spectrum(self.name, alpha, frequencies)
-
-    def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return every kind with every area."""
-        sizes = np.geomspace(self.least, self.most, self.steps) * middle_absorption(state)
-        return [{**kind, self.size: float(a)} for kind, a in product(self.kinds(), sizes)]
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the absorber in place of wall."""
@@ -356,15 +366,11 @@ class Porous(Absorber):
         "thickness": " m",
         "flow_resistivity": " Pa s/m²",
     }
-
-    def limits(self, room: Room | None) -> Limits:
-        """Return an area of wall, 0.1 mm to 10 m and 1 Pa s/m² to 1 GPa s/m²."""
-        return {**super().limits(room), "thickness": (1e-4, 10.0), "flow_resistivity": (1.0, 1e9)}
-
-    def kinds(self) -> Sequence[Parameters]:
-        """Return 10 to 200 mm and 4 to 40 kPa s/m²."""
-        both = product((0.01, 0.018, 0.033, 0.06, 0.11, 0.2), (4e3, 12e3, 40e3))
-        return [{"thickness": d, "flow_resistivity": r} for d, r in both]
+    ranges: ClassVar[Limits] = {"thickness": (1e-4, 10.0), "flow_resistivity": (1.0, 1e9)}
+    tried: ClassVar[Mapping[str, Sequence[float]]] = {
+        "thickness": (0.01, 0.018, 0.033, 0.06, 0.11, 0.2),
+        "flow_resistivity": (4e3, 12e3, 40e3),
+    }
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return the statistical alpha."""
@@ -414,15 +420,11 @@ class Curtain(Absorber):
         "airspace": " m",
         "flow_resistance": " ρc",
     }
-
-    def limits(self, room: Room | None) -> Limits:
-        """Return an area of wall, 1 mm to 100 m of air and 0.001 to 1000 rho c."""
-        return {**super().limits(room), "airspace": (1e-3, 100.0), "flow_resistance": (1e-3, 1e3)}
-
-    def kinds(self) -> Sequence[Parameters]:
-        """Return 0.05 to 0.6 m of air and 0.4 to 2.5 rho c of flow resistance."""
-        both = product((0.05, 0.17, 0.6), (0.4, 1.0, 2.5))
-        return [{"airspace": d, "flow_resistance": r} for d, r in both]
+    ranges: ClassVar[Limits] = {"airspace": (1e-3, 100.0), "flow_resistance": (1e-3, 1e3)}
+    tried: ClassVar[Mapping[str, Sequence[float]]] = {
+        "airspace": (0.05, 0.17, 0.6),
+        "flow_resistance": (0.4, 1.0, 2.5),
+    }
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return the statistical alpha."""
@@ -458,15 +460,11 @@ class Resonator(Absorber):
     least: ClassVar[float] = 0.1
     steps: ClassVar[int] = 6
     parameter_units: ClassVar[Mapping[str, str]] = {"area": " m²", "resonance": " Hz"}
-
-    def limits(self, room: Room | None) -> Limits:
-        """Return an area of wall, 1 Hz to 100 kHz and Q from 0.01 to 1000."""
-        return {**super().limits(room), "resonance": (1.0, 1e5), "quality": (0.01, 1e3)}
-
-    def kinds(self) -> Sequence[Parameters]:
-        """Return 60 to 500 Hz and Q from 0.8 to 3.5, with a0 = 0.8."""
-        both = product(np.geomspace(60, 500, 8).tolist(), (0.8, 1.6, 3.5))
-        return [{"resonance": f0, "quality": q} for f0, q in both]
+    ranges: ClassVar[Limits] = {"resonance": (1.0, 1e5), "quality": (0.01, 1e3)}
+    tried: ClassVar[Mapping[str, Sequence[float]]] = {
+        "resonance": np.geomspace(60, 500, 8).tolist(),
+        "quality": (0.8, 1.6, 3.5),
+    }
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return alpha, averaged over each octave."""
@@ -502,15 +500,11 @@ class Membrane(Absorber):
         "mass": " kg/m²",
         "airspace": " m",
     }
-
-    def limits(self, room: Room | None) -> Limits:
-        """Return an area of wall, 1 g/m² to 10 t/m² and 0.1 mm to 10 m of air."""
-        return {**super().limits(room), "mass": (1e-3, 1e4), "airspace": (1e-4, 10.0)}
-
-    def kinds(self) -> Sequence[Parameters]:
-        """Return 5 and 10 kg/m² before 0.02 to 0.2 m of air: 42 to 190 Hz."""
-        both = product((5.0, 10.0), (0.02, 0.06, 0.2))
-        return [{"mass": m, "airspace": d} for m, d in both]
+    ranges: ClassVar[Limits] = {"mass": (1e-3, 1e4), "airspace": (1e-4, 10.0)}
+    tried: ClassVar[Mapping[str, Sequence[float]]] = {
+        "mass": (5.0, 10.0),
+        "airspace": (0.02, 0.06, 0.2),
+    }
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return alpha, averaged over each octave."""
@@ -540,11 +534,9 @@ class People(AbsorbingObject):
     size_error: ClassVar[float] = 0.35  # tables differ by half: how they stand, what they wear
     unit: ClassVar[str] = "persons"
     parameter_units: ClassVar[Mapping[str, str]] = {"persons": " persons"}
-
-    def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return as many as make 0.08 to 1.3 times the room's absorption area at 1 kHz."""
-        counts = np.geomspace(0.08, 1.3, 10) * middle_absorption(state) / AT_1_KHZ
-        return [{"persons": float(n)} for n in counts]
+    least: ClassVar[float] = 0.08
+    most: ClassVar[float] = 1.3
+    of_one: ClassVar[float] = AT_1_KHZ
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the people."""
@@ -573,11 +565,8 @@ class Audience(AbsorbingObject):
 
     # Relative to 1 kHz, 63 Hz to 8 kHz.
     SEATED: ClassVar[tuple[float, ...]] = (0.30, 0.42, 0.58, 0.80, 1.0, 1.07, 1.05, 0.97)
-
-    def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return 0.08 to 1.3 times the room's absorption area."""
-        sizes = np.geomspace(0.08, 1.3, 10) * middle_absorption(state)
-        return [{"absorption_area": float(a)} for a in sizes]
+    least: ClassVar[float] = 0.08
+    most: ClassVar[float] = 1.3
 
     def limits(self, room: Room | None) -> Limits:
         """Return what covers at most all surfaces."""
@@ -610,11 +599,8 @@ class Furniture(AbsorbingObject):
         "absorption_area": " m² of absorption area at 1 kHz"
     }
     SPECTRUM: ClassVar[tuple[float, ...]] = (0.45, 0.6, 0.75, 0.88, 1.0, 1.08, 1.1, 1.1)
-
-    def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return 0.05 to 1.1 times the room's absorption area."""
-        sizes = np.geomspace(0.05, 1.1, 12) * middle_absorption(state)
-        return [{"absorption_area": float(a)} for a in sizes]
+    most: ClassVar[float] = 1.1
+    steps: ClassVar[int] = 12
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the objects."""
@@ -656,8 +642,9 @@ class OfMaterial(WrongStatement):
     """An effect that contradicts what the room states of one material: parameter ``material``."""
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the rows of the room's materials."""
-        return {"material": (0.0, np.inf if room is None else room.n_materials - 1.0)}
+        """Return the rows of the room's materials, and `ranges`."""
+        last = np.inf if room is None else room.n_materials - 1.0
+        return {"material": (0.0, last), **self.ranges}
 
     def material(self, parameters: Parameters, room: Room) -> str | None:
         """Return the name of the material."""
@@ -685,16 +672,13 @@ class WrongArea(OfMaterial):
     neutral: ClassVar[float] = 1.0
     discrete: ClassVar[Sequence[str]] = ("material",)
     size_error: ClassVar[float] = 0.0
+    ranges: ClassVar[Limits] = {"ratio": RATIOS}
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return each material with 0.35 to 2.9 times its area."""
         ratios = [r for r in np.geomspace(0.35, 2.9, 12) if abs(r - 1) > 0.05]
         both = product(range(len(state.areas)), ratios)
         return [{"material": float(j), "ratio": float(r)} for j, r in both]
-
-    def limits(self, room: Room | None) -> Limits:
-        """Return a material of the room, and `RATIOS` of its area."""
-        return {**super().limits(room), "ratio": RATIOS}
 
     def density(self, parameters: Parameters, state: RoomState) -> float:
         """Return a normal density of ln ratio, of standard deviation 0.5."""
@@ -740,6 +724,7 @@ class WrongVolume(WrongStatement):
     unit: ClassVar[str] = "of the stated volume"
     neutral: ClassVar[float] = 1.0
     size_error: ClassVar[float] = 0.04
+    ranges: ClassVar[Limits] = {"ratio": RATIOS}
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return ratios within four standard deviations, and those about the `FACTORS`.
@@ -764,10 +749,6 @@ class WrongVolume(WrongStatement):
         """Return ln of the factors of gross mistakes, and of their inverses."""
         logs = np.log([*self.FACTORS])
         return np.concatenate([logs, -logs])
-
-    def limits(self, room: Room | None) -> Limits:
-        """Return `RATIOS`."""
-        return {"ratio": RATIOS}
 
     def density(self, parameters: Parameters, state: RoomState) -> float:
         """Return the density of ln ratio; see `densities`."""
@@ -810,16 +791,13 @@ class WrongFormula(WrongStatement):
     parameter_values: ClassVar[Mapping[str, Sequence[str]]] = {
         "equation": [f"{e.name}'s equation" for e in EQUATIONS]
     }
+    ranges: ClassVar[Limits] = {"equation": (0.0, len(EQUATIONS) - 1.0)}
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return the equations that the model does not use."""
         return [
             {"equation": float(i)} for i, e in enumerate(self.EQUATIONS) if e.key != state.equation
         ]
-
-    def limits(self, room: Room | None) -> Limits:
-        """Return the equations' numbers."""
-        return {"equation": (0.0, len(self.EQUATIONS) - 1.0)}
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room under that equation."""
@@ -849,6 +827,7 @@ class CoveredSurface(OfMaterial):
     parameter_units: ClassVar[Mapping[str, str]] = {"share": " of its area covered"}
     stands_on: ClassVar[Sequence[str]] = ("floor", "wall", "ceiling")
     shares: ClassVar[Sequence[float]] = (0.12, 0.2, 0.33, 0.55, 0.9)
+    ranges: ClassVar[Limits] = {"share": (0.0, 1.0)}
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return each material that is softer than the cover, covered by 0.12 to 0.9."""
@@ -856,10 +835,6 @@ class CoveredSurface(OfMaterial):
         rows = np.flatnonzero(middle > 2 * HARD)
         rows = rows if len(rows) else np.array([int(np.argmax(middle))])
         return [{"material": float(j), "share": s} for j, s in product(rows, self.shares)]
-
-    def limits(self, room: Room | None) -> Limits:
-        """Return a material of the room, and a share from 0 to 1."""
-        return {**super().limits(room), "share": (0.0, 1.0)}
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
         """Return the cover's alpha."""
@@ -887,15 +862,11 @@ class NoiseFloor(Effect):
     not_in_simulator: ClassVar[str | None] = (
         "a simulator's decay has no noise; take the noise off the measurement"
     )
-
-    def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return -62 to -30 dB, over 1.5 and 2.5 reverberation times."""
-        levels = np.linspace(-62, -30, 17).tolist()
-        return [{"level": x, "record": r} for x, r in product(levels, (1.5, 2.5))]
-
-    def limits(self, room: Room | None) -> Limits:
-        """Return noise that is weaker than the start of the decay, over 0.1 T or longer."""
-        return {"level": (-200.0, 0.0), "record": (0.1, 100.0)}
+    ranges: ClassVar[Limits] = {"level": (-200.0, 0.0), "record": (0.1, 100.0)}
+    tried: ClassVar[Mapping[str, Sequence[float]]] = {
+        "level": np.linspace(-62, -30, 17).tolist(),
+        "record": (1.5, 2.5),
+    }
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with this noise in its decays."""
@@ -915,14 +886,10 @@ class DirectSound(Effect):
     parameter_units: ClassVar[Mapping[str, str]] = {"gain": " dB"}
     # A simulator's source has a directivity of its own.
     not_in_simulator: ClassVar[str | None] = None
-
-    def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return -9 to +9 dB."""
-        return [{"gain": g} for g in (-9.0, -6.0, -4.0, -2.0, 2.0, 4.0, 6.0, 9.0)]
-
-    def limits(self, room: Room | None) -> Limits:
-        """Return -40 to +40 dB, beyond any loudspeaker's directivity."""
-        return {"gain": (-40.0, 40.0)}
+    ranges: ClassVar[Limits] = {"gain": (-40.0, 40.0)}  # beyond any loudspeaker's directivity
+    tried: ClassVar[Mapping[str, Sequence[float]]] = {
+        "gain": (-9.0, -6.0, -4.0, -2.0, 2.0, 4.0, 6.0, 9.0)
+    }
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the direct sound so much stronger."""
@@ -945,16 +912,11 @@ class OmittedAir(Effect):
         "temperature": (15.0, 30.0, 3.0),
         "humidity": (20.0, 70.0, 10.0),
     }
-
-    def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return 10 to 35 °C and 8 to 95 %."""
-        temperatures = (10.0, 14.0, 18.0, 22.0, 26.0, 30.0, 35.0)
-        humidities = (8.0, 13.0, 20.0, 27.0, 35.0, 45.0, 57.0, 70.0, 95.0)
-        return [{"temperature": t, "humidity": h} for t, h in product(temperatures, humidities)]
-
-    def limits(self, room: Room | None) -> Limits:
-        """Return the range of ISO 9613-1."""
-        return {"temperature": (-20.0, 50.0), "humidity": (1.01, 100.0)}
+    ranges: ClassVar[Limits] = {"temperature": (-20.0, 50.0), "humidity": (1.01, 100.0)}
+    tried: ClassVar[Mapping[str, Sequence[float]]] = {
+        "temperature": (10.0, 14.0, 18.0, 22.0, 26.0, 30.0, 35.0),
+        "humidity": (8.0, 13.0, 20.0, 27.0, 35.0, 45.0, 57.0, 70.0, 95.0),
+    }
 
     def density(self, parameters: Parameters, state: RoomState) -> float:
         """Return the density of an indoor climate: even over `INDOORS`, normal tails beyond it."""
@@ -1021,14 +983,10 @@ class NonDiffuse(Effect):
     needs_directions: ClassVar[bool] = True
     # A simulator with geometry has such a field by itself.
     not_in_simulator: ClassVar[str | None] = None
-
-    def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return s = 0.01 to 0.3."""
-        return [{"scattering": float(s)} for s in np.geomspace(0.01, 0.3, 9)]
-
-    def limits(self, room: Room | None) -> Limits:
-        """Return 0 to 1."""
-        return {"scattering": (0.0, 1.0)}
+    ranges: ClassVar[Limits] = {"scattering": (0.0, 1.0)}
+    tried: ClassVar[Mapping[str, Sequence[float]]] = {
+        "scattering": np.geomspace(0.01, 0.3, 9).tolist()
+    }
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with this scattering."""

@@ -87,7 +87,8 @@ def log_mixture(one: Array, other: Array, share: float) -> Array:
 
     ``one`` and ``other`` are log densities of the same data, of one shape.
     """
-    return np.asarray(np.logaddexp(np.log1p(-share) + one, np.log(share) + other))
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.logaddexp(np.log1p(-share) + one, np.log(share) + other))
 
 
 def log_sums(labels: Sequence[Label], log: Array) -> dict[Label, Array]:

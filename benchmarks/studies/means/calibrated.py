@@ -25,10 +25,10 @@ from benchmarks.studies.means.second_world import WORLDS, place, truth_of
 from rtcal.finder import Case, library
 from rtcal.finder import evidence as densities
 from rtcal.finder.claim import posterior
-from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.problem import (
     MeansProblem,
     estimate_discrepancy,
+    evaluate,
     observe,
     predict_hypotheses,
 )

@@ -26,14 +26,15 @@ from rtcal.finder import Case, library
 from rtcal.finder import evidence as densities
 from rtcal.finder.evidence import DEGREES
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.evidence import evaluate, score
 from rtcal.finder.means.problem import (
     MeansProblem,
     alpha_covariance,
     distances,
     estimate_discrepancy,
+    evaluate,
     observe,
     predict_hypotheses,
+    score,
     state,
 )
 from rtcal.finder.model import predict

@@ -57,11 +57,12 @@ from benchmarks.studies.second_world.rooms import KINDS
 from benchmarks.studies.third_world import generate as third_world
 from rtcal.acoustics.room_errors import POWER
 from rtcal.finder import AppliedEffect, Case, library
-from rtcal.finder.means import evidence as bootstrap
+from rtcal.finder.means import problem as bootstrap
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.evidence import QUANTILE, evaluate
 from rtcal.finder.means.problem import (
+    QUANTILE,
     MeansProblem,
+    evaluate,
     observe,
     predict_hypotheses,
 )

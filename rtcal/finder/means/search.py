@@ -20,21 +20,19 @@ from rtcal.finder.means.engines import (
     checked_controls,
     control_rooms,
 )
-from rtcal.finder.means.evidence import (
-    Threshold,
-    bootstrap_threshold,
-    evaluate_beyond,
-)
-from rtcal.finder.means.evidence import score as evidence_of_something
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.problem import (
     LEVELS,
     MeansHypotheses,
     MeansProblem,
+    Threshold,
+    bootstrap_threshold,
+    evaluate_beyond,
     observe,
     predict_hypotheses,
     steps,
 )
+from rtcal.finder.means.problem import score as evidence_of_something
 from rtcal.finder.means.sets import (
     MOST,
     Rows,

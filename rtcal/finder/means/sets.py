@@ -35,10 +35,10 @@ from rtcal.finder.case import Case
 from rtcal.finder.claim import Names, families_of, family_of, most_probable_first
 from rtcal.finder.effects import AppliedEffect, Effect, added, changed_states
 from rtcal.finder.evidence import Factorization, student
-from rtcal.finder.means.evidence import MeansEvidence, unknown_evidence
 from rtcal.finder.means.problem import (
     COMMON_CORRELATION,
     AlphaCovariance,
+    MeansEvidence,
     MeansHypotheses,
     MeansProblem,
     distances,
@@ -46,6 +46,7 @@ from rtcal.finder.means.problem import (
     misfit_columns,
     predict_hypotheses,
     state,
+    unknown_evidence,
 )
 from rtcal.finder.model import RoomState, predict, sensitivities
 from rtcal.finder.prior import COEFFICIENTS, EXPECTED, NONE, UNKNOWN, Prior

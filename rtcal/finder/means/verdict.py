@@ -37,11 +37,13 @@ from rtcal.finder.claim import (
 from rtcal.finder.effects import AppliedEffect, Effect, Parameters, changed_states
 from rtcal.finder.evidence import Factorization
 from rtcal.finder.finding import End, Size
-from rtcal.finder.means.evidence import NEGLIGIBLE, MeansEvidence, evaluate
 from rtcal.finder.means.problem import (
+    NEGLIGIBLE,
+    MeansEvidence,
     MeansHypotheses,
     MeansProblem,
     alpha_covariance,
+    evaluate,
     log_densities,
     log_density,
     predict_hypotheses,

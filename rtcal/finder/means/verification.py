@@ -20,12 +20,12 @@ from rtcal.acoustics.observables import TARGET, observable
 from rtcal.files.disk import json_numbers
 from rtcal.finder.case import LEVELS, Case
 from rtcal.finder.claim import DISTINCT_NATS
-from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.finding import MeansFinding, feature_names
 from rtcal.finder.means.problem import (
     MeansProblem,
     ObservedFeatures,
     distances,
+    evaluate,
     observe,
     predict_hypotheses,
     state,
