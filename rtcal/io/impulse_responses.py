@@ -703,17 +703,15 @@ def _centres(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
 def _ranges(minimum_range: Mapping[str, float] | None) -> dict[str, float]:
     chosen = dict(MINIMUM_RANGE)
     stated = {} if minimum_range is None else minimum_range
-    for parameter, value in checks.mapped("minimum_range", stated).items():
-        value = checks.number(f"minimum_range[{checks.shown(parameter)}]", value)
-        if checks.text("minimum_range: a name", parameter).lower() not in chosen:
-            raise DataError(
-                f"minimum_range[{parameter}] = {value:g} dB; known are {', '.join(chosen)}"
-            )
+    for name, value in checks.mapped("minimum_range", stated).items():
+        parameter = checks.text("minimum_range: a name", name).lower()
+        place = f"minimum_range[{checks.shown(name)}]"
+        value = checks.number(place, value)
+        if parameter not in chosen:
+            raise DataError(f"{place} = {value:g} dB; known are {', '.join(chosen)}")
         if not 0 <= value < np.inf:
-            raise DataError(
-                f"minimum_range[{parameter}] = {value:g} dB is not finite and 0 or more"
-            )
-        chosen[parameter.lower()] = float(value)
+            raise DataError(f"{place} = {value:g} dB is not finite and 0 or more")
+        chosen[parameter] = value
     return chosen
 
 

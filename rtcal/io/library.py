@@ -27,7 +27,6 @@ from pathlib import Path
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import DecaySlope, of_kind
 from rtcal.files.disk import read_bytes
-from rtcal.io import workbook
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.table_columns import (
     COLUMNS,
@@ -43,8 +42,9 @@ from rtcal.io.table_columns import (
     plain,
     statistic_of,
 )
-from rtcal.io.table_layout import Row, Sheet, sheet_of_text
-from rtcal.io.text import MAX_TEXT, Text, decode, number, shown
+from rtcal.io.table_layout import Row, Sheet
+from rtcal.io.tables import sheets_of
+from rtcal.io.text import MAX_TEXT, Text, number, shown
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
@@ -174,10 +174,7 @@ def read(path: str | os.PathLike[str]) -> MaterialList:
 
 def _materials(file: Path) -> Iterator[ListedMaterial]:
     content = read_bytes(file, MAX_TEXT * 16)
-    if workbook.claims(content):
-        sheets = workbook.sheets(content, os.fspath(file), {})
-    else:
-        sheets = [sheet_of_text(decode(content, os.fspath(file)), os.fspath(file))]
+    sheets = sheets_of(content, os.fspath(file))
     found = False
     for sheet in sheets:
         for material in _of_sheet(sheet, file.stem if len(sheets) == 1 else sheet.name):

@@ -165,24 +165,18 @@ def check_usable(responses: Iterable[tuple[str, Array]]) -> None:
     silent = []
     for place, time in responses:
         budget.require(len(time), budget.MAX_CHANNEL_SAMPLES, "samples", place)
-        check_finite(place, time)
+        if (bad := ~(np.abs(time) < _LARGEST)).any():  # the square of a larger one may overflow
+            first = int(np.argmax(bad))
+            below = f" below {_LARGEST:g}" if np.isfinite(time[first]) else ""
+            raise DataError(
+                f"{place}: sample {first + 1} of {len(time)} is {time[first]:g}, not a finite "
+                f"number{below}"
+            )
         if not np.any(time):
             silent.append(place)
     if silent:
-        raise DataError(
-            f"{', '.join(silent)}: silent, every sample is 0; leave "
-            f"{'it' if len(silent) == 1 else 'them'} out"
-        )
-
-
-def check_finite(place: str, time: Array) -> None:
-    """Raise DataError for a sample that is not finite, or whose square may not be."""
-    if (bad := ~(np.abs(time) < _LARGEST)).any():
-        first = int(np.argmax(bad))
-        raise DataError(
-            f"{place}: sample {first + 1} of {len(time)} is {time[first]:g}, not a finite number"
-            + (f" below {_LARGEST:g}" if np.isfinite(time[first]) else "")
-        )
+        them = "it" if len(silent) == 1 else "them"
+        raise DataError(f"{', '.join(silent)}: silent, every sample is 0; leave {them} out")
 
 
 def prepared(time: Array, sampling_rate: float) -> ResponseSamples:

@@ -35,7 +35,7 @@ from rtcal.acoustics.measurement import (
     require_repeats,
 )
 from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, TARGET, parameter_label
-from rtcal.files.disk import read_bytes
+from rtcal.files.disk import read_bytes, write_bytes
 from rtcal.io import instruments, workbook
 from rtcal.io.analysis import means, unusual
 from rtcal.io.table_columns import (
@@ -259,9 +259,26 @@ def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
     """Write the native table, one value per row: CSV, or a workbook if the name ends in .xlsx."""
     checks.instance("measurement", measurement, Measurement)
     if checks.path("path", path).suffix.lower() == workbook.ENDING:
-        workbook.write({"measurement": csv_rows(measurement.to_dict())}, path)
+        write_bytes(path, workbook.content({"measurement": csv_rows(measurement.to_dict())}))
     else:
         measurement.save(os.fspath(path))
+
+
+def sheets_of(
+    content: bytes,
+    path: str,
+    where: Mapping[str, str] | None = None,
+    extra_columns: Collection[str] = (),
+) -> list[Sheet]:
+    """Return the sheets of a file by the first of `FORMATS` that claims it, else of its text.
+
+    ``where`` selects the widths of bands of REW's text, ``extra_columns`` are columns without values.
+    """
+    for module in FORMATS:
+        if module.claims(content):
+            sheets: list[Sheet] = module.sheets(content, path, where or {})
+            return sheets
+    return [sheet_of_text(decode(content, path), path, extra_columns)]
 
 
 def _tables(content: bytes, path: str, options: _Options) -> tuple[list[CellTable], list[str]]:
@@ -270,11 +287,7 @@ def _tables(content: bytes, path: str, options: _Options) -> tuple[list[CellTabl
     An error of a sheet names those that are tables.
     """
     extra = {*options.where, *options.ignore}
-    module = next((module for module in FORMATS if module.claims(content)), None)
-    if module is None:
-        of_file = [sheet_of_text(decode(content, path), path, extra)]
-    else:
-        of_file = module.sheets(content, path, options.where)
+    of_file = sheets_of(content, path, options.where, extra)
     if options.repeats:
         of_file = [
             replace(s, rows=tuple((at, with_repeats(cells)) for at, cells in s.rows))

@@ -12,17 +12,14 @@ from __future__ import annotations
 
 import datetime
 import io
-import os
 import re
 import warnings
 import zipfile
-import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
 from pathlib import Path
 from typing import Any
 
-from rtcal.files.disk import write_bytes
 from rtcal.io import budget
 from rtcal.io.table_layout import Row, Sheet
 from rtcal.io.text import shown
@@ -95,14 +92,7 @@ def _check_size(content: bytes, path: str) -> None:
                 continue
             try:
                 part = archive.read(name)
-            except (
-                zipfile.BadZipFile,
-                zlib.error,
-                RuntimeError,
-                ValueError,
-                OSError,
-                EOFError,
-            ) as error:
+            except Exception as error:  # zipfile and zlib raise what they meet
                 raise DataError(
                     f"{path}: not a workbook (xlsx): its part {name} is damaged"
                 ) from error
@@ -218,13 +208,10 @@ def _text(cell: Any, formula: Any, place: str) -> str:
     return " ".join(str(value).split())
 
 
-def write(
-    tables: Mapping[str, Sequence[Sequence[Any]]],
-    path: str | os.PathLike[str],
-    *,
-    notes: Mapping[str, str] | None = None,
-) -> None:
-    """Write one sheet per table: a header and rows of numbers, texts and None, whole or not at all.
+def content(
+    tables: Mapping[str, Sequence[Sequence[Any]]], *, notes: Mapping[str, str] | None = None
+) -> bytes:
+    """Return the bytes of a workbook with one sheet per table: a header and rows of values and None.
 
     A table has its header in row 1 and its values from A2 on, so that another workbook can refer to a
     cell and finds it there after the next calibration, too. ``notes`` are remarks by the table's name,
@@ -237,13 +224,6 @@ def write(
     MissingDependencyError
         Without openpyxl.
     """
-    write_bytes(path, content(tables, notes=notes))
-
-
-def content(
-    tables: Mapping[str, Sequence[Sequence[Any]]], *, notes: Mapping[str, str] | None = None
-) -> bytes:
-    """Return the bytes of a workbook; see `write`."""
     openpyxl = _library()
     book = openpyxl.Workbook()
     book.remove(book.active)

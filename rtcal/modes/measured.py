@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from rtcal.acoustics.observables import LIMITS
 from rtcal.acoustics.room import fingerprint
 from rtcal.files.disk import read_bytes
-from rtcal.io import workbook
 from rtcal.io.table_columns import (
     COLUMNS,
     DOUBTFUL,
@@ -34,8 +33,9 @@ from rtcal.io.table_columns import (
     plain,
     statistic_of,
 )
-from rtcal.io.table_layout import Sheet, of_width, sheet_of_text, with_units
-from rtcal.io.text import MAX_TEXT, decode, number, shown
+from rtcal.io.table_layout import of_width, with_units
+from rtcal.io.tables import sheets_of
+from rtcal.io.text import MAX_TEXT, number, shown
 from rtcal.modes.room_modes import DECAY
 from rtcal.support import checks
 from rtcal.support.errors import DataError
@@ -219,8 +219,11 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
     <MeasuredModes: 2 from 34.1 to 42.7 Hz>
     """
     place = os.fspath(checks.path("path", path))
-    sheet = _sheet(read_bytes(path, MAX_TEXT), place)
-    place = sheet.place
+    sheets = sheets_of(read_bytes(path, MAX_TEXT), place)
+    if len(sheets) > 1:
+        named = ", ".join(f'"{shown(sheet.name)}"' for sheet in sheets)
+        raise DataError(f"{place}: the sheets are {named}; keep the one with the modes alone")
+    sheet, place = sheets[0], sheets[0].place
     (first, names), *below = sheet.rows
     while names and not names[-1]:
         names = names[:-1]
@@ -284,17 +287,6 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
             str(error),
         )
         raise DataError(told) from error
-
-
-def _sheet(content: bytes, place: str) -> Sheet:
-    """Return the cells of a table of modes: of a text, or of a workbook's only sheet with cells."""
-    if not workbook.claims(content):
-        return sheet_of_text(decode(content, place), place)
-    sheets = workbook.sheets(content, place, {})
-    if len(sheets) > 1:
-        names = ", ".join(f'"{shown(sheet.name)}"' for sheet in sheets)
-        raise DataError(f"{place}: the sheets are {names}; keep the one with the modes alone")
-    return sheets[0]
 
 
 def _refuse_unit(name: str, factor: float, place: str, value: float, of_whole: float) -> None:

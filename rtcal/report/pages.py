@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rtcal.calibration.result import CalibrationResult
+from rtcal.files.disk import write_bytes
 from rtcal.files.saved import load
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.positions.finding import PositionsFinding
@@ -110,7 +111,7 @@ def write_workbook(result: str | os.PathLike[str], path: str | os.PathLike[str])
 
     Raises DataError as `page_of`, and MissingDependencyError without openpyxl.
     """
-    workbook.write(sheets(_made(result)), path)
+    write_bytes(path, workbook.content(sheets(_made(result))))
 
 
 def sheets(made: Page) -> dict[str, list[list[Any]]]:
