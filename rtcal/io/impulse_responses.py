@@ -15,7 +15,11 @@ the end is 10 dB below the evaluation range. The range is
     INR = 10 lg(E 6 ln(10) / (EDT N)) dB,   E the energy, N the energy per second at the end.
 
 A file whose energy arrives late, such as the recording of a sweep or of interrupted noise, has no
-parameter at all. No other module imports pyfar and pyrato (``rtcal[measurement]``).
+parameter at all. No other module imports soundfile, pyfar and pyrato (``rtcal[measurement]``).
+
+Any container and coding that soundfile reads is read. What a file declares is checked before a sample
+is loaded, and one channel is loaded at a time: no more memory is needed than
+`budget.MAX_CHANNEL_SAMPLES` take.
 
 References: ISO 3382-1:2009; ISO 3382-2:2008, 5.3.3; Jacobsen and Rindel, J. Sound Vib. 117 (1987);
 Lundeby, Vigran, Bietz, Vorlaender, Acustica 81 (1995); Guski and Vorlaender, Acta Acust. united Ac.
@@ -27,7 +31,8 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -54,7 +59,7 @@ from rtcal.acoustics.observables import (
     DecaySlope,
     of_kind,
 )
-from rtcal.io import sofa, sound
+from rtcal.io import budget, sofa
 from rtcal.io.analysis import MOST_NAMED, Analysis, Floor, spread
 from rtcal.support import checks, library
 from rtcal.support.checks import text_name
@@ -119,9 +124,13 @@ def read(
     doubts = list[str]()
     for file in paths:
         of_sofa = sofa.claims(file)
-        opened = None if of_sofa else sound.opened(file)
-        doubts += () if opened is None else opened.doubts
-        for source, receiver, every in _of_sofa(file) if opened is None else _of_sound(opened):
+        if of_sofa:
+            measured = _of_sofa(file)
+        else:
+            of_file = sound_file(file)
+            doubts += of_file.doubts
+            measured = _of_sound(of_file)
+        for source, receiver, every in measured:
             text_name(f"{file}: a position", source + receiver)
             for name, response in _chosen(every, receiver, channels, os.fspath(file)):
                 if (source, name) in responses and not repeats:
@@ -137,6 +146,102 @@ def read(
     if repeats:
         require_repeats(places_of([*responses]), os.fspath(paths[0]))
     return _analysis(responses, bands, _ranges(minimum_range), progress, doubts)
+
+
+_RATES = 2000, 400_000  # Hz
+_BLOCK = 2**16
+_LOSSY = re.compile(r"MPEG|VORBIS|OPUS|ADPCM|GSM|G72|[UA]LAW|DWVW|NMS")
+_SIZE = re.compile(r": (\d+) \(should be (\d+)\)")
+_SLACK = 64  # bytes by which programs miscount the length in a header
+
+
+@dataclass(frozen=True)
+class SoundFile:
+    """Declarations of a sound file.
+
+    Parameters
+    ----------
+    path : str
+    n_samples : int
+        Of each channel.
+    n_channels : int
+    sampling_rate : float
+        Hz.
+    doubts : tuple of str
+        A lossy coding, and an end that is missing.
+    """
+
+    path: str
+    n_samples: int
+    n_channels: int
+    sampling_rate: float
+    doubts: tuple[str, ...]
+
+    def samples(self, channel: int) -> Array:
+        """Return the samples of a channel, from 0, (n_samples,); DataError if the file ends before."""
+        samples, position = np.empty(self.n_samples), 0
+        with _opened(self.path) as file:
+            for block in file.blocks(_BLOCK, always_2d=True):
+                block = block[: self.n_samples - position, channel]
+                samples[position : position + len(block)] = block
+                position += len(block)
+        if position < self.n_samples:
+            raise DataError(
+                f"{self.path}: it ends after {position} of the {self.n_samples} samples that it states"
+            )
+        return samples
+
+
+@contextmanager
+def _opened(path: str) -> Iterator[Any]:
+    """Yield soundfile's object of a file; DataError, in own words, for what it cannot read."""
+    soundfile = library("sound files need soundfile: pip install 'rtcal[measurement]'", "soundfile")
+    if not Path(path).is_file():
+        raise DataError(f"{path}: {'not a file' if Path(path).exists() else 'no such file'}")
+    try:
+        # As a stream, since the content and not the name shows the format.
+        with open(path, "rb") as stream, soundfile.SoundFile(stream) as file:
+            yield file
+    except soundfile.SoundFileError as error:
+        raise DataError(
+            f"{path}: cannot be read as sound: it is damaged, or in none of the formats of soundfile "
+            "(WAV, RF64, W64, AIFF, CAF, FLAC and others). Export it as WAV or FLAC"
+        ) from error
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror or error}") from error
+
+
+def sound_file(path: str | os.PathLike[str]) -> SoundFile:
+    """Return what a sound file declares.
+
+    Raises
+    ------
+    DataError
+        For a file that soundfile cannot read, has no samples or more than the budget of a
+        channel, or has a sampling rate that is none of 2 to 400 kHz.
+    MissingDependencyError
+        If soundfile is not installed.
+    """
+    place = os.fspath(path)
+    with _opened(place) as file:
+        n, channels, rate = file.frames, file.channels, file.samplerate
+        log, coding, name = file.extra_info, file.subtype, file.subtype_info
+    if n < 1:
+        raise DataError(f"{place}: no samples in it")
+    if not _RATES[0] <= rate <= _RATES[1]:
+        raise DataError(f"{place}: a sampling rate of {rate} Hz; 2 kHz to 400 kHz are read")
+    most = budget.MAX_CHANNEL_SAMPLES
+    remedy = f"that is {most / rate:.0f} s at {rate} Hz; keep the part with the decay"
+    budget.require(n, most, "samples in each channel", place, remedy)
+    doubts = []
+    if _LOSSY.search(coding):
+        doubts.append(
+            f"{place}: its coding, {name}, is lossy, so that the late decay is in doubt: WAV and FLAC "
+            "keep it"
+        )
+    if any(int(a) > int(b) + _SLACK and int(a) < 2**32 - 1 for a, b in _SIZE.findall(log)):
+        doubts.append(f"{place}: it is shorter than its header states, so that its end is missing")
+    return SoundFile(place, n, channels, float(rate), tuple(doubts))
 
 
 @dataclass(frozen=True)
@@ -158,7 +263,7 @@ class _Response:
     sampling_rate: float
 
 
-def _of_sound(file: sound.SoundFile) -> Iterator[tuple[str, str, list[_Response]]]:
+def _of_sound(file: SoundFile) -> Iterator[tuple[str, str, list[_Response]]]:
     """Yield source, receiver and channels of a sound file, named by its name."""
     stem = Path(file.path).stem
     match = _NAMES.search(stem)
@@ -258,7 +363,7 @@ def _analysis(
 ) -> Analysis:
     """Return the parameters of responses; ``doubts`` are notes on their files."""
     _libraries()
-    sound.check_usable((response.place, response.load()) for response in responses.values())
+    check_usable((response.place, response.load()) for response in responses.values())
     centres, fractions = _centres(bands, min(r.sampling_rate for r in responses.values()))
     shape = len(responses), len(centres)
     values = {p: np.full(shape, np.nan) for p in MINIMUM_RANGE}
@@ -269,9 +374,9 @@ def _analysis(
     short: dict[float, list[float]] = {}
     for i, (pair, response) in enumerate(responses.items()):
         rate = response.sampling_rate
-        samples = sound.prepared(response.load(), rate)
+        samples = prepared(response.load(), rate)
         onset = samples.onset
-        if samples.silence >= sound.LEAST_SILENCE:
+        if samples.silence >= LEAST_SILENCE:
             silences[pair] = samples.silence
         if samples.clipped:
             clipped.append(f"{response.place} ({samples.clipped} samples)")
@@ -317,7 +422,7 @@ def _analysis(
     if clipped:
         notes.append(
             f"clipped: {first_of(clipped, MOST_NAMED)}. Their largest value occurs "
-            f"{sound.LEAST_CLIPPED} times or more, that of a decay once. All their values are in "
+            f"{LEAST_CLIPPED} times or more, that of a decay once. All their values are in "
             "doubt, and no table says so: measure again at a lower level, or without these files"
         )
     if silences:
@@ -345,6 +450,116 @@ def _analysis(
         minimum_range=needed,
         notes=tuple(notes),
     )
+
+
+LEAST_SILENCE = 0.01
+"""Duration in s from which a note mentions the digital silence at the end of a response."""
+LEAST_CLIPPED = 4
+"""Number of samples at the largest value from which a response is clipped.
+
+A decay has one such sample, and by rounding a few at most. tests/test_impulse_responses.py
+tries both: decays of 10 to 24 bits, and the same clipped at half of the peak.
+"""
+
+_SMOOTH = 5.0
+"""Largest step beside a smooth maximum, in the file's smallest step.
+
+Samples of a parabola's top that are rounded to one value lie within one step of each other. At most
+three times as far from the top, and for a run of three at twice, are their neighbours: 4 steps lower,
+and 1 more by their own rounding.
+"""
+
+_LARGEST = 1e150
+"""Largest sample whose square is finite, with a margin for sums."""
+
+
+@dataclass(frozen=True)
+class ResponseSamples:
+    """A response with a peak of 1, without the silence at its end.
+
+    Parameters
+    ----------
+    time : array (n_samples,)
+    onset : int
+        The first sample within 20 dB of the peak (ISO 3382-1:2009, 5.3.2).
+    silence : float
+        Duration in s of the digital silence that was left out at the end.
+    clipped : int
+        Number of clipped samples; 0 for a response that is not clipped.
+    """
+
+    time: Array
+    onset: int
+    silence: float
+    clipped: int
+
+
+def check_usable(responses: Iterable[tuple[str, Array]]) -> None:
+    """Raise DataError for responses (n_samples,), with their names, that are silent or broken."""
+    silent = []
+    for place, time in responses:
+        budget.require(len(time), budget.MAX_CHANNEL_SAMPLES, "samples", place)
+        if (bad := ~(np.abs(time) < _LARGEST)).any():  # the square of a larger one may overflow
+            first = int(np.argmax(bad))
+            below = f" below {_LARGEST:g}" if np.isfinite(time[first]) else ""
+            raise DataError(
+                f"{place}: sample {first + 1} of {len(time)} is {time[first]:g}, not a finite "
+                f"number{below}"
+            )
+        if not np.any(time):
+            silent.append(place)
+    if silent:
+        them = "it" if len(silent) == 1 else "them"
+        raise DataError(f"{', '.join(silent)}: silent, every sample is 0; leave {them} out")
+
+
+def prepared(time: Array, sampling_rate: float) -> ResponseSamples:
+    """Return the samples of a usable response, (n_samples,).
+
+    Digital silence at the end, a run of equal samples, is left out. It is no noise, and would
+    mislead the search for the noise. A constant offset is taken off, since the band filters answer
+    the step at its end.
+    """
+    changes = np.flatnonzero(time != time[-1])
+    n_silent = len(time) - 1 - int(changes[-1]) if changes.size else 0
+    if n_silent > 1 and np.any(time[: len(time) - n_silent]):  # silence only after a sound
+        time = time[: len(time) - n_silent]
+    clipped = clipped_samples(time)
+    time = time - np.mean(time[-max(len(time) // 10, 1) :])
+    peak = np.max(np.abs(time))
+    time = time / (peak if peak > 0 else 1.0)
+    onset = int(np.argmax(np.abs(time) >= 0.1))
+    return ResponseSamples(time, onset, n_silent / sampling_rate, clipped)
+
+
+def clipped_samples(time: Array) -> int:
+    """Return the number of clipped samples, 0 unless there are `LEAST_CLIPPED`.
+
+    They are exactly at the largest positive or negative value. A smooth maximum that rounding has
+    flattened is not counted: its neighbours are a few of the file's steps lower.
+
+    Examples
+    --------
+    >>> loud = 5 * np.exp(-np.arange(100) / 20) * np.cos(np.arange(100))
+    >>> clipped_samples(np.clip(loud, -1, 1)), clipped_samples(loud)
+    (19, 0)
+    """
+    steps = np.abs(np.diff(time))
+    if not steps.any():
+        return 0
+    step, peak = float(np.min(steps[steps > 0])), float(np.max(np.abs(time)))
+    count = 0
+    for signed in (time, -time):
+        top = float(signed.max())
+        if top < peak / 2:
+            continue
+        at_top = np.concatenate([[False], signed == top, [False]]).astype(np.int8)
+        starts, ends = np.flatnonzero(np.diff(at_top) == 1), np.flatnonzero(np.diff(at_top) == -1)
+        outside = np.concatenate([[top], signed, [top]])
+        drop = top - np.minimum(outside[starts], outside[ends + 1])
+        n = int((ends - starts)[drop > _SMOOTH * step].sum())
+        count += n if n >= LEAST_CLIPPED else 0
+    return count
 
 
 def _bandwidth(centre: float, fractions: int) -> float:

@@ -31,8 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.room import Room
+from rtcal.io.impulse_responses import clipped_samples
 from rtcal.io.sofa import Responses
-from rtcal.io.sound import clipped_samples
 from rtcal.modes.measured import COMMON_ERROR, DECAY_ERROR, MeasuredModes, frequency_error
 from rtcal.modes.model import ABOVE, RoomPoles
 from rtcal.modes.room_modes import Complex, Poles
