@@ -201,7 +201,7 @@ def room(folder: Path) -> Path:
     return path
 
 
-def test_a_workbook_straight_into_calibrate_and_its_tables_out(
+def test_a_workbook_straight_into_calibrate(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "t.xlsx").write_bytes(NAMED["means beside positions"].content)
@@ -210,22 +210,8 @@ def test_a_workbook_straight_into_calibrate_and_its_tables_out(
     printed = capsys.readouterr()
     assert json.loads(printed.out)["measured"]["reverberation_time"] == pytest.approx([1.55, 1.35])
     assert "T20 of 2 pairs in 2 bands; `rtcal table" in printed.err
-    out = tmp_path / "tables.xlsx"
-    assert run("report", str(tmp_path / "done"), "--out", str(out), "-q") == 0
-    made = openpyxl.load_workbook(out)
-    assert made.sheetnames[:3] == ["summary", "bands", "materials"]
-    header = [cell.value for cell in made["bands"][1]]
-    at = header.index("reverberation_time_after")
-    assert [row[at] for row in made["bands"].iter_rows(min_row=2, values_only=True)] == (
-        pytest.approx([1.55, 1.35], rel=1e-6)
-    )
-    record = json.loads((tmp_path / "done" / "result.json").read_text())
-    alpha = record["materials"][0]["alpha_after"]
-    header = [cell.value for cell in made["materials"][1]]
-    at = header.index("alpha_after 125 Hz")
-    assert made["materials"].cell(2, at + 1).value == pytest.approx(alpha[0], rel=1e-15)
-    assert run("report", str(room(tmp_path)), "--out", str(out)) == 2
-    assert "room.toml: not JSON" in capsys.readouterr().err
+    assert run("report", str(room(tmp_path)), "--out", str(tmp_path / "tables.xlsx")) == 2
+    assert "room.toml" in capsys.readouterr().err
 
 
 def test_what_a_workbook_leaves_open_is_told_with_the_command(
