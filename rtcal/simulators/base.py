@@ -165,11 +165,12 @@ def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
     DataError
         If alpha is not (n_materials, n_bands), or a coefficient is not in [0, 1].
     """
-    ordered = in_order("alpha", alpha, of.materials, of.centre_frequencies)
-    alpha = checks.shaped("alpha", ordered, len(of.materials), len(of.centre_frequencies))
+    materials, frequencies = of.materials, of.centre_frequencies
+    ordered = in_order("alpha", alpha, materials, frequencies)
+    alpha = checks.shaped("alpha", ordered, len(materials), len(frequencies))
     if (outside := ~((alpha >= 0) & (alpha <= 1))).any():
         i, k = (int(v) for v in np.argwhere(outside)[0])
-        place = f'alpha["{of.materials[i]}", {bands.label(of.centre_frequencies[k])}]'
+        place = f'alpha["{materials[i]}", {bands.label(frequencies[k])}]'
         raise DataError(f"{place} = {alpha[i, k]:g} is not in [0, 1]")
     return alpha
 

@@ -195,7 +195,7 @@ class Paths:
     @cached_property
     def _kept(self) -> list[int]:
         """Numbers of each source's paths that were not lost."""
-        return [self.n_paths - sum(batch.lost for batch in source) for source in self.batches]
+        return [self.n_paths - sum([b.lost for b in source]) for source in self.batches]
 
     @property
     def mean_free_path(self) -> float:
@@ -608,7 +608,7 @@ def trace(
     jobs = [(s, b) for s in range(len(sources)) for b in range(n_batches)]
     with thread_pool(workers) as pool:
         done = list(pool.map(trace_batch, jobs))
-    lost = sum(batch.lost for batch in done)
+    lost = sum([batch.lost for batch in done])
     if lost > max(1, MOST_LOST * per_batch * len(jobs)):
         raise DataError(
             f"{lost} of {per_batch * len(jobs)} paths hit no wall, at most {100 * MOST_LOST:g} % may: "
@@ -910,8 +910,11 @@ class PathTracing(Tracer):
         least ``seconds`` after the emission; see `Paths.energy`. DataError
         for ``seconds`` above `rtcal.simulators.tracer.LONGEST`, or another ``number``.
         """
-        alpha = check_alpha(self, alpha)
         self._check_number(number)
+        return self._energy(check_alpha(self, alpha), seconds, seed, number)
+
+    def _energy(self, alpha: Array, seconds: float, seed: int, number: int | None) -> Array:
+        """Return the `energy` for an alpha that was checked."""
         groups = self.bands_of_paths()
         decays = [
             self.traced(int(bands[0]), seconds, seed=seed).energy(
@@ -962,8 +965,9 @@ class PathTracing(Tracer):
     ) -> Array:
         """Return the energy decays of groups of the paths, each long enough for ``match``."""
         # Each group is to hold the decay times, so no mean over the groups is asked.
+        self._check_number(number)
         (groups,) = decay_long_enough(
-            lambda seconds: self.energy(alpha, seconds, seed=seed, number=number)[np.newaxis],
+            lambda seconds: self._energy(alpha, seconds, seed, number)[np.newaxis],
             self.room,
             alpha,
             longest(match),

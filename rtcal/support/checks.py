@@ -171,8 +171,10 @@ def shaped(place: str, value: object, *shape: int | str) -> Array:
     Read-only, so that what was checked stays.
     """
     found = array(place, value)
-    lengths = zip(found.shape, shape, strict=False)
-    if found.ndim != len(shape) or any(n != of for n, of in lengths if isinstance(of, int)):
+    fits = found.ndim == len(shape)
+    for n, of in zip(found.shape, shape, strict=False):
+        fits &= isinstance(of, str) or n == of
+    if not fits:
         raise DataError(f"{place} has shape {found.shape}; it is ({', '.join(map(str, shape))})")
     return read_only(found)
 
