@@ -33,7 +33,6 @@ from rtcal.acoustics.room_errors import in_words, prior_covariance, value_change
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.calibration.fit import Fit, Objective, fit
 from rtcal.calibration.problem import Calibration
-from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective
 from rtcal.loop.control_runs import (
     DIGITS,
@@ -351,7 +350,6 @@ class PositionsFit:
         self._problem = whole.build(room)
         self._times = None if calibration is None else measured
         self._residual, self._gaps = here.residual(), here.gaps()
-        self._no_limit = np.full(len(self._gaps), np.inf)
         # No parameter is given up for the others, but for what is no more than noise.
         self._limit = np.array([self._gaps[0], *np.maximum(self._gaps[1:], FITS)])
         self._unit = here.data.in_values(np.ones(len(here.data.used)))
@@ -378,7 +376,10 @@ class PositionsFit:
         least = objective.value(start, residual)
         most = min(least + _INDISTINCT, objective.value(self.room.alpha, self._residual))
         covariance = self._weighted(errors, _GAP_WEIGHTS[0])
-        way = self._answer(start, matrix, residual, covariance).alpha - start
+        values = residual + matrix @ start.ravel()
+        nearer = Observed(matrix=matrix, values=values, covariance=covariance)
+        answer = self._problem.solve(self._times, observed={POSITIONS: nearer}, method="positions")
+        way = answer.alpha - start
         rise = objective.value(start + way, residual - matrix @ way.ravel()) - least
         share = np.sqrt(_INDISTINCT / max(rise, _INDISTINCT))
         limit = np.maximum(gaps, FITS)
@@ -413,7 +414,7 @@ class PositionsFit:
         errors = self._errors(here, scattering, np.zeros(len(here.data.used)))
         # The first steps only lead near: with errors that were found at the start, where a simulator
         # is far from what was measured, its curvature would count as an error.
-        path = self._steps(here, errors, scattering, self._no_limit)
+        path = self._steps(here, errors, scattering, np.inf)
         for _ in range(_PASSES):
             scattering, before = self._stated_scattering(), errors.unexplained
             errors = self._errors(here, scattering)
@@ -423,7 +424,7 @@ class PositionsFit:
             begins_right = guarded and bool(np.isfinite(start))
             if begins_right and not (now <= start and (here.gaps() <= self._limit).all()):
                 here.move(self.room.alpha)
-            limit = self._limit if begins_right else self._no_limit
+            limit = self._limit if begins_right else np.inf
             path = self._steps(here, errors, scattering, limit)
             if np.abs(errors.unexplained - before).max() < _ALIKE:
                 break
@@ -457,7 +458,7 @@ class PositionsFit:
             scattering = FittedScattering(tracer, materials, stated.errors)
             errors = self._errors(here, scattering)
             best = self._better(best, Fitted(copy(here), path, errors, scattering), scattering)
-            path = self._steps(here, errors, scattering, self._no_limit)
+            path = self._steps(here, errors, scattering, np.inf)
             ended = Fitted(here, path, errors, scattering)
             best = self._better(best, ended, scattering)
             likely = materials.likely(ended.pull).round(DIGITS)
@@ -529,7 +530,7 @@ class PositionsFit:
         here: Linearisation,
         errors: FitErrors,
         scattering: FittedScattering | None,
-        limit: Array,
+        limit: Array | float,
         weight: float = 0.0,
     ) -> Fit:
         """Take Gauss-Newton steps from where the here is; it is left where they end.
@@ -558,14 +559,6 @@ class PositionsFit:
         found = np.linalg.inv(information)
         # Rounding, which large references make large, leaves it asymmetric.
         return np.asarray(found + found.T) / 2
-
-    def _answer(
-        self, at: Array, matrix: Array, residual: Array, covariance: Array
-    ) -> CalibrationResult:
-        """Return the QP's answer with the simulator linearised at coefficients."""
-        values = residual + matrix @ at.ravel()
-        numbers = Observed(matrix=matrix, values=values, covariance=covariance)
-        return self._problem.solve(self._times, observed={POSITIONS: numbers}, method="positions")
 
     def _better(
         self, best: Fitted | None, other: Fitted, scattering: FittedScattering
