@@ -368,19 +368,16 @@ class Room:
 
     def _check_surfaces(self) -> None:
         """Raise DataError unless the surfaces, if there are any, add up to the stated areas."""
-        drawn = dict.fromkeys(self.materials, 0.0)
+        drawn = np.zeros(self.n_materials)
         for surface in self.surfaces:
-            if surface.material not in drawn:
+            drawn[self._row(f'surface["{surface.name}"].material', surface.material)] += (
+                surface.area
+            )
+        for material, area, of in zip(self.materials, self.areas, drawn, strict=True):
+            if self.surfaces and not np.isclose(of, area, rtol=1e-9, atol=0):
                 raise DataError(
-                    f'surface["{surface.name}"].material = "{surface.material}" is no material of '
-                    f"the room; it has {', '.join(self.materials)}"
-                )
-            drawn[surface.material] += surface.area
-        for material, area in zip(self.materials, self.areas, strict=True):
-            if self.surfaces and not np.isclose(drawn[material], area, rtol=1e-9, atol=0):
-                raise DataError(
-                    f'areas["{material}"] = {area:g} m², but its surfaces sum to '
-                    f"{drawn[material]:g} m²; change both, or leave the surfaces out (surfaces=())"
+                    f'areas["{material}"] = {area:g} m², but its surfaces sum to {of:g} m²; change '
+                    "both, or leave the surfaces out (surfaces=())"
                 )
 
     def _check_correlation(self) -> None:
@@ -394,14 +391,8 @@ class Room:
             if not isinstance(pair, tuple) or len(pair) != 2:
                 raise DataError(f"material_correlation: {pair!r} is not a pair of materials")
             place = f'material_correlation["{pair[0]}", "{pair[1]}"]'
-            checks.number(place, value)
-            if unknown := [name for name in pair if name not in self.materials]:
-                raise DataError(
-                    f'{place}: "{unknown[0]}" is no material of the room; it has '
-                    f"{', '.join(self.materials)}"
-                )
-            i, j = (self.materials.index(name) for name in pair)
-            if i == j or not -1 < value < 1:
+            i, j = (self._row(place, name) for name in pair)
+            if i == j or not -1 < checks.number(place, value) < 1:
                 raise DataError(
                     f"{place} = {value:g} is not a value between -1 and 1 for two materials"
                 )
@@ -420,12 +411,10 @@ class Room:
         if isinstance(listed, np.ndarray):
             listed = listed.tolist()
         if isinstance(listed, Mapping):
-            if unknown := [name for name in listed if name not in self.materials]:
-                raise DataError(
-                    f'area_sigma["{unknown[0]}"]: no material of the room has that name; it has '
-                    f"{', '.join(self.materials)}"
-                )
-            listed = [listed.get(name, 0.0) for name in self.materials]
+            stated = {
+                self._row(f'area_sigma["{name}"]', name): value for name, value in listed.items()
+            }
+            listed = [stated.get(i, 0.0) for i in range(self.n_materials)]
         elif not isinstance(listed, list | tuple):
             listed = [listed] * self.n_materials
         elif all(type(v) in (int, float) and v == 0 for v in listed):
@@ -440,11 +429,11 @@ class Room:
             if not isinstance(value, str):
                 values.append(_relative(place, value))
                 continue
-            try:
-                square_metres = float(value.strip().removesuffix("m²"))
-            except ValueError:
-                square_metres = np.nan
-            if not value.strip().endswith("m²") or np.isnan(square_metres):
+            stated_in, _, rest = value.partition("m²")
+            square_metres = np.nan
+            with suppress(ValueError):
+                square_metres = float(stated_in)
+            if rest.strip() or "m²" not in value or np.isnan(square_metres):
                 raise DataError(
                     f'{place} = "{value[:40]}" is no number with the unit m² (written with ²), such as '
                     '"1.5 m²"; a share of the area is a number without quotes, such as 0.1'
@@ -546,6 +535,13 @@ class Room:
                 raise DataError(f"{axis} = {checks.shown(place)} is not from 0 to {count - 1}")
         frequency = bands.label(self.centre_frequencies[band])
         return f'{name}["{self.materials[material]}", {frequency}]'
+
+    def _row(self, place: str, name: object) -> int:
+        if name not in self.materials:
+            raise DataError(
+                f'{place}: "{name}" is no material of the room; it has {", ".join(self.materials)}'
+            )
+        return self.materials.index(str(name))
 
     def material_index(self, name: str) -> int:
         """Return the row of the material ``name``; DataError if the room has none of that name."""
