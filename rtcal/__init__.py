@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from rtcal import studies as studies
     from rtcal.acoustics import priors as priors
     from rtcal.acoustics.air import Air as Air
-    from rtcal.acoustics.directivity import Directivity as Directivity
     from rtcal.acoustics.equations import ArauPuchades as ArauPuchades
     from rtcal.acoustics.equations import Eyring as Eyring
     from rtcal.acoustics.equations import Fitzroy as Fitzroy
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.room import Material as Material
     from rtcal.acoustics.room import Room as Room
     from rtcal.acoustics.room import Surface as Surface
+    from rtcal.acoustics.scene import Directivity as Directivity
     from rtcal.acoustics.scene import Scene as Scene
     from rtcal.calibration import archive as archive
     from rtcal.calibration import exact as exact

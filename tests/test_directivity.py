@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.directivity import Directivity, DirectivityFile
+from rtcal.acoustics.scene import Directivity, DirectivityFile
 from rtcal.datasets import halls
 from rtcal.io import balloon, geometry_files
 from rtcal.simulators import kernels

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.directivity import Lobe
 from rtcal.acoustics.observables import OBSERVABLES, parameter_label
 from rtcal.acoustics.priors import TIERS, SigmaRule
-from rtcal.acoustics.scene import GeometryTable, Places, Scene, SceneTables
+from rtcal.acoustics.scene import GeometryTable, Lobe, Places, Scene, SceneTables
 from rtcal.files.disk import json_numbers, read_text, write_text
 from rtcal.files.schema import FileTable, Number, Share, read, toml_table, toml_text
 from rtcal.support import blocks, checks

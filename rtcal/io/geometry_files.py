@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from rtcal.acoustics.directivity import DirectivityFile
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.scene import DirectivityFile
 from rtcal.io import balloon, obj
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing

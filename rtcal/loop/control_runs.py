@@ -33,10 +33,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
 from rtcal.acoustics import bands, decay
-from rtcal.acoustics.directivity import plain_directivities
 from rtcal.acoustics.observables import REVERBERATION
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import POSITION, checked_uncertainty
+from rtcal.acoustics.scene import POSITION, checked_uncertainty, plain_directivities
 from rtcal.files import disk
 from rtcal.files.disk import json_numbers
 from rtcal.simulators.base import Observations, Simulator, complete, observe

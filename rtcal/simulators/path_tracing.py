@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.directivity import Directivity, DirectivityFile, directivities
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, longest
+from rtcal.acoustics.scene import Directivity, DirectivityFile, directivities
 from rtcal.simulators import base
 from rtcal.simulators.base import Observations, check_alpha
 from rtcal.simulators.facets import first_hit

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.directivity import DirectivityFile
+from rtcal.acoustics.scene import DirectivityFile
 from rtcal.finder.corrected import Corrected, corrected_geometry
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables

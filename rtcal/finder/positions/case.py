@@ -34,11 +34,10 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import band_conversion, bands
-from rtcal.acoustics.directivity import LARGEST_INDEX, UNKNOWN, Directivity
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import LEVEL, MATCH, observable, parameter_label
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import POSITION, checked_uncertainty
+from rtcal.acoustics.scene import LARGEST_INDEX, POSITION, UNKNOWN, Directivity, checked_uncertainty
 from rtcal.finder.positions import surfaces
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Divided, Faces

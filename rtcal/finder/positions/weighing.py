@@ -34,9 +34,9 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.directivity import Directivity, plain_directivities
 from rtcal.acoustics.observables import MATCH, TARGET, longest
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.scene import Directivity, plain_directivities
 from rtcal.files import disk
 from rtcal.finder.effects import HARD
 from rtcal.finder.positions import surfaces as of_room

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import band_conversion
-from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, REVERBERATION, SUMMARY, parameter_label
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.scene import Directivity
 from rtcal.calibration.measured import notes_of_bands
 from rtcal.finder.case import CLIMATE_UNCERTAINTY, checked_climate_uncertainty
 from rtcal.simulators import base
