@@ -129,15 +129,23 @@ class JointResult(JointSolution, Result):
     @cached_property
     def _separate(self) -> tuple[Densities, list[Draws]] | None:
         """The density and its draws where each band stands for itself; None else."""
-        try:
-            known = self.density()
-        except ModelError:  # lse, robust
-            return None
-        return (known, draws(known.posterior)) if known.separate else None
+        known = self.density() if self.has_density else None
+        return (known, draws(known.posterior)) if known and known.separate else None
 
-    @property
+    @cached_property
     def interval(self) -> tuple[Array, Array] | None:
-        """Ends of the coefficients' 90 % interval where each band stands for itself; None else."""
+        """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
+
+        It is `rtcal.posterior.distribution`'s: with the uncertainty of T, where one is stated, and it
+        holds the calibrated coefficient. In a room that states an uncertainty of its volume, areas,
+        climate or tables it is that of a normal density, cut at the bounds. None if that would need
+        samples (correlations, order, several configurations), or if the method has no posterior (`lse`,
+        `robust`).
+        """
+        if len(self.configurations.rooms) > 1 or not self.has_density:
+            return None
+        if self.has_shared_errors:
+            return self.gaussian_interval
         if self._separate is None:
             return None
         known, parts = self._separate
@@ -404,29 +412,12 @@ class CalibrationResult(Result):
         )
         return self.prior.replace(alpha=self.alpha, sigma=self.posterior_sigma, calibration=record)
 
-    @cached_property
+    @property
     def interval(self) -> tuple[Array, Array] | None:
-        """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
-
-        It is `rtcal.posterior.distribution`'s: with the uncertainty of T, where one is stated, and it
-        holds the calibrated coefficient. In a room that states an uncertainty of its volume, areas,
-        climate or tables it is that of a normal density, cut at the bounds. None if that would need
-        samples (correlations, order, several configurations), or if the method has no posterior (`lse`,
-        `robust`).
-        """
-        if len(self.joint.configurations.rooms) > 1:
+        """`JointResult.interval` of the room's materials."""
+        if self.joint.interval is None:
             return None
-        if self.joint.has_shared_errors:
-            try:
-                self.density()
-            except ModelError:  # the method has no posterior
-                return None
-            ends = self.joint.gaussian_interval
-        elif self.joint.interval is None:
-            return None
-        else:
-            ends = self.joint.interval
-        low, high = ends
+        low, high = self.joint.interval
         return low[self._rows], high[self._rows]
 
     def density(self) -> Densities:

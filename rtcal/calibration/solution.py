@@ -210,13 +210,19 @@ class JointSolution:
         tables = any(isinstance(t, PriorDeviation) and t.common for t in terms)
         return tables or self.matches_uncertain_room
 
+    @property
+    def has_density(self) -> bool:
+        """Whether the objective is a log-density: not of `lse` and `robust`."""
+        prior = self.composition.prior
+        return isinstance(prior, PriorDeviation) and prior.sigma is None
+
     def density(self) -> Densities:
         """Return the density of the unknowns, for `rtcal.posterior.distribution`.
 
         Raises ModelError if the objective is no log-density (`lse`, `robust`).
         """
         prior, numbers, layout = self.composition.prior, self.numbers, self.composition.layout
-        if not isinstance(prior, PriorDeviation) or prior.sigma is not None:
+        if not self.has_density:
             raise ModelError(
                 f"{prior!r} is no log-density of what is known of alpha: it has no posterior. Use "
                 'method "soft" or "mle"'
