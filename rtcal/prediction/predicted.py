@@ -264,8 +264,7 @@ class Prediction(Result):
         below = 1 - probability_within(self.samples, least, open_ended)
         above = probability_within(self.samples, open_ended, most)
         errors = bands.correlation(self.after.centre_frequencies, self.assumptions.band_correlation)
-        together = multivariate_normal(cov=errors, seed=0)
-        together.maxpts, together.abseps = _POINTS, 1e-4  # no arguments before SciPy 1.16
+        together = multivariate_normal(cov=errors, seed=0, maxpts=_POINTS, abseps=1e-4)
         return float(together.cdf(ndtri(above), lower_limit=ndtri(below)))
 
     def _logs(self, low: Array, high: Array) -> tuple[Array, Array]:
