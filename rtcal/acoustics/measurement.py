@@ -543,9 +543,9 @@ class Measurement:
     @classmethod
     def from_file(cls, path: str) -> Measurement:
         """Read a measurement from CSV; see `rtcal.acoustics.measurement` for the format."""
-        data = _read_csv(path)
+        rows = _read_csv(path)
         try:
-            return cls(**data)
+            return cls(**of_single_values(rows))
         except DataError as error:
             raise DataError(f"{path}: {error}") from error
 
@@ -590,59 +590,60 @@ MAX_CELLS = 2**20
 """Largest number of values in a file, pairs times bands times parameters; most may be empty."""
 
 
-def _read_csv(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the arguments of `Measurement` of a CSV file; DataError names file, line and rule."""
+Place = tuple[str, str, str, float]
+"""Source, receiver, parameter and band of a value."""
+
+
+def _read_csv(path: str | os.PathLike[str]) -> dict[Place, dict[str, float]]:
+    """Return the rows of a CSV file; DataError names file, line and rule."""
     if os.fspath(checks.path("path", path)).lower().endswith((".xlsx", ".xls")):
         raise DataError(
             f"{path}: a workbook, and no CSV: `rtcal table {path} --out t.csv` makes one of it"
         )
+    header: list[str] = []
+    rows: dict[Place, dict[str, float]] = {}
     # Not splitlines: it would also split at separators that may stand in a name.
-    lines = read_text(path, MAX_BYTES).split("\n")
-    numbered = [
-        (number, line)
-        for number, line in enumerate(lines, start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not numbered:
-        raise DataError(f"{path}: no rows; the first must name the columns {', '.join(_COLUMNS)}")
-    header = _header(numbered[0][1], f"{path}, line {numbered[0][0]}")
-    rows: dict[tuple[str, str, str, float], dict[str, float]] = {}
-    for number, line in numbered[1:]:
-        place = f"{path}, line {number}"
-        cells = _cells(line, place)
-        if len(cells) != len(header):
-            raise DataError(f"{place}: {len(cells)} cells; the header has {len(header)}")
-        cell = dict(zip(header, (c.strip() for c in cells), strict=True))
-        key, numbers = _row(cell, place)
-        if key in rows:
+    for number, line in enumerate(read_text(path, MAX_BYTES).split("\n"), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            cells = [cell.strip() for cell in next(csv.reader([line], strict=True))]
+            if not header:
+                header = _header([cell.lower() for cell in cells], line)
+                continue
+            if len(cells) != len(header):
+                raise DataError(f"{len(cells)} cells; the header has {len(header)}")
+            key, numbers = _row(dict(zip(header, cells, strict=True)))
+            if key in rows:
+                raise DataError(
+                    f"{parameter_label(key[2])} of {key[0]}, {key[1]} at {bands.label(key[3])} is "
+                    f"given twice; repeats at one place are {key[1]} and {key[1]}#2"
+                )
+        except csv.Error as error:
             raise DataError(
-                f"{place}: {parameter_label(key[2])} of {key[0]}, {key[1]} at "
-                f"{bands.label(key[3])} is given twice; repeats at one place are {key[1]} and "
-                f"{key[1]}#2"
-            )
+                f"{path}, line {number}: not a line of comma-separated values: {error}"
+            ) from error
+        except DataError as error:
+            raise DataError(f"{path}, line {number}: {error}") from error
         rows[key] = numbers
+    if not header:
+        raise DataError(f"{path}: no rows; the first must name the columns {', '.join(_COLUMNS)}")
     if not rows:
         raise DataError(f"{path}: no row with a value below the header")
-    try:
-        return of_single_values(rows)
-    except DataError as error:
-        raise DataError(f"{path}: {error}") from error
+    return rows
 
 
-def _header(line: str, place: str) -> list[str]:
-    header = [cell.strip().lower() for cell in _cells(line, place)]
+def _header(header: list[str], line: str) -> list[str]:
+    """Return the columns of a header; DataError for one that is missing, unknown or given twice."""
     if repeated := next((c for c, n in Counter(header).items() if n > 1), None):
-        raise DataError(f'{place}: column "{repeated}" is given twice')
-    for column in _COLUMNS:
-        if column not in header:
-            raise DataError(
-                f'{place}: column "{column}" is missing{_separator_note(line)}; `rtcal table` reads '
-                "other tables"
-            )
-    for column in header:
-        if column not in _COLUMNS + _OPTIONAL_COLUMNS:
-            allowed = ", ".join(_COLUMNS + _OPTIONAL_COLUMNS)
-            raise DataError(f'{place}: column "{column}" is not one of {allowed}')
+        raise DataError(f'column "{repeated}" is given twice')
+    allowed = _COLUMNS + _OPTIONAL_COLUMNS
+    if missing := [column for column in _COLUMNS if column not in header]:
+        raise DataError(
+            f'column "{missing[0]}" is missing{_separator_note(line)}; `rtcal table` reads other tables'
+        )
+    if unknown := [column for column in header if column not in allowed]:
+        raise DataError(f'column "{unknown[0]}" is not one of {", ".join(allowed)}')
     return header
 
 
@@ -654,44 +655,35 @@ def _separator_note(header: str) -> str:
     return ""
 
 
-def _cells(line: str, place: str) -> list[str]:
-    try:
-        return next(csv.reader([line], strict=True))
-    except csv.Error as error:
-        raise DataError(f"{place}: not a line of comma-separated values: {error}") from error
-
-
-def _row(
-    cell: Mapping[str, str], place: str
-) -> tuple[tuple[str, str, str, float], dict[str, float]]:
+def _row(cell: Mapping[str, str]) -> tuple[Place, dict[str, float]]:
     parameter = cell["parameter"].lower()
     if parameter not in OBSERVABLES:
         allowed = ", ".join(OBSERVABLES)
-        raise DataError(f'{place}: parameter "{cell["parameter"]}" is unknown; known: {allowed}')
-    band = _cell(cell, "band", place)
+        raise DataError(f'parameter "{cell["parameter"]}" is unknown; known: {allowed}')
+    band = _number(cell, "band")
     if not band > 0:
-        raise DataError(f'{place}: band = "{cell["band"]}" is not a frequency above 0 Hz')
-    numbers = {c: _cell(cell, c, place) for c in ("value", *_OPTIONAL_COLUMNS) if c in cell}
-    OBSERVABLES[parameter].refuse(f"{place}: {cell['parameter']}", numbers["value"])
+        raise DataError(f'band = "{cell["band"]}" is not a frequency above 0 Hz')
+    numbers = {c: _number(cell, c) for c in ("value", *_OPTIONAL_COLUMNS) if c in cell}
+    OBSERVABLES[parameter].refuse(cell["parameter"], numbers["value"])
     for column in _OPTIONAL_COLUMNS:
         if numbers.get(column, 0.0) < 0:
-            raise DataError(f"{place}: {column} = {numbers[column]:g} is below 0")
+            raise DataError(f"{column} = {numbers[column]:g} is below 0")
     return (cell["source"], cell["receiver"], parameter, bands.nominal(band)), numbers
 
 
-def _cell(cell: Mapping[str, str], column: str, place: str) -> float:
-    if not cell[column]:
-        return float("nan")
+def _number(cell: Mapping[str, str], column: str) -> float:
     text = cell[column]
+    if not text:
+        return float("nan")
     if text.lower().lstrip("+-") in ("inf", "infinity", "nan"):
-        raise DataError(f'{place}: {column} = "{text}" is not finite; leave it empty')
+        raise DataError(f'{column} = "{text}" is not finite; leave it empty')
     if not _NUMBER.fullmatch(text) or not np.isfinite(float(text)):
-        raise DataError(f'{place}: {column} = "{text[:40]}" is not a number')
+        raise DataError(f'{column} = "{text[:40]}" is not a number')
     return float(text)
 
 
 def of_single_values(
-    rows: Mapping[tuple[str, str, str, float], Mapping[str, float]],
+    rows: Mapping[Place, Mapping[str, float]],
 ) -> dict[str, Any]:
     """Return the arguments of `Measurement`, from values by source, receiver, parameter and band.
 
