@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.calibration.fit import Fit, Taken, fit, gauss_newton
+from rtcal.calibration.fit import GaussNewtonFit, Taken, fit, gauss_newton
 from rtcal.calibration.methods import METHODS, preset
 from rtcal.calibration.unknowns import Configurations
 from rtcal.support.errors import ModelError
@@ -476,7 +476,7 @@ def test_a_kind_of_data_from_outside_is_fitted() -> None:
     data = Levels(room, -10 * np.log10(room.areas @ twice))
     problem = rt.Calibration(PRIOR + term, []).build(room)
 
-    def fitted(most: int) -> Fit:
+    def fitted(most: int) -> GaussNewtonFit:
         return fit(problem, data, room.alpha, term=term, method="levels", most=most)
 
     ended = fitted(6)

@@ -67,7 +67,7 @@ class Observation(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class GaussNewtonStep:
     """A Gauss-Newton step.
 
     ``alpha`` (n_materials, n_bands) is where the model was linearised, ``matrix`` (n, n_materials *
@@ -82,11 +82,11 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class GaussNewtonFit:
     """Where the steps ended, the steps, and whether the last one settled."""
 
     alpha: Array
-    steps: tuple[Step, ...]
+    steps: tuple[GaussNewtonStep, ...]
     settled: bool
 
     @property
@@ -96,7 +96,7 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class Objective:
+class ModelObjective:
     """The objective with a model itself in place of the linearised one.
 
     ``answer`` is that of a QP of the problem, ``term`` the one of the data, and ``factor`` the Cholesky
@@ -135,8 +135,8 @@ def fit(
     halvings: int = 6,
     covariance: Array | None = None,
     allowed: Callable[[], bool] = lambda: True,
-    settled: Callable[[Step, Array], bool] | None = None,
-) -> Fit:
+    settled: Callable[[GaussNewtonStep, Array], bool] | None = None,
+) -> GaussNewtonFit:
     """Return where Gauss-Newton steps end: at no larger objective than that of the start.
 
     The start counts where it keeps the problem's bounds and constraints; from elsewhere the first step
@@ -178,7 +178,7 @@ def fit(
         left, matrix = residual(alpha), data.jacobian(alpha)
         observed = Observed(matrix=matrix, values=left + matrix @ alpha.ravel(), covariance=in_qp)
         answer = problem.solve(times, observed={term: observed}, method=method)
-        objective = Objective(answer, term, factor)
+        objective = ModelObjective(answer, term, factor)
         now = objective.value(alpha, left)
 
         def worse(end: Array) -> bool:
@@ -201,7 +201,7 @@ def fit(
 
     path = gauss_newton(start, linearised, most=most, halvings=halvings, settled=small, refuse=True)
     steps = tuple(s.model.step(float(s.share[0])) for s in path.steps)
-    return Fit(path.end, steps, path.settled)
+    return GaussNewtonFit(path.end, steps, path.settled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,8 +213,8 @@ class _LinearisedData:
     answer: CalibrationResult
     refuses: Callable[[Array], bool]
 
-    def step(self, share: float) -> Step:
-        return Step(self.start, self.matrix, share, self.answer)
+    def step(self, share: float) -> GaussNewtonStep:
+        return GaussNewtonStep(self.start, self.matrix, share, self.answer)
 
     def towards(self, share: Array) -> Array:
         return np.asarray(self.start + float(share[0]) * (self.answer.alpha - self.start))

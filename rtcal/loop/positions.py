@@ -31,7 +31,7 @@ from rtcal.acoustics.observables import LEVEL, MATCH, observable, parameter_labe
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import in_words, prior_covariance, value_changes
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
-from rtcal.calibration.fit import Fit, Objective, fit
+from rtcal.calibration.fit import GaussNewtonFit, ModelObjective, fit
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective
 from rtcal.loop.control_runs import (
@@ -267,7 +267,7 @@ class Fitted:
     ----------
     here : Linearisation
         The simulator with the fitted scattering, at the fitted alpha.
-    path : Fit
+    path : GaussNewtonFit
         The last Gauss-Newton steps.
     errors : FitErrors
         With which they were taken.
@@ -278,7 +278,7 @@ class Fitted:
     """
 
     here: Linearisation
-    path: Fit
+    path: GaussNewtonFit
     errors: FitErrors
     scattering: FittedScattering | None
     refused: bool = False
@@ -370,7 +370,7 @@ class PositionsFit:
         gap at the minimum.
         """
         here, errors = ended.here, ended.errors
-        objective = Objective(ended.path.answer, POSITIONS, errors.factor)
+        objective = ModelObjective(ended.path.answer, POSITIONS, errors.factor)
         offset, start, gaps = _offset(here, ended.scattering), here.alpha, here.gaps()
         residual, matrix = here.residual() + offset, here.linearised()
         least = objective.value(start, residual)
@@ -418,7 +418,7 @@ class PositionsFit:
         for _ in range(_PASSES):
             scattering, before = self._stated_scattering(), errors.unexplained
             errors = self._errors(here, scattering)
-            objective = Objective(path.answer, POSITIONS, errors.factor)
+            objective = ModelObjective(path.answer, POSITIONS, errors.factor)
             now = objective.value(here.alpha, here.residual())
             start = objective.value(self.room.alpha, self._residual)
             begins_right = guarded and bool(np.isfinite(start))
@@ -532,7 +532,7 @@ class PositionsFit:
         scattering: FittedScattering | None,
         limit: Array | float,
         weight: float = 0.0,
-    ) -> Fit:
+    ) -> GaussNewtonFit:
         """Take Gauss-Newton steps from where the here is; it is left where they end.
 
         ``weight`` is that of the squared gap in JND, which the steps lower beside the objective.
@@ -572,7 +572,7 @@ class PositionsFit:
         used = here.used
         unknown = materials.covariance[np.ix_(used, used)]
         factor = np.asarray(np.linalg.cholesky(other.errors.covariance - unknown))
-        objective = Objective(other.path.answer, POSITIONS, factor)
+        objective = ModelObjective(other.path.answer, POSITIONS, factor)
 
         def with_scattering(at: Linearisation, log_odds: Array) -> float:
             of_scattering = 0.5 * log_odds @ np.linalg.solve(materials.prior, log_odds)

@@ -58,7 +58,7 @@ from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions, value_changes
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
-from rtcal.calibration.fit import Step
+from rtcal.calibration.fit import GaussNewtonStep
 from rtcal.calibration.qp import Certificate
 from rtcal.calibration.table import coefficients
 from rtcal.files.disk import json_numbers
@@ -1091,7 +1091,7 @@ class PositionsResult(Result):
         What was measured less the simulated values at ``steps[-1].alpha``, linearly
         extrapolated to the prior; covariance of the errors of measurement and simulator.
     prior_covariance : array (n_materials * n_bands, n_materials * n_bands)
-    steps : tuple of Step
+    steps : tuple of GaussNewtonStep
     settled : bool
         Whether the last step, before any shortening, changed alpha by less than 0.05 of its prior
         sigma.
@@ -1125,7 +1125,7 @@ class PositionsResult(Result):
     innovation: Array
     covariance: Array
     prior_covariance: Array
-    steps: tuple[Step, ...]
+    steps: tuple[GaussNewtonStep, ...]
     settled: bool
     notes: tuple[str, ...]
     refused: bool = False

@@ -30,7 +30,7 @@ from rtcal.acoustics.marks import Plausibility, TrustMark, explained, mark, plau
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import CalibrationRecord, Room, refuse_repeated_data
 from rtcal.acoustics.room_errors import prior_covariance
-from rtcal.calibration.fit import Step, fit
+from rtcal.calibration.fit import GaussNewtonStep, fit
 from rtcal.calibration.measured import MeasuredTimes, data_history, no_times, times_in_room
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import Calibration, Times
@@ -136,7 +136,7 @@ def calibrate_modes(
 
     data, deviation = Decays(own, modes.decays[used], covariance), np.sqrt(np.diag(covariance))
 
-    def settled(step: Step, end: Array) -> bool:
+    def settled(step: GaussNewtonStep, end: Array) -> bool:
         moved = step.matrix @ (end - step.alpha).ravel()
         off = data.predict(end) - data.predict(step.alpha) - moved
         return bool(np.max(np.abs(off) / deviation) < _SETTLED)
