@@ -17,9 +17,6 @@ from rtcal.acoustics.room import Surface
 from rtcal.calibration.posterior import distribution
 from rtcal.command.main import cli
 from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simulator
-from rtcal.finder.means.corrected import not_in_room
-from rtcal.finder.means.problem import distances, state
-from rtcal.finder.model import predict
 from rtcal.simulators.base import Simulator, run
 from rtcal.simulators.external import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
@@ -28,27 +25,6 @@ from rtcal.support.errors import DataError
 
 pytestmark = pytest.mark.usefixtures("runs_kept")
 OPENING = AppliedEffect("opening", {"area": 40.0}, (20.0, 56.0))
-ABSORBERS = [
-    OPENING,
-    AppliedEffect("audience", {"absorption_area": 30.0}, (20.0, 40.0)),
-    AppliedEffect("people", {"persons": 35.0}, (25.0, 45.0)),
-    AppliedEffect("furniture", {"absorption_area": 25.0}, (20.0, 30.0)),
-    AppliedEffect(
-        "porous", {"area": 30.0, "thickness": 0.05, "flow_resistivity": 12e3}, (20.0, 40.0)
-    ),
-    AppliedEffect("resonator", {"area": 30.0, "resonance": 120.0, "quality": 2.0}, (20.0, 40.0)),
-]
-OTHERS = [
-    AppliedEffect("area", {"material": 1.0, "ratio": 1.7}),
-    AppliedEffect("volume", {"ratio": 1.2}),
-    AppliedEffect("air", {"temperature": 20.0, "humidity": 20.0}),
-    AppliedEffect("formula", {"equation": 0.0}),
-]
-SHAPES = [
-    AppliedEffect("coupled room", {"aperture": 15.0, "volume": 400.0, "alpha": 0.1}),
-    AppliedEffect("non-diffuse field", {"scattering": 0.05}),
-    AppliedEffect("noise floor", {"level": -40.0, "record": 2.0}),
-]
 
 
 @pytest.fixture(scope="module")
@@ -57,38 +33,16 @@ def hidden() -> tuple[Case, np.ndarray]:
     return case, np.array(truth["alpha"])
 
 
-def named(p: AppliedEffect) -> str:
-    return p.name
-
-
-@pytest.mark.parametrize("equation", ["eyring", "sabine", "kuttruff", "millington"])
-@pytest.mark.parametrize("effect", [*ABSORBERS, *OTHERS, *SHAPES], ids=named)
-def test_the_room_has_the_corrected_model_s_time(
-    hidden: tuple[Case, np.ndarray], effect: AppliedEffect, equation: str
+@pytest.mark.parametrize("equation", ["eyring", "sabine", "kuttruff"])
+def test_an_absorber_is_as_large_as_its_interval_reaches(
+    hidden: tuple[Case, np.ndarray], equation: str
 ) -> None:
-    case = replace(hidden[0], equation=equation, applied=[effect])
-    room, first = corrected_room(case), hidden[0].configurations[0]
-    wanted = predict([state(case, first)], distances(case, first)).reverberation_time[0]
-    bare = predict([state(hidden[0], first)], distances(case, first)).reverberation_time[0]
-    simulated = simulator(case).simulate(room.alpha).mean("t20")
-    # The air's own speed of sound is 0.3 % off that of the stated climate.
-    off = 0.004 if effect.name == "air" else 1e-9
-    np.testing.assert_allclose(simulated, wanted, rtol=1e-9)
-    hidden_wall = [line for line in not_in_room(case) if "hides wall" in line]
-    if effect not in SHAPES and equation != "millington" and not hidden_wall:
-        kind = rt.Sabine() if effect.name == "formula" else getattr(rt, equation.capitalize())()
-        np.testing.assert_allclose(kind.reverberation_time(room), wanted, rtol=off)
-    if not (effect.name == "formula" and equation == "sabine"):
-        assert np.abs(wanted / bare - 1).max() > 0.02
-    absorbs = effect in ABSORBERS
-    assert room.n_materials == hidden[0].room.n_materials + absorbs
-    if absorbs:
-        assert room.materials[-1] == effect.name
-    if effect is OPENING and equation != "millington":
-        # As far as its interval reaches, 18 m² more: there alpha = 1.
-        assert 40.0 < room.areas[-1] < 40.0 + 18.0  # an opening in a wall hides some of it
-        assert (room.alpha[-1] + 1.6449 * room.sigma[-1]).max() == pytest.approx(1.0, rel=1e-3)
-        assert "rtcal find: 40 m²" in room.sources["opening"]
+    """Up to 18 m² more than its 40 m²: there alpha = 1. The law of corrected rooms has the rest."""
+    room = corrected_room(replace(hidden[0], equation=equation, applied=[OPENING]))
+    assert room.materials == (*hidden[0].room.materials, "opening")
+    assert 40.0 < room.areas[-1] < 40.0 + 18.0  # an opening in a wall hides some of it
+    assert (room.alpha[-1] + 1.6449 * room.sigma[-1]).max() == pytest.approx(1.0, rel=1e-3)
+    assert "rtcal find: 40 m²" in room.sources["opening"]
 
 
 def test_an_absorber_at_its_own_size_raises_no_alarm(
