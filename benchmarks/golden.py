@@ -216,7 +216,7 @@ def on_pairs(index: int, statement: str, paths: int) -> dict[str, Any]:
         "map": found.map,
     }
     if found.can_be_added:
-        seen = rt.finder.positions.verify(found)
+        seen = rt.finder.verify(found)
         row |= {"verification": seen.verdict, "gain": seen.gain, "gaps": seen.gaps[-1]}
     return row
 

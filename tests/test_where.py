@@ -259,7 +259,7 @@ def test_the_user_says_where_on_which_surface(
 def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
     finding: rt.finder.positions.PositionsFinding, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    result = rt.finder.positions.verify(finding, cache=kept)
+    result = rt.finder.verify(finding, cache=kept)
     assert result.gaps.shape == (3, 1, 5, 6, 3)
     assert np.isfinite(result.gaps[-1]).all()
     # Calibration alone leaves so little of the gap that what more goes is no proof.
@@ -275,7 +275,7 @@ def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
         raise AssertionError("what was computed for a case is kept")
 
     monkeypatch.setattr(PathTracing, "_trace", traced)
-    again = rt.finder.positions.verify(finding, cache=kept)
+    again = rt.finder.verify(finding, cache=kept)
     assert np.array_equal(again.gaps, result.gaps)
 
 

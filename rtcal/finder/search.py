@@ -15,6 +15,8 @@ from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.means.verification import verify as verify_by_means
+from rtcal.finder.positions.verification import verify as verify_at_pairs
+from rtcal.finder.states.verification import verify as verify_states
 from rtcal.finder.verification import Verification
 from rtcal.io import geometry_files
 from rtcal.loop.control_runs import ControlRuns
@@ -204,7 +206,7 @@ def verify(
         Of a finding by means: the case in which it is verified; by default its own.
     **options
         Of a finding at positions: ``seeds``, ``cache`` and ``progress``, as
-        `rtcal.finder.positions.verify` takes them. Of two states: ``seed``.
+        `rtcal.finder.positions.verification.verify` takes them. Of two states: ``seed``.
 
     Raises
     ------
@@ -212,7 +214,7 @@ def verify(
         Where there is nothing to add, and as these do.
     """
     if isinstance(finding, positions.PositionsFinding):
-        return positions.verify(finding, **options)
+        return verify_at_pairs(finding, **options)
     if isinstance(finding, states.StatesFinding):
-        return states.verify(finding, **options)
+        return verify_states(finding, **options)
     return verify_by_means(finding, case, **options)

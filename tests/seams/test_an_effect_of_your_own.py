@@ -50,7 +50,7 @@ def test_it_is_found_on_the_wall_where_it_stands(
     assert {c.surface for c in hatches} == {"east", "west", "north", "south"}
     assert finding.probabilities["hatch"] > 0.05
     assert "opening" not in finding.probabilities
-    verified = rt.finder.positions.verify(finding, cache=kept)
+    verified = rt.finder.verify(finding, cache=kept)
     assert verified.after < 0.9 * verified.before
 
 

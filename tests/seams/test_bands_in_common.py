@@ -62,7 +62,7 @@ def searched(kept: Path) -> Callable[[str], positions.PositionsFinding]:
 
 @pytest.fixture(scope="module")
 def gaps(searched: Callable[[str], positions.PositionsFinding], kept: Path) -> np.ndarray:
-    return positions.verify(searched("alike"), cache=kept).gaps
+    return rt.finder.verify(searched("alike"), cache=kept).gaps
 
 
 @pytest.mark.long
@@ -77,7 +77,7 @@ def test_bands_in_common_are_compared(
     found = searched(bands)
     about = ("Left out", "T is converted")
     assert [note for note in found.notes if note.startswith(about)] == NOTES[bands]
-    made = positions.verify(found, cache=kept).gaps
+    made = rt.finder.verify(found, cache=kept).gaps
     assert made.shape == gaps.shape
     if bands == "one fewer":
         assert np.isnan(made[..., 0]).all()

@@ -18,7 +18,7 @@ and with G beside them ("level"). Control runs and weighings are kept in the fol
 that another run of a room takes seconds. `means` is `rtcal.find` on the same values, without
 a geometry.
 
-The gap is at held-out pairs, in JND: `positions.verify` fits on half of the pairs and predicts the
+The gap is at held-out pairs, in JND: `rtcal.finder.verify` fits on half of the pairs and predicts the
 other half, and the other way round. It is judged where the effect changes T by over 10 % and something
 was added; the gap to what is heard, without the measurement's noise, stands beside it.
 """
@@ -150,7 +150,7 @@ def verified(judging: Judging, index: int, data: str) -> dict[str, Any]:
     finding = rt.finder.positions.find(case, cache=cache)
     if not finding.can_be_added:
         return out
-    result = rt.finder.positions.verify(finding, cache=cache)
+    result = rt.finder.verify(finding, cache=cache)
     gaps = dict(zip(MODELS, result.gaps.mean(axis=1), strict=True))
     off = noise(finding, without_noise(judging.population, index))
     for key, by_model in (

@@ -18,6 +18,5 @@ if TYPE_CHECKING:
     from rtcal.finder.positions.finding import next_position as next_position
     from rtcal.finder.positions.search import EFFECTS as EFFECTS
     from rtcal.finder.positions.search import find as find
-    from rtcal.finder.positions.verification import verify as verify
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

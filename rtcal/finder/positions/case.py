@@ -162,22 +162,15 @@ class PositionsCase:
                     f"simulated has no {parameter_label(key)}, which was measured; leave {name} out "
                     "of match"
                 )
-            self._check_values(simulated, name)
-
-    def _check_values(self, simulated: Measurement, name: str) -> None:
-        """Raise DataError for the first measured value that the program did not give."""
-        kind = observable(name)
-        key = kind.key_in(self.measured.values)
-        measured = self.in_room.values[key]
-        given = simulated.values.get(key, simulated.values.get(str(kind.stand_in)))
-        for pair in self.pairs:
-            there = np.isfinite(measured[self.measured.pairs.index(pair)])
-            off = there & ~np.isfinite(np.asarray(given)[simulated.pairs.index(pair)])
-            if off.any():
-                band = bands.label(self.room.centre_frequencies[int(np.argmax(off))])
+            measured = self.in_room.select(self.pairs).values[key]
+            given = simulated.select(self.pairs).values
+            values = given[key if key in given else str(kind.stand_in)]
+            lacks = np.isfinite(measured) & ~np.isfinite(values)
+            for i, k in np.argwhere(lacks):
+                band = bands.label(self.room.centre_frequencies[k])
                 raise DataError(
-                    f"simulated lacks {parameter_label(key)} from {' to '.join(pair)} at {band}, which "
-                    "was measured"
+                    f"simulated lacks {parameter_label(key)} from {' to '.join(self.pairs[i])} at "
+                    f"{band}, which was measured"
                 )
 
     @classmethod
