@@ -349,8 +349,8 @@ class ImageSource(ShoeboxSimulator):
 
     def _images(self, source: Array, receiver: Array) -> Images:
         direct = float(np.linalg.norm(receiver - source))
-        c, width = self.room.speed_of_sound, self.bin_width
-        coordinates, hits = lattice(self.box.dimensions, source, direct + self._n_bins * width * c)
+        c, width, n_bins = self.room.speed_of_sound, self.bin_width, self._n_bins
+        coordinates, hits = lattice(self.box.dimensions, source, direct + n_bins * width * c)
         square = [(x - r) ** 2 for x, r in zip(coordinates, receiver, strict=True)]
         across = square[1][:, np.newaxis] + square[2]
         bins, lengths, rows, sizes = [], [], [], []
@@ -358,7 +358,7 @@ class ImageSource(ShoeboxSimulator):
             length = np.sqrt(x2 + across)
             arrival = (length - direct) / (c * width) + 1e-9
             # Coordinates increase, so the images within the duration are contiguous in each row.
-            inside = arrival < self._n_bins
+            inside = arrival < n_bins
             size = inside.sum(axis=1)
             heard = np.flatnonzero(size)
             first = inside[heard].argmax(axis=1)
@@ -367,14 +367,14 @@ class ImageSource(ShoeboxSimulator):
             bins.append(arrival[inside].astype(np.uint32))
             lengths.append(length[inside])
         bin_, length = np.concatenate(bins), np.concatenate(lengths)
-        images_per_bin = np.bincount(bin_, minlength=self._n_bins)
+        images_per_bin = np.bincount(bin_, minlength=n_bins)
         return Images(
             hits=tuple(hits),
             rows=np.concatenate(rows),
             starts=np.concatenate([[0], np.cumsum(np.concatenate(sizes))]),
             bins=bin_,
             weights=1 / (4 * np.pi * length**2),
-            lengths=np.bincount(bin_, length, self._n_bins) / np.maximum(images_per_bin, 1),
+            lengths=np.bincount(bin_, length, n_bins) / np.maximum(images_per_bin, 1),
         )
 
 

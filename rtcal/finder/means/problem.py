@@ -73,7 +73,7 @@ from rtcal.finder.prior import (
 )
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.types import Array, read_only, read_only_view
+from rtcal.support.types import Array, read_only
 
 SHAPE_CHANGE = (("edt", 0.12), ("t30", 0.06))
 """Standard deviation of ln EDT/T20 and ln T30/T20 per unit of change of ln T20. An absorber stands
@@ -517,7 +517,8 @@ def states(case: Case, configuration: Configuration, alphas: Sequence[Array]) ->
         values = np.array(alpha)
         for row, of_material in changed.items():
             values[row] = of_material
-        made = replace(unchanged, alpha=read_only_view(values))
+        values.setflags(write=False)
+        made = replace(unchanged, alpha=values)
         out.append(with_applied(made, case.applied, configuration) if case.applied else made)
     return out
 

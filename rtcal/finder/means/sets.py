@@ -477,7 +477,7 @@ def single_posterior(evidence: MeansEvidence, probabilities: Mapping[str, float]
         off[name,] = float(evidence.off_given(name))
         rows[name,] = (int(places[np.argmax(log[places])]),)
         likely += [((int(i),), float(w)) for i, w in zip(places, share, strict=True)]
-    likely = sorted(likely, key=lambda one: -one[1])[:_LIKELY]
+    likely = sorted(likely, key=itemgetter(1), reverse=True)[:_LIKELY]
     total = sum(p for _, p in likely)
     order = tuple(predicted.effects)
     return SetPosterior(

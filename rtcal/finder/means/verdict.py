@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,12 +126,13 @@ def estimate_size(
         return best, None
     weights = predicted.weights[rows] * np.exp(likelihood - likelihood.max())
     weights = weights / weights.sum()
-    by_others: dict[tuple[tuple[str, float], ...], float] = {}
-    for theta, w in zip(grid, weights, strict=True):
-        key = _others(theta, effect)
-        by_others[key] = by_others.get(key, 0.0) + float(w)
-    most = sorted(by_others, key=lambda k: -by_others[k])[:3]
-    likely = list(dict.fromkeys([_others(best, effect), *most]))
+    others = [name for name in grid[0] if name != effect.size]
+    by_others: dict[tuple[float, ...], float] = {}
+    for theta, w in zip(grid, weights.tolist(), strict=True):
+        key = tuple(map(theta.__getitem__, others))
+        by_others[key] = by_others.get(key, 0.0) + w
+    most = sorted(by_others, key=by_others.__getitem__, reverse=True)[:3]
+    likely = list(dict.fromkeys([tuple(map(best.__getitem__, others)), *most]))
     sizes = np.array([theta[effect.size] for theta in grid])
     logs = bool(sizes.min() > 0)
     low, high = float(sizes.min()), float(sizes.max())
@@ -145,8 +146,9 @@ def estimate_size(
     def size_of(x: Array) -> Array:
         return np.clip(np.exp(x), *possible) if logs else x
 
-    def at(x: Array, kinds: Sequence[Any]) -> Array:
-        return evaluated([{**dict(k), effect.size: float(s)} for k in kinds for s in size_of(x)])
+    def at(x: Array, kinds: Sequence[tuple[float, ...]]) -> Array:
+        of_kinds = [dict(zip(others, kind, strict=True)) for kind in kinds]
+        return evaluated([{**k, effect.size: s} for k in of_kinds for s in size_of(x).tolist()])
 
     def steps(first: float, last: float, count: int) -> Array:
         return np.linspace(max(first, ends[0]), min(last, ends[1]), count)
@@ -183,10 +185,6 @@ def _widened(p: Array, at: Array, spread: float) -> Array:
     kernel = np.exp(-0.5 * (np.subtract.outer(at, at) / spread) ** 2)
     # Probability that would leave the grid stays at its ends.
     return np.asarray(kernel / kernel.sum(0) @ p)
-
-
-def _others(theta: Parameters, effect: Effect) -> tuple[tuple[str, float], ...]:
-    return tuple((k, v) for k, v in theta.items() if k != effect.size)
 
 
 def _searched(
