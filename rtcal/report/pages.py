@@ -26,7 +26,7 @@ from rtcal.report.document import Box, Heading, Items, Page, SideBySide, render
 from rtcal.support.blocks import Note, Table
 from rtcal.support.errors import DataError
 
-__all__ = ["page", "page_of", "write_workbook"]
+__all__ = ["page", "page_of"]
 __dir__ = __all__.copy
 
 _PAGES: dict[type, Callable[[Any], Page]] = {
