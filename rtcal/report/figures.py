@@ -192,7 +192,7 @@ def _times_axes(axes: Axes, frequencies: Array, label: str, top: float | None = 
     band_axis(axes, frequencies)
     axes.set_ylim(bottom=0, top=top)
     axes.set_ylabel(f"{label} / s")
-    axes.legend(fontsize=9)
+    axes.legend()
 
 
 def _note(axes: Axes, text: str, at: Any, offset: tuple[float, float], **style: Any) -> None:
@@ -948,8 +948,9 @@ def plan(finding: PositionsFinding, place: Place | None = None, axes: Any = None
     darkest = f"{float(np.nanmax(z)):.1f} standard deviations"
     above.append(f"line: source to receiver; the darkest pair disagrees by {darkest}")
     axes.set_title("\n".join(above), fontsize=9, loc="left")
-    below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.12), "ncols": 3, "frameon": False}
-    axes.legend(fontsize=9, **below)
+    handles, names = axes.get_legend_handles_labels()
+    below = {"loc": "outside lower center", "ncols": 3, "frameon": False}
+    axes.figure.legend(handles, names, fontsize=9, **below)
     return axes.figure
 
 
