@@ -124,13 +124,7 @@ def read(
     doubts = list[str]()
     for file in paths:
         of_sofa = sofa.claims(file)
-        if of_sofa:
-            measured = _of_sofa(file)
-        else:
-            of_file = sound_file(file)
-            doubts += of_file.doubts
-            measured = _of_sound(of_file)
-        for source, receiver, every in measured:
+        for source, receiver, every in _of_sofa(file) if of_sofa else _of_sound(file, doubts):
             text_name(f"{file}: a position", source + receiver)
             for name, response in _chosen(every, receiver, channels, os.fspath(file)):
                 if (source, name) in responses and not repeats:
@@ -155,43 +149,6 @@ _SIZE = re.compile(r": (\d+) \(should be (\d+)\)")
 _SLACK = 64  # bytes by which programs miscount the length in a header
 
 
-@dataclass(frozen=True)
-class SoundFile:
-    """Declarations of a sound file.
-
-    Parameters
-    ----------
-    path : str
-    n_samples : int
-        Of each channel.
-    n_channels : int
-    sampling_rate : float
-        Hz.
-    doubts : tuple of str
-        A lossy coding, and an end that is missing.
-    """
-
-    path: str
-    n_samples: int
-    n_channels: int
-    sampling_rate: float
-    doubts: tuple[str, ...]
-
-    def samples(self, channel: int) -> Array:
-        """Return the samples of a channel, from 0, (n_samples,); DataError if the file ends before."""
-        samples, position = np.empty(self.n_samples), 0
-        with _opened(self.path) as file:
-            for block in file.blocks(_BLOCK, always_2d=True):
-                block = block[: self.n_samples - position, channel]
-                samples[position : position + len(block)] = block
-                position += len(block)
-        if position < self.n_samples:
-            raise DataError(
-                f"{self.path}: it ends after {position} of the {self.n_samples} samples that it states"
-            )
-        return samples
-
-
 @contextmanager
 def _opened(path: str) -> Iterator[Any]:
     """Yield soundfile's object of a file; DataError, in own words, for what it cannot read."""
@@ -209,39 +166,6 @@ def _opened(path: str) -> Iterator[Any]:
         ) from error
     except OSError as error:
         raise DataError(f"{path}: {error.strerror or error}") from error
-
-
-def sound_file(path: str | os.PathLike[str]) -> SoundFile:
-    """Return what a sound file declares.
-
-    Raises
-    ------
-    DataError
-        For a file that soundfile cannot read, has no samples or more than the budget of a
-        channel, or has a sampling rate that is none of 2 to 400 kHz.
-    MissingDependencyError
-        If soundfile is not installed.
-    """
-    place = os.fspath(path)
-    with _opened(place) as file:
-        n, channels, rate = file.frames, file.channels, file.samplerate
-        log, coding, name = file.extra_info, file.subtype, file.subtype_info
-    if n < 1:
-        raise DataError(f"{place}: no samples in it")
-    if not _RATES[0] <= rate <= _RATES[1]:
-        raise DataError(f"{place}: a sampling rate of {rate} Hz; 2 kHz to 400 kHz are read")
-    most = budget.MAX_CHANNEL_SAMPLES
-    remedy = f"that is {most / rate:.0f} s at {rate} Hz; keep the part with the decay"
-    budget.require(n, most, "samples in each channel", place, remedy)
-    doubts = []
-    if _LOSSY.search(coding):
-        doubts.append(
-            f"{place}: its coding, {name}, is lossy, so that the late decay is in doubt: WAV and FLAC "
-            "keep it"
-        )
-    if any(int(a) > int(b) + _SLACK and int(a) < 2**32 - 1 for a, b in _SIZE.findall(log)):
-        doubts.append(f"{place}: it is shorter than its header states, so that its end is missing")
-    return SoundFile(place, n, channels, float(rate), tuple(doubts))
 
 
 @dataclass(frozen=True)
@@ -263,13 +187,51 @@ class _Response:
     sampling_rate: float
 
 
-def _of_sound(file: SoundFile) -> Iterator[tuple[str, str, list[_Response]]]:
-    """Yield source, receiver and channels of a sound file, named by its name."""
-    stem = Path(file.path).stem
+def _of_sound(
+    path: str | os.PathLike[str], doubts: list[str]
+) -> Iterator[tuple[str, str, list[_Response]]]:
+    """Yield source, receiver and channels of a sound file, named by its name.
+
+    A lossy coding and an end that is missing are added to ``doubts``. Raises DataError for a file that
+    soundfile cannot read, has no samples or more than the budget of a channel, or has a sampling rate
+    that is none of 2 to 400 kHz.
+    """
+    place = os.fspath(path)
+    with _opened(place) as file:
+        n, rate, log, coding = file.frames, file.samplerate, file.extra_info, file.subtype
+        n_channels, named = file.channels, file.subtype_info
+    if n < 1:
+        raise DataError(f"{place}: no samples in it")
+    if not _RATES[0] <= rate <= _RATES[1]:
+        raise DataError(f"{place}: a sampling rate of {rate} Hz; 2 kHz to 400 kHz are read")
+    most = budget.MAX_CHANNEL_SAMPLES
+    remedy = f"that is {most / rate:.0f} s at {rate} Hz; keep the part with the decay"
+    budget.require(n, most, "samples in each channel", place, remedy)
+    if _LOSSY.search(coding):
+        doubts.append(
+            f"{place}: its coding, {named}, is lossy, so that the late decay is in doubt: WAV and FLAC "
+            "keep it"
+        )
+    if any(int(a) > int(b) + _SLACK and int(a) < 2**32 - 1 for a, b in _SIZE.findall(log)):
+        doubts.append(f"{place}: it is shorter than its header states, so that its end is missing")
+    stem = Path(place).stem
     match = _NAMES.search(stem)
     source, receiver = match.groups() if match else ("S1", stem)
-    loads = [partial(file.samples, i) for i in range(file.n_channels)]
-    yield source, receiver, [_Response(file.path, load, file.sampling_rate) for load in loads]
+    loads = [partial(_samples, place, n, channel) for channel in range(n_channels)]
+    yield source, receiver, [_Response(place, load, float(rate)) for load in loads]
+
+
+def _samples(path: str, n: int, channel: int) -> Array:
+    """Return the samples of a sound file's channel, from 0, (n,); DataError if it ends before."""
+    samples, position = np.empty(n), 0
+    with _opened(path) as file:
+        for block in file.blocks(_BLOCK, always_2d=True):
+            block = block[: n - position, channel]
+            samples[position : position + len(block)] = block
+            position += len(block)
+    if position < n:
+        raise DataError(f"{path}: it ends after {position} of the {n} samples that it states")
+    return samples
 
 
 def _of_sofa(path: str | os.PathLike[str]) -> Iterator[tuple[str, str, list[_Response]]]:
