@@ -117,7 +117,7 @@ class _File:
     """The variables and attributes of a SOFA file; raises as `read`."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = os.fspath(path)
+        self.path = os.fspath(checks.path("path", path))
         if not claims(path):
             raise DataError(f"{path}, byte 0: not a SOFA (HDF5) file")
         budget.require(Path(path).stat().st_size, MAX_BYTES, "bytes", self.path)
