@@ -287,10 +287,7 @@ def simulated_controls(
     kept = None if path is None else disk.read(path)
     if kept is not None and kept.shape == (RUNS, *shape):
         with suppress(RtcalError):  # another's file
-            stored = runs(kept)
-            if progress is not None:
-                progress(RUNS, RUNS)
-            return stored
+            return runs(kept)
 
     def error(
         control: PathTracing, alpha: Array, of_run: int, again: bool
