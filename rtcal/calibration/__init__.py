@@ -4,22 +4,26 @@ In short: every calibration is a QP (weighted quadratic objective, area equality
 cvxpy and solved with Clarabel or OSQP; the closed-form solutions are a warm start, and the oracle in
 the tests.
 
-The path of `rtcal.calibrate(room, measured)`, module by module:
+The path of `rtcal.calibrate(room, measured)`, in the order in which it is taken:
 
-- `methods`: `preset` gives the terms of the method, a `Calibration` without a room.
-- `problem`: `Calibration.build` takes the Room, `CalibrationProblem.solve` the Measurement.
-- `unknowns`: `Layout` is the order of the unknowns, `Numbers` has the prior, the box, areas and b.
-- `terms`: each term is a cvxpy expression of the deviations x = (alpha - mu) / sigma; soft matches take
-  the place of the area equality, other terms add inequalities or tighten the box.
-- `composition`: `Composition` has all three for one layout: unknowns, numbers and terms.
-- `qp`: `compile_once` makes a `CompiledProblem`, which the numbers turn into a `QP`. `solve` asks the
-  solver (`closed_form` is OSQP's start), `polish` solves the optimality conditions on the active set,
-  and `certify` checks the answer anew. If the polish fails, the closed form's answer, then the
-  solver's own is certified (`problem.certified_answer`).
-- `feasibility`: whether T is within reach, before solving; why nothing is feasible, after it.
-- `solution`, `result`: the answer with its certificate, and the `CalibrationResult` for the room.
+1. `methods`: `preset` gives the terms of the method (`terms`, each a cvxpy expression of the deviations
+   x = (alpha - mu) / sigma) as a `Calibration` without a room.
+2. `problem`: `Calibration.build` takes the room. Its `Composition` (`composition`) is the terms with
+   the order of the unknowns, a `Layout` (`unknowns`), and with cvxpy's `CompiledProblem` of them,
+   which rooms of one layout share (`qp.compile_once`).
+3. `CalibrationProblem.solve` takes the measurement: T in the room's bands (`measured`), then the
+   `Numbers` (`unknowns`): prior, box, areas, b. `feasibility` says whether T is within reach.
+4. `problem.certified_answer`: the numbers fill a `QP`. `qp.solve` asks the solver, `qp.polish` solves
+   the optimality conditions on the active set, `qp.certify` checks the answer anew. If the polish
+   fails, the closed form's answer, then the solver's own is certified; if none passes, `feasibility`
+   explains why nothing is feasible.
+5. `result`: the `CalibrationResult` of the room, with what `solution` derives of the answer
+   (multipliers, densities, derivatives, uncertainties).
 
-`exact` has closed forms and the exact solution of one band, which share no code with this path.
+Beside the path: `posterior` (marginals and draws of a density), `fit` (steps around the QP for models
+that are not linear), `archive` (what calibrated rooms say of their materials), `table` and `verdict` (a
+calibration in words). `exact` has closed forms and the exact solution of one band, which share no code
+with all this.
 """
 
 from typing import TYPE_CHECKING
