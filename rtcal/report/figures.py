@@ -946,7 +946,7 @@ def plan(finding: PositionsFinding, place: Place | None = None, axes: Any = None
     axes.set_ylabel("y / m", fontsize=9)
     axes.tick_params(labelsize=9)
     darkest = f"{float(np.nanmax(z)):.1f} standard deviations"
-    above.append(f"line: source to receiver; the darkest pair disagrees by {darkest}")
+    above += ["line: source to receiver;", f"the darkest pair disagrees by {darkest}"]
     axes.set_title("\n".join(above), fontsize=9, loc="left")
     handles, names = axes.get_legend_handles_labels()
     below = {"loc": "outside lower center", "ncols": 3, "frameon": False}
