@@ -206,8 +206,8 @@ THE_MEANS_HAVE_FIVE = {
     *(
         f"finder/means/{name}.py"
         for name in (
-            *("corrected", "engines", "gap", "hypotheses", "planning"),
-            *("recalibration", "search"),
+            *("corrected", "engines", "planning", "problem"),
+            *("recalibration", "search", "verdict"),
         )
     ),
 }
