@@ -43,6 +43,7 @@ from rtcal.finder.means.verdict import (
     _in_words,
     covariance_of_all,
     separation,
+    with_features,
 )
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import NONE, prior_of
@@ -112,6 +113,8 @@ class Plan(Result):
     separations : mapping of (effect, effect) to float
         The evidence in nats to be expected for the first effect against the most similar size of the
         second.
+    gained : mapping of str to tuple of (effect, effect)
+        The pairs that further parameters, in words, would tell apart, and those measured do not.
     proposals : tuple of Proposal
         The measurements that could be made next, the most information per hour first.
     sequence : tuple of Proposal
@@ -126,6 +129,7 @@ class Plan(Result):
     change: float
     reached: Mapping[str, float]
     separations: Mapping[tuple[str, str], float]
+    gained: Mapping[str, tuple[tuple[str, str], ...]]
     proposals: tuple[Proposal, ...] = ()
     sequence: tuple[Proposal, ...] = ()
     uncertainty: float = 0.0
@@ -139,6 +143,10 @@ class Plan(Result):
             "separations": [
                 {"effect": a, "against": b, "nats": v} for (a, b), v in self.separations.items()
             ],
+            "gained": {
+                more: [{"effect": a, "against": b} for a, b in pairs]
+                for more, pairs in self.gained.items()
+            },
             "proposals": [p.to_dict() for p in self.proposals],
             "sequence": [p.to_dict() for p in self.sequence],
             "uncertainty_nats": self.uncertainty,
@@ -187,6 +195,10 @@ class Plan(Result):
             if len(alike) > len(apart):
                 said = f"all but {', '.join(apart)}" if apart else "all"
             out.append(Note(f"{name}: {said}", "  "))
+        for more, pairs in self.gained.items():
+            told = {a: ", ".join(b for first, b in pairs if first == a) for a, _ in pairs}
+            out.append(Note(f"With {more} also from: {'' if told else 'no other'}", hanging=""))
+            out += [Note(f"{a}: {of}", "  ") for a, of in told.items()]
         return out
 
     @property
@@ -289,7 +301,7 @@ def plan(
     else:
         checked_discrepancy(case, discrepancy)
     problem = MeansProblem(case, observed, predicted, discrepancy)
-    reached, table = separations(problem, change)
+    reached, table, gained = separations(problem, change)
     measured = tuple(
         p
         for p in ("t20", "edt", "t30", "c80", "g")
@@ -321,7 +333,7 @@ def plan(
         done = done | masks[best[0].measurement]
         best = ranked(done) if len(sequence) < STEPS else []
     return Plan(
-        measured, change, reached, table, tuple(proposals), tuple(sequence), about.entropy()
+        measured, change, reached, table, gained, tuple(proposals), tuple(sequence), about.entropy()
     )
 
 
@@ -476,13 +488,19 @@ def _entropy(probabilities: Array) -> Array:
 
 def separations(
     problem: MeansProblem, change: float
-) -> tuple[dict[str, float], dict[tuple[str, str], float]]:
-    """Return each effect's change of T, and the evidence in nats for each against each other one.
+) -> tuple[dict[str, float], dict[tuple[str, str], float], dict[str, tuple[tuple[str, str], ...]]]:
+    """Return each effect's change of T, the evidence in nats for each against each other, and `gained`.
 
     Each effect has the size whose largest relative change of T, over configurations (it may be taken
     away in some) and bands, is nearest to ``change``.
     """
-    predicted, mask = problem.predicted, problem.observed.used.ravel()
+    predicted, used = problem.predicted, problem.observed.used
+    more = {
+        label: mask
+        for label, features in (("EDT and T30", ("edt", "t30")), ("C80 and G", ("c80", "g")))
+        if (mask := with_features(used, features)).sum() > used.sum()
+    }
+    gained: dict[str, list[tuple[str, str]]] = {label: [] for label in more}
     base = predicted.features[0]
     names = [n for n in dict.fromkeys(predicted.names) if n != NONE]
     table: dict[tuple[str, str], float] = {}
@@ -494,9 +512,15 @@ def separations(
         first, reached[a] = rows[nearest], float(moved[nearest])
         covariance = covariance_of_all(problem, first)
         for b in (NONE, *names):
-            if a != b:
-                table[a, b] = separation(predicted, covariance, mask, first, b)
-    return reached, table
+            if a == b:
+                continue
+            table[a, b] = separation(predicted, covariance, used.ravel(), first, b)
+            if b == NONE or table[a, b] >= DISTINCT_NATS:
+                continue
+            for label, mask in more.items():
+                if separation(predicted, covariance, mask.ravel(), first, b) >= DISTINCT_NATS:
+                    gained[label].append((a, b))
+    return reached, table, {label: tuple(pairs) for label, pairs in gained.items()}
 
 
 COSTS: Mapping[str, float] = {
