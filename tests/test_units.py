@@ -52,7 +52,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: room(sigma=[[2, 2], [5, 5]]), r'sigma\["a", 500 Hz\] = 2 .* is it in percent'),
     (lambda: room(sigma=[[1e160, 0.1], [0.1, 0.1]]), r"1e\+160 is not in \[0, 1\]"),
     (lambda: sigma_relative([0.1, 0.2], 30), "fraction = 30 is not from 0 to 1: is it in percent"),
-    (lambda: SoftMatch(relative=30), "relative=30.* at most 1: is it in percent"),
+    (lambda: SoftMatch(relative=30), "relative = 30 .* at most 1: is it in percent"),
     (lambda: measured(ts=[80, 70]), r"ts, 500 Hz\] = 80 is not from 0 to 10 s: is it in ms"),
     (lambda: measured(d50=[50, 60]), "= 50 is not from 0 to 1: is it in percent"),
     (lambda: measured(c80=[500, 1]), "= 500 is not from -200 to 200 dB: is it in dB"),

@@ -578,11 +578,16 @@ class Room:
 
         A wall may be drawn as two polygons, since only the area per material counts. Materials
         without a surface are left out. ``stated`` are the room's other fields. Raises DataError as
-        `Room` does, and for a surface whose material is not among ``materials``.
+        `Room` does, for a surface whose material is not among ``materials``, and for a field that is
+        missing or that a room does not have.
         """
         frequencies = bands.as_bands(centre_frequencies)
         listed = checks.listed("surfaces", surfaces), checks.listed("materials", materials)
-        return cls(centre_frequencies=frequencies, **stated, **stacked(*listed, frequencies))
+        made = stacked(*listed, frequencies)
+        try:
+            return cls(centre_frequencies=frequencies, **stated, **made)
+        except TypeError as error:
+            raise DataError(f"a room cannot be made so: {error}") from error
 
     @classmethod
     def from_geometry(cls, geometry: Geometry, **stated: Any) -> Room:

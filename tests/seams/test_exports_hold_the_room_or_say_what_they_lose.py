@@ -315,7 +315,9 @@ def test_what_a_fit_has_gained_is_in_the_file(name: str, tmp_path: Path) -> None
             (replace(of_fit, scattering=np.full((2, 8), 0.1)), result.alpha),
         )
     )
-    np.testing.assert_allclose(heard, fit, rtol=0.01 if name == "catt" else 1e-9)
+    # CATT has whole percents: half of one, of the mean absorption.
+    rounding = 0.005 / (result.alpha.T @ room.areas / room.total_area)[shared]
+    assert (np.abs(heard / fit - 1) <= (rounding if name == "catt" else 1e-9)).all()
     assert np.abs(first / fit - 1).max() > 0.05
 
 
