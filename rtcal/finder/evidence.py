@@ -40,7 +40,7 @@ def with_columns(
         U' C⁻¹ U.
     """
     factor = np.linalg.cholesky(inner + np.eye(inner.shape[-1]))
-    gained = np.linalg.solve(factor, across)
+    gained = np.linalg.inv(factor) @ across  # quicker than to solve for many residuals
     more = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)[..., np.newaxis]
     return square - np.einsum("...rm,...rm->...m", gained, gained), half + more
 
