@@ -103,7 +103,7 @@ def start(
         f"Taken as the measured T: {' and '.join(parameters)}.",
         *([f"Matched: {begun.matched.label}."] if weights else []),
         *beyond,
-        *([] if begun.low is None else text.wrapped(begun.low.note)),
+        *([] if begun.low is None else text.wrapped(begun.low.loop_note)),
         _next_step(out),
     ]
     tell("\n".join(lines), record)

@@ -56,7 +56,7 @@ from rtcal.loop.measured_pairs import (
     sentences,
 )
 from rtcal.loop.rules import RULES, Rule
-from rtcal.modes.calibrate import BelowSchroeder, ModesResult, of_room
+from rtcal.modes.calibrate import ModesResult, above_schroeder, of_room
 from rtcal.simulators.base import Simulator, at_places, check_alpha, check_fits, lost_paths, run
 from rtcal.support import blocks, checks, text
 from rtcal.support.blocks import Block, Note, Table
@@ -332,7 +332,7 @@ class Loop(Result):
         Bands whose measured decay is not straight.
     beside : dict of parameter to array (n_bands,)
         Measured means of what is shown and not matched.
-    low : BelowSchroeder, optional
+    low : ModesResult, optional
         What room modes tell of the bands below the Schroeder frequency.
 
     Examples
@@ -359,7 +359,7 @@ class Loop(Result):
     steps: tuple[Step, ...] = ()
     bent: tuple[TrustMark, ...] = ()
     beside: Mapping[str, Array] = field(default_factory=dict)
-    low: BelowSchroeder | None = None
+    low: ModesResult | None = None
     _problems: list[CalibrationProblem[CalibrationResult]] = field(
         default_factory=list, metadata=NOT_SAVED
     )
@@ -485,7 +485,7 @@ class Loop(Result):
             *in_room(self.room),
             *marks,
             *self.bent,
-            *(self.low.trust_marks if self.low else ()),
+            *(self.low.loop_marks if self.low else ()),
         )
 
     @property
@@ -515,8 +515,11 @@ class Loop(Result):
             [np.isnan(self.wanted), np.abs(self.gap) <= self.goal, blocked],
             ["no measured T", "converged", "unreachable"],
             "not converging",
-        ).tolist()
-        return self.low.statuses(status) if self.low else tuple(status)
+        )
+        if self.low is not None:
+            own = np.where(self.low.carried, "by modes", "too few modes")
+            status = np.where(self.low.below, own, status)
+        return tuple(status.tolist())
 
     @property
     def finished(self) -> bool:
@@ -753,7 +756,7 @@ class Loop(Result):
         loop = load(path)
         if not isinstance(loop, Loop):
             raise DataError(f"{path} is no state of a loop: it holds a {type(loop).__name__}")
-        own = loop.low.modes.prior if loop.low else loop.room
+        own = loop.low.prior if loop.low else loop.room
         if room is not None and of_room(room) != of_room(own):
             raise DataError(f'{path} is of another room, or room "{room.name}" was changed since')
         return loop if room is None or loop.low else replace(loop, room=room)
@@ -777,8 +780,10 @@ def start(
     its rule, or the room was calibrated to these data. Warns of other bands and no air.
     """
     checks.instance("room", room, Room)
-    stated, low = measured, None if modes is None else BelowSchroeder.of(modes, room, measured)
-    room, measured = (low.room, low.above(measured)) if low else (room, measured)
+    stated, low = measured, None
+    if modes is not None:
+        low = checks.instance("modes", modes, ModesResult).in_loop(room, measured)
+        room, measured = low.room, above_schroeder(measured, room, low.below)
     data = times_in_room(room, measured)
     refuse_repeated_data(room, data.fingerprint)
     tell_data(room, stated)
@@ -1003,7 +1008,7 @@ class LoopResult(Result):
                 "materials are in result.of_uncertain_room."
             )
         if self.loop.low is not None:
-            notes.append(self.loop.low.note)
+            notes.append(self.loop.low.loop_note)
         return [*notes, *self.notes]
 
 

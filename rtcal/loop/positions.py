@@ -68,7 +68,7 @@ from rtcal.loop.measured_pairs import (
     without_place,
 )
 from rtcal.loop.positions_result import PositionsResult
-from rtcal.modes.calibrate import BelowSchroeder, ModesResult
+from rtcal.modes.calibrate import ModesResult, above_schroeder
 from rtcal.simulators import base
 from rtcal.simulators.base import (
     DifferentiableSimulator,
@@ -692,9 +692,9 @@ def calibrate_positions(
         checks.instance("calibration", calibration, Calibration)
     measured, repeated = base.at_places(simulator, measured)
     if modes is not None:
-        low = BelowSchroeder.of(modes, room, measured)
-        room, measured = low.room, low.above(measured)
-        repeated = (*repeated, low.note)
+        low = modes.in_loop(room, measured)
+        room, measured = low.room, above_schroeder(measured, room, low.below)
+        repeated = (*repeated, low.loop_note)
     given, wanted = simulator, with_t30(match, measured)
     replaced = wanted != tuple(match)
     tracer = simulator if complete(simulator).tracing is simulator else None

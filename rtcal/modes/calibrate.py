@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import band_conversion, bands
-from rtcal.acoustics.bands import label, labels, mid_frequency_time, schroeder_frequency
+from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.marks import Plausibility, TrustMark, explained, mark, plausibility
 from rtcal.acoustics.measurement import Measurement
@@ -423,6 +423,56 @@ class ModesResult(Result):
         )
         return (mark("implausible_modes", None, text),)
 
+    def in_loop(self, room: Room, measured: Measurement) -> ModesResult:
+        """Return the modes for a loop of a room, with the bands that are low by its measured T.
+
+        Raises DataError if the modes are another room's or were calibrated to T, too, or if every
+        measured band lies below the Schroeder frequency.
+        """
+        if of_room(self.prior) != of_room(room):
+            raise DataError(
+                f'modes is of room "{self.prior.name}" as it was; it is calibrated for the room '
+                f'"{room.name}" as given here'
+            )
+        if np.isfinite(self.data.reverberation_time).any():
+            raise DataError(
+                "modes was calibrated to T as well, which would count twice: leave T out, "
+                "calibrate_modes(room, modes)"
+            )
+        times = times_in_room(room, measured)
+        below = below_schroeder(room, times)
+        if not np.isfinite(times.reverberation_time[~below]).any():
+            raise DataError(
+                "every measured band lies below the Schroeder frequency, so that nothing is left to "
+                "simulate: `rtcal calibrate ROOM MEASURED --modes MODES` (rt.calibrate_modes) has the "
+                "coefficients"
+            )
+        return replace(self, below=below)
+
+    @property
+    def loop_marks(self) -> tuple[TrustMark, ...]:
+        """Marks of the modes themselves, and of the low bands that no modes carry."""
+        return (*self.own_marks, *self.uncarried(self.below & ~self.carried))
+
+    @property
+    def loop_note(self) -> str:
+        """Sentences: the room modes stand in place of what was measured, and their doubts."""
+        said = "No band lies below the Schroeder frequency; the modes are part of the prior."
+        if self.below.any():
+            low = bands.labels(self.prior.centre_frequencies[self.below])
+            said = (
+                f"Below the Schroeder frequency ({', '.join(low)}) {len(self.used)} room "
+                "modes stand in place of what was measured there."
+            )
+            if without := [bands.label(m.frequency) for m in self.loop_marks if m.frequency]:
+                said += f" Fewer than three carry {', '.join(without)}: do not use these."
+        return " ".join([said, *self.doubts])
+
+    @property
+    def doubts(self) -> list[str]:
+        """Reasons to doubt the matches."""
+        return [note for note in self.notes if note.startswith("Doubtful")]
+
     def __repr__(self) -> str:
         return f"<{self._description}>"
 
@@ -529,90 +579,3 @@ def of_room(room: Room) -> list[bytes]:
         room.sigma,
     )
     return [*(m.encode() for m in room.materials), *(np.asarray(n).tobytes() for n in numbers)]
-
-
-@dataclass(frozen=True, eq=False)
-class BelowSchroeder:
-    """The bands below the Schroeder frequency, in a loop that was given room modes.
-
-    ``modes`` were calibrated without T. ``below`` (n_bands,) says which bands lie below the Schroeder
-    frequency of the measured T.
-    """
-
-    modes: ModesResult
-    below: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, modes: ModesResult, room: Room, measured: Measurement) -> BelowSchroeder:
-        """Return the bands of a room and its measurement.
-
-        Raises DataError if the modes are another room's or were calibrated to T, too, or if every
-        measured band lies below the Schroeder frequency.
-        """
-        checks.instance("modes", modes, ModesResult)
-        if of_room(modes.prior) != of_room(room):
-            raise DataError(
-                f'modes is of room "{modes.prior.name}" as it was; it is calibrated for the room '
-                f'"{room.name}" as given here'
-            )
-        if np.isfinite(modes.data.reverberation_time).any():
-            raise DataError(
-                "modes was calibrated to T as well, which would count twice: leave T out, "
-                "calibrate_modes(room, modes)"
-            )
-        times = times_in_room(room, measured)
-        below = below_schroeder(room, times)
-        if not np.isfinite(times.reverberation_time[~below]).any():
-            raise DataError(
-                "every measured band lies below the Schroeder frequency, so that nothing is left to "
-                "simulate: `rtcal calibrate ROOM MEASURED --modes MODES` (rt.calibrate_modes) has the "
-                "coefficients"
-            )
-        return cls(modes, below)
-
-    @property
-    def room(self) -> Room:
-        """The room as the modes left it: the loop's prior."""
-        return self.modes.room
-
-    @property
-    def carried(self) -> NDArray[np.bool_]:
-        """Bands that at least three modes carry, (n_bands,)."""
-        return np.asarray(self.below & self.modes.carried)
-
-    def above(self, measured: Measurement) -> Measurement:
-        """Return a measurement without the bands below the Schroeder frequency."""
-        return above_schroeder(measured, self.room, self.below)
-
-    @property
-    def trust_marks(self) -> tuple[TrustMark, ...]:
-        """Marks of the modes themselves, and of the bands that no modes carry."""
-        return (*self.modes.own_marks, *self.modes.uncarried(self.below & ~self.carried))
-
-    def statuses(self, status: Sequence[str]) -> tuple[str, ...]:
-        """Return the loop's statuses with those of the bands below the Schroeder frequency."""
-        own = np.where(self.carried, "by modes", "too few modes")
-        return tuple(np.where(self.below, own, status).tolist())
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the bands and the modes as plain values."""
-        return {"below": self.below, "carried": self.carried, "modes": self.modes.to_dict()}
-
-    @property
-    def doubts(self) -> list[str]:
-        """Reasons to doubt the modes' matches, as the modes' own result tells them."""
-        return [note for note in self.modes.notes if note.startswith("Doubtful")]
-
-    @property
-    def note(self) -> str:
-        """Sentences: the room modes stand in place of what was measured, and their doubts."""
-        said = "No band lies below the Schroeder frequency; the modes are part of the prior."
-        if self.below.any():
-            bands = labels(self.room.centre_frequencies[self.below])
-            said = (
-                f"Below the Schroeder frequency ({', '.join(bands)}) {len(self.modes.used)} room "
-                "modes stand in place of what was measured there."
-            )
-            if without := [label(mark.frequency) for mark in self.trust_marks if mark.frequency]:
-                said += f" Fewer than three carry {', '.join(without)}: do not use these."
-        return " ".join([said, *self.doubts])

@@ -12,8 +12,8 @@ angle of incidence t,
     alpha(t) = 4 Re(beta) cos t / |cos t + beta|²,
 
 and Paris' integral of alpha(t) sin 2t over t from 0 to 90° is the random-incidence coefficient. A real
-beta reaches at most 0.951, at beta = 0.638. Along a phase of beta alpha rises up to a largest value;
-`admittance` returns the smaller of the two admittances that have an alpha.
+beta reaches at most 0.951, at beta = 0.638; `admittance` returns the smaller of the two that have an
+alpha.
 
 References
 ----------
@@ -24,8 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,10 +42,11 @@ from rtcal.support.types import Array
 
 Complex = NDArray[np.complex128]
 
-LARGEST = 0.9
-"""alpha above which beta follows its tangent: near the largest alpha, beta says nothing of alpha."""
-LARGEST_PHASE = 75.0
-"""Largest phase of beta in degrees: beyond it no alpha above 0.44 has an admittance."""
+LARGEST = 0.856
+"""alpha above which beta follows its tangent, nine tenths of the largest: near that beta says nothing of
+alpha."""
+_NEWTON = 8
+"""Steps: the last ones change no digit, at `LARGEST` either."""
 
 
 def absorption(beta: Complex | Array) -> Array:
@@ -70,69 +70,45 @@ def absorption(beta: Complex | Array) -> Array:
     return np.asarray(8 * g * (1 - g * log + (g**2 - b**2) * arc))
 
 
-def admittance(alpha: Array, phase: float = 0.0) -> Complex:
-    """Return the specific admittance of this random-incidence absorption coefficient, same shape.
+def admittance(alpha: Array) -> Array:
+    """Return the real specific admittance of this random-incidence absorption coefficient, same shape.
 
-    Parameters
-    ----------
-    alpha : array
-        0 to 1. Above `LARGEST`, or nine tenths of the largest alpha of this phase, beta follows its
-        tangent.
-    phase : float
-        Of beta in degrees: 0 is a real admittance.
-
-    Raises
-    ------
-    DataError
-        For an alpha outside 0 to 1, or a phase beyond `LARGEST_PHASE`.
+    ``alpha`` is from 0 to 1. Above `LARGEST` beta follows its tangent. Raises DataError for an alpha
+    outside.
 
     Examples
     --------
     >>> print(admittance(0.1).round(4), absorption(admittance(0.5)).round(6))
-    (0.014+0j) 0.5
+    0.014 0.5
     """
     value = checks.array("alpha", alpha)
     if not ((value >= 0) & (value <= 1)).all():
         raise DataError(f"alpha = {checks.shown(alpha)} is not within 0 and 1")
-    return _along(value, phase)[0]
+    return _with_slope(value)[0]
 
 
-def admittance_slope(alpha: Array, phase: float = 0.0) -> Complex:
+def admittance_slope(alpha: Array) -> Array:
     """Return d beta / d alpha, same shape; errors as `admittance`."""
-    return _along(alpha, phase)[1]
+    return _with_slope(np.asarray(alpha, dtype=float))[1]
 
 
-def _along(alpha: Array, phase: float) -> tuple[Complex, Complex]:
-    """Return beta and its slope over alpha along a phase."""
-    if abs(checks.number("phase", phase)) > LARGEST_PHASE:
-        raise DataError(f"phase = {phase:g}° is beyond {LARGEST_PHASE:g}°")
-    turn: Any = np.exp(1j * np.radians(phase))
-    top, table, sizes = _table(turn)
-    alpha = np.asarray(alpha, dtype=float)
-    inside = np.minimum(alpha, top)
-    size = np.exp(np.interp(inside, table, np.log(sizes)))
-    size = np.where(inside < table[0], inside * sizes[0] / table[0], size)
-    for _ in range(4):  # Newton; the table is within 1 %
-        size = size - (absorption(size * turn) - inside) / _rise(size, turn)
-    slope = 1 / _rise(size, turn)
-    return np.asarray(turn * (size + (alpha - inside) * slope)), np.asarray(turn * slope)
+def _with_slope(alpha: Array) -> tuple[Array, Array]:
+    """Return beta and its slope over alpha.
+
+    The slope of alpha(beta) falls from 8: Newton's steps from alpha / 8 do not overshoot.
+    """
+    inside = np.minimum(alpha, LARGEST)
+    beta = inside / 8
+    for _ in range(_NEWTON):
+        beta = beta - (absorption(beta) - inside) / _rise(beta)
+    slope = 1 / _rise(beta)
+    return beta + (alpha - inside) * slope, slope
 
 
-@lru_cache(maxsize=8)
-def _table(turn: Any) -> tuple[float, Array, Array]:
-    """Return the largest alpha before the tangent, and alpha up to it with |beta|, (n,) each."""
-    sizes = np.geomspace(1e-5, 4.0, 1200)
-    table = absorption(sizes * turn)
-    top = min(LARGEST, 0.9 * float(table.max()))
-    rising = int(np.argmax(table > top)) + 1
-    return top, table[:rising], sizes[:rising]
-
-
-def _rise(size: Array, turn: Any) -> Array:
-    """Return d alpha / d |beta| along a phase."""
-    near = np.maximum(size, 1e-10)
-    ends = [absorption(near * (1 + step) * turn) for step in (1e-4, -1e-4)]
-    return np.asarray((ends[0] - ends[1]) / (2e-4 * near))
+def _rise(beta: Array) -> Array:
+    """Return d alpha / d beta of a real admittance."""
+    share, log = beta / (1 + beta), np.log1p(1 / np.maximum(beta, 1e-300))
+    return np.asarray(8 * (1 + share * (4 - share) - 4 * beta * log))
 
 
 CORRELATION = 0.8

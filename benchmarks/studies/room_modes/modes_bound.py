@@ -13,6 +13,7 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 import rtcal as rt
 from benchmarks.studies.room_modes import modes_world as w
@@ -182,7 +183,8 @@ def _observed(seeds):
 
 def _with_phase(alpha):
     """Sizes of admittances of a phase of 45° with these coefficients."""
-    return np.abs(rt.modes.admittance(alpha, 45.0))
+    turn = np.exp(1j * np.radians(45))
+    return [brentq(lambda b, a=a: rt.modes.absorption(b * turn) - a, 0.0, 0.6) for a in alpha]
 
 
 def _halved(modes, sides):
