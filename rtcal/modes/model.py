@@ -43,8 +43,8 @@ from rtcal.support.types import Array
 Complex = NDArray[np.complex128]
 
 LARGEST = 0.856
-"""alpha above which beta follows its tangent, nine tenths of the largest: near that beta says nothing of
-alpha."""
+"""alpha above which beta follows its tangent, nine tenths of the largest: beta says nothing of alpha
+there."""
 _NEWTON = 8
 """Steps: the last ones change no digit, at `LARGEST` either."""
 
