@@ -197,7 +197,7 @@ def test_modes_tell_the_pairs_of_walls_apart():
     assert ((low <= result.alpha) & (result.alpha <= high)).all()
     assert (result.sigma[:, 0] < 0.08).all()
     assert result.told[0].argmax() < 2  # the first mode stands between west and east
-    assert result.mode_rows[0][1][-1] == "west, east"
+    assert result.blocks()[0].rows[0].values[-1] == "west, east"
     assert result.carried[0]
     assert not result.carried[2]
     kinds = {(m.kind, m.frequency) for m in result.trust_marks}
@@ -310,8 +310,8 @@ def test_uncertainty_of_t_counts():
 
 def test_what_a_mode_tells_of_does_not_hang_on_its_misfit():
     """With zero misfit each mode named the first material."""
-    rows = rt.calibrate_modes(ROOM, heard(ROOM.alpha, error=1e-6)).mode_rows
-    assert {row[1][-1] for row in rows} >= {"south, north", "floor, ceiling"}
+    rows = rt.calibrate_modes(ROOM, heard(ROOM.alpha, error=1e-6)).blocks()[0].rows
+    assert {row.values[-1] for row in rows} >= {"south, north", "floor, ceiling"}
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -41,7 +41,7 @@ from rtcal.calibration.terms import LinearObservations, Observed, as_objective
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.io.sofa import Responses
-from rtcal.modes.measured import Matches, MeasuredModes, match
+from rtcal.modes.measured import MeasuredModes, match
 from rtcal.modes.model import ABOVE, RoomPoles
 from rtcal.modes.responses import modes_in
 from rtcal.modes.room_modes import DECAY
@@ -151,6 +151,14 @@ def calibrate_modes(
         most=_STEPS,
         settled=settled,
     )
+    notes = [*map(as_sentence, filter(None, [times.caution])), *modes.notes, *found.doubts]
+    if len(unsure := np.delete(modes.frequencies, used)):
+        where = ", ".join(f"{f:.1f}" for f in unsure)
+        notes.append(f"Not used, since not surely one calculated mode: {where} Hz.")
+    if not path.settled:
+        notes.append(
+            "Not settled: the last step still moved decays by a tenth of their uncertainty."
+        )
     return ModesResult(
         prior=room,
         alpha=np.clip(path.alpha, 0.0, 1.0),
@@ -167,7 +175,7 @@ def calibrate_modes(
         data=times,
         steps=len(path.steps),
         settled=path.settled,
-        notes=_notes(modes, found, times, path.settled),
+        notes=tuple(notes),
     )
 
 
@@ -189,20 +197,6 @@ class Decays:
     def jacobian(self, alpha: Array) -> Array:
         """Return their derivatives, (n_used, n_materials * n_bands)."""
         return self.model.linear(alpha)[1]
-
-
-def _notes(
-    modes: MeasuredModes, found: Matches, times: MeasuredTimes, settled: bool
-) -> tuple[str, ...]:
-    notes = [*map(as_sentence, filter(None, [times.caution])), *modes.notes, *found.doubts]
-    if len(unsure := np.delete(modes.frequencies, found.measured)):
-        where = ", ".join(f"{f:.1f}" for f in unsure)
-        notes.append(f"Not used, since not surely one calculated mode: {where} Hz.")
-    if not settled:
-        notes.append(
-            "Not settled: the last step still moved decays by a tenth of their uncertainty."
-        )
-    return tuple(notes)
 
 
 def above_schroeder(measured: Measurement, room: Room, low: NDArray[np.bool_]) -> Measurement:
@@ -347,13 +341,6 @@ class ModesResult(Result):
         return self.measured - self.after + moved, spread + self.linearised.covariance
 
     @cached_property
-    def strangest(self) -> int:
-        """The mode without which Q falls most, by its place among those used."""
-        off, covariance = self._off
-        inverse = np.linalg.inv(covariance)
-        return int(np.argmax((inverse @ off) ** 2 / np.diag(inverse)))
-
-    @cached_property
     def told(self) -> Array:
         """Sensitivity of each mode to each material, (n_used, n_materials).
 
@@ -415,7 +402,10 @@ class ModesResult(Result):
         z = together * float(np.sqrt(pulled @ self.before))
         if found.p_value is None or (found.p_value >= P_MODES and abs(z) < _FACTOR_Z):
             return ()
-        f, p = float(self.modes.frequencies[self.used[self.strangest]]), found.p_value
+        inverse = np.linalg.inv(covariance)
+        # Without it Q falls most.
+        strangest = int(np.argmax((inverse @ off) ** 2 / np.diag(inverse)))
+        f, p = float(self.modes.frequencies[self.used[strangest]]), found.p_value
         text = (
             f"decays of {len(self.used)} modes have Q = {found.q:.1f}, p = {p:.1g}; {f:.1f} Hz "
             f"contributes most; together they are {1 + together:.2g} times as fast as stated "
@@ -483,24 +473,6 @@ class ModesResult(Result):
             f"{len(self.modes.frequencies)} measured modes used, {self.steps} steps"
         )
 
-    @property
-    def mode_rows(self) -> list[tuple[str, list[str]]]:
-        """Each mode used: frequency in Hz; T, T before and after in s, and what it tells most of."""
-        most = self.told >= (1 - _ALIKE) * self.told.max(axis=1, keepdims=True)
-        shown = zip(self.used, self.measured, self.before, self.after, most, strict=True)
-        return [
-            (
-                f"{self.modes.frequencies[i]:.1f}",
-                [
-                    f"{DECAY / d:.2f} ± {DECAY / d**2 * self.modes.decay_uncertainty[i]:.2f}",
-                    f"{DECAY / before:.2f}",
-                    f"{DECAY / after:.2f}",
-                    ", ".join(self.prior.materials[int(m)] for m in np.flatnonzero(walls)),
-                ],
-            )
-            for i, d, before, after, walls in shown
-        ]
-
     def __str__(self) -> str:
         parts = (x[:, self.below] for x in (self.prior.alpha, self.alpha, *self.interval))
         cells = [
@@ -517,8 +489,24 @@ class ModesResult(Result):
         return blocks.notebook(self._description, self.blocks())
 
     def blocks(self) -> list[Block]:
-        """Return what the result says."""
-        rows = [Row(name, cells) for name, cells in self.mode_rows]
+        """Return what the result says.
+
+        Of each mode used: frequency in Hz; T, T before and after in s, and what it tells most of.
+        """
+        most = self.told >= (1 - _ALIKE) * self.told.max(axis=1, keepdims=True)
+        shown = zip(self.used, self.measured, self.before, self.after, most, strict=True)
+        rows = [
+            Row(
+                f"{self.modes.frequencies[i]:.1f}",
+                [
+                    f"{DECAY / d:.2f} ± {DECAY / d**2 * self.modes.decay_uncertainty[i]:.2f}",
+                    f"{DECAY / before:.2f}",
+                    f"{DECAY / after:.2f}",
+                    ", ".join(self.prior.materials[int(m)] for m in np.flatnonzero(walls)),
+                ],
+            )
+            for i, d, before, after, walls in shown
+        ]
         notes = [Note(note, hanging="    ") for note in self.every_note]
         return [Table(_HEADER[1:], rows, corner=_HEADER[0]), *notes]
 

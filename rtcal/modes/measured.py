@@ -44,9 +44,13 @@ from rtcal.support.types import Array
 __all__ = ["MeasuredModes", "read"]
 __dir__ = __all__.copy
 
-_LEAST_FREQUENCY, _LARGEST_FREQUENCY = 1.0, 1000.0
+_RANGES = {
+    "frequencies": (1.0, 1000.0, "Hz"),
+    "decays": (DECAY / LIMITS[1], DECAY / LIMITS[0], f"1/s (T = {LIMITS[0]:g} to {LIMITS[1]:g} s)"),
+}
+"""Of single modes of rooms."""
 _NEED_NO_UNIT = {
-    "frequency": (_LEAST_FREQUENCY, _LARGEST_FREQUENCY),
+    "frequency": _RANGES["frequencies"][:2],
     "T": (0.03, 30.0),
     "decay": (DECAY / 30.0, DECAY / 0.03),
 }
@@ -126,38 +130,27 @@ class MeasuredModes:
                 bad = int(np.argmin(good))
                 raise DataError(f"{name}[{bad}] = {values[bad]:g} is not finite and above 0")
             put(name, values)
-        if (np.diff(self.frequencies) <= 0).any():
-            bad = int(np.argmax(np.diff(self.frequencies) <= 0)) + 1
-            equal = self.frequencies[bad] == self.frequencies[bad - 1]
-            wrong = "is given twice" if equal else "is not above the one before it"
-            raise DataError(f"frequencies[{bad}] = {self.frequencies[bad]:g} Hz {wrong}")
-        if self.frequencies[0] < _LEAST_FREQUENCY:
+        for name, (low, high, unit) in _RANGES.items():
+            values = getattr(self, name)
+            if ((values < low) | (values > high)).any():
+                bad = int(np.argmax((values < low) | (values > high)))
+                raise DataError(
+                    f"{name}[{bad}] = {values[bad]:g} is not from {low:.3g} to {high:.3g} {unit}, "
+                    "where rooms have single modes; is the unit another?"
+                )
+        if (falls := np.diff(self.frequencies) <= 0).any():
+            bad = int(np.argmax(falls)) + 1
             raise DataError(
-                f"frequencies[0] = {self.frequencies[0]:g} Hz is below {_LEAST_FREQUENCY:g} Hz, where "
-                "no room has modes; is the unit kHz?"
-            )
-        low, high = DECAY / LIMITS[1], DECAY / LIMITS[0]
-        if (outside := (self.decays < low) | (self.decays > high)).any():
-            bad = int(np.argmax(outside))
-            raise DataError(
-                f"decays[{bad}] = {self.decays[bad]:g} 1/s is a decay time of "
-                f"{DECAY / self.decays[bad]:.3g} s, and no room's is outside {LIMITS[0]:g} to "
-                f"{LIMITS[1]:g} s; is the unit another?"
-            )
-        if self.frequencies[-1] > _LARGEST_FREQUENCY:
-            raise DataError(
-                f"frequencies[{n - 1}] = {self.frequencies[-1]:g} Hz is above {_LARGEST_FREQUENCY:g} "
-                "Hz, where no room has single modes"
+                f"frequencies[{bad}] = {self.frequencies[bad]:g} Hz is not above the one before it"
             )
         put("notes", tuple(checks.listed("notes", self.notes)))
         if self.amplitudes is not None:
             amplitudes = np.array(self.amplitudes, dtype=complex)
-            if amplitudes.ndim != 2 or len(amplitudes) != n:
+            if amplitudes.ndim != 2 or len(amplitudes) != n or not np.isfinite(amplitudes).all():
                 raise DataError(
-                    f"amplitudes has shape {amplitudes.shape}; with {n} modes it is ({n}, n_pairs)"
+                    f"amplitudes has shape {amplitudes.shape}; with {n} modes it is ({n}, n_pairs), "
+                    "and finite"
                 )
-            if not np.isfinite(amplitudes).all():
-                raise DataError("amplitudes has a value that is not finite")
             put("amplitudes", amplitudes)
         if self.calculated is not None:
             own = np.array(self.calculated, dtype=int)
@@ -229,7 +222,6 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         names = names[:-1]
     names, below, _ = with_units(names, below, _UNIT_WORDS)
     columns = _columns(names, f"{place}, line {first}")
-    rows = [(line, of_width(cells, len(names), f"{place}, line {line}")) for line, cells in below]
     of = "decay" if "decay" in columns else "T"
     if not {"frequency", of} <= columns.keys() or {"decay", "T"} <= columns.keys():
         raise DataError(
@@ -238,14 +230,14 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         )
     if f"u_{of}" not in columns:
         raise DataError(f'{place}: the column "u_{of}" is missing: the standard uncertainty')
-    means = [
-        f'{place}, line {line}: "{shown(cells[columns["frequency"][0]])}" is no mode, and is left out.'
-        for line, cells in rows
-        if statistic_of(cells[columns["frequency"][0]]) not in (None, DOUBTFUL)
-    ]
-    rows = [
-        row for row in rows if statistic_of(row[1][columns["frequency"][0]]) in (None, DOUBTFUL)
-    ]
+    rows, means = [], []
+    for line, cells in below:
+        cells = of_width(cells, len(names), f"{place}, line {line}")
+        called = cells[columns["frequency"][0]]
+        if statistic_of(called) in (None, DOUBTFUL):
+            rows.append((line, cells))
+        else:
+            means.append(f'{place}, line {line}: "{shown(called)}" is no mode, and is left out.')
     if not rows:
         raise DataError(f"{place}, line {first}: no mode below the header")
     used = "".join(cells[k] for _, cells in rows for k, *_ in columns.values())

@@ -119,49 +119,33 @@ class Spectra:
         return np.maximum((power / count)[start : start + len(off)], self.noise)
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """The least squares of poles (frequencies in Hz, then logarithms of decays) and amplitudes.
-
-    ``psi`` (n_poles, n_pairs) is what the pairs hear of each calculated pole, ``scale`` times whose
-    frequencies are the ``prior``.
-    """
-
-    heard: Spectra
-    poles: Poles
-    psi: Complex
-    scale: float
-    spread_of_amplitudes: float = AMPLITUDE
-
-    @cached_property
-    def prior(self) -> Array:
-        """Frequencies and logarithms of decays, (2 n_poles,)."""
-        return np.concatenate([self.scale * self.poles.frequencies, np.log(self.poles.decays)])
-
-    @cached_property
-    def spread(self) -> Array:
-        """Standard deviations of the prior, (2 n_poles,)."""
-        own = frequency_error(self.poles.frequencies, self.poles.decays)
-        return np.concatenate([own, np.full(len(own), DECAY_ERROR)])
-
-
 def fitted(heard: Spectra, poles: Poles, psi: Complex) -> Point:
     """Return the poles and amplitudes of the least squares.
 
     How far amplitudes are from the calculated patterns is known only then, and counts in a second fit.
     """
     scale, amplitudes = _scanned(heard, poles.values, psi)
-    problem = Problem(heard, poles, psi, scale)
+    own = frequency_error(poles.frequencies, poles.decays)
+    prior = np.concatenate([scale * poles.frequencies, np.log(poles.decays)])
     none = np.zeros_like(amplitudes, shape=(heard.residuals.shape[1], psi.shape[1]))
-    first = _settled(Point(problem, problem.prior, np.vstack([amplitudes, none])))
+    first = _settled(
+        Point(
+            heard=heard,
+            psi=psi,
+            scale=scale,
+            prior=prior,
+            spread=np.concatenate([own, np.full(len(own), DECAY_ERROR)]),
+            at=prior,
+            amplitudes=np.vstack([amplitudes, none]),
+        )
+    )
     spread = float(np.clip(np.sqrt(first.strange), LEAST_AMPLITUDE, AMPLITUDE))
-    told = replace(problem, spread_of_amplitudes=spread)
-    return _settled(Point(told, first.at, first.amplitudes))
+    return _settled(replace(first, spread_of_amplitudes=spread))
 
 
 def _settled(point: Point) -> Point:
     """Take steps with Levenberg's damping until the misfit falls no more."""
-    n, damping = len(point.problem.psi), 1e-2
+    n, damping = len(point.psi), 1e-2
     for _ in range(_STEPS):
         now, settled = point.misfit(point), True
         for _ in range(6):
@@ -206,23 +190,34 @@ def _scanned(heard: Spectra, poles: Complex, psi: Complex) -> tuple[float, Compl
     return best[1], best[2]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Point:
-    """Poles and amplitudes, with the errors and the source's spectrum there."""
+    """A point of the least squares: poles and amplitudes, with the errors there.
 
-    problem: Problem
+    ``psi`` (n_poles, n_pairs) is what the pairs hear of each calculated pole, ``scale`` times whose
+    frequencies in Hz, and the logarithms of whose decays, are the ``prior`` (2 n_poles,) with its
+    standard deviation ``spread``. ``at`` are those of this point. ``amplitudes`` (n_poles + 3, n_pairs)
+    are of the poles and of the residuals.
+    """
+
+    heard: Spectra
+    psi: Complex
+    scale: float
+    prior: Array
+    spread: Array
     at: Array
     amplitudes: Complex
+    spread_of_amplitudes: float = AMPLITUDE
 
     @property
     def frequencies(self) -> Array:
         """Hz, (n_poles,)."""
-        return self.at[: len(self.problem.psi)]
+        return self.at[: len(self.psi)]
 
     @property
     def log_decays(self) -> Array:
         """Logarithms of the decays in 1/s, (n_poles,)."""
-        return self.at[len(self.problem.psi) :]
+        return self.at[len(self.psi) :]
 
     @cached_property
     def columns(self) -> Complex:
@@ -231,7 +226,7 @@ class Point:
         By the amplitudes' real parts and imaginary parts; and two for each pole, which each pair mixes
         by its amplitude. The residuals have no poles of their own.
         """
-        heard = self.problem.heard
+        heard = self.heard
         poles, rest = -np.exp(self.log_decays) + 2j * np.pi * self.frequencies, heard.residuals
         ours, others = heard.kernel(poles), heard.kernel(poles.conj())
         sums, turned = (
@@ -244,17 +239,17 @@ class Point:
     def off(self) -> Complex:
         """Spectra less those of the modes, (n_bins, n_pairs)."""
         parts = np.vstack([self.amplitudes.real, self.amplitudes.imag])
-        return np.asarray(self.problem.heard.values - self.columns[:, : len(parts)] @ parts)
+        return np.asarray(self.heard.values - self.columns[:, : len(parts)] @ parts)
 
     @property
     def own(self) -> Complex:
         """Amplitudes of the modes, (n_poles, n_pairs)."""
-        return self.amplitudes[: len(self.problem.psi)]
+        return self.amplitudes[: len(self.psi)]
 
     @cached_property
     def expected(self) -> Complex:
         """Amplitudes of the calculated patterns with the source's smooth spectrum."""
-        psi, f, own = self.problem.psi, self.frequencies, self.own
+        psi, f, own = self.psi, self.frequencies, self.own
         near = np.exp(-(((f[:, np.newaxis] - f) / _SMOOTH) ** 2))
         q = near @ (psi.conj() * own).sum(axis=1) / (near @ (np.abs(psi) ** 2).sum(axis=1))
         none = np.zeros_like(self.amplitudes[len(psi) :])
@@ -265,24 +260,24 @@ class Point:
         """Weight of each mode's amplitudes, (n_poles,)."""
         n = len(self.own)
         size = np.sqrt((np.abs(self.expected[:n]) ** 2).mean(axis=1))
-        spread = self.problem.spread_of_amplitudes
+        spread = self.spread_of_amplitudes
         own = 1 / np.maximum(spread * size, 1e-9 * size.max()) ** 2
         return np.concatenate([own, np.ones(len(self.amplitudes) - n)])
 
     @cached_property
     def weight(self) -> Array:
         """Weights of the bins, (n_bins,)."""
-        return np.asarray(1 / np.sqrt(self.problem.heard.local(self.off)))
+        return np.asarray(1 / np.sqrt(self.heard.local(self.off)))
 
     @property
     def unexplained(self) -> float:
         """Share of the responses' power that the modes leave."""
-        return _share(self.off, self.problem.heard.values)
+        return _share(self.off, self.heard.values)
 
     @property
     def strange(self) -> float:
         """Share of the amplitudes' power that the calculated patterns leave."""
-        within = self.frequencies <= self.problem.heard.omega[-1] / (2 * np.pi)
+        within = self.frequencies <= self.heard.omega[-1] / (2 * np.pi)
         own = self.own[within]
         return _share(own - self.expected[: len(within)][within], own)
 
@@ -293,10 +288,9 @@ class Point:
 
     def misfit(self, there: Point) -> float:
         """Return the weighed squares of what is left ``there``, with the weights of this point."""
-        p = self.problem
         left = np.abs(there.off) ** 2 * self.weight[:, np.newaxis] ** 2
         far = np.abs(there.amplitudes - self.expected) ** 2 * self.ridge[:, np.newaxis]
-        return float(left.sum() + far.sum() + (((there.at - p.prior) / p.spread) ** 2).sum())
+        return float(left.sum() + far.sum() + (((there.at - self.prior) / self.spread) ** 2).sum())
 
     def moved(self, damping: float) -> Point:
         """Return the point after a damped step."""
@@ -306,7 +300,8 @@ class Point:
         move = np.linalg.solve(matrix, right)
         more = solve_triangular(lower, sides - across @ move, trans=1, lower=True)
         n = len(self.amplitudes)
-        return Point(self.problem, self.at + move, self.amplitudes + more[:n] + 1j * more[n:])
+        amplitudes = self.amplitudes + more[:n] + 1j * more[n:]
+        return replace(self, at=self.at + move, amplitudes=amplitudes)
 
     def _reduced(self, damping: float) -> tuple[Array, ...]:
         """Return matrix and right side of the poles, without the amplitudes.
@@ -327,7 +322,7 @@ class Point:
     @cached_property
     def _normal(self) -> tuple[Array, ...]:
         """Normal equations: of amplitudes, of poles with their right side, of both, and sides."""
-        p, n = self.problem, 2 * len(self.amplitudes)
+        n = 2 * len(self.amplitudes)
         columns, left = (
             np.concatenate([weighed.real, weighed.imag])
             for weighed in (x * self.weight[:, np.newaxis] for x in (self.columns, self.off))
@@ -341,7 +336,7 @@ class Point:
             by_frequency = 2 * np.pi * (two * a.real - one * a.imag)
             return np.concatenate([by_frequency, -decays * (one * a.real + two * a.imag)], axis=-1)
 
-        matrix, right = np.diag(p.spread**-2), (p.prior - self.at) / p.spread**2
+        matrix, right = np.diag(self.spread**-2), (self.prior - self.at) / self.spread**2
         for a, side in zip(self.own.T, off[n:].T, strict=True):
             matrix += of_poles(of_poles(gram[n:, n:], a).T, a)
             right += of_poles(side, a)
@@ -415,9 +410,9 @@ def find_modes(
             f"{fit.strange:.0%} of the amplitudes over the positions: check dimensions, positions, "
             "temperature and that the time axis begins as the sound does"
         )
-    if abs(fit.problem.scale - 1) > 0.99 * FARTHEST:
+    if abs(fit.scale - 1) > 0.99 * FARTHEST:
         raise DataError(
-            f"frequencies are {fit.problem.scale:.3f} times those calculated or beyond, where the "
+            f"frequencies are {fit.scale:.3f} times those calculated or beyond, where the "
             "search ends: check dimensions and temperature"
         )
     told = _told(fit, model.modes.largest, lowest, highest)
@@ -479,7 +474,7 @@ def _told(fit: Point, largest: float, lowest: float, highest: float) -> Measured
     variance = np.diag(fit.covariance)
     after, before = variance[n:], DECAY_ERROR**2
     precision = np.maximum(1 / after - 1 / before, 1e-9)
-    log_decay = (fit.log_decays / after - fit.problem.prior[n:] / before) / precision
+    log_decay = (fit.log_decays / after - fit.prior[n:] / before) / precision
     relative = _INFLATED / np.sqrt(precision)
     sure = relative < LARGEST_ERROR
     own = _own(fit)
@@ -514,9 +509,9 @@ def _told(fit: Point, largest: float, lowest: float, highest: float) -> Measured
 
 def _own(fit: Point) -> NDArray[np.bool_]:
     """Return which modes are nearest to their own calculated one, by frequency and pattern."""
-    psi, heard, n = fit.problem.psi, fit.own, len(fit.own)
+    psi, heard, n = fit.psi, fit.own, len(fit.own)
     common = np.abs(heard.conj() @ psi.T) ** 2
     whole = np.outer(*((np.abs(a) ** 2).sum(axis=1) for a in (heard, psi)))
     missed = 1 - common / np.maximum(whole, 1e-300)
-    off = (fit.frequencies[:, np.newaxis] - fit.problem.prior[:n]) / fit.problem.spread[:n]
+    off = (fit.frequencies[:, np.newaxis] - fit.prior[:n]) / fit.spread[:n]
     return np.asarray((off**2 + missed / AMPLITUDE**2).argmin(axis=1) == np.arange(n))
