@@ -6,7 +6,7 @@ No other module imports jinja2. Autoescaping makes every name plain text.
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -204,7 +204,8 @@ def abreast(columns: Sequence[str]) -> list[slice]:
 def wordy(table: Table) -> list[bool]:
     """Return which columns are of texts that are longer than a number, (n_columns,)."""
     columns = zip(
-        *((() if r.form else r.cells) or [""] * len(table.columns) for r in table.rows), strict=True
+        *((() if r.form else r.cells) or [""] * len(table.columns) for r in table.printed),
+        strict=True,
     )
     return [any(len(c) > _WORDY and "→" not in c for c in column) for column in columns]
 
@@ -262,7 +263,7 @@ def coefficients(
     alpha: Array,
     interval: tuple[Array, Array] | None = None,
     at_bound: NDArray[np.bool_] | None = None,
-    rows: Iterable[int] | None = None,
+    most: Sequence[int] | None = None,
 ) -> Table:
     """Return the table of coefficients by material and band: stated → calibrated, and the interval.
 
@@ -276,8 +277,8 @@ def coefficients(
         Ends of their 90 % intervals, each (n_materials, n_bands).
     at_bound : array of bool (n_materials, n_bands), optional
         Which coefficients stand at a bound; they get a star.
-    rows : iterable of int, optional
-        Numbers of the materials; all by default.
+    most : sequence of int, optional
+        Numbers of the materials that a page shows; all by default.
     """
 
     def cell(i: int, k: int) -> str:
@@ -297,10 +298,11 @@ def coefficients(
                 shown=[cell(i, k) for k in range(room.n_bands)],
                 others={"stated": room.alpha[i], **{k: end[i] for k, end in others.items()}},
             )
-            for i in (range(room.n_materials) if rows is None else rows)
+            for i in range(room.n_materials)
         ],
         title,
         "Material",
+        most=most,
     )
 
 

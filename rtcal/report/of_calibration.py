@@ -37,7 +37,7 @@ from rtcal.support import __version__
 from rtcal.support.blocks import Note, Row, Table
 
 MOST_MATERIALS = 100
-"""Largest number of materials in the page's table, which lists those that absorb most."""
+"""Largest number of materials in a page's tables, which list those that absorb most."""
 _PRINTED = 0.05
 """Gap in JND that is not 0.0 when it is printed."""
 _AGREEMENT = (
@@ -95,13 +95,12 @@ def blocks(result: CalibrationResult, level: int = 2, what: str = "") -> list[An
     room, record = result.prior, result.to_dict()
     low, high = figures.intervals(result)
     size = np.max(room.areas[:, np.newaxis] * result.alpha, axis=1)
-    rows = np.sort(np.argsort(-size, kind="stable")[:MOST_MATERIALS])
+    rows = np.sort(np.argsort(-size, kind="stable")[:MOST_MATERIALS]).tolist()
     of_all = f"; the {len(rows)} of {len(size)} materials that absorb most"
     title = (
         f"Absorption coefficients{what and f', {what}'}: stated → calibrated, below it the 90 % "
         f"interval; * at a bound{of_all if len(rows) < len(size) else ''}"
     )
-    shifts = table.shift_rows(record)
     left = np.abs(result.gap_after) >= MET
     marked = {m.frequency for m in result.trust_marks if m.frequency is not None}
     marked |= {*room.centre_frequencies[left].tolist()}
@@ -122,9 +121,10 @@ def blocks(result: CalibrationResult, level: int = 2, what: str = "") -> list[An
         Note(_of_intervals(result), kind="note"),
         Table(
             bands.labels(room.centre_frequencies),
-            [shifts[i] for i in rows],
+            table.shift_rows(record),
             table.SHIFT,
             "Material",
+            most=rows,
         ),
         Table(
             bands.labels(room.centre_frequencies),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,7 @@ def page(result: PositionsResult) -> Page:
                 "Sigma is the standard deviation of a coefficient, the root mean square over the "
                 "bands. Most learned first."
             ),
-            Table(materials.columns, materials.rows[: len(order)], corner="Material"),
+            replace(materials, corner="Material", most=range(len(order))),
             Picture(
                 lambda: figures.shifts(result, order),
                 "How far each coefficient moved, in standard deviations of what was stated. "

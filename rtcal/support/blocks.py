@@ -91,13 +91,22 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Rows by column, with a title above and a note below; ``corner`` is the head of the names."""
+    """Rows by column, with a title above and a note below; ``corner`` is the head of the names.
+
+    ``most`` are the numbers of the rows that are printed, where that is not all: a workbook has all.
+    """
 
     columns: Sequence[str]
     rows: Sequence[Row]
     title: str = ""
     corner: str = ""
     note: str = ""
+    most: Sequence[int] | None = None
+
+    @property
+    def printed(self) -> Sequence[Row]:
+        """The rows that a text or a page shows."""
+        return self.rows if self.most is None else [self.rows[i] for i in self.most]
 
     @classmethod
     def of_columns(
@@ -147,7 +156,7 @@ def lines(blocks: Sequence[Block]) -> list[str]:
         if isinstance(block, Table):
             out += [""] if out else []
             out += text.wrapped(block.title)
-            rows = [(row.name, row.cells) for row in block.rows]
+            rows = [(row.name, row.cells) for row in block.printed]
             out += text.table(rows, header=(block.corner, list(block.columns)))
             out += text.wrapped(block.note)
         else:
@@ -171,7 +180,7 @@ def notebook(caption: str, blocks: Sequence[Block]) -> str:
             out += f"<p>{html.escape(block.text)}</p>" if block.text else ""
             continue
         head = "".join(_cell("th", "col", c) for c in (block.corner, *block.columns))
-        body = "".join(f"<tr>{_cells(row)}</tr>" for row in block.rows)
+        body = "".join(f"<tr>{_cells(row)}</tr>" for row in block.printed)
         title = ". ".join(filter(None, (first, block.title)))
         out += (
             f'<table><caption style="text-align: left">{html.escape(title)}</caption>'
