@@ -44,13 +44,10 @@ from rtcal.support.types import Array
 __all__ = ["MeasuredModes", "read"]
 __dir__ = __all__.copy
 
-_RANGES = {
-    "frequencies": (1.0, 1000.0, "Hz"),
-    "decays": (DECAY / LIMITS[1], DECAY / LIMITS[0], f"1/s (T = {LIMITS[0]:g} to {LIMITS[1]:g} s)"),
-}
-"""Of single modes of rooms."""
+_SINGLE = (1.0, 1000.0)
+"""Hz within which rooms have single modes."""
 _NEED_NO_UNIT = {
-    "frequency": _RANGES["frequencies"][:2],
+    "frequency": _SINGLE,
     "T": (0.03, 30.0),
     "decay": (DECAY / 30.0, DECAY / 0.03),
 }
@@ -130,13 +127,15 @@ class MeasuredModes:
                 bad = int(np.argmin(good))
                 raise DataError(f"{name}[{bad}] = {values[bad]:g} is not finite and above 0")
             put(name, values)
-        for name, (low, high, unit) in _RANGES.items():
-            values = getattr(self, name)
-            if ((values < low) | (values > high)).any():
-                bad = int(np.argmax((values < low) | (values > high)))
+        for name, found, (low, high), unit in (
+            ("frequencies", self.frequencies, _SINGLE, "Hz"),
+            ("decays", self.decay_times, LIMITS, "s (6.91 / delta)"),
+        ):
+            if (outside := (found < low) | (found > high)).any():
+                bad = int(np.argmax(outside))
                 raise DataError(
-                    f"{name}[{bad}] = {values[bad]:g} is not from {low:.3g} to {high:.3g} {unit}, "
-                    "where rooms have single modes; is the unit another?"
+                    f"{name}[{bad}] = {found[bad]:.3g} {unit} is not from {low:g} to {high:g}, where "
+                    "rooms have single modes; is the unit another?"
                 )
         if (falls := np.diff(self.frequencies) <= 0).any():
             bad = int(np.argmax(falls)) + 1
