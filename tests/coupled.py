@@ -103,7 +103,7 @@ def optimum(answer: JointResult) -> np.ndarray | None:
 def _rows(answer: JointResult, k: int) -> list[tuple[np.ndarray, float, float]]:
     """Return coefficients and limits of each row of a band."""
     numbers, rows = answer.numbers, []
-    for term in answer.composition.rows:
+    for term in answer.composition.row_constraints:
         if isinstance(term, terms.ExactMatch):
             low, high = term.target_limits(numbers)
             rows += [(s, low[c, k], high[c, k]) for c, s in enumerate(numbers.areas)]

@@ -59,7 +59,7 @@ def test_a_wrong_answer_has_large_residuals_and_a_bound_that_holds(cr2) -> None:
     joint = rt.calibrate(*cr2, method="soft").joint
     qp, right = joint.qp, joint.point
     assert certify(qp, right, 1.0).worst < 1e-12
-    place = qp.compiled.unknowns
+    place = qp.compiled.places
     for noise in (1e-8, 1e-4, 1e-1):
         v = right.v.copy()
         v[place] += noise * rng.standard_normal(len(place))

@@ -281,8 +281,8 @@ def test_groups_of_shared_materials_stay_apart() -> None:
     def layout(*constraints: Any) -> Layout:
         return rt.Calibration(terms.PriorDeviation(), constraints).build(room).composition.layout
 
-    assert layout(*shared).rows == (0, 1, 2, 1, 0)
-    assert layout(*shared, terms.Shared("m3", "m0")).rows == (0, 0, 1, 0, 0)
+    assert layout(*shared).alpha_rows == (0, 1, 2, 1, 0)
+    assert layout(*shared, terms.Shared("m3", "m0")).alpha_rows == (0, 0, 1, 0, 0)
 
 
 P = terms.PriorDeviation

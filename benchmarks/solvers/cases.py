@@ -73,7 +73,7 @@ class Case(qpbenchmark.Problem):
         self.centre, self.scale, self.layout = numbers.mu, numbers.sigma, numbers.layout
         qp = built.composition.qp(numbers)
         order = np.concatenate(
-            [qp.compiled.unknowns, np.setdiff1d(np.arange(len(qp.c)), qp.compiled.unknowns)]
+            [qp.compiled.places, np.setdiff1d(np.arange(len(qp.c)), qp.compiled.places)]
         )
         quadratic, rows = (part.tocsc()[:, order] for part in qp.matrices)
         low, high = qp.lower[order], qp.upper[order]

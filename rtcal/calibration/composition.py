@@ -69,7 +69,7 @@ class Composition:
             raise ModelError(f"two further unknowns have one name: {', '.join(further)}")
         layout = Layout(
             materials=materials,
-            rows=tuple(range(len(materials))),
+            alpha_rows=tuple(range(len(materials))),
             centre_frequencies=tuple(float(f) for f in configurations.union.centre_frequencies),
             n_configurations=len(configurations.rooms),
             further=further,
@@ -82,7 +82,7 @@ class Composition:
         return cls(layout, equation, objective, left)
 
     @property
-    def rows(self) -> list[Any]:
+    def row_constraints(self) -> list[Any]:
         """The constraints that are rows of the QP, functions of a model; the others narrow the box."""
         return [c for c in self.constraints if not isinstance(c, BoundConstraint)]
 
@@ -111,12 +111,12 @@ class Composition:
     @cached_property
     def compiled(self) -> CompiledProblem:
         """The compiled problem, which compositions of equal terms and layout share."""
-        return compile_once(self.layout, self.objective.terms, self.weights, self.rows)
+        return compile_once(self.layout, self.objective.terms, self.weights, self.row_constraints)
 
     @property
     def rows_of(self) -> list[tuple[Any, list[Integers]]]:
         """Each constraint with the rows of the QP that it states; -1 for one that became a bound."""
-        return list(zip(self.rows, self.compiled.rows_of, strict=True))
+        return list(zip(self.row_constraints, self.compiled.rows_of, strict=True))
 
     def qp(self, numbers: Numbers) -> QP:
         """Return the QP of some numbers."""
@@ -138,7 +138,7 @@ class Composition:
         slack = _KEPT * (1 + np.abs(u))
         if (low < -slack).any() or (high > slack).any():
             return np.inf
-        program, places = self.qp(numbers), self.compiled.unknowns[numbers.sigma > 0]
+        program, places = self.qp(numbers), self.compiled.places[numbers.sigma > 0]
         lower, upper = program.lower.copy(), program.upper.copy()
         lower[places] = upper[places] = ((u - numbers.mu) * numbers.inverse_sigma)[
             numbers.sigma > 0
@@ -147,8 +147,8 @@ class Composition:
         point = closed_form(program)
         if point is None:
             raise SolverError("the objective has no value at these coefficients")
-        left = program.b - program.rows(point.v)
-        slack = _KEPT * (1 + program.magnitudes.rows(np.abs(point.v)))
+        left = program.b - program.row_sums(point.v)
+        slack = _KEPT * (1 + program.magnitudes.row_sums(np.abs(point.v)))
         if (left < -slack).any() or (left > slack)[program.equal].any():
             return np.inf
         return float(point.v @ (program.gradient(point.v) + program.c)) / 2
@@ -177,10 +177,13 @@ class Composition:
             sigma = np.where(sigma > 0, stated, 0.0)
         areas, floors = configurations.areas, room.alpha_min
         floors = np.zeros(alpha.shape) if floors is None else floors
-        if layout.n_rows < len(layout.materials):
+        if layout.n_alpha_rows < len(layout.materials):
             self._check_shared(room)
             alpha, sigma = alpha[layout.first], sigma[layout.first]
-            rows = [np.flatnonzero(np.array(layout.rows) == row) for row in range(layout.n_rows)]
+            rows = [
+                np.flatnonzero(np.array(layout.alpha_rows) == row)
+                for row in range(layout.n_alpha_rows)
+            ]
             floors = np.array([floors[r].max(axis=0) for r in rows])
             areas = np.stack([areas[:, r].sum(axis=1) for r in rows], axis=1)
         mu, lower = alpha.ravel(), floors.ravel()
@@ -239,7 +242,7 @@ class Composition:
         return {term: observed[term].over(self.layout) for term in terms}
 
     def _check_shared(self, room: Room) -> None:
-        for material, row in enumerate(self.layout.rows):
+        for material, row in enumerate(self.layout.alpha_rows):
             first = int(self.layout.first[row])
             for name in ("alpha", "sigma"):
                 values = getattr(room, name)

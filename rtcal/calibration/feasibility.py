@@ -134,7 +134,7 @@ def restrict_to_reach(
         match, for a T that is too short for any absorption.
     """
     times, rooms, equation = numbers.time, numbers.rooms, numbers.equation
-    free = np.zeros(numbers.layout.size, dtype=np.int8)
+    none_held = np.zeros(numbers.layout.size, dtype=np.int8)
     if not matches:
         lost = np.isfinite(times) & ~np.isfinite(numbers.target)
         if lost.any():
@@ -143,7 +143,7 @@ def restrict_to_reach(
                 f"T[{numbers.layout.band_label(row)}] = {times.ravel()[row]:.4g} s is "
                 "too short for any absorption"
             )
-        return numbers, free, ()
+        return numbers, none_held, ()
     asked = np.isfinite(times)
     low, high = reach(numbers)
     tolerance, largest = end_tolerance(numbers), numbers.largest_target
@@ -183,11 +183,11 @@ def restrict_to_reach(
     reached = np.where(at_low, low, np.where(at_high, top, target))
     moved = too_low | too_high | at_low | at_high
     if not moved.any():
-        return numbers, free, ()
+        return numbers, none_held, ()
     at_high &= top >= high - tolerance  # a limit of the equation is no end of the box
     target = np.where(moved | np.isnan(numbers.target), reached, numbers.target)
-    held = _forced(numbers, at_low, at_high)
-    return replace(numbers, target=target), held, tuple(beyond)
+    held_at = _forced(numbers, at_low, at_high)
+    return replace(numbers, target=target), held_at, tuple(beyond)
 
 
 def _refuse_invalid(numbers: Numbers, where: Flags, least: Array) -> None:
@@ -232,7 +232,7 @@ def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
     """
     compiled, layout, moves = composition.compiled, composition.layout, numbers.movable
     m = compiled.model
-    own = program.matrices[1][:, compiled.unknowns] @ sp.diags_array(numbers.inverse_sigma * moves)
+    own = program.matrices[1][:, compiled.places] @ sp.diags_array(numbers.inverse_sigma * moves)
     sides = [np.asarray((sign * own).maximum(0).sum(axis=1)).ravel() for sign in (1, -1)]
     size = np.append(np.maximum(*sides), 1.0)  # the last of what is no row
     size[size == 0] = 1.0
@@ -247,9 +247,9 @@ def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
     deviations = m.x if m.effects is None else cp.hstack([m.x, m.effects])
     u = numbers.mu + cp.multiply(numbers.sigma, deviations)
     most = np.where(np.arange(layout.size) < layout.n_alpha, 1.0, np.inf)
-    held = ~moves & (numbers.sigma > 0)
+    fixed = ~moves & (numbers.sigma > 0)
     rows = [*m.definitions]
-    for where, low, high in ((moves, 0 * most, most), (held, *numbers.box)):
+    for where, low, high in ((moves, 0 * most, most), (fixed, *numbers.box)):
         rows += [u[where] >= low[where]] if where.any() else []
         where = where & np.isfinite(high)
         rows += [u[where] <= high[where]] if where.any() else []

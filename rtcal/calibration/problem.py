@@ -314,10 +314,10 @@ def certified_answer(
         If no answer passes the certificate.
     """
     matches = [match.target_limits(numbers) for match in composition.matches]
-    numbers, held, beyond = feasibility.restrict_to_reach(numbers, matches, options.unreachable)
+    numbers, held_at, beyond = feasibility.restrict_to_reach(numbers, matches, options.unreachable)
     program = composition.qp(numbers)
     at = np.zeros(len(program.c), dtype=np.int8)
-    at[composition.compiled.unknowns] = held
+    at[composition.compiled.places] = held_at
     try:
         raw = qp.solve(program, at, options)
     except SolverError as error:
@@ -335,7 +335,7 @@ def certified_answer(
             f"{np.max(certificate.dual_residual):.1e}, gap {np.max(certificate.duality_gap):.1e}"
         )
     u = program.unknowns(numbers, point.v)
-    place = composition.compiled.unknowns
+    place = composition.compiled.places
     active = np.where(numbers.movable, point.at[place], 0).astype(np.int8)
     # Exactly at its bound, and within it in spite of the rounding of mu + sigma x.
     u = np.where(active < 0, numbers.lower, np.where(active > 0, numbers.upper, u))

@@ -187,21 +187,23 @@ class CompiledProblem:
 
     def _read(self, data: Mapping[str, Any]) -> None:
         """Keep cvxpy's maps from the parameters to the matrices, and the places of their entries."""
-        program = data["param_prob"]
-        program.reduced_A.cache()
-        program.reduced_P.cache()
-        linear = program.q if hasattr(program, "q") else program.c  # c in cvxpy 1.7
+        cvxpy_maps = data["param_prob"]
+        cvxpy_maps.reduced_A.cache()
+        cvxpy_maps.reduced_P.cache()
+        linear = cvxpy_maps.q if hasattr(cvxpy_maps, "q") else cvxpy_maps.c  # c in cvxpy 1.7
         size, n_equal, n_rows = len(data["c"]), int(data["dims"].zero), len(data["b"])
-        place = program.param_id_to_col
+        place = cvxpy_maps.param_id_to_col
         self._filled = [
             (place[p.id], compute) for p, compute in self.model.parameters if p.id in place
         ]
-        self._theta = np.ones(program.total_param_size + 1)  # its last entry is the maps' constant
-        rows, starts, _ = program.reduced_A.problem_data_index
+        self._theta = np.ones(
+            cvxpy_maps.total_param_size + 1
+        )  # its last entry is the maps' constant
+        rows, starts, _ = cvxpy_maps.reduced_A.problem_data_index
         columns = np.repeat(np.arange(size + 1), np.diff(starts))
         # cvxpy's rows are -A x + b = 0 and -A x + b >= 0; here they are A x = b and A x <= b.
         sign = np.where(columns < size, -1.0, 1.0)
-        every = sp.csr_array(sp.diags_array(sign) @ program.reduced_A.reduced_mat)
+        every = sp.csr_array(sp.diags_array(sign) @ cvxpy_maps.reduced_A.reduced_mat)
         is_A = columns < size
         b = sp.csr_array(
             (np.ones((~is_A).sum()), (rows[~is_A], np.flatnonzero(~is_A))), (n_rows, len(rows))
@@ -220,10 +222,10 @@ class CompiledProblem:
         self._row_of[self._general] = np.arange(len(self._general))
         entries = np.flatnonzero(is_A & ~single)
         self.A_rows, self.A_columns = self._row_of[rows[entries]], columns[entries]
-        self.P_rows, starts, _ = program.reduced_P.problem_data_index
+        self.P_rows, starts, _ = cvxpy_maps.reduced_P.problem_data_index
         self.P_columns = np.repeat(np.arange(size), np.diff(starts))
         parts = [
-            program.reduced_P.reduced_mat,
+            cvxpy_maps.reduced_P.reduced_mat,
             sp.csr_array(linear)[:size],
             every[entries],
             b @ every,
@@ -233,13 +235,13 @@ class CompiledProblem:
         self._parts = np.cumsum([0, *(part.shape[0] for part in parts)]).tolist()
         self.size, self.n_rows, self.equal = size, len(self._general), self._general < n_equal
         m, n = self.model, self.layout.n_alpha
-        self.unknowns = program.var_id_to_col[m.x.id] + np.arange(n)
+        self.places = cvxpy_maps.var_id_to_col[m.x.id] + np.arange(n)
         if m.effects is not None:
-            sizes = program.var_id_to_col[m.effects.id] + np.arange(m.effects.size)
-            self.unknowns = np.concatenate([self.unknowns, sizes])
+            sizes = cvxpy_maps.var_id_to_col[m.effects.id] + np.arange(m.effects.size)
+            self.places = np.concatenate([self.places, sizes])
         """The places of the unknowns u among the variables, (size,)."""
         self.band = np.full(size, -1)
-        self.band[self.unknowns[:n]] = np.arange(n) % self.layout.n_bands
+        self.band[self.places[:n]] = np.arange(n) % self.layout.n_bands
         self.row_band = np.full(self.n_rows, -1)
         known = self.band[self.A_columns] >= 0
         self.row_band[self.A_rows[known]] = self.band[self.A_columns[known]]
@@ -254,11 +256,11 @@ class CompiledProblem:
             np.concatenate([A[1], bounds]),
             (self.n_rows + len(bounds), size),
         )
-        self.upper = np.flatnonzero(self.P_rows <= self.P_columns)
+        self.triangle = np.flatnonzero(self.P_rows <= self.P_columns)
         diagonal = np.arange(size)
         self.solver_P = _Pattern(
-            np.concatenate([self.P_rows[self.upper], diagonal]),
-            np.concatenate([self.P_columns[self.upper], diagonal]),
+            np.concatenate([self.P_rows[self.triangle], diagonal]),
+            np.concatenate([self.P_columns[self.triangle], diagonal]),
             (size, size),
         )
 
@@ -277,7 +279,7 @@ class CompiledProblem:
         ):
             narrow.at(bound, columns, b[rows] / factor)
         scale = np.ones(self.size)
-        scale[self.unknowns] = numbers.sigma
+        scale[self.places] = numbers.sigma
         held = float(numbers.areas.max(axis=0).sum()) if (numbers.sigma == 0).any() else 0.0
         return QP(self, P, c, A, b[self._general], *bounds, scale, held)
 
@@ -354,7 +356,7 @@ class QP:
     lower, upper : array (size,)
     scale : array (size,)
         Change of an unknown by its deviation: the prior's sigma; 1 for other variables.
-    held : float
+    fixed_area : float
         m² of the materials if b has some of sigma 0, which no row of A has; 0 otherwise.
     """
 
@@ -366,7 +368,7 @@ class QP:
     lower: Array
     upper: Array
     scale: Array
-    held: float
+    fixed_area: float
 
     def __repr__(self) -> str:
         n_equal = np.count_nonzero(self.equal)
@@ -375,7 +377,7 @@ class QP:
 
     def unknowns(self, numbers: Numbers, v: Array) -> Array:
         """Return the unknowns u = mu + sigma x of a point v, (size,)."""
-        return np.asarray(numbers.mu + numbers.sigma * v[self.compiled.unknowns])
+        return np.asarray(numbers.mu + numbers.sigma * v[self.compiled.places])
 
     @property
     def equal(self) -> Flags:
@@ -391,7 +393,7 @@ class QP:
     def row_size(self) -> Array:
         """Sum of each row's coefficients by the unknowns: for the match of a band the area."""
         unit = np.divide(1.0, self.scale, out=np.zeros_like(self.scale), where=self.scale > 0)
-        return self.rows(unit, np.abs(self.A))
+        return self.row_sums(unit, np.abs(self.A))
 
     @functools.cached_property
     def matrices(self) -> tuple[Any, Any]:
@@ -406,7 +408,7 @@ class QP:
             ),
         )
 
-    def rows(self, v: Array, entries: Array | None = None) -> Array:
+    def row_sums(self, v: Array, entries: Array | None = None) -> Array:
         """Return A v, (n_rows,), of A or of other entries at its places."""
         compiled, entries = self.compiled, self.A if entries is None else entries
         products = entries * v[compiled.A_columns]
@@ -454,14 +456,14 @@ class System:
     _SHIFT = 1e-11
     _REFINEMENTS = 4
 
-    def __init__(self, qp: QP, free: Flags, active: Flags) -> None:
-        compiled = qp.compiled
-        norm = np.sqrt(qp.rows(free.astype(float), qp.A**2))
+    def __init__(self, program: QP, free: Flags, active: Flags) -> None:
+        compiled = program.compiled
+        norm = np.sqrt(program.row_sums(free.astype(float), program.A**2))
         self.used = active & (norm > 0)
         self._unit = np.divide(1.0, norm, out=np.zeros_like(norm), where=self.used)
         self._on = np.concatenate([free, self.used])
-        scaled = qp.A * self._unit[compiled.A_rows]
-        entries = np.concatenate([qp.P, scaled, scaled, np.zeros(len(self._on))])
+        scaled = program.A * self._unit[compiled.A_rows]
+        entries = np.concatenate([program.P, scaled, scaled, np.zeros(len(self._on))])
         entries[~(self._on[compiled.kkt_rows] & self._on[compiled.kkt_columns])] = 0.0
         self._matrix = compiled.kkt.filled(entries)
         shift = np.where(np.arange(len(self._on)) < len(free), self._SHIFT, -self._SHIFT)
@@ -506,8 +508,8 @@ class Iterate:
         The rows' multipliers.
     at : array (size,)
         -1 at the lower bound, 1 at the upper, 0 between them.
-    lower, upper : array (size,)
-        The multipliers of the bounds, 0 or more. (Those of a `QP` are the bounds themselves.)
+    lower_multipliers, upper_multipliers : array (size,)
+        Of the bounds, 0 or more.
     system : System, optional
         The optimality conditions on the active set; None of a solver's own answer.
     status, iterations, seconds : str, int, float
@@ -517,8 +519,8 @@ class Iterate:
     v: Array
     y: Array
     at: Active
-    lower: Array
-    upper: Array
+    lower_multipliers: Array
+    upper_multipliers: Array
     system: System | None = None
     status: str = ""
     iterations: int = 0
@@ -530,16 +532,18 @@ class Iterate:
         return f"<Iterate: {len(self.v)} variables, {n} held at a bound{stated}>"
 
     @classmethod
-    def of(cls, qp: QP, at: Active) -> Iterate:
+    def of(cls, program: QP, at: Active) -> Iterate:
         """Return the prior, with what is at a bound there, and all multipliers 0."""
         zero = np.zeros(len(at))
-        return cls(qp.at_bounds(at), np.zeros(len(qp.b)), at, zero, zero)
+        return cls(program.at_bounds(at), np.zeros(len(program.b)), at, zero, zero)
 
-    def active(self, qp: QP) -> tuple[Active, Flags]:
+    def active(self, program: QP) -> tuple[Active, Flags]:
         """Return which bounds and which rows are active: of a slack and its multiplier one is 0."""
-        at = (self.upper > qp.upper - self.v).astype(np.int8) - (self.lower > self.v - qp.lower)
-        square = qp.rows(np.ones(len(self.v)), qp.A**2)
-        return at, self.y * square > qp.b - qp.rows(self.v)
+        at = (self.upper_multipliers > program.upper - self.v).astype(np.int8) - (
+            self.lower_multipliers > self.v - program.lower
+        )
+        square = program.row_sums(np.ones(len(self.v)), program.A**2)
+        return at, self.y * square > program.b - program.row_sums(self.v)
 
 
 _ROUNDS = 100
@@ -548,7 +552,7 @@ _AT_ONCE = 20
 _ROUNDING = 1e-13
 
 
-def polish(qp: QP, at: Active, tight: Flags) -> Iterate | None:
+def polish(program: QP, at: Active, tight: Flags) -> Iterate | None:
     """Return the optimum, by the active-set method from a first guess; None if it does not converge.
 
     Each round solves the optimality conditions on the active set from the prior on, so that the
@@ -557,53 +561,53 @@ def polish(qp: QP, at: Active, tight: Flags) -> Iterate | None:
 
     Parameters
     ----------
-    qp : QP
+    program : QP
     at : array (size,)
         Variables guessed at their lower bound (-1) or upper bound (1).
     tight : array (n_rows,) of bool
         Inequalities guessed to hold with equality.
     """
-    at, tight = at.copy(), tight | qp.equal
-    at[qp.fixed] = 0
-    near = 8 * _EPS / np.where(qp.scale > 0, qp.scale, 1.0)
+    at, tight = at.copy(), tight | program.equal
+    at[program.fixed] = 0
+    near = 8 * _EPS / np.where(program.scale > 0, program.scale, 1.0)
     for round_ in range(_ROUNDS):
-        free = (at == 0) & ~qp.fixed
-        start = qp.at_bounds(at)
+        free = (at == 0) & ~program.fixed
+        start = program.at_bounds(at)
         try:
-            system = System(qp, free, tight)
+            system = System(program, free, tight)
         except SolverError:
             return None
-        dv, y = system.solve(-qp.gradient(start), qp.b - qp.rows(start))
+        dv, y = system.solve(-program.gradient(start), program.b - program.row_sums(start))
         v = start + dv
         if not (np.isfinite(v).all() and np.isfinite(y).all()):
             return None
-        inside = np.minimum(np.maximum(v, qp.lower), qp.upper)
+        inside = np.minimum(np.maximum(v, program.lower), program.upper)
         v = np.where(free & (abs(v - inside) <= near + 4 * _EPS * abs(inside)), inside, v)
-        below, above = free & (v < qp.lower), free & (v > qp.upper)
-        slack = qp.b - qp.rows(v)
-        rounding = _ROUNDING * (qp.magnitudes.rows(np.abs(v)) + qp.magnitudes.b)
+        below, above = free & (v < program.lower), free & (v > program.upper)
+        slack = program.b - program.row_sums(v)
+        rounding = _ROUNDING * (program.magnitudes.row_sums(np.abs(v)) + program.magnitudes.b)
         beyond = ~tight & (slack < -rounding)
         if below.any() or above.any() or beyond.any():
             if round_ >= _AT_ONCE:
                 below, above, beyond = _worst(
-                    (below, qp.lower - v), (above, v - qp.upper), (beyond, -slack)
+                    (below, program.lower - v), (above, v - program.upper), (beyond, -slack)
                 )
             at = np.where(below, -1, np.where(above, 1, at)).astype(np.int8)
             tight = tight | beyond
             continue
-        alone = tight & ~system.used & (qp.row_size > 0)
+        alone = tight & ~system.used & (program.row_size > 0)
         unmet = alone & (abs(slack) > rounding)
         if unmet.any():
-            released = _released(qp, v, unmet, slack, at)
+            released = _released(program, v, unmet, slack, at)
             if released.any():
                 at = np.where(released, 0, at).astype(np.int8)
                 continue
         if alone.any():
-            y = _nearest_to_zero(qp, v, y, alone, at)
-        force = qp.force(v, y)
-        tolerance = _ROUNDING * (1 + qp.magnitudes.force(np.abs(v), np.abs(y)))
+            y = _nearest_to_zero(program, v, y, alone, at)
+        force = program.force(v, y)
+        tolerance = _ROUNDING * (1 + program.magnitudes.force(np.abs(v), np.abs(y)))
         wrong = ((at < 0) & (force < -tolerance)) | ((at > 0) & (force > tolerance))
-        released_rows = tight & ~qp.equal & (y < 0)
+        released_rows = tight & ~program.equal & (y < 0)
         if not (wrong.any() or released_rows.any()):
             return Iterate(v, y, at, *_of_bounds(force, at), system)
         if round_ >= _AT_ONCE:
@@ -626,16 +630,16 @@ def _worst(*parts: tuple[Flags, Array]) -> list[Flags]:
     return [size == largest for size in sizes]
 
 
-def _released(qp: QP, v: Array, unmet: Flags, slack: Array, at: Active) -> Flags:
+def _released(program: QP, v: Array, unmet: Flags, slack: Array, at: Active) -> Flags:
     """Choose a variable at a bound to release, for each unmet row without a free one.
 
     Near an end of the row's range its last free variable is easily mistaken for one at a bound. The
     one released is the first to move as the row's multiplier leaves its interval.
     """
     release = np.zeros(len(v), dtype=bool)
-    gradient = qp.gradient(v)
+    gradient = program.gradient(v)
     for row in np.flatnonzero(unmet).tolist():
-        line = qp.line(row)
+        line = program.line(row)
         wanted = np.sign(slack[row]) * np.sign(line)  # the direction that reduces the residual
         able = ((wanted > 0) & (at < 0)) | ((wanted < 0) & (at > 0))
         cost = np.full(len(v), np.inf)
@@ -645,16 +649,16 @@ def _released(qp: QP, v: Array, unmet: Flags, slack: Array, at: Active) -> Flags
     return release
 
 
-def _nearest_to_zero(qp: QP, v: Array, y: Array, rows: Flags, at: Active) -> Array:
+def _nearest_to_zero(program: QP, v: Array, y: Array, rows: Flags, at: Active) -> Array:
     """Give rows without a free variable their multiplier.
 
     It may lie anywhere in an interval: each variable at its lower bound requires at least
     -gradient / coefficient, each at its upper bound at most that. The value nearest 0 is returned.
     """
     y = np.where(rows, 0.0, y)
-    gradient = qp.force(v, y)
+    gradient = program.force(v, y)
     for row in np.flatnonzero(rows).tolist():
-        line = qp.line(row)
+        line = program.line(row)
         pull = -at * line
         ends = np.divide(-gradient, line, out=np.zeros_like(line), where=pull != 0)
         at_least = ends[pull > 0].max(initial=-np.inf)
@@ -664,7 +668,7 @@ def _nearest_to_zero(qp: QP, v: Array, y: Array, rows: Flags, at: Active) -> Arr
     return y
 
 
-def closed_form(qp: QP, at: Active | None = None) -> Iterate | None:
+def closed_form(program: QP, at: Active | None = None) -> Iterate | None:
     """Return the optimum by `polish`, with no inequality and only the bounds of ``at`` guessed active.
 
     Its first round has no inequalities, so the QP is one linear system: for an independent prior with
@@ -672,13 +676,13 @@ def closed_form(qp: QP, at: Active | None = None) -> Iterate | None:
     bounds, these are held and the system is solved again. Variables of a term's own that have a bound,
     such as the parts beyond a threshold, begin there. ``at`` is that of `polish`.
     """
-    own = np.isfinite(qp.lower)
-    own[qp.compiled.unknowns] = False
+    own = np.isfinite(program.lower)
+    own[program.compiled.places] = False
     start = np.where(own, -1, 0 if at is None else at).astype(np.int8)
-    return polish(qp, start, qp.equal)
+    return polish(program, start, program.equal)
 
 
-def solve(qp: QP, at: Active, options: SolveOptions) -> Iterate:
+def solve(program: QP, at: Active, options: SolveOptions) -> Iterate:
     """Return a solver's answer to a QP.
 
     Variables that stand at a bound by ``at`` (-1, 1), or whose bounds are equal, are left out. The rows
@@ -693,16 +697,16 @@ def solve(qp: QP, at: Active, options: SolveOptions) -> Iterate:
     SolverError
         If it returns no values.
     """
-    compiled = qp.compiled
-    held = (at != 0) | qp.fixed
-    start = qp.at_bounds(at)
-    on = ~held
-    entries = qp.A * on[compiled.A_columns]
-    norm = np.sqrt(qp.rows(1.0 * on, qp.A**2))
+    compiled = program.compiled
+    left_out = (at != 0) | program.fixed
+    start = program.at_bounds(at)
+    on = ~left_out
+    entries = program.A * on[compiled.A_columns]
+    norm = np.sqrt(program.row_sums(1.0 * on, program.A**2))
     unit = np.divide(1.0, norm, out=np.zeros_like(norm), where=norm > 0)
     bounds = [
         (end - start)[where]
-        for end, where in zip((qp.lower, qp.upper), compiled.limited, strict=True)
+        for end, where in zip((program.lower, program.upper), compiled.limited, strict=True)
     ]
     limited = [
         np.isfinite(end) & on[where] for end, where in zip(bounds, compiled.limited, strict=True)
@@ -710,7 +714,11 @@ def solve(qp: QP, at: Active, options: SolveOptions) -> Iterate:
     # A row that says nothing reads 0 <= 1, which leaves the solver an interior.
     limits = np.concatenate(
         [
-            np.where(unit > 0, (qp.b - qp.rows(start)) * unit, np.where(qp.equal, 0.0, 1.0)),
+            np.where(
+                unit > 0,
+                (program.b - program.row_sums(start)) * unit,
+                np.where(program.equal, 0.0, 1.0),
+            ),
             np.where(limited[0], -bounds[0], 1.0),
             np.where(limited[1], bounds[1], 1.0),
         ]
@@ -719,14 +727,18 @@ def solve(qp: QP, at: Active, options: SolveOptions) -> Iterate:
         np.concatenate([entries * unit[compiled.A_rows], -1.0 * limited[0], 1.0 * limited[1]])
     )
     moves = on[compiled.P_rows] & on[compiled.P_columns]
-    upper = np.where(moves, qp.P, 0.0)[compiled.upper]
-    quadratic = compiled.solver_P.filled(np.concatenate([upper, 1.0 * held]))
-    linear = qp.gradient(start) * on
+    upper = np.where(moves, program.P, 0.0)[compiled.triangle]
+    quadratic = compiled.solver_P.filled(np.concatenate([upper, 1.0 * left_out]))
+    linear = program.gradient(start) * on
     name = options.solver.lower()
     began = time.perf_counter()
     first = None
-    if name == "osqp" and options.warm_start and (form := closed_form(qp)) is not None:
-        duals = form.y * norm, form.lower[compiled.limited[0]], form.upper[compiled.limited[1]]
+    if name == "osqp" and options.warm_start and (form := closed_form(program)) is not None:
+        duals = (
+            form.y * norm,
+            form.lower_multipliers[compiled.limited[0]],
+            form.upper_multipliers[compiled.limited[1]],
+        )
         first = (form.v - start) * on, np.concatenate(duals)
     matrices = _SolverInput(
         quadratic, linear, matrix, limits, int(compiled.equal.sum()), options.all_settings
@@ -743,15 +755,15 @@ def solve(qp: QP, at: Active, options: SolveOptions) -> Iterate:
     y, *sides = np.split(
         np.asarray(z), [compiled.n_rows, compiled.n_rows + len(compiled.limited[0])]
     )
-    lower, upper = np.zeros(len(qp.c)), np.zeros(len(qp.c))
+    lower, upper = np.zeros(len(program.c)), np.zeros(len(program.c))
     for side, where, applies, values in zip(
         (lower, upper), compiled.limited, limited, sides, strict=True
     ):
         side[where] = np.where(applies, np.maximum(values, 0.0), 0.0)
     v, y = np.where(on, start + x, start), y * unit
     if (at != 0).any():  # what was left out has multipliers, too
-        y = _nearest_to_zero(qp, v, y, (norm == 0) & (qp.row_size > 0), at)
-        of_held = _of_bounds(qp.force(v, y), at)
+        y = _nearest_to_zero(program, v, y, (norm == 0) & (program.row_size > 0), at)
+        of_held = _of_bounds(program.force(v, y), at)
         lower, upper = (
             np.where(at != 0, side, own) for side, own in zip(of_held, (lower, upper), strict=True)
         )
@@ -775,63 +787,66 @@ class _SolverInput(NamedTuple):
 _SolverOutput = tuple[Any, Any, str, int]  # x, the rows' multipliers, status, iterations
 
 
-def _clarabel(qp: _SolverInput) -> _SolverOutput:
+def _clarabel(given: _SolverInput) -> _SolverOutput:
     import clarabel
 
     chosen = clarabel.DefaultSettings()
     chosen.verbose = False
-    for key, value in qp.settings.items():
+    for key, value in given.settings.items():
         if not hasattr(chosen, key):
             raise ModelError(f'solver "clarabel" has no setting "{key}"')
         try:
             setattr(chosen, key, value)
         except (TypeError, OverflowError) as error:
-            raise _refused("clarabel", qp, error) from error
-    cones = [clarabel.ZeroConeT(qp.n_equal), clarabel.NonnegativeConeT(len(qp.b) - qp.n_equal)]
-    result = clarabel.DefaultSolver(qp.P, qp.c, qp.A, qp.b, cones, chosen).solve()
+            raise _refused("clarabel", given, error) from error
+    cones = [
+        clarabel.ZeroConeT(given.n_equal),
+        clarabel.NonnegativeConeT(len(given.b) - given.n_equal),
+    ]
+    result = clarabel.DefaultSolver(given.P, given.c, given.A, given.b, cones, chosen).solve()
     return np.array(result.x), np.array(result.z), str(result.status), int(result.iterations)
 
 
-def _osqp(qp: _SolverInput, first: tuple[Array, Array] | None) -> _SolverOutput:
+def _osqp(given: _SolverInput, first: tuple[Array, Array] | None) -> _SolverOutput:
     import osqp
 
-    low = np.where(np.arange(len(qp.b)) < qp.n_equal, qp.b, -np.inf)
-    settings = {"verbose": False, **qp.settings}
-    if qp.n_equal == 0:
+    low = np.where(np.arange(len(given.b)) < given.n_equal, given.b, -np.inf)
+    settings = {"verbose": False, **given.settings}
+    if given.n_equal == 0:
         # Without active rows OSQP's polishing prints a message, even with verbose=False.
         settings["polishing"] = False
     solver = osqp.OSQP()
     try:
-        solver.setup(qp.P, qp.c, qp.A, low, qp.b, **settings)
+        solver.setup(given.P, given.c, given.A, low, given.b, **settings)
     except Exception as error:  # TypeError, ValueError or osqp's own, by version
-        raise _refused("osqp", qp, error) from error
+        raise _refused("osqp", given, error) from error
     if first is not None:
         solver.warm_start(x=first[0], y=first[1])
     result = solver.solve(raise_error=False)
     return result.x, result.y, str(result.info.status), int(result.info.iter)
 
 
-def _through_cvxpy(name: str, qp: _SolverInput) -> _SolverOutput:
+def _through_cvxpy(name: str, given: _SolverInput) -> _SolverOutput:
     """Solve with any other solver of cvxpy's, which is given the matrices as a problem."""
     installed = _installed()
     if name not in installed:
         raise MissingDependencyError(
             f'solver "{name}" is not installed; cvxpy here has {", ".join(sorted(installed))}'
         )
-    x, rows, n = cp.Variable(len(qp.c)), sp.csr_array(qp.A), qp.n_equal
-    whole = cp.psd_wrap(sp.csc_array(qp.P + sp.triu(qp.P, 1).T))
-    constraints = [rows[:n] @ x == qp.b[:n]] if n else []
-    constraints.append(rows[n:] @ x <= qp.b[n:])
-    problem = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, whole) + qp.c @ x), constraints)
+    x, rows, n = cp.Variable(len(given.c)), sp.csr_array(given.A), given.n_equal
+    whole = cp.psd_wrap(sp.csc_array(given.P + sp.triu(given.P, 1).T))
+    constraints = [rows[:n] @ x == given.b[:n]] if n else []
+    constraints.append(rows[n:] @ x <= given.b[n:])
+    problem = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, whole) + given.c @ x), constraints)
     with warnings.catch_warnings():
         # cvxpy warns of an inaccurate answer; here the certificate judges every answer.
         warnings.simplefilter("ignore", UserWarning)
         try:
-            problem.solve(solver=installed[name], **qp.settings)
+            problem.solve(solver=installed[name], **given.settings)
         except cp.SolverError as error:
             raise SolverError(f'solver "{name}" failed: {error}') from error
         except (TypeError, ValueError, AttributeError, KeyError) as error:
-            raise _refused(name, qp, error) from error
+            raise _refused(name, given, error) from error
     duals = [constraint.dual_value for constraint in constraints]
     missing = x.value is None or any(dual is None for dual in duals)
     z = None if missing else np.concatenate([np.ravel(dual) for dual in duals])
@@ -844,8 +859,8 @@ def _installed() -> dict[str, str]:
     return {str(s).lower(): str(s) for s in cp.installed_solvers()}
 
 
-def _refused(name: str, qp: _SolverInput, error: Exception) -> ModelError:
-    stated = ", ".join(f"{key}={value!r}" for key, value in qp.settings.items())
+def _refused(name: str, given: _SolverInput, error: Exception) -> ModelError:
+    stated = ", ".join(f"{key}={value!r}" for key, value in given.settings.items())
     return ModelError(f'solver "{name}" refuses the settings {stated}: {error}')
 
 
@@ -891,7 +906,7 @@ class Certificate:
         )
 
 
-def certify(qp: QP, point: Iterate, convexity: float) -> Certificate:
+def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
     """Return the certificate of a point.
 
     The error bound. f - m |x|²/2 is convex, with x the deviations and m the ``convexity`` of the prior.
@@ -904,24 +919,26 @@ def certify(qp: QP, point: Iterate, convexity: float) -> Certificate:
 
     Parameters
     ----------
-    qp : QP
+    program : QP
     point : Iterate
     convexity : float
         m; with 0 the box alone bounds the error.
     """
-    compiled, layout, v = qp.compiled, qp.compiled.layout, point.v
-    force = qp.force(v, point.y)
-    magnitude = 1 + qp.magnitudes.force(np.abs(v), np.abs(point.y))
-    unbalanced = np.where(qp.fixed, 0.0, force - point.lower + point.upper)
-    slack = qp.b - qp.rows(v)
-    missed = np.where(qp.equal, abs(slack), np.maximum(-slack, 0.0))
-    missed = np.divide(missed, qp.row_size, out=missed.copy(), where=qp.row_size > 0)
-    outside = np.maximum(np.maximum(qp.lower - v, v - qp.upper), 0.0) * qp.scale
-    to_lower, to_upper = (
-        np.where(np.isfinite(room), room, 0.0) for room in (v - qp.lower, qp.upper - v)
+    compiled, layout, v = program.compiled, program.compiled.layout, point.v
+    force = program.force(v, point.y)
+    magnitude = 1 + program.magnitudes.force(np.abs(v), np.abs(point.y))
+    unbalanced = np.where(
+        program.fixed, 0.0, force - point.lower_multipliers + point.upper_multipliers
     )
-    gap = abs(point.lower * to_lower + point.upper * to_upper)
-    row_gap = np.where(qp.equal, 0.0, abs(point.y * slack))
+    slack = program.b - program.row_sums(v)
+    missed = np.where(program.equal, abs(slack), np.maximum(-slack, 0.0))
+    missed = np.divide(missed, program.row_size, out=missed.copy(), where=program.row_size > 0)
+    outside = np.maximum(np.maximum(program.lower - v, v - program.upper), 0.0) * program.scale
+    to_lower, to_upper = (
+        np.where(np.isfinite(room), room, 0.0) for room in (v - program.lower, program.upper - v)
+    )
+    gap = abs(point.lower_multipliers * to_lower + point.upper_multipliers * to_upper)
+    row_gap = np.where(program.equal, 0.0, abs(point.y * slack))
 
     def by_band(reduce: Any, *parts: tuple[Array, Integers]) -> Array:
         """Reduce values by band; those of no band count in every one."""
@@ -937,40 +954,40 @@ def certify(qp: QP, point: Iterate, convexity: float) -> Certificate:
     relative = np.max(abs(unbalanced) / magnitude, initial=0.0), total.sum() / magnitude.max()
     moved, left, g = np.zeros(len(v)), unbalanced, gap.sum() + row_gap.sum()
     if point.system is not None:  # what is not active has no multiplier, and so no gap
-        moved, left, g = *_step_left(qp, point, point.system, force, slack), 0.0
+        moved, left, g = *_step_left(program, point, point.system, force, slack), 0.0
     bound = np.maximum(to_lower, to_upper)
     if convexity > 0:
         r, m = np.linalg.norm(left), convexity
         bound = np.minimum(bound, moved + (r + np.sqrt(r**2 + 4 * m * g)) / (2 * m))
-    bound = np.where(qp.fixed, 0.0, bound * qp.scale)
+    bound = np.where(program.fixed, 0.0, bound * program.scale)
     return Certificate(
         primal_residual=primal,
         dual_residual=dual,
         duality_gap=total,
-        alpha_error_bound=layout.expand(bound[compiled.unknowns]),
+        alpha_error_bound=layout.expand(bound[compiled.places]),
         accepted=bool(primal.max() <= _ACCEPTED and max(relative) <= _ACCEPTED),
     )
 
 
 def _step_left(
-    qp: QP, point: Iterate, system: System, force: Array, slack: Array
+    program: QP, point: Iterate, system: System, force: Array, slack: Array
 ) -> tuple[Array, Array]:
     """Return how far the optimality conditions still move each variable, and what they leave.
 
     Two more right sides have the size of the residuals' own rounding errors.
     """
-    free = (point.at == 0) & ~qp.fixed
+    free = (point.at == 0) & ~program.fixed
     dv, dy = system.solve(-force, slack)
-    left = force + qp.force(dv, dy) - qp.c
-    v, y, absolute = np.abs(point.v), np.abs(point.y), qp.magnitudes
+    left = force + program.force(dv, dy) - program.c
+    v, y, absolute = np.abs(point.v), np.abs(point.y), program.magnitudes
     # b is a difference of sums, such as b - S'mu, which are at most as large as the row at alpha = 1.
-    sums = absolute.rows(v) + absolute.b + np.maximum(qp.row_size, qp.held)
+    sums = absolute.row_sums(v) + absolute.b + np.maximum(program.row_size, program.fixed_area)
     errors = _EPS * absolute.force(v, y), 16 * _EPS * sums
     moved = np.abs(dv)
     # A row that keeps no variable free is met within rounding; one variable alone can make up for it.
-    unmet = np.where(qp.equal & ~system.used, np.abs(slack), 0.0)[qp.compiled.A_rows]
-    alone = np.divide(unmet, np.abs(qp.A), out=np.zeros_like(unmet), where=qp.A != 0)
-    np.maximum.at(moved, qp.compiled.A_columns, alone)
+    unmet = np.where(program.equal & ~system.used, np.abs(slack), 0.0)[program.compiled.A_rows]
+    alone = np.divide(unmet, np.abs(program.A), out=np.zeros_like(unmet), where=program.A != 0)
+    np.maximum.at(moved, program.compiled.A_columns, alone)
     for sign in (1.0, -1.0):
         each, row = (error * sign ** np.arange(len(error)) for error in errors)
         moved = moved + np.abs(system.solve(each, row, refine=False)[0])

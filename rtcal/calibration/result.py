@@ -466,7 +466,7 @@ class CalibrationResult(Result):
             "equation": self.equation.name,
             "equation_parameters": table.equation_parameters(self.equation),
             "objective": [repr(term) for term in composed.objective.terms],
-            "constraints": [repr(row) for row in composed.rows],
+            "constraints": [repr(row) for row in composed.row_constraints],
             "matches_measured_time": self.joint.asks_for_measured_time,
             "volume": room.volume,
             "air": None if room.air is None else vars(room.air),

@@ -136,7 +136,7 @@ class JointSolution:
     @cached_property
     def at_bounds(self) -> Active:
         """-1 for an unknown at its lower bound, 1 at the upper, 0 for a free one, (size,)."""
-        at = self.point.at[self.composition.compiled.unknowns]
+        at = self.point.at[self.composition.compiled.places]
         return np.where(self.numbers.movable, at, 0).astype(np.int8)
 
     @cached_property
@@ -233,7 +233,7 @@ class JointSolution:
             return self._density(replace(numbers, target=missing, time=missing))
 
         return Densities(
-            rows=layout.rows,
+            rows=layout.alpha_rows,
             n_bands=layout.n_bands,
             further=layout.further,
             separate=self._independent(prior),
@@ -248,8 +248,8 @@ class JointSolution:
         """
         layout = self.composition.layout
         slopes = self._slopes(bounds=True)[: layout.n_alpha]
-        shape = (layout.n_rows, layout.n_bands, layout.n_configurations, layout.n_bands)
-        return np.asarray(slopes.reshape(shape)[list(layout.rows)])
+        shape = (layout.n_alpha_rows, layout.n_bands, layout.n_configurations, layout.n_bands)
+        return np.asarray(slopes.reshape(shape)[list(layout.alpha_rows)])
 
     def _slopes(self, *, bounds: bool) -> Array:
         """Return du / dT in 1/s, (size, n_times), one T per configuration and band.
@@ -262,19 +262,19 @@ class JointSolution:
         program, point, numbers = self.qp, self.point, self.numbers
         at = point.at.copy()
         if not bounds:
-            at[program.compiled.unknowns] = 0
+            at[program.compiled.places] = 0
         free = (at == 0) & ~program.fixed
         system = System(program, free, program.equal | (point.y > 0))
         ends = [self._with_times(factor, bounds) for factor in (1 - _STEP, 1 + _STEP)]
-        slopes = np.zeros((len(program.compiled.unknowns), numbers.time.size))
+        slopes = np.zeros((len(program.compiled.places), numbers.time.size))
         for place, time in enumerate(numbers.time.ravel()):
             if not all(np.isfinite(end.target.ravel()[place]) for end in ends):
                 continue
             before, after = (self.composition.qp(_at_one(numbers, end, place)) for end in ends)
             force = before.force(point.v, point.y) - after.force(point.v, point.y)
-            limit = after.b - after.rows(point.v) - (before.b - before.rows(point.v))
+            limit = after.b - after.row_sums(point.v) - (before.b - before.row_sums(point.v))
             dv, _ = system.solve(force, limit)
-            slopes[:, place] = numbers.sigma * dv[program.compiled.unknowns] / (2 * _STEP * time)
+            slopes[:, place] = numbers.sigma * dv[program.compiled.places] / (2 * _STEP * time)
         return slopes
 
     def _with_times(self, factor: float, noise_follows: bool) -> Numbers:
@@ -326,7 +326,7 @@ class JointSolution:
         whole = whole + np.outer(shift[:n], shift[:n])
         change = gain[:n] @ cross[:n].T
         whole = whole - change - change.T + gain[:n] @ innovation @ gain[:n].T
-        rows = np.array(layout.rows) * layout.n_bands
+        rows = np.array(layout.alpha_rows) * layout.n_bands
         return np.array([whole[np.ix_(rows + k, rows + k)] for k in range(layout.n_bands)])
 
     @cached_property
@@ -343,7 +343,7 @@ class JointSolution:
         An uncertain target of an equality adds its share.
         """
         program, numbers = self.qp, self.numbers
-        places = program.compiled.unknowns
+        places = program.compiled.places
         at = self.point.at.copy()
         at[places] = 0
         system = System(program, (at == 0) & ~program.fixed, program.equal)
@@ -377,8 +377,10 @@ class JointSolution:
 
         m is the bound's multiplier, ``sigma`` (size,) the standard deviation without the box.
         """
-        point, places = self.point, self.qp.compiled.unknowns
-        held = (point.upper - point.lower)[places] * self.numbers.inverse_sigma
+        point, places = self.point, self.qp.compiled.places
+        held = (point.upper_multipliers - point.lower_multipliers)[
+            places
+        ] * self.numbers.inverse_sigma
         return np.asarray(self.unknowns + held * sigma**2)
 
     @cached_property
@@ -412,20 +414,20 @@ class JointSolution:
     def _independent(self, prior: PriorDeviation) -> bool:
         """Whether no term couples bands and each band has at most one matched sum."""
         composed = self.composition
-        parts = composed.objective.terms + tuple(composed.rows)
+        parts = composed.objective.terms + tuple(composed.row_constraints)
         return (
             composed.layout.n_configurations == 1
             and not composed.layout.further
             and not prior.correlated
             and all(type(t) in (PriorDeviation, SoftMatch) for t in composed.objective.terms)
-            and all(type(r) is ExactMatch for r in composed.rows)
+            and all(type(r) is ExactMatch for r in composed.row_constraints)
             and len(parts) <= 2
         )
 
     def _density(self, numbers: Numbers) -> Density:
         """The density of the unknowns: a match with an uncertain b gives its sum to within u_b."""
         program, u, layout = self.composition.qp(numbers), self.unknowns, numbers.layout
-        unit, places = numbers.inverse_sigma, self.composition.compiled.unknowns
+        unit, places = numbers.inverse_sigma, self.composition.compiled.places
         x = np.where(numbers.sigma > 0, (u - numbers.mu) * unit, self.point.v[places])
         gradient, curvature, kept = _reduced(program, x)
         # What rounding leaves of unknowns that nothing couples would make one part of them.
@@ -497,14 +499,14 @@ def _reduced(program: QP, x: Array) -> tuple[Array, Array, Flags]:
 
     The other variables take their best value: those that a row defines, and those that are free.
     """
-    places = program.compiled.unknowns
+    places = program.compiled.places
     other = np.ones(len(program.c), dtype=bool)
     other[places] = False
-    defining = program.magnitudes.rows(1.0 * other) > 0
+    defining = program.magnitudes.row_sums(1.0 * other) > 0
     v = np.zeros(len(program.c))
     v[places] = x
     system = System(program, other, defining)
-    dv, y = system.solve(-program.gradient(v), program.b - program.rows(v))
+    dv, y = system.solve(-program.gradient(v), program.b - program.row_sums(v))
     gradient = program.force(v + dv, y)[places]
     P, A = program.matrices
     across, rows = P[:, places].toarray(), A[:, places].toarray()

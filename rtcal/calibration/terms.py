@@ -87,7 +87,7 @@ class Model:
     def __init__(self, layout: Layout) -> None:
         self.layout = checks.instance("layout", layout, Layout)
         self.x = cp.Variable(layout.n_alpha, name="x")
-        self.deviation = cp.reshape(self.x, (layout.n_rows, layout.n_bands), order="C")
+        self.deviation = cp.reshape(self.x, (layout.n_alpha_rows, layout.n_bands), order="C")
         self.effects = cp.Variable(len(layout.further), name="effects") if layout.further else None
         self.parameters: list[tuple[Any, Callable[[Numbers], Any]]] = []
         self.definitions: list[Any] = []
@@ -173,7 +173,9 @@ class Model:
         """S'alpha and the effects' absorption area, each band and configuration times a scale."""
 
         def of_one(c: int) -> Any:
-            area = self.group_area(range(self.layout.n_rows), c, lambda numbers: scale(numbers)[c])
+            area = self.group_area(
+                range(self.layout.n_alpha_rows), c, lambda numbers: scale(numbers)[c]
+            )
             if self.effects is None:
                 return area
             gains = self.parameter(
@@ -200,7 +202,7 @@ class Model:
     ) -> Any:
         """Return the absorption area of some rows of unknowns, (n_bands,), in m² times a scale."""
         chosen = list(rows)
-        x = self.deviation if len(chosen) == self.layout.n_rows else self.deviation[chosen]
+        x = self.deviation if len(chosen) == self.layout.n_alpha_rows else self.deviation[chosen]
 
         def area(numbers: Numbers, values: Array) -> Array:
             areas = numbers.areas[configuration, chosen, np.newaxis]
@@ -406,7 +408,7 @@ class PriorDeviation(Term):
         """Return R @ columns, (size, n); further unknowns are independent."""
         within, between = _factors(self, layout)
         stacked = np.array(within)
-        alpha = columns[: layout.n_alpha].reshape(layout.n_rows, layout.n_bands, -1)
+        alpha = columns[: layout.n_alpha].reshape(layout.n_alpha_rows, layout.n_bands, -1)
         alpha = np.einsum("iab,ia...->ib...", stacked, alpha)
         alpha = np.einsum("ij,jb...->ib...", between @ between.T, alpha)
         alpha = np.einsum("iab,ib...->ia...", stacked, alpha).reshape(layout.n_alpha, -1)
@@ -463,7 +465,7 @@ def _factors(term: PriorDeviation, layout: Layout) -> tuple[list[Array], Array]:
         else:
             table = np.array(r)
         within.append(_cholesky(table, layout.n_bands, f'band_correlation of "{name}"'))
-    between = np.eye(layout.n_rows)
+    between = np.eye(layout.n_alpha_rows)
     pairs: Any = term.material_correlation
     if _by_name(pairs):
         for a, b, r in pairs:
@@ -473,7 +475,7 @@ def _factors(term: PriorDeviation, layout: Layout) -> tuple[list[Array], Array]:
             between[i, j] = between[j, i] = r
     elif pairs:
         between = np.array(pairs)
-    return within, _cholesky(between, layout.n_rows, "material_correlation")
+    return within, _cholesky(between, layout.n_alpha_rows, "material_correlation")
 
 
 @functools.lru_cache(maxsize=16)
@@ -790,7 +792,7 @@ class BandSmoothness(Term):
             moves = numbers.alpha(numbers.sigma) > 0
             return np.asarray((moves[:, 1:] & moves[:, :-1]) / np.sqrt(octaves))
 
-        factor = m.parameter((layout.n_rows, layout.n_bands - 1), steep)
+        factor = m.parameter((layout.n_alpha_rows, layout.n_bands - 1), steep)
         x = m.deviation
         return half_squares(product(factor, x[:, 1:] - x[:, :-1]))
 
@@ -1055,7 +1057,7 @@ class GroupAbsorption:
 
     def _members(self, layout: Layout) -> list[int]:
         members = sorted({int(layout.index(m)[0]) // layout.n_bands for m in self.materials})
-        for name, row in zip(layout.materials, layout.rows, strict=True):
+        for name, row in zip(layout.materials, layout.alpha_rows, strict=True):
             if row in members and name not in self.materials:
                 raise ModelError(
                     f'GroupAbsorption: "{name}" shares its coefficients with a member; name it too'

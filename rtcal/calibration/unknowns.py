@@ -214,7 +214,7 @@ class Layout:
     ----------
     materials : tuple of str
         All materials.
-    rows : tuple of int
+    alpha_rows : tuple of int
         For each material its row of unknowns; materials that share a coefficient have one row.
     centre_frequencies : tuple of float
         Hz.
@@ -224,21 +224,21 @@ class Layout:
     """
 
     materials: tuple[str, ...]
-    rows: tuple[int, ...]
+    alpha_rows: tuple[int, ...]
     centre_frequencies: tuple[float, ...]
     n_configurations: int = 1
     further: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return (
-            f"<Layout: {self.n_rows} rows of coefficients, {self.n_bands} bands, "
+            f"<Layout: {self.n_alpha_rows} rows of coefficients, {self.n_bands} bands, "
             f"{len(self.further)} further unknowns, {self.n_configurations} configurations>"
         )
 
     @cached_property
-    def n_rows(self) -> int:
+    def n_alpha_rows(self) -> int:
         """Number of unknown rows of alpha."""
-        return max(self.rows) + 1
+        return max(self.alpha_rows) + 1
 
     @property
     def n_bands(self) -> int:
@@ -248,7 +248,7 @@ class Layout:
     @cached_property
     def n_alpha(self) -> int:
         """Number of unknowns that are absorption coefficients."""
-        return self.n_rows * self.n_bands
+        return self.n_alpha_rows * self.n_bands
 
     @property
     def size(self) -> int:
@@ -257,21 +257,21 @@ class Layout:
 
     @cached_property
     def first(self) -> Integers:
-        """Index of the first material of each row, (n_rows,)."""
-        return np.array([self.rows.index(row) for row in range(self.n_rows)])
+        """Index of the first material of each row, (n_alpha_rows,)."""
+        return np.array([self.alpha_rows.index(row) for row in range(self.n_alpha_rows)])
 
     def index(self, material: str | None = None, band: float | None = None) -> Integers:
         """Return the indices of the coefficients of one material in one band; None stands for all.
 
         Raises DataError for a material or a band that the layout lacks.
         """
-        rows, columns = np.arange(self.n_rows), np.arange(self.n_bands)
+        rows, columns = np.arange(self.n_alpha_rows), np.arange(self.n_bands)
         if material is not None:
             if material not in self.materials:
                 raise DataError(
                     f'"{material}" is no material of the room; it has {", ".join(self.materials)}'
                 )
-            rows = np.array([self.rows[self.materials.index(material)]])
+            rows = np.array([self.alpha_rows[self.materials.index(material)]])
         if band is not None:
             place = bands.index(np.array(self.centre_frequencies), band)
             if place is None:
@@ -283,16 +283,18 @@ class Layout:
     def sharing(self, group: Iterable[str]) -> Layout:
         """Return the layout in which some materials, and all that share with them, are one row."""
         merged = {int(self.index(name)[0]) // self.n_bands for name in group}
-        heads = [min(merged) if row in merged else row for row in self.rows]
+        heads = [min(merged) if row in merged else row for row in self.alpha_rows]
         order = list(dict.fromkeys(heads))
-        return replace(self, rows=tuple(order.index(head) for head in heads))
+        return replace(self, alpha_rows=tuple(order.index(head) for head in heads))
 
     def place(self, unknown: int) -> str:
         """Return the name of an unknown in messages: ``alpha["carpet", 500 Hz]``."""
         if unknown >= self.n_alpha:
             return f'size of "{self.further[unknown - self.n_alpha]}"'
         row, band = divmod(int(unknown), self.n_bands)
-        names = " = ".join(m for m, r in zip(self.materials, self.rows, strict=True) if r == row)
+        names = " = ".join(
+            m for m, r in zip(self.materials, self.alpha_rows, strict=True) if r == row
+        )
         return f'alpha["{names}", {bands.label(self.centre_frequencies[band])}]'
 
     def band_label(self, row: int) -> str:
@@ -305,7 +307,9 @@ class Layout:
 
     def expand(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return flat values of the unknowns as (n_materials, n_bands)."""
-        return np.asarray(values[: self.n_alpha].reshape(self.n_rows, -1)[list(self.rows)])
+        return np.asarray(
+            values[: self.n_alpha].reshape(self.n_alpha_rows, -1)[list(self.alpha_rows)]
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -375,8 +379,8 @@ class Observed:
                 f"materials in {layout.n_bands} bands have {n}"
             )
         by_material = self.matrix.reshape(len(self.matrix), -1, layout.n_bands)
-        summed = np.zeros((len(self.matrix), layout.n_rows, layout.n_bands))
-        for material, row in enumerate(layout.rows):
+        summed = np.zeros((len(self.matrix), layout.n_alpha_rows, layout.n_bands))
+        for material, row in enumerate(layout.alpha_rows):
             summed[:, row] += by_material[:, material]
         both = np.column_stack([summed.reshape(len(self.matrix), -1), self.values])
         white = solve_triangular(self.factor, both, lower=True)
@@ -392,7 +396,7 @@ class Numbers:
     layout : Layout
     mu, sigma, lower, upper : array (size,)
         The prior and the box. An unknown with sigma = 0 stays at mu, one whose bounds are equal there.
-    areas : array (n_configurations, n_rows)
+    areas : array (n_configurations, n_alpha_rows)
         m²; 0 if a configuration lacks the material.
     gains : array (n_configurations, n_bands, n_further)
         m² of absorption that one unit of each further unknown adds.
@@ -475,7 +479,7 @@ class Numbers:
     def match_matrix(self) -> Any:
         """S' over the unknowns, sparse, one row per configuration and band, 0 without T."""
         layout = self.layout
-        c, n, k = layout.n_configurations, layout.n_rows, layout.n_bands
+        c, n, k = layout.n_configurations, layout.n_alpha_rows, layout.n_bands
         areas = np.where(self.matched[:, :, np.newaxis], self.areas[:, np.newaxis, :], 0.0)
         columns = np.arange(n) * k + np.arange(k)[:, np.newaxis]
         columns = np.broadcast_to(columns, (c, k, n)).ravel()
@@ -515,8 +519,8 @@ class Numbers:
         return shift
 
     def alpha(self, u: Array) -> Array:
-        """Return the absorption coefficients among the unknowns, (n_rows, n_bands)."""
-        return u[: self.layout.n_alpha].reshape(self.layout.n_rows, self.layout.n_bands)
+        """Return the absorption coefficients among the unknowns, (n_alpha_rows, n_bands)."""
+        return u[: self.layout.n_alpha].reshape(self.layout.n_alpha_rows, self.layout.n_bands)
 
     def further(self, u: Array) -> Array:
         """Return the further unknowns, (n_further,)."""

@@ -284,7 +284,7 @@ def _method(result: CalibrationResult) -> str:
 
 def _composed(result: CalibrationResult) -> str:
     composed = result.joint.composition
-    return "; ".join(map(repr, (*composed.objective.terms, *composed.rows)))
+    return "; ".join(map(repr, (*composed.objective.terms, *composed.row_constraints)))
 
 
 def _measured(result: CalibrationResult) -> str:
