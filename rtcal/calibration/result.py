@@ -402,15 +402,21 @@ class CalibrationResult(Result):
 
     @cached_property
     def room(self) -> Room:
-        """The room with calibrated coefficients, the posterior's sigma and a `CalibrationRecord`."""
-        record = CalibrationRecord(
+        """The room with calibrated coefficients, the posterior's sigma and the `record`."""
+        return self.prior.replace(
+            alpha=self.alpha, sigma=self.posterior_sigma, calibration=self.record
+        )
+
+    @property
+    def record(self) -> CalibrationRecord:
+        """Method, equation, data, solver and version, for the calibrated room."""
+        return CalibrationRecord(
             method=self.method,
             equation=self.equation.name,
             measured=data_history(self.prior, self.measured_data),
             solver=self.solver,
             version=__version__,
         )
-        return self.prior.replace(alpha=self.alpha, sigma=self.posterior_sigma, calibration=record)
 
     @property
     def interval(self) -> tuple[Array, Array] | None:

@@ -28,7 +28,7 @@ from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.marks import Plausibility, TrustMark, explained, mark, plausibility
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.room import CalibrationRecord, Room, refuse_repeated_data
+from rtcal.acoustics.room import Room, refuse_repeated_data
 from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.calibration.fit import GaussNewtonStep, fit
 from rtcal.calibration.measured import MeasuredTimes, data_history, no_times, times_in_room
@@ -46,7 +46,7 @@ from rtcal.modes.model import ABOVE, RoomPoles
 from rtcal.modes.responses import modes_in
 from rtcal.modes.room_modes import DECAY
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.support import __version__, blocks, checks, text
+from rtcal.support import blocks, checks, text
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
 from rtcal.support.text import as_sentence
@@ -129,12 +129,14 @@ def calibrate_modes(
         raise DataError(
             f"no mode used reaches {lowest:g} Hz, an octave below the room's lowest band"
         )
-    own = replace(model, chosen=tuple(found.calculated.tolist()))
-    decays, _, remainder = own.linear(room.alpha)
+    decays, _, remainder = model.linear(room.alpha, found.calculated)
     of_model = np.hypot(MODEL_ERROR, modes.decays / (2 * np.pi * modes.frequencies))[used]
     covariance = remainder + np.diag(modes.decay_uncertainty[used] ** 2 + (of_model * decays) ** 2)
 
-    data, deviation = Decays(own, modes.decays[used], covariance), np.sqrt(np.diag(covariance))
+    data, deviation = (
+        Decays(model, found.calculated, modes.decays[used], covariance),
+        np.sqrt(np.diag(covariance)),
+    )
 
     def settled(step: GaussNewtonStep, end: Array) -> bool:
         moved = step.matrix @ (end - step.alpha).ravel()
@@ -183,20 +185,22 @@ def calibrate_modes(
 class Decays:
     """The decays of modes as an `Observation`, in 1/s.
 
-    ``covariance`` is that of measured less modelled decays, with the prior's slopes.
+    ``chosen`` (n_used,) are the calculated modes that were measured, and ``covariance`` is that of
+    measured less modelled decays, with the prior's slopes.
     """
 
     model: RoomPoles
+    chosen: NDArray[np.intp]
     values: Array
     covariance: Array
 
     def predict(self, alpha: Array) -> Array:
         """Return the modelled decays, (n_used,)."""
-        return self.model.linear(alpha)[0]
+        return self.model.linear(alpha, self.chosen)[0]
 
     def jacobian(self, alpha: Array) -> Array:
         """Return their derivatives, (n_used, n_materials * n_bands)."""
-        return self.model.linear(alpha)[1]
+        return self.model.linear(alpha, self.chosen)[1]
 
 
 def above_schroeder(measured: Measurement, room: Room, low: NDArray[np.bool_]) -> Measurement:
@@ -313,13 +317,8 @@ class ModesResult(Result):
     @cached_property
     def room(self) -> Room:
         """The room with calibrated coefficients, their posterior sigma, and a record."""
-        record = CalibrationRecord(
-            method="modes",
-            equation=self.answer.equation.name,
-            measured=f"{data_history(self.prior, self.data)} {self.modes.fingerprint}",
-            solver=self.answer.solver,
-            version=__version__,
-        )
+        data = f"{data_history(self.prior, self.data)} {self.modes.fingerprint}"
+        record = replace(self.answer.record, measured=data)
         return self.prior.replace(
             alpha=self.alpha, sigma=np.minimum(self.sigma, 1.0), calibration=record
         )

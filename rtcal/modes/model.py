@@ -27,20 +27,17 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room import Room
 from rtcal.io import geometry_files
-from rtcal.modes.room_modes import Admittances, Poles, RoomModes, modes_of
+from rtcal.modes.room_modes import Admittances, Complex, Integers, Poles, RoomModes, modes_of
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.tracer import area_doubt, check_walls
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
-
-Complex = NDArray[np.complex128]
 
 LARGEST = 0.856
 """alpha above which beta follows its tangent, nine tenths of the largest: beta says nothing of alpha
@@ -168,12 +165,11 @@ class AtFrequencies:
 class RoomPoles:
     """The room's poles as functions of alpha in its bands.
 
-    ``room`` states the correlation of its bands. ``chosen`` are the modes whose decays are compared.
+    ``room`` states the correlation of its bands.
     """
 
     room: Room
     modes: RoomModes
-    chosen: tuple[int, ...] = ()
     known: dict[bytes, Poles] = field(default_factory=dict)
 
     @classmethod
@@ -228,7 +224,7 @@ class RoomPoles:
         beta = admittance(self.at.alpha(alpha))
         return lambda frequency: np.array([np.interp(frequency, f, row) for row in beta])[self.rows]
 
-    def amplitudes(self, pairs: Sequence[tuple[str, str]]) -> NDArray[np.complex128]:
+    def amplitudes(self, pairs: Sequence[tuple[str, str]]) -> Complex:
         """Return what each pair of positions hears of each pole, (n_poles, n_pairs).
 
         Of a source of the same strength at all frequencies, with the room's own coefficients.
@@ -241,28 +237,24 @@ class RoomPoles:
                     f"{', '.join(scene.sources) or 'none'} and receivers "
                     f"{', '.join(scene.receivers) or 'none'}"
                 )
-        heard = {
-            (side, n): self._shapes(of[n], n) @ poles.mixtures
-            for side, of in enumerate((scene.sources, scene.receivers))
-            for n in {pair[side] for pair in pairs}
-        }
+        heard = {}
+        for side, of in enumerate((scene.sources, scene.receivers)):
+            for name in {pair[side] for pair in pairs}:
+                try:
+                    shapes = self.modes.shapes(np.array([of[name]], dtype=float))
+                except DataError as error:
+                    place = ", ".join(f"{x:g}" for x in of[name])
+                    raise DataError(f"{name} at ({place}) m: {error}") from error
+                heard[side, name] = shapes[0] @ poles.mixtures
         at = [np.array([heard[side, pair[side]] for pair in pairs]) for side in (0, 1)]
         return np.asarray((at[0] * at[1] / poles.norms).T)
 
-    def _shapes(self, place: Sequence[float], name: str) -> Array:
-        """Return the modes at a place, (n_modes + 1,); DataError with its name outside the room."""
-        try:
-            return np.asarray(self.modes.shapes(np.array([place], dtype=float))[0])
-        except DataError as error:
-            told = ", ".join(f"{x:g}" for x in place)
-            raise DataError(f"{name} at ({told}) m: {error}") from error
-
-    def linear(self, alpha: Array) -> tuple[Array, Array, Array]:
-        """Return the chosen modes' decays, their slopes by alpha in the bands, and the remainder.
+    def linear(self, alpha: Array, chosen: Integers) -> tuple[Array, Array, Array]:
+        """Return chosen modes' decays, their slopes by alpha in the bands, and the remainder.
 
         (n_modes,), (n_modes, n_materials * n_bands) and (n_modes, n_modes), in 1/s.
         """
-        poles, columns = self.poles(alpha), list(self.chosen)
+        poles, columns = self.poles(alpha), chosen.tolist()
         beta_slope = admittance_slope(self.at.alpha(alpha)[:, columns])
         by_material = np.zeros((len(columns), self.room.n_materials), dtype=complex)
         for wall, row in enumerate(self.rows):

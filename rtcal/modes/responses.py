@@ -437,13 +437,8 @@ def modes_in(room: Room, responses: Responses, geometry: Polyhedron | None) -> M
 def _checked(
     responses: Array, rate: float, pairs: Sequence[tuple[str, str]], lowest: float, highest: float
 ) -> Array:
-    signals = checks.array("responses", responses)
+    signals = checks.shaped("responses", responses, len(pairs), "n_samples")
     rate = checks.positive("rate", rate, "Hz")
-    if signals.ndim != 2 or signals.shape[0] != len(pairs):
-        raise DataError(
-            f"responses has shape {signals.shape}; with {len(pairs)} pairs it is ({len(pairs)}, "
-            "n_samples)"
-        )
     if len(pairs) < 2:
         raise DataError(f"responses has {len(pairs)} pair; modes need 2, of different positions")
     if len(set(pairs)) < len(pairs):
