@@ -10,7 +10,7 @@ import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.report.pages import page_of
 from rtcal.support.errors import DataError
-from tests.test_modes import BANDS, BOX, ROOM, TRUTH, heard, times
+from tests.test_modes import BANDS, BOX, ROOM, TRUTH, heard, saved, times
 from tests.test_saved_results import back
 
 MEASURED = rt.Measurement.from_values(BANDS, t20=times(TRUTH), edt=times(TRUTH))
@@ -104,26 +104,12 @@ def test_every_position_is_matched_above_alone(told):
 
 
 def test_command(told, tmp_path):
-    files = {name: str(tmp_path / name) for name in ("room.toml", "t.csv", "modes.csv", "sim.csv")}
+    files = {name: str(tmp_path / name) for name in ("room.toml", "t.csv", "sim.csv")}
     ROOM.save(files["room.toml"])
     MEASURED.save(files["t.csv"])
-    modes = heard(TRUTH)
-    rows = zip(modes.frequencies, modes.decays, modes.decay_uncertainty, strict=True)
-    lines = ["frequency,decay,u_decay", *(f"{f},{d},{u}" for f, d, u in rows)]
-    (tmp_path / "modes.csv").write_text("\n".join(lines))
     state = ["--state", str(tmp_path / "loop.json"), "--out", str(tmp_path / "next.toml")]
-    done = CliRunner().invoke(
-        cli,
-        [
-            "loop",
-            "start",
-            files["room.toml"],
-            files["t.csv"],
-            "--modes",
-            files["modes.csv"],
-            *state,
-        ],
-    )
+    given = [files["room.toml"], files["t.csv"], "--modes", saved(heard(TRUTH), tmp_path)]
+    done = CliRunner().invoke(cli, ["loop", "start", *given, *state])
     assert done.exception is None
     assert "room modes stand in place" in " ".join(done.output.split())
     told_alpha = rt.Room.from_file(str(tmp_path / "next.toml")).alpha

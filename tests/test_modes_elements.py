@@ -10,10 +10,9 @@ import pytest
 import rtcal as rt
 from rtcal.modes import modes_of
 from rtcal.modes.room_modes import box_modes, fill
-from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.errors import DataError, ModelError
 from tests.boxes import polyhedron
-from tests.test_modes import TRUTH
 
 pytest.importorskip("skfem")
 
@@ -186,9 +185,3 @@ def test_which_wall_absorbs_in_a_slanted_room(tmp_path):
     by_t = rt.calibrate(room, t)
     error = [np.abs(a[:, 0] - truth).mean() for a in (result.alpha, by_t.alpha)]
     assert error[0] < 0.8 * error[1]
-
-
-def test_shoebox_names_are_those_of_the_closed_form():
-    walls = dict(zip(SHOEBOX_WALLS, SHOEBOX_WALLS, strict=True))
-    assert modes_of(Polyhedron.shoebox((5, 4, 3), walls), 50).materials == SHOEBOX_WALLS
-    assert TRUTH.shape == (6, 3)

@@ -54,10 +54,6 @@ Integers = NDArray[np.intp]
 
 Admittances = Callable[[float], Complex]
 """Specific admittance of each wall, (n_walls,), at a frequency in Hz."""
-_At = Callable[[Array], Complex]
-_Moved = tuple[Complex, Array]
-_Step = Callable[[Integers, Complex, Complex, Complex, Complex], _Moved]
-"""Of which poles, these, shapes, c times admittances and the walls' pull: shapes, and what moved."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,8 +111,8 @@ class RoomModes:
             return np.stack([admittances(float(f)) for f in frequencies], axis=1)
 
         omega, c = 2 * np.pi * np.append(self.frequencies, 0.0), self.speed_of_sound
-        beta = at(np.append(self.frequencies, self.frequencies[0]))
-        root = np.sqrt(beta)
+        squares = omega[:, np.newaxis] ** 2
+        root = np.sqrt(at(np.append(self.frequencies, self.frequencies[0])))
         # Without what couples to negative frequencies the problem is an ordinary one.
         start = np.diag(1j * omega) - c / 2 * np.einsum(
             "im,imn,in->mn", root, self.coupling, root, optimize=True
@@ -124,34 +120,51 @@ class RoomModes:
         first, vectors = np.linalg.eig(start)
         alike = vectors[: self.wanted] if like is None else like.conj().T @ vectors
         chosen = _by_mode(np.abs(alike) ** 2)
-        inverse = np.linalg.inv(vectors)
-        squares, own = omega[:, np.newaxis] ** 2, first[:, np.newaxis]
+        inverse, own = np.linalg.inv(vectors), first[:, np.newaxis]
+        poles, shapes, left = first[chosen], vectors[:, chosen], np.arange(len(chosen))
 
-        def corrected(
-            left: Integers, s: Complex, x: Complex, beta: Complex, pull: Complex
-        ) -> _Moved:
+        def refined(left: Integers) -> tuple[Complex, Complex, Complex]:
+            """Set poles by Rayleigh's functional; return the last, c beta, and the walls' pull."""
+            x, last = shapes[:, left] / np.sqrt((shapes[:, left] ** 2).sum(axis=0)), poles[left]
+            beta = c * at(last.imag / (2 * np.pi))
+            _, pull = self._walls(x, beta)
+            # The root s of x'(s² + s W + omega²) x = 0 that is nearest to the last.
+            half, square = (x * pull).sum(axis=0) / 2, (x**2 * squares).sum(axis=0)
+            root = np.sqrt(half**2 - square)
+            near = np.abs(root - half - last) < np.abs(root + half + last)
+            poles[left], shapes[:, left] = np.where(near, root, -root) - half, x
+            return last, beta, pull
+
+        def corrected(left: Integers, beta: Complex, pull: Complex) -> Array:
             """Take off the residual by the vectors, among which the matrix is almost diagonal."""
+            s, x = poles[left], shapes[:, left]
             residual, apart = (s**2 + squares) * x + s * pull, (s - own) * (s - own.conj())
             apart[chosen[left], np.arange(len(left))] = np.inf  # a shape takes nothing of its own
             mixed = inverse @ residual / apart
             mixed /= np.maximum(np.abs(mixed) / _MIXED, 1.0)
-            return x - vectors @ mixed, np.abs(mixed).max(axis=0)
+            shapes[:, left] = x - vectors @ mixed
+            return np.asarray(np.abs(mixed).max(axis=0))
 
-        def solved(left: Integers, s: Complex, x: Complex, beta: Complex, pull: Complex) -> _Moved:
-            """Inverse iteration."""
-            each = [
-                pole * np.tensordot(b, self.coupling, 1) + np.diag(pole**2 + omega**2)
-                for pole, b in zip(s, beta.T, strict=True)
-            ]
-            found = np.asarray(np.linalg.solve(each, x.T[:, :, np.newaxis])[:, :, 0].T)
-            return found, np.zeros(len(s))
+        def solved(left: Integers, beta: Complex, pull: Complex) -> Array:
+            """Take a step of inverse iteration, where correction did not settle."""
+            for k, b in zip(left, beta.T, strict=True):
+                matrix = poles[k] * np.tensordot(b, self.coupling, 1)
+                shapes[:, k] = np.linalg.solve(
+                    matrix + np.diag(poles[k] ** 2 + omega**2), shapes[:, k]
+                )
+            return np.zeros(len(left))
 
-        poles, shapes, left = first[chosen], vectors[:, chosen], np.arange(len(chosen))
         for step in (corrected, solved):
-            if not len(left):
-                break
             poles[left], shapes[:, left] = first[chosen[left]], vectors[:, chosen[left]]
-            left = self._refined(poles, shapes, left, at, step)
+            moved = np.zeros(len(left))
+            for _ in range(_ROUNDS if len(left) else 0):
+                last, beta, pull = refined(left)
+                off = np.abs(poles[left] - last)
+                far = ~((off < _CONVERGED * np.abs(last)) & (moved < _SETTLED))
+                left = left[far]
+                if not len(left):
+                    break
+                moved = step(left, beta[:, far], pull[:, far])
         if len(left):
             raise ModelError(
                 f"the mode at {poles[left[0]].imag / (2 * np.pi):.1f} Hz has no pole near that of "
@@ -160,28 +173,6 @@ class RoomModes:
         of_walls, pull = self._walls(shapes, c * at(poles.imag / (2 * np.pi)))
         norms = (shapes * (2 * poles * shapes + pull)).sum(axis=0)
         return Poles(poles, shapes, (-poles * c * of_walls / norms).T, norms)
-
-    def _refined(
-        self, poles: Complex, shapes: Complex, left: Integers, at: _At, step: _Step
-    ) -> Integers:
-        """Refine those left by steps and Rayleigh's functional; return which have not settled."""
-        squares = (2 * np.pi * np.append(self.frequencies, 0.0)[:, np.newaxis]) ** 2
-        moved = np.zeros(len(left))
-        for _ in range(_ROUNDS):
-            x, last = shapes[:, left] / np.sqrt((shapes[:, left] ** 2).sum(axis=0)), poles[left]
-            beta = self.speed_of_sound * at(last.imag / (2 * np.pi))
-            _, pull = self._walls(x, beta)
-            # The root s of x'(s² + s W + omega²) x = 0 that is nearest to the last.
-            half, square = (x * pull).sum(axis=0) / 2, (x**2 * squares).sum(axis=0)
-            root = np.sqrt(half**2 - square)
-            near = np.abs(root - half - last) < np.abs(root + half + last)
-            poles[left], shapes[:, left] = np.where(near, root, -root) - half, x
-            near = (np.abs(poles[left] - last) < _CONVERGED * np.abs(last)) & (moved < _SETTLED)
-            left, far = left[~near], ~near
-            if not len(left):
-                break
-            shapes[:, left], moved = step(left, poles[left], x[:, far], beta[:, far], pull[:, far])
-        return left
 
     def _walls(self, shapes: Complex, weights: Complex) -> tuple[Complex, Complex]:
         """Return x' B_i x of each column x, (n_walls, n_columns), and sum_i weights_i B_i x."""
