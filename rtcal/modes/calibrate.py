@@ -340,7 +340,7 @@ class ModesResult(Result):
         return self.measured - self.after + moved, spread + self.linearised.covariance
 
     @cached_property
-    def told(self) -> Array:
+    def sensitivity(self) -> Array:
         """Sensitivity of each mode to each material, (n_used, n_materials).
 
         Change of its decay in its uncertainty by one prior sigma of the coefficients in all bands.
@@ -369,14 +369,14 @@ class ModesResult(Result):
     def trust_marks(self) -> tuple[TrustMark, ...]:
         """Reasons to doubt bands: below the Schroeder frequency only where no modes carry them."""
         centres = self.prior.centre_frequencies
-        # The QP was not told the T of these.
-        untold = self.below & np.isfinite(self.data.reverberation_time)
+        # The QP had no T of these.
+        low = self.below & np.isfinite(self.data.reverberation_time)
         marks = [
             m
             for m in self.answer.trust_marks
-            if not (m.kind == "missing" and m.frequency in centres[untold | self.carried])
+            if not (m.kind == "missing" and m.frequency in centres[low | self.carried])
         ]
-        return (*self.own_marks, *marks, *self.uncarried(untold & ~self.carried))
+        return (*self.own_marks, *marks, *self.uncarried(low & ~self.carried))
 
     def uncarried(self, chosen: NDArray[np.bool_]) -> tuple[TrustMark, ...]:
         """Return the marks of chosen bands, (n_bands,), which too few modes carry."""
@@ -492,7 +492,7 @@ class ModesResult(Result):
 
         Of each mode used: frequency in Hz; T, T before and after in s, and what it tells most of.
         """
-        most = self.told >= (1 - _ALIKE) * self.told.max(axis=1, keepdims=True)
+        most = self.sensitivity >= (1 - _ALIKE) * self.sensitivity.max(axis=1, keepdims=True)
         shown = zip(self.used, self.measured, self.before, self.after, most, strict=True)
         rows = [
             Row(
@@ -538,7 +538,7 @@ class ModesResult(Result):
                     "decay_before": float(self.before[k]),
                     "decay_after": float(self.after[k]),
                     "z": float(self.plausibility.z[k]),
-                    "told": json_numbers(self.told[k]),
+                    "sensitivity": json_numbers(self.sensitivity[k]),
                 }
                 for k, (i, n) in enumerate(zip(self.used, self.matched, strict=True))
             ],

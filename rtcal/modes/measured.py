@@ -272,12 +272,12 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         )
     except DataError as error:
         # Values are above 0: what breaks a rule is a frequency or a decay.
-        told = re.sub(
+        placed = re.sub(
             r"(frequencies|decays)\[(\d+)\] =",
             lambda m: at("frequency" if m[1] == "frequencies" else of, int(m[2])) + ":",
             str(error),
         )
-        raise DataError(told) from error
+        raise DataError(placed) from error
 
 
 def _refuse_unit(name: str, factor: float, place: str, value: float, of_whole: float) -> None:

@@ -415,8 +415,7 @@ def find_modes(
             f"frequencies are {fit.scale:.3f} times those calculated or beyond, where the "
             "search ends: check dimensions and temperature"
         )
-    told = _told(fit, model.modes.largest, lowest, highest)
-    return replace(told, amplitudes=size * fit.own[told.calculated])
+    return _without_prior(fit, size, model.modes.largest, lowest, highest)
 
 
 def modes_in(room: Room, responses: Responses, geometry: Polyhedron | None) -> MeasuredModes:
@@ -463,8 +462,10 @@ def _checked(
     return signals
 
 
-def _told(fit: Point, largest: float, lowest: float, highest: float) -> MeasuredModes:
-    """Return what the responses say of each mode, without what was believed of it before."""
+def _without_prior(
+    fit: Point, size: float, largest: float, lowest: float, highest: float
+) -> MeasuredModes:
+    """Return what the responses, times ``size``, say of each mode: the posterior less its prior."""
     n = len(fit.frequencies)
     variance = np.diag(fit.covariance)
     after, before = variance[n:], DECAY_ERROR**2
@@ -496,6 +497,7 @@ def _told(fit: Point, largest: float, lowest: float, highest: float) -> Measured
         decays=decays,
         decay_uncertainty=relative[chosen] * decays,
         frequency_uncertainty=np.maximum(_INFLATED * np.sqrt(variance[chosen]), 1e-3),
+        amplitudes=size * fit.own[chosen],
         calculated=chosen,
         largest=largest,
         notes=notes,
