@@ -249,6 +249,20 @@ def test_the_start_is_the_closed_form_of_the_paper() -> None:
     np.testing.assert_allclose(start.reshape(oracle.shape), oracle, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("method", ["mle", "lse"])
+def test_osqp_starts_at_the_optimum_also_where_an_end_holds_coefficients(method: str, cr2) -> None:
+    room, _ = cr2
+    t = rt.Eyring().time(room, 0.2 * room.total_area * np.ones(room.n_bands))
+    t[[0, 2]] = 1000.0
+    warm, cold = (
+        rt.calibrate(room, t, method, solver="osqp", warm_start=start, unreachable="nearest")
+        for start in (True, False)
+    )
+    assert len(warm.unreachable) == 2
+    assert warm.raw.iterations <= 5 < cold.raw.iterations
+    np.testing.assert_array_equal(warm.alpha, cold.alpha)
+
+
 @pytest.mark.parametrize(
     ("solver", "settings"),
     [

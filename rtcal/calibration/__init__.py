@@ -1,8 +1,8 @@
 """The calibration of a room: from its prior and its measured T to its absorption coefficients alpha.
 
 In short: every calibration is a QP (weighted quadratic objective, area equality, 0-1 box) built once in
-cvxpy and solved with Clarabel or OSQP; the closed-form solutions are a warm start, and the oracle in
-the tests.
+cvxpy and solved with Clarabel or OSQP. The paper's closed forms are the warm start (the first round of
+`qp.closed_form`) and, in the tests, the oracle (`exact`, which shares no code with the QP).
 
 The path of `rtcal.calibrate(room, measured)`, in the order in which it is taken:
 
@@ -11,19 +11,20 @@ The path of `rtcal.calibrate(room, measured)`, in the order in which it is taken
 2. `problem`: `Calibration.build` takes the room. Its `Composition` (`composition`) is the terms with
    the order of the unknowns, a `Layout` (`unknowns`), and with cvxpy's `CompiledProblem` of them,
    which rooms of one layout share (`qp.compile_once`).
-3. `CalibrationProblem.solve` takes the measurement: T in the room's bands (`measured`), then the
-   `Numbers` (`unknowns`): prior, box, areas, b. `feasibility` says whether T is within reach.
-4. `problem.certified_answer`: the numbers fill a `QP`. `qp.solve` asks the solver, `qp.polish` solves
-   the optimality conditions on the active set, `qp.certify` checks the answer anew. If the polish
-   fails, the closed form's answer, then the solver's own is certified; if none passes, `feasibility`
-   explains why nothing is feasible.
-5. `result`: the `CalibrationResult` of the room, with what `solution` derives of the answer
-   (multipliers, densities, derivatives, uncertainties).
+3. `CalibrationProblem.solve` takes the measurement: T in the room's bands (`measured`).
+4. `problem.certified_answer`: of it and the room the `Numbers` (`unknowns`): prior, box, areas, b.
+   `feasibility` says whether T is within reach. The numbers fill a `QP`. `qp.solve` asks the solver
+   which constraints are active (if it returns nothing, none are), `qp.polish` solves the optimality
+   conditions on that active set and corrects it, `qp.certify` checks the answer anew. If this fails,
+   `qp.closed_form` polishes from the paper's closed form; then the solver's own answer is certified.
+   If none passes, `feasibility` explains why nothing is feasible.
+5. `result`: a `JointResult`, which is a `JointSolution` (`solution`: alpha, multipliers, densities,
+   derivatives, uncertainties) over the unknowns of all rooms, and of it a `CalibrationResult` per room.
 
 Beside the path: `posterior` (marginals and draws of a density), `fit` (steps around the QP for models
 that are not linear), `archive` (what calibrated rooms say of their materials), `table` and `verdict` (a
-calibration in words). `exact` has closed forms and the exact solution of one band, which share no code
-with all this.
+calibration in words). `exact` has the paper's closed forms and the exact solution of one band, which
+share no code with all this.
 """
 
 from typing import TYPE_CHECKING

@@ -16,7 +16,7 @@ import numpy as np
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import MeasuredTimes
-from rtcal.calibration.qp import QP, CompiledProblem, closed_form, compile_once
+from rtcal.calibration.qp import QP, Active, CompiledProblem, closed_form, compile_once
 from rtcal.calibration.terms import (
     BoundConstraint,
     ExactMatch,
@@ -122,6 +122,10 @@ class Composition:
         """Return the QP of some numbers."""
         return self.compiled.filled(numbers)
 
+    def unknowns_at(self, numbers: Numbers, at: Active) -> Active:
+        """Return the active bounds of the unknowns, (size,), from those of the QP's variables."""
+        return np.where(numbers.movable, at[self.compiled.places], 0).astype(np.int8)
+
     def without(self, term: Any) -> Composition:
         """Return the composition without a term of the objective."""
         pairs = zip(self.objective.terms, self.objective.weights, strict=True)
@@ -172,6 +176,7 @@ class Composition:
         """Return the numbers of a solve; DataError where priors, bounds or data break a rule."""
         room, layout, equation = configurations.union, self.layout, self.equation
         alpha, sigma = room.alpha, room.sigma
+        # The sigma of a `PriorDeviation` or `HuberDeviation` acts here: it is in x, not in the term.
         stated: float | None = getattr(self.prior, "sigma", None)
         if stated is not None:  # a coefficient with sigma = 0 stays fixed
             sigma = np.where(sigma > 0, stated, 0.0)

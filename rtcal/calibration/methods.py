@@ -38,6 +38,11 @@ _NEARLY_EXACT = 1e-4
 Match = Callable[[float], SoftMatch]
 """The class `SoftMatch`, or `RoomMatch` in a room whose volume, areas or climate are uncertain."""
 
+
+def _soft(prior: PriorDeviation, match: Match) -> Calibration:
+    return Calibration(prior + match(_TIME_UNCERTAINTY), [])
+
+
 METHODS: dict[str, Callable[[PriorDeviation, Match], Calibration]] = {
     "mle": lambda prior, match: (
         Calibration(prior, [ExactMatch()])
@@ -45,12 +50,12 @@ METHODS: dict[str, Callable[[PriorDeviation, Match], Calibration]] = {
         else Calibration(prior + match(_NEARLY_EXACT), [])
     ),
     "lse": lambda prior, match: Calibration(PriorDeviation(sigma=1.0), [ExactMatch()]),
-    "soft": lambda prior, match: Calibration(prior + match(_TIME_UNCERTAINTY), []),
+    "soft": _soft,
     "smooth": lambda prior, match: Calibration(
         prior + match(_TIME_UNCERTAINTY) + _SMOOTHING * BandSmoothness(), []
     ),
     "robust": lambda prior, match: Calibration(HuberDeviation() + match(_TIME_UNCERTAINTY), []),
-    "joint": lambda prior, match: Calibration(prior + match(_TIME_UNCERTAINTY), []),
+    "joint": _soft,
 }
 """The calibration methods by name.
 
@@ -90,11 +95,11 @@ def preset(method: str, room: Room | None = None) -> Calibration:
                 common=common,
             )
         match = RoomMatch if room.is_uncertain else SoftMatch
-    return _checked_once(method, prior, match)
+    return _cached_calibration(method, prior, match)
 
 
 @functools.lru_cache(maxsize=16)
-def _checked_once(method: str, prior: PriorDeviation, match: Match) -> Calibration:
+def _cached_calibration(method: str, prior: PriorDeviation, match: Match) -> Calibration:
     """Return a method's calibration, kept so that its terms are checked once."""
     return METHODS[method](prior, match)
 
@@ -149,7 +154,7 @@ def calibrate(
         ``unreachable``: ``"raise"`` (the default), or ``"nearest"`` to take the nearest T within
         reach and list the band in the result. ``warm_start``: whether OSQP starts from the closed
         form; see `rtcal.calibration.qp.SolveOptions`. ``settings``: a mapping of the solver's own
-        settings.
+        settings. (No method has `rtcal.terms.LinearObservations`, so ``observed`` is refused.)
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """`Calibration` states a problem, `build` compiles it once, `solve` solves it for a measurement.
 
-`CalibrationProblem.solve` brings T into the room's bands (`measured_times`), makes the numbers of the
-solve (`Composition.numbers`) and a certified answer (`certified_answer`), and wraps it as a result.
+`CalibrationProblem.solve` brings T into the room's bands (`measured_times`). `certified_answer` makes
+the numbers of the solve (`Composition.numbers`) and of them the result.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from rtcal.calibration.terms import (
     Term,
     as_objective,
 )
-from rtcal.calibration.unknowns import Configurations, Numbers
+from rtcal.calibration.unknowns import Configurations
 from rtcal.support import checks
 from rtcal.support.errors import (
     DataError,
@@ -183,7 +183,7 @@ class CalibrationProblem(Generic[R]):
         self.composition = Composition.of(
             _configurations(room), equation, calibration.objective, calibration.constraints or ()
         )
-        _ = self.composition.compiled
+        _ = self.composition.compiled  # here, so that terms that make no QP are refused at once
 
     def __repr__(self) -> str:
         return f"<CalibrationProblem with {self.equation.name}'s equation for {self.room!r}>"
@@ -235,23 +235,13 @@ class CalibrationProblem(Generic[R]):
         for one, measured_there in zip(used.rooms, times, strict=True):
             if one.calibration is not None:
                 refuse_repeated_data(one, measured_there.fingerprint)
-        numbers = self.composition.numbers(used, times, observed)
         try:
-            answer = certified_answer(self.composition, numbers, chosen)
+            joint = certified_answer(self.composition, used, times, observed, chosen, method)
         except InfeasibleError as error:
-            mistyped = [error for measured_there in times for error in measured_there.mistyped]
-            if mistyped:
-                error.args = (f"{mistyped[0].sentence}. {error}",)
+            doubted = [doubt for measured_there in times for doubt in measured_there.mistyped]
+            if doubted:
+                error.args = (f"{doubted[0].sentence}. {error}",)
             raise
-        joint = JointResult(
-            configurations=used,
-            composition=self.composition,
-            **answer,
-            method=method,
-            solver=chosen.solver,
-            measured_times=tuple(times),
-            observed=observed,
-        )
         return cast(R, joint.results[0] if alone else joint)
 
 
@@ -298,9 +288,14 @@ def measured_times(
 
 
 def certified_answer(
-    composition: Composition, numbers: Numbers, options: SolveOptions
-) -> dict[str, Any]:
-    """Return the certified answer for some numbers, as fields of a `JointResult`.
+    composition: Composition,
+    configurations: Configurations,
+    times: Sequence[MeasuredTimes],
+    observed: Mapping[LinearObservations, Observed] | None,
+    options: SolveOptions,
+    method: str,
+) -> JointResult:
+    """Return the certified answer for some rooms and what was measured in them.
 
     1. `feasibility.restrict_to_reach`: is T within reach, and which unknowns does a T at an end hold?
     2. `Composition.qp` fills the compiled matrices; `qp.solve` asks the solver.
@@ -313,6 +308,7 @@ def certified_answer(
     SolverError
         If no answer passes the certificate.
     """
+    numbers = composition.numbers(configurations, times, observed)
     matches = [match.target_limits(numbers) for match in composition.matches]
     numbers, held_at, beyond = feasibility.restrict_to_reach(numbers, matches, options.unreachable)
     program = composition.qp(numbers)
@@ -321,6 +317,7 @@ def certified_answer(
     try:
         raw = qp.solve(program, at, options)
     except SolverError as error:
+        # It was asked for a guess of the active set alone; without one, polishing begins at the prior.
         raw = replace(Iterate.of(program, at), status=str(error))
     convexity = composition.convexity(numbers)
     for point in _candidates(program, at, raw):
@@ -335,19 +332,24 @@ def certified_answer(
             f"{np.max(certificate.dual_residual):.1e}, gap {np.max(certificate.duality_gap):.1e}"
         )
     u = program.unknowns(numbers, point.v)
-    place = composition.compiled.places
-    active = np.where(numbers.movable, point.at[place], 0).astype(np.int8)
+    active = composition.unknowns_at(numbers, point.at)
     # Exactly at its bound, and within it in spite of the rounding of mu + sigma x.
     u = np.where(active < 0, numbers.lower, np.where(active > 0, numbers.upper, u))
-    return {
-        "unknowns": np.clip(u, *numbers.box),
-        "target": numbers.target,
-        "point": replace(point, system=None),
-        "certificate": certificate,
-        "raw": raw,
-        "polished": point is not raw,
-        "unreachable": beyond,
-    }
+    return JointResult(
+        configurations=configurations,
+        composition=composition,
+        unknowns=np.clip(u, *numbers.box),
+        target=numbers.target,
+        point=replace(point, system=None),
+        certificate=certificate,
+        raw=raw,
+        polished=point is not raw,
+        unreachable=beyond,
+        method=method,
+        solver=options.solver,
+        measured_times=tuple(times),
+        observed=observed,
+    )
 
 
 def _candidates(program: qp.QP, at: qp.Active, raw: Iterate) -> Iterator[Iterate]:

@@ -6,13 +6,13 @@ v has the deviations x = (alpha - mu) / sigma of the unknowns, and what terms de
 
 1. `compile_once` has cvxpy compile the terms once per structure; `CompiledProblem.filled` puts numbers
    into the matrices: cvxpy's maps are affine in the parameters.
-2. `solve` asks a solver which bounds and inequalities are active. OSQP starts at `closed_form`: without
-   its inequalities the QP is one linear system, which for an independent prior with an exact match is
-   the paper's (Bellows & Katz 2025, Eqs. 22 to 25).
+2. `solve` asks a solver which bounds and inequalities are active. OSQP starts at `closed_form`, which
+   is step 3 from the guess that none is: its first round is the paper's closed form.
 3. `polish` solves the optimality (KKT) conditions on the active set, one sparse linear system, by
    SuperLU with refinement. It corrects the set until no bound is violated and no multiplier has the
    wrong sign.
-4. `certify` computes residuals and gap anew from P, c, A and b. Nothing that a solver states is used.
+4. `certify` computes residuals and gap anew from P, c, A and b. Nothing that a solver states is used,
+   and a solver that returns nothing is no failure: `closed_form` needs none.
 """
 
 from __future__ import annotations
@@ -108,22 +108,25 @@ class _Pattern:
     """A sparse matrix by columns whose entries are given anew; entries of one place are added up."""
 
     def __init__(self, rows: Integers, columns: Integers, shape: tuple[int, int]) -> None:
+        self.rows, self.columns = rows, columns
         key, self._place = np.unique(columns * shape[0] + rows, return_inverse=True)
         starts = np.searchsorted(key // shape[0], np.arange(shape[1] + 1))
         # scipy copies indices of any other kind.
-        self._rows, self._starts = (key % shape[0]).astype(np.int32), starts.astype(np.int32)
+        self._indices, self._starts = (key % shape[0]).astype(np.int32), starts.astype(np.int32)
         self._shape = shape
 
     def filled(self, entries: Array) -> Any:
         """Return the matrix with these entries."""
-        data = np.bincount(self._place, entries, minlength=len(self._rows))
-        return sp.csc_matrix((data, self._rows, self._starts), shape=self._shape)
+        data = np.bincount(self._place, entries, minlength=len(self._indices))
+        return sp.csc_matrix((data, self._indices, self._starts), shape=self._shape)
 
 
 class CompiledProblem:
     """A calibration that cvxpy has compiled for rooms of one layout: `filled` makes a `QP` of it.
 
     It keeps cvxpy's affine map from the parameters to P, c, A and b, and where their entries stand.
+    Callers share it through `compile_once`: its terms are those of `Term.structure`, equal to the
+    caller's but for the numbers that enter through the parameters.
 
     Parameters
     ----------
@@ -132,6 +135,30 @@ class CompiledProblem:
         The objective.
     weights : sequence of float
     constraints : sequence of functions of a `Model`
+
+    Attributes
+    ----------
+    model : Model
+    stated : list
+        Each constraint with the cvxpy constraints that it states.
+    rows_of : list
+        For each of them the rows of A, one array per cvxpy constraint; -1 for one that became a bound.
+    size, n_rows : int
+        Number of variables v, and of rows of A.
+    equal : array (n_rows,) of bool
+        Which rows are equalities.
+    places : array (layout.size,)
+        Where the unknowns u stand among the variables.
+    band, row_band : array (size,), (n_rows,)
+        The band of a variable and of a row; -1 for what belongs to none, or to several.
+    P_rows, P_columns, A_rows, A_columns : array
+        The place of each entry of P and A.
+    limited : tuple of two arrays
+        The variables that have a lower and those that have an upper bound.
+    triangle : array
+        Which entries of P are in its upper triangle, which is what solvers take.
+    kkt, solver_P, solver_A : _Pattern
+        The optimality conditions of a `System`, and the matrices of `solve`.
 
     Raises
     ------
@@ -153,7 +180,6 @@ class CompiledProblem:
         objective = sum(weight * _expression(term, m) for term, weight in pairs)
         stated = [_constraints(term, m) for term in constraints]
         self.stated = list(zip(constraints, stated, strict=True))
-        """Each term with its cvxpy constraints."""
         rows = [constraint for of_term in stated for constraint in of_term]
         problem = cp.Problem(cp.Minimize(objective), [*rows, *m.definitions, *m.box()])
         if not problem.is_dcp(dpp=True):
@@ -169,7 +195,9 @@ class CompiledProblem:
             raise ModelError(
                 "the composed problem is no QP: a term is neither linear nor quadratic"
             )
-        self._read(data)
+        self._keep_maps(data["param_prob"], int(data["dims"].zero), len(data["b"]))
+        self._keep_places(data["param_prob"].var_id_to_col)
+        self._keep_patterns()
         # cvxpy unpacks the numbers of the rows once: where it puts them is where the multipliers go.
         numbered = np.arange(len(self._row_of), dtype=float)
         answer = SimpleNamespace(x=np.zeros(self.size), z=numbered, s=numbered, status="Solved")
@@ -179,53 +207,53 @@ class CompiledProblem:
             [self._row_of[np.abs(np.ravel(c.dual_value)).astype(int)] for c in of_term]
             for of_term in stated
         ]
-        """The rows of A of each term's constraints; -1 for one that became a bound."""
 
     def __reduce__(self) -> Any:
         """Pickle what it is compiled of."""
         return compile_once, self._arguments
 
-    def _read(self, data: Mapping[str, Any]) -> None:
-        """Keep cvxpy's maps from the parameters to the matrices, and the places of their entries."""
-        cvxpy_maps = data["param_prob"]
-        cvxpy_maps.reduced_A.cache()
-        cvxpy_maps.reduced_P.cache()
-        linear = cvxpy_maps.q if hasattr(cvxpy_maps, "q") else cvxpy_maps.c  # c in cvxpy 1.7
-        size, n_equal, n_rows = len(data["c"]), int(data["dims"].zero), len(data["b"])
-        place = cvxpy_maps.param_id_to_col
+    def _keep_maps(self, compiled: Any, n_equal: int, n_rows: int) -> None:
+        """Keep cvxpy's maps from the parameters to P, c, A and b, and the places of their entries.
+
+        Of its ``n_rows`` rows the first ``n_equal`` are equalities. An inequality of one variable with
+        a constant factor is a bound of it and no row of A.
+        """
+        compiled.reduced_A.cache()
+        compiled.reduced_P.cache()
+        linear = compiled.q if hasattr(compiled, "q") else compiled.c  # c in cvxpy 1.7
+        start = compiled.param_id_to_col
         self._filled = [
-            (place[p.id], compute) for p, compute in self.model.parameters if p.id in place
+            (start[p.id], compute) for p, compute in self.model.parameters if p.id in start
         ]
-        self._theta = np.ones(
-            cvxpy_maps.total_param_size + 1
-        )  # its last entry is the maps' constant
-        rows, starts, _ = cvxpy_maps.reduced_A.problem_data_index
+        # The last entry of theta is the maps' constant.
+        self._theta = np.ones(compiled.total_param_size + 1)
+        rows, starts, _ = compiled.reduced_A.problem_data_index
+        size = self.size = len(starts) - 2  # its last column is b
         columns = np.repeat(np.arange(size + 1), np.diff(starts))
         # cvxpy's rows are -A x + b = 0 and -A x + b >= 0; here they are A x = b and A x <= b.
         sign = np.where(columns < size, -1.0, 1.0)
-        every = sp.csr_array(sp.diags_array(sign) @ cvxpy_maps.reduced_A.reduced_mat)
+        every = sp.csr_array(sp.diags_array(sign) @ compiled.reduced_A.reduced_mat)
         is_A = columns < size
         b = sp.csr_array(
             (np.ones((~is_A).sum()), (rows[~is_A], np.flatnonzero(~is_A))), (n_rows, len(rows))
         )
-        # An inequality of one variable with a constant factor is a bound of it.
         constant = np.diff(sp.csr_array(every[:, :-1]).indptr) == 0
         alone = (np.bincount(rows[is_A], minlength=n_rows) == 1) & (np.arange(n_rows) >= n_equal)
         single = is_A & constant & alone[rows]
         factor = every[:, [-1]].toarray().ravel()
-        self._bounds = [
-            (rows[e], columns[e], factor[e])
-            for e in (np.flatnonzero(single & (side * factor > 0)) for side in (-1, 1))
-        ]
+        lower, upper = (np.flatnonzero(single & (side * factor > 0)) for side in (-1, 1))
+        self._bounds = [(rows[e], columns[e], factor[e]) for e in (lower, upper)]
+        self.limited = columns[lower], columns[upper]
         self._general = np.setdiff1d(np.arange(n_rows), rows[single])
+        self.n_rows, self.equal = len(self._general), self._general < n_equal
         self._row_of = np.full(n_rows, -1)
-        self._row_of[self._general] = np.arange(len(self._general))
+        self._row_of[self._general] = np.arange(self.n_rows)
         entries = np.flatnonzero(is_A & ~single)
         self.A_rows, self.A_columns = self._row_of[rows[entries]], columns[entries]
-        self.P_rows, starts, _ = cvxpy_maps.reduced_P.problem_data_index
+        self.P_rows, starts, _ = compiled.reduced_P.problem_data_index
         self.P_columns = np.repeat(np.arange(size), np.diff(starts))
         parts = [
-            cvxpy_maps.reduced_P.reduced_mat,
+            compiled.reduced_P.reduced_mat,
             sp.csr_array(linear)[:size],
             every[entries],
             b @ every,
@@ -233,34 +261,46 @@ class CompiledProblem:
         self._map = sp.csr_array(sp.vstack([sp.csr_array(part) for part in parts]))
         self._map.eliminate_zeros()
         self._parts = np.cumsum([0, *(part.shape[0] for part in parts)]).tolist()
-        self.size, self.n_rows, self.equal = size, len(self._general), self._general < n_equal
+
+    def _keep_places(self, first: Mapping[int, int]) -> None:
+        """Keep where the unknowns stand, and bands; ``first`` is where a cvxpy variable begins."""
         m, n = self.model, self.layout.n_alpha
-        self.places = cvxpy_maps.var_id_to_col[m.x.id] + np.arange(n)
+        self.places = first[m.x.id] + np.arange(n)
         if m.effects is not None:
-            sizes = cvxpy_maps.var_id_to_col[m.effects.id] + np.arange(m.effects.size)
+            sizes = first[m.effects.id] + np.arange(m.effects.size)
             self.places = np.concatenate([self.places, sizes])
-        """The places of the unknowns u among the variables, (size,)."""
-        self.band = np.full(size, -1)
+        self.band = np.full(self.size, -1)
         self.band[self.places[:n]] = np.arange(n) % self.layout.n_bands
-        self.row_band = np.full(self.n_rows, -1)
         known = self.band[self.A_columns] >= 0
-        self.row_band[self.A_rows[known]] = self.band[self.A_columns[known]]
-        n, A = size + self.n_rows, (self.A_rows, self.A_columns)
-        self.kkt_rows = np.concatenate([self.P_rows, size + A[0], A[1], np.arange(n)])
-        self.kkt_columns = np.concatenate([self.P_columns, A[1], size + A[0], np.arange(n)])
-        self.kkt = _Pattern(self.kkt_rows, self.kkt_columns, (n, n))
-        self.limited = [columns for _, columns, _ in self._bounds]
+        of_row, band = self.A_rows[known], self.band[self.A_columns[known]]
+        lowest, highest = np.full(self.n_rows, self.layout.n_bands), np.full(self.n_rows, -1)
+        np.minimum.at(lowest, of_row, band)
+        np.maximum.at(highest, of_row, band)
+        self.row_band = np.where(lowest == highest, highest, -1)
+
+    def _keep_patterns(self) -> None:
+        """Keep the places of the optimality conditions, and of the matrices that solvers take."""
+        size, n = self.size, self.size + self.n_rows
+        P, A, variables = (
+            (self.P_rows, self.P_columns),
+            (self.A_rows, self.A_columns),
+            np.arange(size),
+        )
+        self.kkt = _Pattern(
+            np.concatenate([P[0], size + A[0], A[1], np.arange(n)]),
+            np.concatenate([P[1], A[1], size + A[0], np.arange(n)]),
+            (n, n),
+        )
         bounds = np.concatenate(self.limited)
         self.solver_A = _Pattern(
             np.concatenate([A[0], self.n_rows + np.arange(len(bounds))]),
             np.concatenate([A[1], bounds]),
             (self.n_rows + len(bounds), size),
         )
-        self.triangle = np.flatnonzero(self.P_rows <= self.P_columns)
-        diagonal = np.arange(size)
+        self.triangle = np.flatnonzero(P[0] <= P[1])
         self.solver_P = _Pattern(
-            np.concatenate([self.P_rows[self.triangle], diagonal]),
-            np.concatenate([self.P_columns[self.triangle], diagonal]),
+            np.concatenate([P[0][self.triangle], variables]),
+            np.concatenate([P[1][self.triangle], variables]),
             (size, size),
         )
 
@@ -305,8 +345,7 @@ def _constraints(term: AnyTerm, m: Model) -> list[Any]:
     return stated
 
 
-_KEPT = 16
-_cached = functools.lru_cache(_KEPT)(CompiledProblem)
+_cached = functools.lru_cache(maxsize=16)(CompiledProblem)
 COMPILING = threading.RLock()
 
 
@@ -464,7 +503,7 @@ class System:
         self._on = np.concatenate([free, self.used])
         scaled = program.A * self._unit[compiled.A_rows]
         entries = np.concatenate([program.P, scaled, scaled, np.zeros(len(self._on))])
-        entries[~(self._on[compiled.kkt_rows] & self._on[compiled.kkt_columns])] = 0.0
+        entries[~(self._on[compiled.kkt.rows] & self._on[compiled.kkt.columns])] = 0.0
         self._matrix = compiled.kkt.filled(entries)
         shift = np.where(np.arange(len(self._on)) < len(free), self._SHIFT, -self._SHIFT)
         entries[-len(shift) :] = np.where(self._on, shift, 1.0)
@@ -671,9 +710,10 @@ def _nearest_to_zero(program: QP, v: Array, y: Array, rows: Flags, at: Active) -
 def closed_form(program: QP, at: Active | None = None) -> Iterate | None:
     """Return the optimum by `polish`, with no inequality and only the bounds of ``at`` guessed active.
 
-    Its first round has no inequalities, so the QP is one linear system: for an independent prior with
-    an exact match the paper's closed form (Bellows & Katz 2025, Eqs. 22 to 25). Where that violates
-    bounds, these are held and the system is solved again. Variables of a term's own that have a bound,
+    Only its first round is closed: without inequalities the QP is one linear system, for an independent
+    prior with an exact match that of the paper (Bellows & Katz 2025, Eqs. 22 to 25; by itself, and as
+    the oracle of the tests, in `rtcal.calibration.exact`). Where that violates bounds, these are held
+    and the system is solved again, as in every `polish`. Variables of a term's own that have a bound,
     such as the parts beyond a threshold, begin there. ``at`` is that of `polish`.
     """
     own = np.isfinite(program.lower)
@@ -695,7 +735,8 @@ def solve(program: QP, at: Active, options: SolveOptions) -> Iterate:
     MissingDependencyError
         If the solver is not installed.
     SolverError
-        If it returns no values.
+        If it returns no values. That is no failure of the calibration: its caller goes on to
+        `closed_form`, which needs none.
     """
     compiled = program.compiled
     left_out = (at != 0) | program.fixed
@@ -733,11 +774,11 @@ def solve(program: QP, at: Active, options: SolveOptions) -> Iterate:
     name = options.solver.lower()
     began = time.perf_counter()
     first = None
-    if name == "osqp" and options.warm_start and (form := closed_form(program)) is not None:
+    if name == "osqp" and options.warm_start and (form := closed_form(program, at)) is not None:
         duals = (
             form.y * norm,
-            form.lower_multipliers[compiled.limited[0]],
-            form.upper_multipliers[compiled.limited[1]],
+            limited[0] * form.lower_multipliers[compiled.limited[0]],
+            limited[1] * form.upper_multipliers[compiled.limited[1]],
         )
         first = (form.v - start) * on, np.concatenate(duals)
     matrices = _SolverInput(
@@ -865,13 +906,14 @@ def _refused(name: str, given: _SolverInput, error: Exception) -> ModelError:
 
 
 _ACCEPTED = 1e-9
-"""Largest residual of an answer that is returned. The primal residual is relative. In the dual residual
-and the gap, a shift of one sigma counts as 1."""
+"""Largest residual of an answer that is returned; see `Certificate`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate:
     """Residuals of the optimality conditions, each (n_bands,), computed from P, c, A and b.
+
+    What belongs to no band, or to several, counts in every one.
 
     Attributes
     ----------
@@ -880,11 +922,13 @@ class Certificate:
     dual_residual : array
         max |sigma (gradient + S D - z_lower + z_upper)|.
     duality_gap : array
-        sum z_lower (alpha - lower) + z_upper (upper - alpha).
+        sum z_lower (alpha - lower) + z_upper (upper - alpha), and D slack of the inequalities.
     alpha_error_bound : array (n_materials, n_bands)
         No coefficient is farther than this from the optimum; see `certify`.
     accepted : bool
-        Whether the residuals are at most 1e-9, relative to the parts of which they are differences.
+        Whether three numbers are at most 1e-9: the largest primal residual; the largest dual residual
+        over 1 and the sum of the absolute values of its parts; the gap, each product once, over the
+        largest of these sums.
     """
 
     primal_residual: Array
@@ -941,7 +985,7 @@ def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
     row_gap = np.where(program.equal, 0.0, abs(point.y * slack))
 
     def by_band(reduce: Any, *parts: tuple[Array, Integers]) -> Array:
-        """Reduce values by band; those of no band count in every one."""
+        """Reduce values by band; those of no one band count in every one."""
         out = np.zeros(layout.n_bands)
         for values, of_band in parts:
             reduce.at(out, of_band[of_band >= 0], values[of_band >= 0])
@@ -951,8 +995,9 @@ def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
     primal = by_band(np.maximum, (outside, compiled.band), (missed, compiled.row_band))
     dual = by_band(np.maximum, (abs(unbalanced), compiled.band))
     total = by_band(np.add, (gap, compiled.band), (row_gap, compiled.row_band))
-    relative = np.max(abs(unbalanced) / magnitude, initial=0.0), total.sum() / magnitude.max()
-    moved, left, g = np.zeros(len(v)), unbalanced, gap.sum() + row_gap.sum()
+    g = gap.sum() + row_gap.sum()
+    relative = np.max(abs(unbalanced) / magnitude, initial=0.0), g / magnitude.max()
+    moved, left = np.zeros(len(v)), unbalanced
     if point.system is not None:  # what is not active has no multiplier, and so no gap
         moved, left, g = *_step_left(program, point, point.system, force, slack), 0.0
     bound = np.maximum(to_lower, to_upper)

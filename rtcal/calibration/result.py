@@ -284,7 +284,7 @@ class CalibrationResult(Result):
 
     @property
     def polished(self) -> bool:
-        """Whether the answer is the polished one; else the solver's was better."""
+        """Whether the answer is the polished one; else only the solver's own passed the certificate."""
         return self.joint.polished
 
     @property

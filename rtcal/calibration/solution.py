@@ -35,7 +35,7 @@ from rtcal.support.types import Array
 
 _STEP = 1e-5
 """Relative step of T in central differences: their error is of the order of its square."""
-_ROUNDING = 1e-13
+_UNCOUPLED = 1e-13
 """Curvature between two unknowns, of the root of the product of their own, that is rounding."""
 _SHARE_OF_ROUNDING = 1e-7
 """Of the prior's sigma: what the difference of equal variances leaves. As an uncertainty it would let a
@@ -102,7 +102,7 @@ class JointSolution:
 
     @cached_property
     def numbers(self) -> Numbers:
-        """The numbers of the solve, with a b beyond reach moved to the nearest within it."""
+        """The numbers of the solve, made anew: a saved result has its inputs and its answer alone."""
         return replace(self.numbers_of(self.measured_times), target=self.target)
 
     def numbers_of(self, measured: Sequence[MeasuredTimes]) -> Numbers:
@@ -136,8 +136,7 @@ class JointSolution:
     @cached_property
     def at_bounds(self) -> Active:
         """-1 for an unknown at its lower bound, 1 at the upper, 0 for a free one, (size,)."""
-        at = self.point.at[self.composition.compiled.places]
-        return np.where(self.numbers.movable, at, 0).astype(np.int8)
+        return self.composition.unknowns_at(self.numbers, self.point.at)
 
     @cached_property
     def active(self) -> Active:
@@ -285,9 +284,9 @@ class JointSolution:
         ]
         numbers = self.numbers_of(measured)
         if not noise_follows:
-            held = self.numbers
+            own = self.numbers
             numbers = replace(
-                numbers, target_uncertainty=held.target_uncertainty, room_changes=held.room_changes
+                numbers, target_uncertainty=own.target_uncertainty, room_changes=own.room_changes
             )
         return numbers
 
@@ -432,7 +431,7 @@ class JointSolution:
         gradient, curvature, kept = _reduced(program, x)
         # What rounding leaves of unknowns that nothing couples would make one part of them.
         size = np.sqrt(np.abs(np.diag(curvature)))
-        curvature = np.where(np.abs(curvature) > _ROUNDING * np.outer(size, size), curvature, 0.0)
+        curvature = np.where(np.abs(curvature) > _UNCOUPLED * np.outer(size, size), curvature, 0.0)
         own = sp.csr_array(program.matrices[1][:, places] @ sp.diags_array(unit))[kept]
         limit = program.b[kept] + own @ numbers.mu
         noise = self._row_noise[kept]

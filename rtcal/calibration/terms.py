@@ -19,6 +19,7 @@ as S sigma of the absorption area.
 
 from __future__ import annotations
 
+import copy
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -339,6 +340,7 @@ class PriorDeviation(Term):
     ----------
     sigma : float, optional
         One standard deviation for every coefficient in place of the room's (but 0 stays 0), above 0.
+        It enters through x: `rtcal.calibration.composition.Composition.numbers` takes it.
     band_correlation : float, matrix (n_bands, n_bands), or a mapping of material to either
         A number r below 1 is the correlation of two bands an octave apart: r ** octaves. Materials
         that a mapping lacks are uncorrelated.
@@ -404,6 +406,10 @@ class PriorDeviation(Term):
         largest = _largest(self, numbers.layout) if self.correlated else 1.0
         return float(1 / (largest + (q @ q if self.common else 0.0)))
 
+    def structure(self) -> Term:
+        """Return the term without ``sigma``, which enters through the deviations."""
+        return _without_sigma(self)
+
     def correlate(self, columns: Array, layout: Layout) -> Array:
         """Return R @ columns, (size, n); further unknowns are independent."""
         within, between = _factors(self, layout)
@@ -423,6 +429,14 @@ class PriorDeviation(Term):
         inverse = sp.csr_array(whitener.T @ whitener)
         inverse.eliminate_zeros()
         return inverse
+
+
+def _without_sigma(term: PriorDeviation | HuberDeviation) -> Term:
+    if term.sigma is None:
+        return term
+    alike = copy.copy(term)  # unlike `replace`, it takes what was frozen as it is
+    object.__setattr__(alike, "sigma", None)
+    return alike
 
 
 def _frozen(what: str, value: Any) -> Any:
@@ -513,7 +527,7 @@ class HuberDeviation(Term):
     convex : float
         e, above 0 and at most 1.
     sigma : float, optional
-        One standard deviation for every coefficient in place of the room's.
+        That of `PriorDeviation`.
     """
 
     threshold: float = 1.5
@@ -541,6 +555,10 @@ class HuberDeviation(Term):
     def convexity(self, numbers: Numbers) -> float:
         """Return e."""
         return self.convex
+
+    def structure(self) -> Term:
+        """Return the term without ``sigma``, which enters through the deviations."""
+        return _without_sigma(self)
 
 
 @dataclass(frozen=True)
