@@ -107,6 +107,8 @@ class RoomModes:
         Raises ModelError if a pole does not converge: walls too far from rigid.
         """
 
+        from scipy.optimize import linear_sum_assignment
+
         def at(frequencies: Array) -> Complex:
             return np.stack([admittances(float(f)) for f in frequencies], axis=1)
 
@@ -119,7 +121,8 @@ class RoomModes:
         )
         first, vectors = np.linalg.eig(start)
         alike = vectors[: self.wanted] if like is None else like.conj().T @ vectors
-        chosen = _by_mode(np.abs(alike) ** 2)
+        # For each mode the vector that has most of it, each once.
+        chosen = np.asarray(linear_sum_assignment(-(np.abs(alike) ** 2))[1])
         inverse, own = np.linalg.inv(vectors), first[:, np.newaxis]
         poles, shapes, left = first[chosen], vectors[:, chosen], np.arange(len(chosen))
 
@@ -217,13 +220,6 @@ class Poles:
     def decays(self) -> Array:
         """Delta in 1/s."""
         return np.asarray(-self.values.real)
-
-
-def _by_mode(share: Array) -> NDArray[np.intp]:
-    """Return for each mode the vector that has most of it, each once; ``share`` (modes, vectors)."""
-    from scipy.optimize import linear_sum_assignment
-
-    return np.asarray(linear_sum_assignment(-share)[1])
 
 
 PER_WAVELENGTH = 3.5
