@@ -106,7 +106,6 @@ class RoomModes:
 
         Raises ModelError if a pole does not converge: walls too far from rigid.
         """
-
         from scipy.optimize import linear_sum_assignment
 
         def at(frequencies: Array) -> Complex:
