@@ -297,8 +297,8 @@ Milliseconds at default settings, `mle` in third-octaves. A route that took over
 
 ## OSQP's iterations, cold and warm
 
-Medians over the random rooms at eps 1e-8, looked at every 5 iterations: from 0, and from the closed form in which violators of the
-box are held at their bound (`warm_start=True`, the default), which is the answer there. Clarabel has no warm start.
+Medians over the random rooms at eps 1e-8, looked at every 5 iterations. The warm start is the closed form in which violators of the
+box are held at their bound (`warm_start=True`, the default). It is the answer there. Clarabel has no warm start.
 
 {_iterations(also)}
 

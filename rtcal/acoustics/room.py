@@ -928,10 +928,10 @@ class Record(FileTable):
 class _Common(FileTable, kw_only=True):
     """Keys that a room's file and its plain values have in common."""
 
-    volume: Number
-    centre_frequencies: list[Number]
     name: str = "room"
     author: str = ""
+    volume: Number
+    centre_frequencies: list[Number]
     scattering_model: str = "random"
     air: AirTable | None = None
     dimensions: list[Number] | None = None
@@ -1117,6 +1117,7 @@ def _plain(room: Room) -> dict[str, Any]:
         "scattering_model": room.scattering_model if room.scattering_model != "random" else None,
         "scene": room.scene.to_dict(),
         "climate_sigma": list(room.climate_sigma) if any(room.climate_sigma) else None,
+        "above_one": None,  # what was above 1 stands clipped in alpha
     }
     return {name: value for name, value in plain.items() if value or name in _ALWAYS}
 

@@ -121,6 +121,7 @@ def sheets(made: Page) -> dict[str, list[list[Any]]]:
 
     Examples
     --------
+    >>> from rtcal.support.blocks import Row
     >>> sheets(Page("hall", "", "", [Table(["125 Hz"], [Row("T / s", [1.5], ".2f")], "By band: T")]))
     {'summary': [['text']], 'By band': [['', '125 Hz'], ['T / s', 1.5]]}
     """
