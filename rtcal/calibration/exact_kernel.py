@@ -12,6 +12,7 @@ from rtcal.support.speed import compiled
 from rtcal.support.types import Array
 
 EPS = float(np.finfo(float).eps)
+# The values of `exact`, which cannot be taken from there: it imports this module.
 OK, BELOW, ABOVE, BAD_INPUT, PENDING = 0, 1, 2, 3, -1
 STRIP = 64  # rows
 LARGEST = float(np.finfo(float).max)

@@ -589,6 +589,7 @@ _ROUNDS = 100
 _AT_ONCE = 20
 """Rounds in which the active set changes by all that is wrong at once; then by the worst alone."""
 _ROUNDING = 1e-13
+"""Share of the sum of the absolute parts of a difference up to which it counts as 0."""
 
 
 def polish(program: QP, at: Active, tight: Flags) -> Iterate | None:
@@ -768,8 +769,8 @@ def solve(program: QP, at: Active, options: SolveOptions) -> Iterate:
         np.concatenate([entries * unit[compiled.A_rows], -1.0 * limited[0], 1.0 * limited[1]])
     )
     moves = on[compiled.P_rows] & on[compiled.P_columns]
-    upper = np.where(moves, program.P, 0.0)[compiled.triangle]
-    quadratic = compiled.solver_P.filled(np.concatenate([upper, 1.0 * left_out]))
+    triangle = np.where(moves, program.P, 0.0)[compiled.triangle]
+    quadratic = compiled.solver_P.filled(np.concatenate([triangle, 1.0 * left_out]))
     linear = program.gradient(start) * on
     name = options.solver.lower()
     began = time.perf_counter()
