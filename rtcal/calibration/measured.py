@@ -143,7 +143,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         if not np.isfinite(decay.mean).any():
             parameters = ", ".join(parameter_label(p) for p in measured.values)
             raise DataError(
-                f"the measurement has {parameters}, but no T20 and no T30 in any band of the room"
+                f"the measurement has no T20 or T30 in any band of the room; stated: {parameters}"
             )
         return MeasuredTimes(frequencies, decay.mean, decay.uncertainty, decay.parameter, measured)
     try:

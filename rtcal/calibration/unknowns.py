@@ -82,6 +82,8 @@ class Configurations:
         names = tuple(str(n) for n in self.names) or tuple(r.name for r in rooms)
         if len(names) != len(rooms):
             raise DataError(f"{len(names)} names for {len(rooms)} configurations")
+        if self.names and len(set(names)) < len(names):
+            raise DataError(f"names = {names} has a name twice")
         object.__setattr__(self, "rooms", rooms)
         object.__setattr__(self, "names", names)
         if len(rooms) > 1:

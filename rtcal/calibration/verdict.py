@@ -103,7 +103,8 @@ def _evidence(record: Mapping[str, Any]) -> tuple[str, str, float | None, str]:
     """Return Q and p in words, the bands whose z is large, p, and what errors in common explain."""
     found = record["plausibility"]
     p, p_together = found["p_value"], found["p_together"]
-    q = f"Q = {found['q']:.1f}, {found['degrees_of_freedom']} degrees of freedom"
+    free = found["degrees_of_freedom"]
+    q = f"Q = {found['q']:.1f}, {free} degree{'s' * (free != 1)} of freedom"
     if p is not None:
         q += f", p = {p:.2g}"
     far = np.abs(numbers(found["z"])) > LARGE_Z

@@ -515,7 +515,8 @@ class ModesResult(Result):
         first = f"Measured frequencies are {self.scale:.3f} times those calculated."
         q = self.plausibility
         misfit = (
-            f"Misfit of the decays: Q = {q.q:.1f} with {q.degrees_of_freedom} degrees of freedom, "
+            f"Misfit of the decays: Q = {q.q:.1f} with {q.degrees_of_freedom} "
+            f"degree{'s' * (q.degrees_of_freedom != 1)} of freedom, "
             f"p = {q.p_value:.2g}."
         )
         lines = explained(self.trust_marks)

@@ -393,7 +393,7 @@ def predict(
     if isinstance(changes, Room):
         default = changes.name
     else:
-        made = (changes,) if isinstance(changes, Change) else tuple(changes)
+        made = (changes,) if isinstance(changes, Change) else checks.listed("changes", changes)
         default = "; ".join(map(str, made)) or "no change"
     prediction = Prediction(
         name=name or default,

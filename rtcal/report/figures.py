@@ -729,7 +729,7 @@ def evidence(finding: MeansFinding) -> Any:
     """Return the evidence of every effect as bars, with the threshold."""
     names = list(finding.evidence)
     values = np.array([finding.evidence[n] for n in names])
-    top = max(float(values.max()), finding.threshold)
+    top = max(float(values.max()), finding.threshold, np.log(10))  # an axis though nothing speaks
     # Bars of large negative evidence are cut, and marked by an arrow.
     low = -0.15 * top
     drawn, cut = np.maximum(values, low), values < low
