@@ -67,11 +67,33 @@ def test_the_commands_find_add_and_prove(folder: Path) -> None:
     assert f"Added: {found['candidates'][0]} ({found['verdict']}: " in run(
         "apply", saved, "--out", str(out)
     )
+    for name in ("app", "app.toml"):  # `rtcal find` would read them as TOML
+        refused = CliRunner().invoke(cli, ["apply", saved, "--out", str(folder / name)])
+        assert isinstance(refused.exception, rt.errors.DataError)
+        assert f"--out {folder / 'app.json'}" in str(refused.exception)
+        assert not (folder / name).exists()
     again = json.loads(run("find", str(out), "--json"))
     assert again["verdict"] in ("none", "hint")
     assert again["score"] < 0.2 * found["score"]
     assert "all that was held out" in run("verify", saved)
     assert run("find", case, "--quiet") == ""
+
+
+def test_sizes_are_of_what_has_a_row_and_no_number_is_minus_zero(folder: Path) -> None:
+    case = Case.from_file(str(folder / "case.json"))
+    found = find(case, cache=folder / FOLDER)
+    assert "size of" in str(found)
+    vague = dict.fromkeys(found.probabilities, 0.01)
+    nothing = replace(found.detection, score=-0.01)
+    assert "size of" not in str(replace(found, probabilities=vague))
+    assert "+0.0 nats" in replace(found, detection=nothing).evidence_in_words
+
+
+def test_evidence_without_one_band_is_without_it(kept: Path) -> None:
+    """It was "without them its evidence is -0.0 nats"."""
+    found = rt.find(*rt.datasets.bras_cr2(), only=["membrane"], cache=kept)
+    assert "rests on 125 Hz" in str(found)
+    assert "without it its evidence is +" in " ".join(str(found).split())
 
 
 def test_the_report_is_written_whole(folder: Path) -> None:

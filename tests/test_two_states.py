@@ -57,6 +57,29 @@ def test_what_was_added_is_removed_in_the_other_order(panels: StatesFinding) -> 
     np.testing.assert_allclose(back.score, panels.score, rtol=1e-9)
 
 
+def test_the_same_state_twice_is_its_own_mirror_image() -> None:
+    """The change was +0.1 m² (-1.2 to +1.3) at 125 Hz: one orientation was taken."""
+    state = measured(times(), 1)
+    same = rt.find(room(), state, before=state)
+    np.testing.assert_array_equal(same.change[0], 0.0)
+    np.testing.assert_allclose(same.change[1], -same.change[2], rtol=1e-9)
+    assert same.size.mean == 0
+    assert not same.shift.any()
+    families = same.families
+    assert families["added absorption"] == pytest.approx(families["removed absorption"], rel=1e-9)
+    for name, p in same.probabilities.items():
+        if name.startswith("added "):
+            removed = same.probabilities[name.replace("added", "removed")]
+            assert removed == pytest.approx(p, rel=1e-9)
+
+
+def test_changes_that_cancel_have_one_orientation(panels: StatesFinding) -> None:
+    """Both orders were taken as that in which T falls, where the mean of ln T did not change."""
+    change = np.array([[0.25, -0.25]])
+    forth = replace(panels.case.differences, change=change, variance=np.ones((1, 2)))
+    assert forth.falls != replace(forth, change=-change).falls
+
+
 @pytest.mark.parametrize("noisy", [pytest.param(0, marks=pytest.mark.long), 1])
 def test_noise_is_no_change(noisy: int) -> None:
     """Also where one source is three times as noisy as theory says."""
@@ -283,6 +306,12 @@ def test_the_command_writes_numbers_and_page(
     assert json.loads(capsys.readouterr().out)["written"] == [
         str(tmp_path / "changed" / "room.toml")
     ]
+    for name in ("q.json", "q.toml"):
+        assert run("apply", names["out"], "--out", str(tmp_path / name)) == 2
+        assert f"of two states it is a folder: --out {tmp_path / 'q'}" in " ".join(
+            capsys.readouterr().err.split()
+        )
+        assert not (tmp_path / name).exists()
     made = rt.Room.from_file(str(tmp_path / "changed" / "room.toml"))
     np.testing.assert_array_equal(made.alpha, panels.apply().room.alpha)
     measured(times(), 9).save(str(tmp_path / "again.csv"))

@@ -52,6 +52,8 @@ _OF_POSITIONS = ("simulated", "match", "exclude", "scattering", "paths")
 _OF_MEANS = ("engine", "prior", "most", "expected")
 _NEEDS_POSITIONS = " needs a room that states its sources and receivers, measured pair by pair"
 _NO_SURFACE = ": a finding without a geometry has no surface"
+_ENDINGS = (".csv", ".json", ".toml")
+"""Endings of the files that rtcal reads, which no folder of `apply` has."""
 
 
 def stated(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
@@ -358,7 +360,8 @@ def verify(found: str, before: str | None, after: str | None) -> None:
         "--out",
         type=click.Path(),
         required=True,
-        help="The case with the effect (JSON); of two states or with a geometry, a folder.",
+        help="The case with the effect, a name that ends in .json; of two states or with a geometry, "
+        "a folder.",
     ),
     file(
         "room",
@@ -414,6 +417,11 @@ def apply(
         from rtcal.report.of_finding import correct
 
         refuse({"form": form, "at": at}, _NO_SURFACE)
+        if Path(out).suffix != ".json":
+            raise DataError(
+                f"--out {out}: the case is written as JSON, and read as TOML by a name that does not "
+                f"end in .json: --out {Path(out).with_suffix('.json')}"
+            )
         with errors_name_options("effect"):
             said, record, files = correct(finding, out, room, effect)
         write_all(files)
@@ -422,9 +430,12 @@ def apply(
             raise click.exceptions.Exit(NOTHING_TO_ADD)
         return
     two = isinstance(finding, StatesFinding)
+    of = "of two states" if two else "with a geometry"
     if os.path.isfile(out):
-        of = "of two states" if two else "with a geometry"
         raise DataError(f"--out {out} is a file; {of} it is a folder")
+    if Path(out).suffix in _ENDINGS:
+        name = Path(out).with_suffix("")
+        raise DataError(f"--out {out} has the ending of a file; {of} it is a folder: --out {name}")
     if two:
         refuse({"form": form, "at": at, "room": room, "effect": effect}, " is not of two states")
     else:

@@ -401,7 +401,7 @@ class MeansFinding(Finding):
                 name,
                 [
                     self.percent(name),
-                    f"{self.evidence[name]:+.1f}" if name in self.evidence else "",
+                    f"{self.evidence[name]:+z.1f}" if name in self.evidence else "",
                     "candidate" if name in self.names else "",
                 ],
             )
@@ -413,7 +413,7 @@ class MeansFinding(Finding):
         labels = bands.labels(self.case.room.centre_frequencies)
         for c, residuals in zip(self.case.configurations, self.residuals, strict=True):
             named = zip(feature_names(c.measured), residuals, strict=True)
-            measured = [Row(name, row, "+.1f") for name, row in named if np.isfinite(row).any()]
+            measured = [Row(name, row, "+z.1f") for name, row in named if np.isfinite(row).any()]
             title = f'residuals of "{c.name}", in standard deviations (model - measured)'
             tables.append(Table(labels, measured, title))
         last = (f"next: {self.advice}", *(f"note: {n}" for n in self.notes))
@@ -433,7 +433,7 @@ class MeansFinding(Finding):
         """The evidence that something is missing, and its threshold."""
         return (
             f"{self.deciding_in_words}Evidence that something is missing, whatever it is: "
-            f"{self.score:+.1f} nats ({NATS}). Threshold: {self.threshold:.1f} nats, which at most "
+            f"{self.score:+z.1f} nats ({NATS}). Threshold: {self.threshold:.1f} nats, which at most "
             "5 % of simulated rooms exceed that lack nothing "
             f"({', '.join(self.engines) or 'no engine'})."
         )
@@ -445,7 +445,7 @@ class MeansFinding(Finding):
         if words is None:
             return ""
         part = self.detection.parts[words]
-        said = f"{part.score:+.1f} nats; threshold {part.threshold:.1f}"
+        said = f"{part.score:+z.1f} nats; threshold {part.threshold:.1f}"
         return f"Detected by {words} alone: {said}. All data together say less. "
 
     @property
@@ -511,8 +511,9 @@ class MeansFinding(Finding):
 
     @property
     def in_words(self) -> list[str]:
-        """The candidates' sizes, the coefficients, and the reasons that the sentence leaves out."""
-        said = [*map(self.size_of, self.names), self.coefficients_in_words]
+        """The sizes of candidates with a row, the coefficients, and what the sentence leaves out."""
+        with_row = [n for n in self.names if self.probabilities.get(n, 0.0) >= SAID]
+        said = [*map(self.size_of, with_row), self.coefficients_in_words]
         return [*filter(None, said), *self.reasons[self.verdict == "hint" or self.leads :]]
 
     @property

@@ -589,7 +589,8 @@ def decided_below_schroeder(
     places = bands.labels(case.room.centre_frequencies[low.any(0)])
     words = (
         f"{name} rests on {', '.join(places)}, below Schroeder's frequency, where no field is diffuse: "
-        f"without them its evidence is {rest:+.1f} nats instead of {nats:+.1f}"
+        f"without {'it' if len(places) == 1 else 'them'} its evidence is {rest:+z.1f} nats instead "
+        f"of {nats:+z.1f}"
     )
     return [Objection(words, "effect")]
 

@@ -371,7 +371,7 @@ def gains_in_words(nats: float) -> str:
         return ""
     return (
         "G agrees better with the room where its calibration may be off, alike in all bands or band by "
-        f"band: {nats:+.1f} nats. It counts as far as it is right. If its reference is not sure, name "
+        f"band: {nats:+z.1f} nats. It counts as far as it is right. If its reference is not sure, name "
         'it "level".'
     )
 
@@ -389,13 +389,13 @@ def lobes_in_words(nats: float, stated: Sequence[str]) -> str:
         )
         return (
             "Sources that are not omnidirectional explain what was measured better than what the room "
-            f"may lack: {nats:+.1f} nats. {taken} State them with [directivity]; an omnidirectional "
+            f"may lack: {nats:+z.1f} nats. {taken} State them with [directivity]; an omnidirectional "
             "source has the index 0."
         )
     if not stated:
         return ""
     better = (
-        f"Other lobes explain what was measured better than what the room may lack: {nats:+.1f} nats."
+        f"Other lobes explain what was measured better than what the room may lack: {nats:+z.1f} nats."
         if nats > LIKELY_INDEX
         else "Nothing that is tried explains the level and the early parameters."
     )

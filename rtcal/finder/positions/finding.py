@@ -344,7 +344,7 @@ is detected (`python -m benchmarks.studies.pairs.where_seeds --rooms 0.7 --seeds
 def detection_in_words(detection: Detection) -> str:
     """Return the score and its threshold in a sentence or two."""
     score, threshold = detection.score, detection.threshold
-    said = f"Evidence that something is other than stated: {score:+.1f} nats; "
+    said = f"Evidence that something is other than stated: {score:+z.1f} nats; "
     said += f"threshold {threshold:.1f}."
     if abs(score - threshold) < BY_SEED:
         said += (
@@ -352,10 +352,10 @@ def detection_in_words(detection: Detection) -> str:
             "whether another seed says the same."
         )
     if detection.verdict is not None and detection.noise is not None and detection.noise > 0:
-        said += f" That one pair is noisier than assumed: {detection.noise:+.1f} nats."
+        said += f" That one pair is noisier than assumed: {detection.noise:+z.1f} nats."
     if detection.means is None:
         return said
-    return f"{said} Means of these data over positions give {detection.means:+.1f} nats."
+    return f"{said} Means of these data over positions give {detection.means:+z.1f} nats."
 
 
 LIKELY = 0.7

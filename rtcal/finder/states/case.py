@@ -155,8 +155,14 @@ class Differences:
 
     @property
     def falls(self) -> bool:
-        """Whether T is shorter after than before, in the mean of ln T as far as each is known."""
-        return bool(np.nansum(self.change / self.variance) <= 0)
+        """Whether T is shorter after than before, in the mean of ln T as far as each is known.
+
+        Where the mean is 0, the first T that changed decides, so that states that are exchanged differ.
+        """
+        mean = np.nansum(self.change / self.variance)
+        if mean == 0 and not self.same:
+            mean = self.change[np.nan_to_num(self.change) != 0][0]
+        return bool(mean <= 0)
 
     @property
     def measured(self) -> NDArray[np.bool_]:

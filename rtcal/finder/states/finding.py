@@ -222,7 +222,7 @@ class StatesFinding(Finding):
             together = "Several may have changed together, so these need not add up to 100 %."
             said.append(f"It may be on {listed(some)} as well. {together}")
         score = (
-            f"Evidence that something changed: {self.score:+.1f} nats; threshold "
+            f"Evidence that something changed: {self.score:+z.1f} nats; threshold "
             f"{self.threshold:.1f} nats."
         )
         return (*said, score, *self.notes)

@@ -2,7 +2,7 @@
 
 Two states that are exchanged have the same answer, with "added" and "removed" exchanged and all changes
 of the other sign. So the state of the longer T is the first in every search, and the answer is turned
-round where it was measured second (`_turned`).
+round where it was measured second (`_turned`). Where both are the same, the answer is half of each.
 """
 
 from __future__ import annotations
@@ -118,8 +118,13 @@ def find(
     none = float(np.exp(-np.logaddexp(0.0, odds)))
     chances = np.exp(by_scale - something)
     given = chances.sum(axis=1)
-    probabilities = _summed(tried.names, given, none)
-    families = _with_sums(_summed(tried.families, given, none))
+    of_names, of_families, shares = tried.names, tried.families, given
+    if found.same:
+        other_way = _turned(tried)
+        of_names, of_families = of_names + other_way.names, of_families + other_way.families
+        shares = np.tile(given / 2, 2)
+    probabilities = _summed(of_names, shares, none)
+    families = _with_sums(_summed(of_families, shares, none))
     detection = Detection(score, THRESHOLD)
     by_family_alone = [name for name in probabilities if name != AIR]
     verdict, family = claimed(detection.verdict, probabilities, families, by_family_alone)
@@ -135,6 +140,9 @@ def find(
     if of_surfaces.any():
         samples, drawn = _samples(fits, tried, baseline, of_surfaces, seed)
         samples, names = sign * samples, np.array(tried.names)[drawn]
+        if found.same:  # each beside its mirror image, so that their mean is 0 to the last digit
+            samples = np.stack([samples, -samples], axis=1).reshape(-1, samples.shape[1])
+            names = np.stack([names, np.array(_turned(tried).names)[drawn]], axis=1).ravel()
         changes[0, measured] = samples.mean(axis=0)
         changes[1:, measured] = np.quantile(samples, _INTERVAL, axis=0)
         middle = samples[:, inside].mean(axis=1)
@@ -147,7 +155,10 @@ def find(
         best = max((n for n in probabilities if n != NONE), key=lambda n: probabilities[n])
         candidates = [_candidate(best, tried, probabilities[best], middle)]
     shift = np.full(room.n_bands, np.nan)
-    shift[measured] = sign * np.einsum("ns,nsk->k", chances, fits.shift)
+    if found.same:
+        shift[measured] = 0.0
+    else:
+        shift[measured] = sign * np.einsum("ns,nsk->k", chances, fits.shift)
     located: Located | None = None
     why = _OF_MEANS if case.simulator is None else ""
     if family is not None and "absorption" in family:
@@ -224,7 +235,7 @@ def _of_gains(gains: Mapping[str, float]) -> tuple[str, ...]:
     """Return what to know of sources whose level has another gain after than before; () of none."""
     if not gains:
         return ()
-    each = first_of([f"{source} by {gain:+.1f} dB" for source, gain in gains.items()], 3)
+    each = first_of([f"{source} by {gain:+z.1f} dB" for source, gain in gains.items()], 3)
     return (
         f"The level is off beside what T says of the change: {each}. That is another gain, so the "
         "level is left out there. Measure both states with one reference.",
