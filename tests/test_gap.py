@@ -86,6 +86,9 @@ def test_sizes_are_of_what_has_a_row_and_no_number_is_minus_zero(folder: Path) -
     vague = dict.fromkeys(found.probabilities, 0.01)
     nothing = replace(found.detection, score=-0.01)
     assert "size of" not in str(replace(found, probabilities=vague))
+    alone = replace(found, verdict="unknown", effects={"air": found.effects["air"]})
+    assert alone.sentence == "Air does not explain it: something else is missing."
+    assert "no effect of the library" in replace(found, verdict="unknown").sentence
     assert "+0.0 nats" in replace(found, detection=nothing).evidence_in_words
 
 

@@ -73,6 +73,16 @@ def test_the_same_state_twice_is_its_own_mirror_image() -> None:
             assert removed == pytest.approx(p, rel=1e-9)
 
 
+def test_what_alone_was_asked_for_and_does_not_explain_it_is_said_first() -> None:
+    """The answer was "less absorption", without a word of the air that was asked for."""
+    states = {"before": measured(times(), 1), "measured": measured(0.7 * times(), 1)}
+    asked = rt.find(room(), **states, only=["air"])
+    assert asked.probabilities["air"] < 0.03
+    assert asked.headline.startswith("air does not explain it (0 %)")
+    assert "not explain it" not in rt.find(room(), **states).headline
+    assert "not explain it" not in rt.find(room(), **states, only=["porous", "people"]).headline
+
+
 def test_changes_that_cancel_have_one_orientation(panels: StatesFinding) -> None:
     """Both orders were taken as that in which T falls, where the mean of ln T did not change."""
     change = np.array([[0.25, -0.25]])

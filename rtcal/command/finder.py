@@ -240,7 +240,11 @@ def verified(finding: Any, cache: Path) -> Any:
         "sources.",
     ),
     several("without", "EFFECT", "Do not try this effect."),
-    several("only", "EFFECT", "Try this effect alone."),
+    several(
+        "only",
+        "EFFECT",
+        "Try this effect, and beside it what no effect explains; at positions alone.",
+    ),
     several(
         "prior",
         "EFFECT=ODDS",

@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from rtcal.finder.effects import Effect
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, Prior
-from rtcal.support.text import as_sentence
+from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
 
 Key = TypeVar("Key")
@@ -182,6 +182,25 @@ def too_weak(probabilities: Mapping[str, float], families: Mapping[str, float]) 
     if max(every, default=0.0) < FAIR:
         return f"no effect and no family of effects has a probability of {100 * FAIR:.0f} %"
     return ""
+
+
+_FEW = 3
+"""Most effects that are listed as not explaining what was measured."""
+
+
+def unexplained(names: Collection[str]) -> str:
+    """Return in words that these effects do not explain it.
+
+    Examples
+    --------
+    >>> unexplained(["air"]), unexplained(["opening", "porous"])
+    ('air does not explain it', 'opening and porous do not explain it')
+    >>> unexplained(["opening", "porous", "curtain", "people"])
+    'none of the effects that were tried explains it'
+    """
+    if len(names) > _FEW:
+        return "none of the effects that were tried explains it"
+    return f"{listed(list(names))} {'does' if len(names) == 1 else 'do'} not explain it"
 
 
 def credible_set(probabilities: Mapping[str, float]) -> tuple[str, ...]:

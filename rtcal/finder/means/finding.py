@@ -20,6 +20,7 @@ from rtcal.finder.claim import (
     by_family_sets,
     family_of,
     numbers_of,
+    unexplained,
 )
 from rtcal.finder.effects import AppliedEffect, WrongVolume, checked_effects
 from rtcal.finder.finding import LEAST_ADDED, NATS, Finding, Size
@@ -483,8 +484,15 @@ class MeansFinding(Finding):
             "named": f"{lead}{named}",
             "family": f"{first}{lead}{self.kind}: {self.family}, {which} {others}.",
             "ambiguous": f"{self.kind}: one of {others}.",
-            "unknown": "Something is missing that no effect of the library explains.",
+            "unknown": self._unknown,
         }[self.verdict]
+
+    @property
+    def _unknown(self) -> str:
+        library = {effect.name for effect in checked_effects(None)}
+        if library <= {*self.effects, *self.not_judged}:
+            return "Something is missing that no effect of the library explains."
+        return as_sentence(f"{unexplained(tuple(self.effects))}: something else is missing")
 
     @property
     def amount(self) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
-from rtcal.finder.claim import SAID, claimed, most_probable_first
+from rtcal.finder.claim import SAID, claimed, most_probable_first, unexplained
 from rtcal.finder.effects import Effect, checked_effects
 from rtcal.finder.finding import Candidate, Detection, Size
 from rtcal.finder.prior import NO_EFFECT, NONE, UNKNOWN, left_out_of
@@ -133,6 +133,10 @@ def find(
         chance = evidence.chance_of_climate(change, variance, baseline, assumed)
         if chance < _LEAST_CHANCE:
             verdict, family, reasons = "ambiguous", None, (_unlike_air(chance),)
+    asked = [name for name in evidence.tried(of_library) if name not in (*left_out, UNKNOWN)]
+    known = sum(p for name, p in probabilities.items() if not name.endswith(UNKNOWN)) - none
+    if left_out and asked and detection.verdict is None and known < SAID:
+        reasons = (_as_asked(asked, known), *reasons)
     of_surfaces = given * tried.of_surfaces
     changes, middle, names = np.full((3, room.n_bands), np.nan), np.zeros(0), np.zeros(0, dtype=str)
     inside = bands.is_middle(frequencies)
@@ -210,6 +214,13 @@ def _unlike_air(chance: float) -> str:
     return (
         "Another climate of the air is the most probable single change, but alone it does not explain "
         f"T (p = {chance:.2g} by chi-square over the bands)."
+    )
+
+
+def _as_asked(names: Sequence[str], probability: float) -> str:
+    return (
+        f"{unexplained(names)} ({100 * probability:.0f} %): a spectrum that no effect has does, which "
+        "is tried in any case."
     )
 
 
