@@ -79,10 +79,11 @@ class Configurations:
                 raise DataError(f"rooms[{i}] = {room!r} is not a rtcal.Room")
         if isinstance(self.names, str) or not isinstance(self.names, Iterable):
             raise DataError(f"names = {self.names!r} is not a list of texts")
-        names = tuple(str(n) for n in self.names) or tuple(r.name for r in rooms)
+        stated = tuple(str(n) for n in self.names)
+        names = stated or tuple(r.name for r in rooms)
         if len(names) != len(rooms):
             raise DataError(f"{len(names)} names for {len(rooms)} configurations")
-        if self.names and len(set(names)) < len(names):
+        if len(set(stated)) < len(stated):
             raise DataError(f"names = {names} has a name twice")
         object.__setattr__(self, "rooms", rooms)
         object.__setattr__(self, "names", names)

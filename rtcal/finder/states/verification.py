@@ -95,16 +95,16 @@ def _concluded(finding: StatesFinding, held: Differences, gaps: Array, fitted: s
     ``held`` are the differences at the pairs that ``fitted`` pairs predict.
     """
     found = finding.case.differences
-    # In ln T, so that states that are exchanged have the same gains and misses: a JND is of another T
-    # there.
+    # In steps of 1 JND each (ln T), so that states that are exchanged have the same means, gains and
+    # misses: a JND of the longer T is another one than of the shorter.
     without, with_change = np.abs(np.log1p(TARGET.jnd * gaps) / np.log1p(TARGET.jnd))
     left = (finding.shift - found.change) / np.log1p(TARGET.jnd)
     return Verification(
         finding=finding,
         models=("if nothing changed", f"with what {fitted} found"),
         held_out=(f"pairs that {fitted} predict",),
-        before=float(np.nanmean(np.abs(gaps[0]))),
-        after=float(np.nanmean(np.abs(gaps[1]))),
+        before=float(np.nanmean(without)),
+        after=float(np.nanmean(with_change)),
         **gain_over_pairs(np.nanmean(without - with_change, axis=1)[np.newaxis]),
         misses=misses_over_pairs(
             {TARGET.key: (found.after, left)},
