@@ -83,6 +83,22 @@ def test_what_alone_was_asked_for_and_does_not_explain_it_is_said_first() -> Non
     assert "not explain it" not in rt.find(room(), **states, only=["porous", "people"]).headline
 
 
+@pytest.mark.parametrize("only", [[], ["furniture"], ["opening"]])
+def test_headline_family_and_table_agree_on_the_spectrum(only: list[str]) -> None:
+    """Furniture was a flat family, and its change rising; a rise by 1.4 was alike."""
+    state = measured(times(), 1)
+    shorter = replace(state, values={"t20": 0.7 * state.values["t20"]})
+    found = rt.find(room(), state, before=shorter, only=only)
+    table = np.abs(found.change[0])
+    assert ("rising" in found.headline) == (table[-1] > 1.25 * table[0])
+    assert "rising" in found.headline or "alike" in found.headline
+    if found.family != "removed absorption":
+        assert found.family is not None
+        assert ("rising" in found.family) == ("rising" in found.headline)
+    if only == ["furniture"]:
+        assert "removed absorption, flat" not in found.families
+
+
 def test_changes_that_cancel_have_one_orientation(panels: StatesFinding) -> None:
     """Both orders were taken as that in which T falls, where the mean of ln T did not change."""
     change = np.array([[0.25, -0.25]])

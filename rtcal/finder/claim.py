@@ -27,7 +27,7 @@ DISTINCT_NATS = 2.3
 """Evidence in nats from which two effects, or two surfaces, are told apart: odds of ten to one."""
 _ABSORPTION = "added absorption"
 _ALIKE = 1.25
-"""Ratio of the upper and the lower bands, below which these are alike."""
+"""Ratio of both ends of the line through the bands, below which these are alike."""
 
 
 def after_doubt(doubt: str) -> str:
@@ -36,15 +36,18 @@ def after_doubt(doubt: str) -> str:
 
 
 def over_frequency(values: Array) -> str:
-    """Return how the size of values (n_bands,) goes with frequency.
+    """Return how the size of values (n_bands,) goes with frequency, by a straight line through them.
+
+    The line is the least squares' over the bands in their order. A single band is alike.
 
     Examples
     --------
     >>> over_frequency(np.array([1.0, 2.0])), over_frequency(np.array([-2.0, -2.2]))
     ('rising with frequency', 'alike at all frequencies')
     """
-    half, size = max(1, len(values) // 2), np.abs(values)
-    low, high = size[:half].mean(), size[-half:].mean()
+    size, place = np.abs(values), np.arange(len(values)) - (len(values) - 1) / 2
+    slope = float(place @ size) / max(1.0, float(place @ place))
+    low, high = (float(size.mean()) + slope * float(place[end]) for end in (0, -1))
     if max(low, high) < _ALIKE * min(low, high):
         return "alike at all frequencies"
     return f"{'rising' if high > low else 'falling'} with frequency"

@@ -27,6 +27,7 @@ from rtcal.acoustics.bands import is_middle
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.finder.case import CLIMATE_UNCERTAINTY
+from rtcal.finder.claim import over_frequency
 from rtcal.finder.effects import Effect
 from rtcal.finder.model import RoomState
 from rtcal.finder.prior import UNKNOWN, UNKNOWN_ODDS
@@ -187,18 +188,22 @@ def grid(
     area = float(before[middle if middle.any() else bands].mean())
     levels = area * np.geomspace(LEAST, MOST, SIZES)
     n = int(bands.sum())
+    every = shapes(room, effects, without)
+    kinds = _kinds(every, bands)
     names, families, weights, sizes, covariances, of_air = [], [], [], [], [], []
     climates = (
         {False: 1.0} if AIR in without else {False: 1 - ANOTHER_CLIMATE, True: ANOTHER_CLIMATE}
     )
     for side, sign in ((ADDED, 1.0), (REMOVED, -1.0)):
-        for shape in shapes(room, effects, without):
+        for shape in every:
             spectrum = shape.spectrum[bands] / shape.spectrum[bands].mean()
             covariance = shape.covariance[np.ix_(bands, bands)]
             for level in levels:
                 for another, probability in climates.items():
                     names.append(f"{side} {shape.name}")
-                    families.append(", ".join(filter(None, [f"{side} absorption", shape.family])))
+                    families.append(
+                        ", ".join(filter(None, [f"{side} absorption", kinds[shape.name]]))
+                    )
                     weights.append(probability * shape.weight / len(levels))
                     sizes.append(sign * level * spectrum)
                     covariances.append(covariance)
@@ -219,6 +224,28 @@ def grid(
         np.array(covariances),
         np.array(of_air),
     )
+
+
+KINDS = {
+    "rising with frequency": "rising",
+    "alike at all frequencies": "flat",
+    "falling with frequency": "low",
+}
+"""Kinds of the families that the library has, by how their spectra go with frequency."""
+
+
+def _kinds(every: Sequence[Shape], bands: NDArray[np.bool_]) -> dict[str, str]:
+    """Return the kind of absorption of each effect, by its mean spectrum in these bands.
+
+    The rule is that of the change which is found (`over_frequency`), so that both agree: furniture, of
+    the library's family "flat", rises twofold. A kind that the library does not have stays.
+    """
+    out = {shape.name: shape.family for shape in every}
+    for name, kind in out.items():
+        if kind in KINDS.values() and bands.sum() > 1:
+            mean = np.mean([shape.spectrum[bands] for shape in every if shape.name == name], axis=0)
+            out[name] = KINDS[over_frequency(mean)]
+    return out
 
 
 def climate_covariance(room: Room, uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY) -> Array:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
-from rtcal.finder.claim import SAID, claimed, most_probable_first, unexplained
+from rtcal.finder.claim import SAID, claimed, most_probable_first, over_frequency, unexplained
 from rtcal.finder.effects import Effect, checked_effects
 from rtcal.finder.finding import Candidate, Detection, Size
 from rtcal.finder.prior import NO_EFFECT, NONE, UNKNOWN, left_out_of
@@ -150,6 +150,7 @@ def find(
         changes[0, measured] = samples.mean(axis=0)
         changes[1:, measured] = np.quantile(samples, _INTERVAL, axis=0)
         middle = samples[:, inside].mean(axis=1)
+        family = _as_changed(family, changes[0, measured])
     candidates = [
         _candidate(name, tried, p, middle[names == name])
         for name, p in probabilities.items()
@@ -215,6 +216,17 @@ def _unlike_air(chance: float) -> str:
         "Another climate of the air is the most probable single change, but alone it does not explain "
         f"T (p = {chance:.2g} by chi-square over the bands)."
     )
+
+
+def _as_changed(family: str | None, change: Array) -> str | None:
+    """Return the family, without its kind where the change goes otherwise with frequency.
+
+    What is removed from a surface saturates, so the change goes less, or more, than the spectrum.
+    """
+    whole, _, kind = (family or "").partition(", ")
+    if kind not in evidence.KINDS.values() or len(change) < 2:
+        return family
+    return family if evidence.KINDS[over_frequency(change)] == kind else whole
 
 
 def _as_asked(names: Sequence[str], probability: float) -> str:
