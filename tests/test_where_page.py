@@ -70,6 +70,18 @@ def finding() -> PositionsFinding:
     return finding_of(shares, (("wall 5", "wall 0"), ("wall 1", "wall 2")))
 
 
+def test_each_likely_surface_is_in_a_group_or_the_text_says_why_not() -> None:
+    groups = (("wall 5", "wall 0"),)
+    nearly = finding_of({"wall 5": 0.4, "wall 0": 0.25, "ceiling": 0.2}, groups)
+    assert "Not among these: ceiling, where porous would be told apart or is not tried" in str(
+        nearly
+    )
+    less = finding_of({"wall 5": 0.64, "ceiling": 0.06, "wall 0": 0.05}, groups)
+    said = " ".join(str(less).split())
+    assert "Not among these: ceiling, less probable than the first by more than ten to one." in said
+    assert "Not among these" not in str(finding_of({"wall 5": 0.6, "wall 0": 0.4}, groups))
+
+
 def verification_of(
     finding: Any,
     gaps: dict[str, float],

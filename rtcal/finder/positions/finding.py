@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from rtcal.files.disk import json_numbers
-from rtcal.finder.claim import SAID, after_doubt, credible_set
+from rtcal.finder.claim import DISTINCT_NATS, SAID, after_doubt, credible_set
 from rtcal.finder.effects import CoupledRoom
 from rtcal.finder.finding import LEAST_ADDED, LEAST_PAIRS, Candidate, Detection, Finding
 from rtcal.finder.positions.case import PositionsCase
@@ -298,13 +298,38 @@ class PositionsFinding(Finding):
         some = [f'"{n}" ({100 * self.surfaces[n]:.0f} %)' for n in self.likely_surfaces]
         return f"These positions do not say on which surface: {listed(some, last='or')}."
 
+    @property
+    def outside_groups(self) -> tuple[str, ...]:
+        """Why surfaces on which it may be are in no group of those that are not told apart."""
+        grouped = {name for group in self.groups for name in group}
+        asked = self.likely_surfaces if grouped and self.surface is None else ()
+        others = [n for n in asked if n not in grouped]
+        least = np.exp(-DISTINCT_NATS) * max(self.surfaces.values(), default=0.0)
+        less = [n for n in others if self.surfaces[n] < least]
+        apart = [n for n in others if self.surfaces[n] >= least]
+        # The groups are those of the most probable effect on a surface.
+        effect = next((c.effect for c in self.candidates if c.surface is not None), "it")
+        said = {
+            "less probable than the first by more than ten to one": less,
+            f"where {effect} would be told apart or is not tried; not ruled out": apart,
+        }
+        return tuple(
+            f"Not among these: {listed(names)}, {why}." for why, names in said.items() if names
+        )
+
     def blocks(self) -> list[Block]:
         """Return what the result says."""
         apart = (
             f"Not told apart by these positions: {listed(group, last='or')}."
             for group in self.groups
         )
-        notes = (*apart, detection_in_words(self.detection), *self.reasons, *self.notes)
+        notes = (
+            *apart,
+            *self.outside_groups,
+            detection_in_words(self.detection),
+            *self.reasons,
+            *self.notes,
+        )
         table = [self.probable] if self.probable.rows else []
         return [Note(self.headline), *table, *map(Note, notes)]
 
