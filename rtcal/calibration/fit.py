@@ -20,12 +20,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from rtcal.calibration.composition import Composition
 from rtcal.calibration.problem import CalibrationProblem, Times
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed
@@ -107,16 +109,20 @@ class ModelObjective:
     term: LinearObservations
     factor: Array
 
+    @cached_property
+    def others(self) -> Composition:
+        """The problem without the data."""
+        return self.answer.joint.composition.without(self.term)
+
     def value(self, alpha: Array, residual: Array) -> float:
         """Return the objective in nats, for the data less the model's values, (n,).
 
         Infinite where the coefficients do not keep the bounds and the constraints.
         """
         white = solve_triangular(self.factor, residual, lower=True)
-        others = self.answer.joint.composition.without(self.term)
-        u = self.answer.joint.unknowns.copy()
-        u[: others.layout.n_alpha] = alpha[others.layout.first].ravel()
-        return 0.5 * float(white @ white) + others.value(self.answer.joint.numbers, u)
+        layout, u = self.others.layout, self.answer.joint.unknowns.copy()
+        u[: layout.n_alpha] = alpha[layout.first].ravel()
+        return 0.5 * float(white @ white) + self.others.value(self.answer.joint.numbers, u)
 
 
 SETTLED = 0.05
@@ -326,6 +332,7 @@ def gauss_newton(
                 end = model.towards(share)
         steps.append(Taken(model, share))
         point = end
-        if settled(steps[-1]) or not share.any():
-            return Steps(point, tuple(steps), settled(steps[-1]))
+        last = settled(steps[-1])
+        if last or not share.any():
+            return Steps(point, tuple(steps), last)
     return Steps(point, tuple(steps), False)

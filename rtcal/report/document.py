@@ -31,6 +31,8 @@ __all__ = ["Heading"]
 __dir__ = __all__.copy
 
 
+MOST_MATERIALS = 100
+"""Largest number of materials in a page's tables: those that absorb, or were learned of, most."""
 MAX_BYTES = 2 * 10**6
 """Largest size of a page in bytes."""
 _ABREAST, _WORDY = 7, 16

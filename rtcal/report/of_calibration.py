@@ -20,6 +20,7 @@ from rtcal.calibration.verdict import CalibrationVerdict
 from rtcal.modes.calibrate import ModesResult
 from rtcal.report import figures, room_view
 from rtcal.report.document import (
+    MOST_MATERIALS,
     Box,
     Code,
     Files,
@@ -36,8 +37,6 @@ from rtcal.report.document import (
 from rtcal.support import __version__
 from rtcal.support.blocks import Note, Row, Table
 
-MOST_MATERIALS = 100
-"""Largest number of materials in a page's tables, which list those that absorb most."""
 _PRINTED = 0.05
 """Gap in JND that is not 0.0 when it is printed."""
 _AGREEMENT = (

@@ -13,15 +13,23 @@ from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
 from rtcal.loop.positions_result import PositionsResult, gap_table
 from rtcal.report import figures, room_view
-from rtcal.report.document import Box, Code, Items, Page, Picture, Section, coefficients, tables
+from rtcal.report.document import (
+    MOST_MATERIALS,
+    Box,
+    Code,
+    Items,
+    Page,
+    Picture,
+    Section,
+    coefficients,
+    tables,
+)
 from rtcal.simulators.base import Observations
 from rtcal.support import __version__
 from rtcal.support.blocks import Note, Row, Table
 from rtcal.support.text import first_of
 from rtcal.support.types import Array
 
-MOST_MATERIALS = 100
-"""Largest number of materials in the page's tables, which list those of which most was learned."""
 _LEARNED = 0.9
 """Posterior over prior sigma up to which a material counts as learned in the summary."""
 _REMAINS = 1.0

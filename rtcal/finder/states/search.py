@@ -146,7 +146,7 @@ def find(
         samples, names = sign * samples, np.array(tried.names)[drawn]
         if found.same:  # each beside its mirror image, so that their mean is 0 to the last digit
             samples = np.stack([samples, -samples], axis=1).reshape(-1, samples.shape[1])
-            names = np.stack([names, np.array(_turned(tried).names)[drawn]], axis=1).ravel()
+            names = np.stack([names, np.array(other_way.names)[drawn]], axis=1).ravel()
         changes[0, measured] = samples.mean(axis=0)
         changes[1:, measured] = np.quantile(samples, _INTERVAL, axis=0)
         middle = samples[:, inside].mean(axis=1)
