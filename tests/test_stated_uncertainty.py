@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics import band_conversion
 from rtcal.acoustics.observables import observable
 from rtcal.finder import Case, Configuration
 from rtcal.finder.means.problem import _uncertainty, observe
@@ -66,7 +65,7 @@ def test_uncertainties_survive_their_file(tmp_path: Path) -> None:
     for name in ("uncertainty", "common_uncertainty"):
         for p, values in getattr(stated, name).items():
             np.testing.assert_array_equal(getattr(again, name)[p], values)
-    thirds = band_conversion.measurement_in_room_bands(again, F[1:4])
+    thirds = again.in_bands(F[1:4])
     assert thirds.common_uncertainty["t20"] == pytest.approx(stated.common_uncertainty["t20"][1:4])
     configuration = Configuration(name="A", measured=again).to_dict()
     assert configuration["common_uncertainty"]["c80"] == again.common_uncertainty["c80"].tolist()

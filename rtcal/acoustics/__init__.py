@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from rtcal import support
 
 if TYPE_CHECKING:
-    from rtcal.acoustics import band_conversion as band_conversion
     from rtcal.acoustics import bands as bands
     from rtcal.acoustics import decay as decay
     from rtcal.acoustics import marks as marks

@@ -1,12 +1,30 @@
-"""Frequency bands: nominal octave and third-octave centres (IEC 61260-1), labels and matching.
+"""Frequency bands: nominal octave and third-octave centres (IEC 61260-1), labels, and other bands.
 
 Also T at mid frequencies, and the Schroeder frequency that follows from it.
+
+Thirds become octaves and back by one rule for every format, table and measurement. An octave consists
+of its three thirds, each with the same weight:
+
+- Absorption coefficients and areas average.
+- Decay times average by their rate: 1/T_octave = mean of 1/T_third, since T is the inverse of an
+  absorption area.
+- C50 and C80 average as the early share of the energy, D50 and Ts as they are, G as energy.
+
+A third takes the value of its octave, so that the thirds average to the octave again. An octave
+with a missing value in one of its thirds is missing. An octave without all of its three thirds cannot
+be had.
+
+Standard deviations follow from what the errors share. The errors of the tabulated coefficients of a
+material are fully correlated within an octave, so sigma averages like alpha. The errors of measured
+values are independent between thirds, since their variance is inversely proportional to the
+bandwidth (ISO 3382-2:2008, Eqs. 4 and 5): a third has sqrt(3) times the octave's uncertainty.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -19,6 +37,7 @@ from rtcal.support.types import Array
 __all__ = [
     "OCTAVES",
     "THIRD_OCTAVES",
+    "Conversion",
     "as_bands",
     "bandwidth_factor",
     "correlation",
@@ -27,10 +46,12 @@ __all__ = [
     "label",
     "mid_frequency_time",
     "nominal",
+    "obtainable",
     "octaves",
     "schroeder_frequency",
     "span",
     "third_octaves",
+    "unused",
 ]
 __dir__ = __all__.copy
 
@@ -38,37 +59,8 @@ OCTAVES: tuple[float, ...] = (31.5, 63, 125, 250, 500, 1000, 2000, 4000, 8000, 1
 """Nominal octave centre frequencies in Hz."""
 
 THIRD_OCTAVES: tuple[float, ...] = (
-    20,
-    25,
-    31.5,
-    40,
-    50,
-    63,
-    80,
-    100,
-    125,
-    160,
-    200,
-    250,
-    315,
-    400,
-    500,
-    630,
-    800,
-    1000,
-    1250,
-    1600,
-    2000,
-    2500,
-    3150,
-    4000,
-    5000,
-    6300,
-    8000,
-    10000,
-    12500,
-    16000,
-    20000,
+    *(20, 25, 31.5, 40, 50, 63, 80, 100, 125, 160, 200, 250, 315, 400, 500, 630, 800, 1000),
+    *(1250, 1600, 2000, 2500, 3150, 4000, 5000, 6300, 8000, 10000, 12500, 16000, 20000),
 )
 """Nominal third-octave centre frequencies in Hz."""
 
@@ -311,3 +303,167 @@ def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
     middle = has_t & (f > 500 / np.sqrt(2)) & (f < 1000 * np.sqrt(2))
     used = middle if middle.any() else has_t
     return float(np.mean(t[used])) if used.any() else float("nan")
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A quantity that averages over the thirds of an octave, as a function of the value."""
+
+    forward: Callable[[Array], Array]
+    inverse: Callable[[Array], Array]
+    slope: Callable[[Array], Array]
+
+
+ITSELF = Scale(lambda x: x, lambda x: x, np.ones_like)
+
+
+class Conversion:
+    """Values of some bands in others, thirds or octaves; the module's first lines have the rule.
+
+    Parameters
+    ----------
+    frequencies, wanted : sequence
+        Centre frequencies in Hz.
+    missing : bool
+        Whether a wanted band that cannot be had has NaN; else it is refused.
+
+    Raises
+    ------
+    DataError
+        If an octave lacks one of its thirds, or a third its octave. `obtainable` returns the bands
+        that lack none.
+
+    Examples
+    --------
+    >>> print(Conversion([400, 500, 630], [500]).mean(np.array([0.1, 0.2, 0.6])))
+    [0.3]
+    """
+
+    def __init__(
+        self, frequencies: Iterable[float], wanted: Iterable[float], *, missing: bool = False
+    ) -> None:
+        self.old, self.new = as_bands(frequencies, "frequencies"), as_bands(wanted, "wanted")
+        parts = _parts(self.old, self.new)
+        place = {f: i for i, f in enumerate(self.old.tolist())}
+        for frequency, part in zip(self.new.tolist(), parts, strict=True):
+            lacking = [f for f in part if f not in place]
+            if lacking and not missing:
+                raise DataError(
+                    f"the band {label(frequency)} cannot be had: it needs {listed(part)}, and "
+                    f"{listed(lacking)} {'are' if lacking[1:] else 'is'} missing in {listed(self.old)}"
+                )
+        self._index = np.array([[place.get(f, -1) for f in part] for part in parts])
+
+    def _taken(self, values: Array) -> Array:
+        """Return the old bands' values that make up each new band, (..., n_wanted, 1 or 3)."""
+        if values.ndim == 0 or values.shape[-1] != len(self.old):
+            raise DataError(
+                f"values has shape {values.shape}; its last axis has {len(self.old)} bands"
+            )
+        return np.where(self._index < 0, np.nan, values[..., self._index])
+
+    def mean(self, values: Array, scale: Scale = ITSELF) -> Array:
+        """Return values (..., n_bands) in the new bands, (..., n_wanted); NaN is missing.
+
+        They average on a scale, such as `Observable.averaging`; absorption and its sigma as they are.
+        """
+        parts = self._taken(checks.array("values", values))
+        if parts.shape[-1] == 1:
+            return parts[..., 0]
+        return np.asarray(scale.inverse(scale.forward(parts).mean(-1)))
+
+    def uncertainty(self, uncertainty: Array, values: Array, scale: Scale) -> Array:
+        """Return the standard uncertainty of measured values, both (..., n_bands), (..., n_wanted)."""
+        if in_thirds(self.new) and not in_thirds(self.old):
+            return np.asarray(np.sqrt(3) * self._taken(uncertainty)[..., 0])
+        by_third = self._taken(scale.slope(values) * uncertainty)
+        total = np.sqrt((by_third**2).sum(-1)) / by_third.shape[-1]
+        return np.asarray(total / np.abs(scale.slope(self.mean(values, scale))))
+
+
+def obtainable(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
+    """Return the ``wanted`` bands in Hz that can be converted from the bands ``frequencies``.
+
+    Examples
+    --------
+    >>> print(obtainable([400, 500, 630, 800], [250, 500, 1000]))
+    [500.]
+    """
+    old, new = as_bands(frequencies), as_bands(wanted)
+    centres = set(old.tolist())
+    parts = _parts(old, new)
+    return np.array([f for f, part in zip(new, parts, strict=True) if set(part) <= centres])
+
+
+def unused(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
+    """Return the bands in Hz of ``frequencies`` that no band of ``wanted`` is made from.
+
+    Examples
+    --------
+    >>> print(unused([400, 500, 630, 800], [250, 500, 1000]))
+    [800.]
+    """
+    old = as_bands(frequencies)
+    new = obtainable(old, wanted)
+    used = {f for part in _parts(old, new) for f in part} if new.size else set()
+    return np.array([f for f in old if f not in used])
+
+
+def rule(frequencies: Iterable[float], wanted: Iterable[float], quantity: str) -> str:
+    """Return in a sentence how a quantity is converted; empty where the bands are of one width.
+
+    Examples
+    --------
+    >>> rule([400, 500, 630], [500], "alpha")
+    'alpha is converted from third-octaves to octaves: the mean of the three thirds'
+    """
+    old, new = in_thirds(as_bands(frequencies)), in_thirds(as_bands(wanted))
+    if old == new:
+        return ""
+    if new:
+        return f"{quantity} is converted from octaves to third-octaves: that of the octave"
+    mean = "the mean of 1/T over" if quantity == "T" else "the mean of"
+    return f"{quantity} is converted from third-octaves to octaves: {mean} the three thirds"
+
+
+def notes(measured: Iterable[float], wanted: Iterable[float], quantity: str = "T") -> list[str]:
+    """Return how a measurement is taken to a room's bands, and the bands that the room lacks.
+
+    Examples
+    --------
+    >>> notes([500, 1000], [500])
+    ['left out, not in the room: 1000 Hz']
+    """
+    stated = as_bands(measured)
+    found = [rule(stated, wanted, quantity)]
+    if (left := unused(stated, wanted)).size:
+        found.append(f"left out, not in the room: {', '.join(labels(left))}")
+    return [note for note in found if note]
+
+
+def _parts(old: Array, new: Array) -> list[list[float]]:
+    """Return for each new band the old bands that it is made from, present or not."""
+    if in_thirds(old) == in_thirds(new):
+        return [[f] for f in new.tolist()]
+    if in_thirds(old):
+        return [thirds_of(f) for f in new.tolist()]
+    octave = {f: float(o) for o in OCTAVES for f in thirds_of(o)}
+    return [[octave.get(f, f)] for f in new.tolist()]
+
+
+def in_thirds(centres: Array) -> bool:
+    """Return whether bands are third-octaves: one of them is no octave's centre."""
+    return any(f in THIRD_OCTAVES and f not in OCTAVES for f in centres.tolist())
+
+
+def thirds_of(octave: float) -> list[float]:
+    """Return the centre frequencies in Hz of an octave's thirds; those of no octave are its own."""
+    if octave not in OCTAVES:
+        return [octave]
+    place = THIRD_OCTAVES.index(octave)
+    return [float(f) for f in THIRD_OCTAVES[place - 1 : place + 2]]
+
+
+def listed(frequencies: Iterable[float]) -> str:
+    """Return bands in a message: ``125, 250 Hz``."""
+    return f"{', '.join(f'{f:g}' for f in frequencies)} Hz"

@@ -21,7 +21,7 @@ import io
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -508,6 +508,44 @@ class Measurement:
             for tables in (self.values, self.uncertainty)
         )
         return replace(self, pairs=wanted, values=values, uncertainty=uncertainty)
+
+    def in_bands(self, wanted: Iterable[float]) -> Measurement:
+        """Return the measurement in exactly these bands in Hz, NaN where it has none of them.
+
+        Thirds and octaves are converted by `rtcal.acoustics.bands.Conversion`; the standard deviation
+        over pairs converts like an uncertainty. Everything that compares a measurement with a room uses
+        this rule. Raises DataError if no band can be selected or converted.
+
+        Examples
+        --------
+        >>> thirds = Measurement.from_values([400, 500, 630], t20=[1.0, 2.0, 2.0])
+        >>> thirds.in_bands([500, 1000]).values["t20"].tolist()
+        [[1.5, nan]]
+        """
+        conversion = bands.Conversion(self.centre_frequencies, wanted, missing=True)
+        if np.array_equal(conversion.old, conversion.new):
+            return self
+        if not bands.obtainable(conversion.old, conversion.new).size:
+            raise DataError(
+                f"the measurement ({bands.listed(conversion.old)}) and the room "
+                f"({bands.listed(conversion.new)}) have no band in common"
+            )
+        of: dict[str, Callable[[str], Array]] = {
+            "uncertainty": lambda p: self.values[p],
+            "common_uncertainty": self.mean,
+            "standard_deviation": lambda p: self.values[p][0],
+        }
+        tables: dict[str, Any] = {
+            name: {
+                p: conversion.uncertainty(u, centre(p), observable(p).averaging)
+                for p, u in getattr(self, name).items()
+            }
+            for name, centre in of.items()
+        }
+        tables["values"] = {
+            p: conversion.mean(v, observable(p).averaging) for p, v in self.values.items()
+        }
+        return replace(self, centre_frequencies=conversion.new, **tables)
 
     def decay_time(self) -> DecayTime:
         """Return the reverberation time to match: per band T20, else T30, never EDT.

@@ -18,7 +18,7 @@ C80 True t20
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Container, Iterable
+from collections.abc import Container, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Literal, TypeVar
@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.bands import ITSELF, Scale
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -58,18 +59,6 @@ _BINS = 4000
 
 
 Part = Literal["late", "early", "level"]
-
-
-@dataclass(frozen=True)
-class Scale:
-    """A quantity that averages over the thirds of an octave, as a function of the value."""
-
-    forward: Callable[[Array], Array]
-    inverse: Callable[[Array], Array]
-    slope: Callable[[Array], Array]
-
-
-ITSELF = Scale(lambda x: x, lambda x: x, np.ones_like)
 
 
 class Observable(ABC):

@@ -525,6 +525,16 @@ class Room:
         sigma = (0.0, 0.0) if air is None else self.climate_sigma
         return self.replace(air=air, climate_sigma=sigma)
 
+    def in_bands(self, wanted: Iterable[float]) -> Room:
+        """Return the room in other bands in Hz; the air is the same, its attenuation that of the bands.
+
+        Raises DataError if an octave lacks one of its thirds, or a third its octave.
+        """
+        conversion = bands.Conversion(self.centre_frequencies, wanted)
+        tables = {n: getattr(self, n) for n in ("alpha", "sigma", "alpha_min", "scattering")}
+        converted = {n: conversion.mean(t) for n, t in tables.items() if t is not None}
+        return self.replace(centre_frequencies=conversion.new, **converted)
+
     def place(self, name: str, material: int, band: int) -> str:
         """Return the name of one value in messages: ``alpha["carpet", 500 Hz]``."""
         checks.text("name", name)

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rtcal.acoustics import band_conversion, bands, marks
+from rtcal.acoustics import bands, marks
 from rtcal.acoustics.marks import TrustMark, bent_decays
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import REVERBERATION, TARGET, parameter_label
@@ -55,7 +55,7 @@ class MeasuredTimes:
         if self.measured is None:
             return ()
         stated = self.measured.centre_frequencies
-        return tuple(band_conversion.unused(stated, self.centre_frequencies).tolist())
+        return tuple(bands.unused(stated, self.centre_frequencies).tolist())
 
     @cached_property
     def fingerprint(self) -> str:
@@ -65,7 +65,7 @@ class MeasuredTimes:
         labels = [f"{f:g}" for f in self.centre_frequencies.tolist()]
         names = [fingerprint("T", dict(zip(labels, self.reverberation_time.tolist(), strict=True)))]
         if self.measured is not None and not self.measured.is_summary:
-            at_pairs = _in_bands(self.measured, self.centre_frequencies)
+            at_pairs = self.measured.in_bands(self.centre_frequencies)
             names += [
                 of_pairs(o.key, at_pairs.pairs, at_pairs.values[o.key], self.centre_frequencies)
                 for o in REVERBERATION
@@ -79,7 +79,7 @@ class MeasuredTimes:
         if self.measured is None:
             return ""
         stated = self.measured.centre_frequencies
-        rule = band_conversion.rule(stated, self.centre_frequencies, "T")
+        rule = bands.rule(stated, self.centre_frequencies, "T")
         return ". ".join(filter(None, (rule, copied(self.measured))))
 
     @cached_property
@@ -87,7 +87,7 @@ class MeasuredTimes:
         """The bands whose decay is not straight."""
         if self.measured is None:
             return ()
-        return bent_decays(_in_bands(self.measured, self.centre_frequencies))
+        return bent_decays(self.measured.in_bands(self.centre_frequencies))
 
     @cached_property
     def mistyped(self) -> tuple[TrustMark, ...]:
@@ -120,13 +120,6 @@ class MeasuredTimes:
         return tuple(found or marks.of_row(frequencies, times, "the mean T", " s"))
 
 
-def _in_bands(measured: Measurement, frequencies: Array) -> Measurement:
-    """Return a measurement in a room's bands; itself, where it has these."""
-    if np.array_equal(measured.centre_frequencies, frequencies):
-        return measured
-    return band_conversion.measurement_in_room_bands(measured, frequencies)
-
-
 def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -> MeasuredTimes:
     """Return the measured T in the room's bands; NaN where a band has none.
 
@@ -139,7 +132,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
     frequencies = room.centre_frequencies
     if isinstance(measured, Measurement):
         measured.refuse_large_uncertainty()
-        decay = _in_bands(measured, frequencies).decay_time()
+        decay = measured.in_bands(frequencies).decay_time()
         if not np.isfinite(decay.mean).any():
             parameters = ", ".join(parameter_label(p) for p in measured.values)
             raise DataError(
@@ -169,8 +162,8 @@ def notes_of_bands(room: Room, measured: Measurement) -> list[str]:
     Raises DataError without a band in common.
     """
     wanted = room.centre_frequencies
-    in_room = band_conversion.measurement_in_room_bands(measured, wanted)
-    told = band_conversion.notes(measured.centre_frequencies, wanted)
+    in_room = measured.in_bands(wanted)
+    told = bands.notes(measured.centre_frequencies, wanted)
     lacking = wanted[np.isnan(in_room.decay_time().mean)]
     if lacking.size:
         told.append(f"no T was measured at {', '.join(bands.labels(lacking))}")

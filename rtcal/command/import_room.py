@@ -417,8 +417,7 @@ def _centre_frequencies(
     bands: str | list[float] | None, materials: Sequence[ListedMaterial]
 ) -> list[float] | None:
     """Return the room's bands in Hz as stated; None for those that the materials have."""
-    from rtcal.acoustics.band_conversion import obtainable
-    from rtcal.acoustics.bands import OCTAVES, THIRD_OCTAVES
+    from rtcal.acoustics.bands import OCTAVES, THIRD_OCTAVES, obtainable
 
     if bands is None:
         return None

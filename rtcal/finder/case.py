@@ -41,7 +41,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import band_conversion, bands
+from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.directions import enough_known, facing
 from rtcal.acoustics.equations import mean_equation
@@ -596,10 +596,10 @@ def in_room_bands(room: Room, c: Configuration) -> Configuration:
         return c
     where = f'configuration "{c.name}"'
     try:
-        measured = band_conversion.measurement_in_room_bands(c.measured, wanted)
+        measured = c.measured.in_bands(wanted)
     except DataError as error:
         raise DataError(f"{where}: {error}") from error
-    if notes := band_conversion.notes(stated, wanted):
+    if notes := bands.notes(stated, wanted):
         warnings.warn(
             f"{where}: {'; '.join(notes)}",
             OtherBandsWarning,

@@ -56,7 +56,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import band_conversion, bands
+from rtcal.acoustics import bands
 from rtcal.acoustics.room import Room
 from rtcal.files.disk import read_bytes
 from rtcal.io.material_list import (
@@ -243,7 +243,7 @@ def _with_own_values(listed: MaterialList, room: Room) -> MaterialList:
 
 def _bands_of_new_catt(room: Room) -> tuple[float, ...]:
     """Return the octaves 125 Hz to 4 kHz, and 8 and 16 kHz if the room has them."""
-    obtainable = band_conversion.obtainable(room.centre_frequencies, _OF_CATT)
+    obtainable = bands.obtainable(room.centre_frequencies, _OF_CATT)
     n_bands = next((i for i in (6, 7) if _OF_CATT[i] not in obtainable), 8)
     return _OF_CATT[:n_bands]
 

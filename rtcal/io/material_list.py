@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import band_conversion, bands, marks
+from rtcal.acoustics import bands, marks
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.priors import SigmaRule
 from rtcal.acoustics.room import Material, Room, Surface, above_one_hint, times_of
 from rtcal.files.disk import read_bytes, write_bytes
@@ -81,7 +82,7 @@ class ListedMaterial:
     def in_bands(self, values: Sequence[float], wanted: Array, place: str) -> Array:
         """Return one value per band of this material in other bands; DataError names the place."""
         try:
-            return band_conversion.absorption(np.array(values), self.centre_frequencies, wanted)
+            return bands.Conversion(self.centre_frequencies, wanted).mean(np.array(values))
         except DataError as error:
             raise DataError(f"{place}: {error}") from error
 
@@ -285,15 +286,15 @@ class MaterialList:
     def _in_file_bands(self, room: Room) -> Room:
         """Return the room itself, or the room in the file's bands if they are of another width."""
         wanted = sorted(self._common_bands(room.materials))
-        if not wanted or not band_conversion.rule(room.centre_frequencies, wanted, "alpha"):
+        if not wanted or not bands.rule(room.centre_frequencies, wanted, "alpha"):
             return room
-        obtainable = band_conversion.obtainable(room.centre_frequencies, wanted)
+        obtainable = bands.obtainable(room.centre_frequencies, wanted)
         if not obtainable.size:
             raise DataError(
                 f"{self.path}: none of its bands can be had from the room's, "
                 f"{', '.join(bands.labels(room.centre_frequencies))}"
             )
-        return band_conversion.room(room, obtainable)
+        return room.in_bands(obtainable)
 
     def with_room(self, room: Room) -> tuple[bytes, Room, tuple[str, ...]]:
         """Return the file with the room's coefficients, the room as read from it, and what it lacks.
@@ -373,7 +374,7 @@ class MaterialList:
         if not shared:
             raise DataError(f"{self.path}: its materials have none of the room's bands in common")
         if len(shared) < room.n_bands:
-            room_as_read = band_conversion.room(room_as_read, shared)
+            room_as_read = room_as_read.in_bands(shared)
         pieces, position = [], 0
         for (start, end), characters in sorted(written.items()):
             pieces += [self.text.characters[position:start], characters]
@@ -630,9 +631,9 @@ class Format:
         notes += _without_measured_time(room, equation)
         time = equation.reverberation_time(room)
         between = room.centre_frequencies, as_read.centre_frequencies
-        rule = band_conversion.rule(*between, "alpha")
+        rule = bands.rule(*between, "alpha")
         if rule:
-            time = band_conversion.parameter(time, *between)
+            time = bands.Conversion(*between).mean(time, TARGET.averaging)
             notes.append(f"{rule}; T of the room by the mean of 1/T")
         else:
             time = time[np.isin(*between)]
@@ -647,7 +648,7 @@ class Format:
             room=as_read,
             reverberation_time=time,
             reverberation_time_as_read=time_as_read,
-            bands_not_written=tuple(map(float, band_conversion.unused(*between))),
+            bands_not_written=tuple(map(float, bands.unused(*between))),
             notes=tuple(notes),
             lost=_lost(room, lacking),
         )
@@ -731,14 +732,14 @@ def _in_new_bands(
     """Return the room in the bands of a new file, with notes on bands that were filled."""
     if not needed:
         return room, []
-    obtainable = band_conversion.obtainable(room.centre_frequencies, needed)
+    obtainable = bands.obtainable(room.centre_frequencies, needed)
     missing = [f for f in needed if f not in obtainable]
     if missing and (missing_bands == "refuse" or not obtainable.size):
         raise DataError(
             f"{path}: a new file of this program needs {bands.label(missing[0])}, which the room "
             'lacks; write into the program\'s own file (template), or state missing_bands="nearest"'
         )
-    converted = band_conversion.room(room, obtainable)
+    converted = room.in_bands(obtainable)
     nearest = [int(np.argmin(np.abs(np.log(obtainable / f)))) for f in needed]
     notes = [
         f"{bands.label(f)} is not in the room: alpha as at {bands.label(obtainable[k])}"

@@ -30,8 +30,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.band_conversion import measurement_in_room_bands, notes
-from rtcal.acoustics.bands import label, labels, span
+from rtcal.acoustics.bands import label, labels, notes, span
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.marks import TrustMark, explained, gap_jnd, in_room, of_row, rms
 from rtcal.acoustics.measurement import MAX_BYTES, Measurement
@@ -219,7 +218,7 @@ def matched_times(
     if (total == 0).any():
         band = label(frequencies[int(np.argmin(total))])
         raise DataError(f"weights are 0 for every parameter at {band}: nothing is matched there")
-    in_room = measurement_in_room_bands(measured, frequencies)
+    in_room = measured.in_bands(frequencies)
     times = {TARGET.key: t20, EARLY.key: in_room.mean(EARLY.key)}
     anything = np.isfinite(t20) | np.isfinite(times[EARLY.key])
     for parameter, weight in by_parameter.items():
@@ -788,7 +787,7 @@ def start(
     refuse_repeated_data(room, data.fingerprint)
     tell_data(room, stated)
     what = matched_times(room, measured, data.reverberation_time, weights)
-    measured_means = means(measurement_in_room_bands(measured, room.centre_frequencies))
+    measured_means = means(measured.in_bands(room.centre_frequencies))
     loop = Loop(
         room=room,
         matched=what,
@@ -1127,7 +1126,7 @@ def calibrate_simulator(
         notes_of_data.append(f"T30 is matched{where} in place of T20, which was not measured.")
     return replace(
         result,
-        measured=measurement_in_room_bands(measured, room.centre_frequencies),
+        measured=measured.in_bands(room.centre_frequencies),
         notes=(*repeated, *notes_of_data, *result.notes),
     )
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import norm
 
-from rtcal.acoustics import band_conversion, bands
+from rtcal.acoustics import bands
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.marks import gap_jnd, rms
@@ -160,10 +160,10 @@ def pairs_to_match(
     if exclude:
         notes.append(left_out(exclude))
     wanted = room.centre_frequencies
-    in_room = band_conversion.measurement_in_room_bands(measured, wanted)
+    in_room = measured.in_bands(wanted)
     times = any(observable(name).logarithmic for name in match)
     what = "T" if times else "What was measured"
-    notes += map(as_sentence, band_conversion.notes(measured.centre_frequencies, wanted, what))
+    notes += map(as_sentence, bands.notes(measured.centre_frequencies, wanted, what))
     level = ""
     if LEVEL.key in match:
         level = "relative" if LEVEL.key in measured.values else "absolute"
@@ -281,7 +281,7 @@ def refuse_known(
     """Raise DataError if the room was calibrated on what is matched at the kept pairs."""
     if room.calibration is None or not kept or measured.is_summary:
         return
-    in_room = band_conversion.measurement_in_room_bands(measured, room.centre_frequencies)
+    in_room = measured.in_bands(room.centre_frequencies)
     named = [p for p in match if p in in_room.values and p != LEVEL.key]
     fingerprints(room, Observations.of_measurement(in_room, named, kept), measured)
 

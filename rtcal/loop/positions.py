@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from rtcal.acoustics.band_conversion import measurement_in_room_bands
 from rtcal.acoustics.marks import gap_jnd, rms
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import LEVEL, MATCH, observable, parameter_label
@@ -732,7 +731,7 @@ def calibrate_positions(
             cache=cache,
             progress=progress,
         )
-    in_room = measurement_in_room_bands(measured, room.centre_frequencies)
+    in_room = measured.in_bands(room.centre_frequencies)
     here = Linearisation(simulator, data, first, room.alpha, seed)
     before = here.values()
     prior = prior_covariance(room)

@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import band_conversion, bands
+from rtcal.acoustics import bands
 from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.marks import Plausibility, TrustMark, explained, mark, plausibility
@@ -206,8 +206,8 @@ class Decays:
 def above_schroeder(measured: Measurement, room: Room, low: NDArray[np.bool_]) -> Measurement:
     """Return a measurement, with its uncertainty, without the bands ``low`` of the room."""
     wanted = room.centre_frequencies[~low]
-    possible = band_conversion.obtainable(measured.centre_frequencies, wanted)
-    return band_conversion.measurement(measured, possible)
+    possible = bands.obtainable(measured.centre_frequencies, wanted)
+    return measured.in_bands(possible)
 
 
 def below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:

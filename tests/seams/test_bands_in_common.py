@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import ArrayLike
 
 import rtcal as rt
-from rtcal.acoustics import band_conversion
 from rtcal.command.main import cli
 from rtcal.datasets import examples
 from rtcal.finder import positions
@@ -25,7 +24,7 @@ IN_BANDS: dict[str, Callable[[rt.Measurement], rt.Measurement]] = {
     "alike": lambda m: m,
     "one more": lambda m: with_values(m, [*m.centre_frequencies, 4000], np.r_[0:4, 3]),
     "one fewer": lambda m: with_values(m, m.centre_frequencies[1:], np.r_[1:4]),
-    "thirds": lambda m: band_conversion.measurement(m, THIRDS),
+    "thirds": lambda m: m.in_bands(THIRDS),
 }
 NOTES = {
     "alike": [],

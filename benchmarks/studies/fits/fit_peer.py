@@ -108,7 +108,7 @@ def own(room: Path, measured: Path) -> Case:
     stated = rt.Room.from_file(room)
     tracer = rt.io.geometry_files.path_tracing(stated, scattering=SCATTERING, n_paths=RAYS)
     heard = rt.Measurement.from_file(measured)
-    heard = rt.acoustics.band_conversion.measurement_in_room_bands(heard, stated.centre_frequencies)
+    heard = rt.acoustics.heard.in_bands(stated.centre_frequencies)
     as_arrays = [
         {n: np.array(p) for n, p in of.items()} for of in (tracer.sources, tracer.receivers)
     ]

@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import band_conversion, bands
+from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import LEVEL, MATCH, observable, parameter_label
 from rtcal.acoustics.room import Room
@@ -244,9 +244,7 @@ class PositionsCase:
     @cached_property
     def in_room(self) -> Measurement:
         """The measurement in the room's bands, NaN where it has none of them."""
-        return band_conversion.measurement_in_room_bands(
-            self.measured, self.room.centre_frequencies
-        )
+        return self.measured.in_bands(self.room.centre_frequencies)
 
     @property
     def pairs(self) -> tuple[Pair, ...]:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import band_conversion
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, REVERBERATION, SUMMARY, parameter_label
@@ -84,7 +83,7 @@ class Differences:
         checks.instance("before", before, Measurement)
         checks.instance("after", after, Measurement)
         wanted = room.centre_frequencies
-        states = [band_conversion.measurement_in_room_bands(m, wanted) for m in (before, after)]
+        states = [m.in_bands(wanted) for m in (before, after)]
         pairs = [p for p in states[0].pairs if p in states[1].pairs]
         if not pairs:
             raise DataError(
