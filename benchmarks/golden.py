@@ -401,13 +401,13 @@ def predicted() -> dict[str, Any]:
     p, (room, measured) = rt.prediction, rt.datasets.bras_cr2()
     changes = {
         "none": [],
-        "cover": p.Cover("ceiling", PANEL, 20),
-        "add": p.Add(PANEL, 15),
-        "remove": p.Remove("windows"),
-        "open": p.Open("windows", 3),
-        "climate": p.Climate(rt.Air(26, 60)),
-        "volume": p.NewVolume(130.0),
-        "both": [p.Cover("ceiling", PANEL, 20), p.Climate(rt.Air(26, 60))],
+        "cover": p.Change(cover="ceiling", by=PANEL, area=20),
+        "add": p.Change(add=PANEL, area=15),
+        "remove": p.Change(remove="windows"),
+        "open": p.Change(open="windows", area=3),
+        "climate": p.Change(air=rt.Air(26, 60)),
+        "volume": p.Change(volume=130.0),
+        "both": [p.Change(cover="ceiling", by=PANEL, area=20), p.Change(air=rt.Air(26, 60))],
     }
     known = {m: rt.calibrate(room, measured, method=m) for m in ("mle", "soft", "robust")}
     out = {}

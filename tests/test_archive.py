@@ -237,7 +237,7 @@ def test_results_of_other_kinds_count_for_nothing(
 ) -> None:
     """Among as many predictions 251 of 260 calibrations were read, without a word."""
     panel = rt.Material("panel", [0.5] * rooms[0].prior.n_bands, [0.1] * rooms[0].prior.n_bands)
-    cover = rt.prediction.Cover(rooms[0].prior.materials[0], panel, 1.0)
+    cover = rt.prediction.Change(cover=rooms[0].prior.materials[0], by=panel, area=1.0)
     for i, result in enumerate(rooms):
         result.save(tmp_path / f"room {i}" / "calibrated")
         for n in range(3):

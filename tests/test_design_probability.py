@@ -11,8 +11,7 @@ import pytest
 from scipy.stats import truncnorm
 
 import rtcal as rt
-from rtcal.acoustics.changes import Change
-from rtcal.prediction import Add, Assumptions, Cover, changed
+from rtcal.prediction import Assumptions, Change, changed
 from rtcal.support.types import Array
 
 BANDS = np.array([250.0, 1000.0])
@@ -52,9 +51,11 @@ def some_changes(rng: np.random.Generator, room: rt.Room) -> list[Change]:
     """Panels on the ceiling, and in half of the rooms screens that stand free."""
     panel = rt.Material("panel", rng.uniform(0.3, 0.9, 2), [0.1] * 2)
     screen = rt.Material("screen", rng.uniform(0.1, 0.6, 2), [0.05] * 2)
-    put: list[Change] = [Cover("ceiling", panel, room.areas[1] * rng.uniform(0.2, 0.9))]
+    put: list[Change] = [
+        Change(cover="ceiling", by=panel, area=room.areas[1] * rng.uniform(0.2, 0.9))
+    ]
     if rng.random() < 0.5:
-        put.append(Add(screen, room.areas[0] * rng.uniform(0.05, 0.3)))
+        put.append(Change(add=screen, area=room.areas[0] * rng.uniform(0.05, 0.3)))
     return put
 
 

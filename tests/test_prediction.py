@@ -12,19 +12,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.changed_time import DRAWS, TimeChange, probability_within
-from rtcal.acoustics.changes import Change, placed
-from rtcal.prediction import (
-    Add,
-    Assumptions,
-    Climate,
-    Cover,
-    NewVolume,
-    Open,
-    Prediction,
-    Remove,
-    changed,
-    predict,
-)
+from rtcal.acoustics.changes import placed
+from rtcal.prediction import Assumptions, Change, Prediction, changed, predict
 from rtcal.support.errors import DataError, ModelError
 
 BANDS = [250.0, 1000.0, 4000.0]
@@ -95,8 +84,16 @@ def same(one: Prediction, other: Prediction) -> None:
 def test_nothing_changed_is_t_of_the_calibrated_room_exactly(method: str, equation) -> None:
     for seed in range(3):
         found = calibrated(seed, method, equation)
-        panel_and_back = [Cover("walls", PANEL, 3), Cover("panel", "walls")]
-        for changes in ([], found.prior, panel_and_back, [Add(PANEL, 2), Remove("panel")]):
+        panel_and_back = [
+            Change(cover="walls", by=PANEL, area=3),
+            Change(cover="panel", by="walls"),
+        ]
+        for changes in (
+            [],
+            found.prior,
+            panel_and_back,
+            [Change(add=PANEL, area=2), Change(remove="panel")],
+        ):
             made = found.predict(changes)
             low, high = made.interval
             for t in (made.mean, low, high):
@@ -112,11 +109,14 @@ def test_the_width_grows_with_the_change_from_next_to_nothing(method: str, named
     found = calibrated(1, method, named=named)
     surface = found.prior.materials[0]
     whole = float(found.prior.areas[0])
-    made = [found.predict(Cover(surface, PANEL, share * whole)) for share in (1e-4, 0.02, 0.1, 0.5)]
+    made = [
+        found.predict(Change(cover=surface, by=PANEL, area=share * whole))
+        for share in (1e-4, 0.02, 0.1, 0.5)
+    ]
     widths = np.array([m.interval[1] - m.interval[0] for m in made]) / found.measured
     assert (np.diff(widths, axis=0) > 0).all()
     assert (widths[0] < 2e-3).all()
-    tiny = found.predict(Add(PANEL, SMALL))
+    tiny = found.predict(Change(add=PANEL, area=SMALL))
     assert (tiny.half_width < 0.1).all()
     assert (np.abs(tiny.change) < 0.2).all()
 
@@ -128,12 +128,12 @@ def test_adding_absorption_lengthens_t_in_no_draw(method: str, equation) -> None
         found = calibrated(seed, method, equation, named=seed != 1)
         hard = rt.Material("hard", [0.02] * 3, [0.02] * 3)
         for material in (PANEL, hard):
-            made = found.predict(Add(material, 8))
+            made = found.predict(Change(add=material, area=8))
             assert (made.samples <= np.log(made.time_before)[:, np.newaxis]).all()
             assert (made.interval[1] <= made.time_before).all()
         # What covers is more absorbing than what is covered in every draw: so is the room.
         sure = rt.Material("sure", [0.9] * 3, [0.0] * 3)
-        made = found.predict(Cover(found.prior.materials[1], sure, 5))
+        made = found.predict(Change(cover=found.prior.materials[1], by=sure, area=5))
         unknowns = made.model.unknowns.absorption
         more = unknowns[:, made.model.materials.index("sure")] > unknowns[:, 1]
         longer = made.samples > np.log(made.time_before)[:, np.newaxis] + 1e-12
@@ -142,7 +142,7 @@ def test_adding_absorption_lengthens_t_in_no_draw(method: str, equation) -> None
 
 
 def test_taking_absorption_out_shortens_t_in_no_draw(result) -> None:
-    made = result.predict(Remove("floor", 3))
+    made = result.predict(Change(remove="floor", area=3))
     assert (made.samples >= np.log(made.time_before)[:, np.newaxis]).all()
 
 
@@ -152,8 +152,8 @@ def test_two_changes_one_after_the_other_are_both_at_once(named: bool) -> None:
         found = calibrated(seed, named=named)
         first, _, third = found.prior.materials
         one, two = (
-            Cover(first, PANEL, 4),
-            Cover(third, rt.Material("felt", [0.3] * 3, [0.1] * 3), 6),
+            Change(cover=first, by=PANEL, area=4),
+            Change(cover=third, by=rt.Material("felt", [0.3] * 3, [0.1] * 3), area=6),
         )
         both = found.predict([one, two])
         same(both, found.predict([two, one]))
@@ -163,8 +163,12 @@ def test_two_changes_one_after_the_other_are_both_at_once(named: bool) -> None:
 def test_a_change_in_two_steps_is_that_of_one_in_every_draw(result) -> None:
     """Where directions are known: (after / between) (between / before) = after / before."""
     known, assumed = result.known, Assumptions()
-    between = [Cover("ceiling", PANEL, 8)]
-    after = [*between, Cover("walls", PANEL, 5), NewVolume(1.1 * result.prior.volume)]
+    between = [Change(cover="ceiling", by=PANEL, area=8)]
+    after = [
+        *between,
+        Change(cover="walls", by=PANEL, area=5),
+        Change(volume=1.1 * result.prior.volume),
+    ]
     whole = TimeChange(known, placed(result.prior, after), assumed)
     first = TimeChange(known, placed(result.prior, between), assumed)
     rest = whole.log_time(1) - first.log_time(1)
@@ -183,7 +187,10 @@ def test_the_order_of_materials_changes_and_bands_moves_nothing(named: bool) -> 
         sigma=room.sigma[turned],
     )
     felt = rt.Material("felt", [0.3] * 3, [0.1] * 3)
-    changes: list[Change] = [Cover(room.materials[0], PANEL, 7), Add(felt, 3)]
+    changes: list[Change] = [
+        Change(cover=room.materials[0], by=PANEL, area=7),
+        Change(add=felt, area=3),
+    ]
     one = rt.calibrate(room, measured).predict(changes)
     two = rt.calibrate(other, measured).predict(changes[::-1])
     same(one, two)
@@ -192,8 +199,12 @@ def test_the_order_of_materials_changes_and_bands_moves_nothing(named: bool) -> 
     )
     alone = rt.calibrate(single, measured.mean("t20")[1:2]).predict(
         [
-            Cover(room.materials[0], rt.Material("panel", PANEL.alpha[1:2], PANEL.sigma[1:2]), 7),
-            Add(rt.Material("felt", [0.3], [0.1]), 3),
+            Change(
+                cover=room.materials[0],
+                by=rt.Material("panel", PANEL.alpha[1:2], PANEL.sigma[1:2]),
+                area=7,
+            ),
+            Change(add=rt.Material("felt", [0.3], [0.1]), area=3),
         ]
     )
     assert alone.mean == pytest.approx(one.mean[1:2], rel=0.01)  # T without an uncertainty
@@ -203,9 +214,9 @@ def test_a_change_that_is_undone_is_consistent() -> None:
     """T falls by what it rises by, within the intervals of both."""
     for seed in range(4):
         found = calibrated(seed)
-        there = found.predict(Cover("ceiling", PANEL, 6))
+        there = found.predict(Change(cover="ceiling", by=PANEL, area=6))
         treated = rt.calibrate(there.after.replace(dimensions=found.prior.dimensions), there.mean)
-        back = treated.predict(Cover("panel", "ceiling"))
+        back = treated.predict(Change(cover="panel", by="ceiling"))
         low, high = back.interval
         assert ((low < there.time_before) & (there.time_before < high)).all()
         assert back.mean == pytest.approx(there.time_before, rel=0.12)
@@ -217,7 +228,10 @@ def test_the_change_is_the_equations_where_all_is_known(result) -> None:
         result.prior.replace(sigma=1e-6 * result.prior.alpha), result.measured, "soft"
     )
     panel = rt.Material("panel", PANEL.alpha, [0.0] * 3)
-    for changes in (Add(panel, 9), [Cover("ceiling", panel, 9), Climate(rt.Air(25, 30))]):
+    for changes in (
+        Change(add=panel, area=9),
+        [Change(cover="ceiling", by=panel, area=9), Change(air=rt.Air(25, 30))],
+    ):
         made = exact.predict(changes, assumptions=sure)
         before, after = (
             rt.Eyring().reverberation_time(r) for r in (exact.room, changed(exact.room, changes))
@@ -227,7 +241,7 @@ def test_the_change_is_the_equations_where_all_is_known(result) -> None:
 
 
 def test_one_jnd_is_five_per_cent_of_t(result) -> None:
-    made = result.predict(Add(PANEL, 6))
+    made = result.predict(Change(add=PANEL, area=6))
     low, high = made.interval
     assert made.change == pytest.approx((made.mean - made.time_before) / (0.05 * made.time_before))
     assert made.half_width == pytest.approx((high - low) / 2 / (0.05 * made.mean))
@@ -283,7 +297,7 @@ def test_an_acoustic_ceiling_is_within_the_interval(scattering: float, named: bo
     empty, after = (tracer.simulate(a, seed=2).mean("t20") for a in (room.alpha, tiled))
     if not named:
         room = room.replace(materials=["one", "two", "three"], dimensions=None)
-    made = rt.calibrate(room, empty).predict(Cover(room.materials[0], TILE, 52))
+    made = rt.calibrate(room, empty).predict(Change(cover=room.materials[0], by=TILE, area=52))
     low, high = made.interval
     assert ((low <= after) & (after <= high)).all(), (low, after, high)
     text = " ".join(str(made).split())
@@ -299,7 +313,8 @@ def test_an_even_change_is_the_same_with_and_without_uneven_equations(result) ->
     """The same share of every surface is covered: all equations fall alike where the room was even."""
     even = a_room(5).replace(alpha=np.full((3, 3), 0.1), sigma=np.full((3, 3), 0.03))
     covers = [
-        Cover(m, PANEL, float(0.2 * s)) for m, s in zip(even.materials, even.areas, strict=True)
+        Change(cover=m, by=PANEL, area=float(0.2 * s))
+        for m, s in zip(even.materials, even.areas, strict=True)
     ]
     found = rt.calibrate(even, rt.Eyring().reverberation_time(even), "soft")
     assert list(found.predict(covers).by_equation) == ["Eyring"]
@@ -316,7 +331,7 @@ def test_an_even_change_is_the_same_with_and_without_uneven_equations(result) ->
 def test_t_before_is_given_and_its_uncertainty_stands_apart() -> None:
     room = a_room(2)
     t = measured_in(room, 2).mean("t20")
-    change = Add(PANEL, 5)
+    change = Change(add=PANEL, area=5)
     found = [rt.calibrate(room, at_two_positions(t, u)) for u in (0.02, 0.06)]
     sure, unsure = (each.predict(change) for each in found)
     for result, made in zip(found, (sure, unsure), strict=True):
@@ -327,15 +342,15 @@ def test_t_before_is_given_and_its_uncertainty_stands_apart() -> None:
 
 def test_without_a_measurement_the_error_of_t_before_counts() -> None:
     room = a_room(2)
-    found = calibrated(2).predict(Add(PANEL, 5))
-    stated = predict(room, Add(PANEL, 5))
+    found = calibrated(2).predict(Change(add=PANEL, area=5))
+    stated = predict(room, Change(add=PANEL, area=5))
     assert stated.before_is == "stated coefficients"
     assert (stated.half_width > 1.5 * found.half_width).all()
     assert stated.mean == pytest.approx(found.uncalibrated.mean)
     # One band without T: there it is as without any.
     t = measured_in(room, 2).mean("t20")
     t[1] = np.nan
-    partly = rt.calibrate(room, t).predict(Add(PANEL, 5))
+    partly = rt.calibrate(room, t).predict(Change(add=PANEL, area=5))
     assert partly.half_width[1] == pytest.approx(stated.half_width[1], rel=0.1)
     assert partly.half_width[0] < 0.6 * stated.half_width[0]
     assert "At 1000 Hz T before was not measured" in " ".join(str(partly).split())
@@ -348,18 +363,20 @@ def test_a_second_state_narrows_and_corrects() -> None:
     truth = rt.Material("panel", [0.5] * 3, [0.15] * 3)
 
     def time(area: float) -> np.ndarray:
-        return rt.Eyring().reverberation_time(changed(room, Cover("walls", truth, area)))
+        return rt.Eyring().reverberation_time(
+            changed(room, Change(cover="walls", by=truth, area=area))
+        )
 
-    some = changed(room, Cover("walls", stated, 10))
+    some = changed(room, Change(cover="walls", by=stated, area=10))
     one = rt.calibrate(room, rt.Eyring().reverberation_time(room)).predict(
-        Cover("walls", stated, 25)
+        Change(cover="walls", by=stated, area=25)
     )
     joint = rt.calibrate(
         rt.Configurations([room, some], ["bare", "some panels"]),
         [rt.Eyring().reverberation_time(room), time(10)],
         method="joint",
     )
-    two = joint.results[0].predict(Cover("walls", stated, 25))
+    two = joint.results[0].predict(Change(cover="walls", by=stated, area=25))
     assert len(two.known.others) == 1
     assert (two.half_width < 0.85 * one.half_width).all()
     other = joint.results[1].predict([])
@@ -369,18 +386,18 @@ def test_a_second_state_narrows_and_corrects() -> None:
 
 
 def test_parts_add_up_and_the_largest_is_first(result) -> None:
-    made = result.predict(Cover("walls", PANEL, 12))
+    made = result.predict(Change(cover="walls", by=PANEL, area=12))
     assert sum(made.parts.values()) == pytest.approx(np.ones(3), abs=1e-12)
     means = [part.mean() for part in made.parts.values()]
     assert means == sorted(means, reverse=True)
     assert all((part >= 0).all() for part in made.parts.values())
     exact = rt.Material("panel", PANEL.alpha, [0.0] * 3)
-    known = result.predict(Cover("walls", exact, 12)).parts
+    known = result.predict(Change(cover="walls", by=exact, area=12)).parts
     assert known.get('alpha of "panel"', np.zeros(3)) == pytest.approx(np.zeros(3), abs=1e-3)
 
 
 def test_probability_agrees_with_the_interval_and_falls_over_all_bands(result) -> None:
-    made = result.predict(Cover("walls", PANEL, 12))
+    made = result.predict(Change(cover="walls", by=PANEL, area=12))
     low, high = made.interval
     assert made.probability(low, high) == pytest.approx([0.9] * 3, abs=0.005)
     assert 0.75 < made.probability_together(low, high) < 0.9
@@ -403,11 +420,11 @@ def test_the_probability_is_smooth_and_that_of_the_draws() -> None:
 def test_what_a_room_states_of_its_areas_and_climate_counts() -> None:
     room = a_room(6)
     t = measured_in(room, 6).mean("t20")
-    vague = rt.calibrate(room.replace(area_sigma=0.3), t).predict(Add(PANEL, 1))
-    usual = rt.calibrate(room, t).predict(Add(PANEL, 1))
+    vague = rt.calibrate(room.replace(area_sigma=0.3), t).predict(Change(add=PANEL, area=1))
+    usual = rt.calibrate(room, t).predict(Change(add=PANEL, area=1))
     assert (vague.half_width != usual.half_width).all()
     humid = room.replace(climate_sigma=(0.0, 15.0))
-    air = [rt.calibrate(r, t).predict(Climate(rt.Air(20, 80))) for r in (room, humid)]
+    air = [rt.calibrate(r, t).predict(Change(air=rt.Air(20, 80))) for r in (room, humid)]
     assert (air[1].half_width > 1.02 * air[0].half_width)[-1]
 
 
@@ -416,10 +433,10 @@ def test_what_a_room_states_of_its_areas_and_climate_counts() -> None:
     [
         (lambda r: r.predict(r.prior.replace(sigma=0.5 * r.prior.sigma)), DataError, "prior"),
         (lambda r: predict(3, []), DataError, "3"),
-        (lambda r: r.predict([Open(m) for m in r.prior.materials]), ModelError, "T"),
+        (lambda r: r.predict([Change(open=m) for m in r.prior.materials]), ModelError, "T"),
         (lambda r: Assumptions(factor=2), DataError, "factor"),
         (lambda r: predict(r, [], equation=rt.Sabine()), DataError, "Eyring"),
-        (lambda r: r.predict(NewVolume(1e-9)), DataError, "volume"),
+        (lambda r: r.predict(Change(volume=1e-9)), DataError, "volume"),
         (lambda r: r.predict([]).probability([1.0] * 3, [0.5] * 3), DataError, "low"),
         (lambda r: r.predict([]).probability([1.0] * 3, [2.0] * 2), DataError, "high"),
     ],
@@ -454,46 +471,62 @@ def two_materials() -> rt.Room:
 def test_what_faces_which_way_follows_the_changes() -> None:
     room = a_room(0)
     total = room.areas.sum()
-    shares = placed(room, [Cover("ceiling", PANEL, 4), Add("floor", 2), Remove("walls", 3)])
+    shares = placed(
+        room,
+        [
+            Change(cover="ceiling", by=PANEL, area=4),
+            Change(add="floor", area=2),
+            Change(remove="walls", area=3),
+        ],
+    )
     by_name = dict(zip(shares.room.materials, shares.areas, strict=True))
     assert by_name["panel"].tolist() == [0, 0, 4, 0, 0]
     assert by_name["floor"][3] == pytest.approx(2)
     assert shares.areas.sum() == pytest.approx(total - 1)
     # A room that is given whole: what comes in faces as what it takes the place of.
     changes = [
-        Cover("ceiling", PANEL, 4),
-        Cover("walls", rt.Material("felt", [0.3] * 3, [0.1] * 3), 6),
+        Change(cover="ceiling", by=PANEL, area=4),
+        Change(cover="walls", by=rt.Material("felt", [0.3] * 3, [0.1] * 3), area=6),
     ]
     whole, stepwise = placed(room, changed(room, changes)), placed(room, changes)
     assert whole.areas == pytest.approx(stepwise.areas)
-    unnamed = placed(a_room(0, named=False), [Cover("one", PANEL, 4)])
+    unnamed = placed(a_room(0, named=False), [Change(cover="one", by=PANEL, area=4)])
     assert (unnamed.areas[:, 4] == unnamed.room.areas).all()
 
 
 def test_changes_keep_the_books() -> None:
     room = two_materials()
     total = room.total_area
-    assert changed(room, Cover("wall", BOARD, 20)).total_area == total
-    assert changed(room, Cover("wall", BOARD)).materials == ("floor", "panel")
-    assert changed(room, Add(BOARD, 7)).total_area == total + 7
-    assert changed(room, [Add(BOARD, 7), Remove("panel")]).total_area == total
-    assert changed(room, NewVolume(120)).volume == 120
-    opened = changed(room, Open("wall", 3))
+    assert changed(room, Change(cover="wall", by=BOARD, area=20)).total_area == total
+    assert changed(room, Change(cover="wall", by=BOARD)).materials == ("floor", "panel")
+    assert changed(room, Change(add=BOARD, area=7)).total_area == total + 7
+    assert changed(room, [Change(add=BOARD, area=7), Change(remove="panel")]).total_area == total
+    assert changed(room, Change(volume=120)).volume == 120
+    opened = changed(room, Change(open="wall", area=3))
     assert opened.alpha[-1].tolist() == [1, 1]
     assert opened.sigma[-1].tolist() == [0, 0]
-    assert changed(room, Cover("wall", "floor", 10)).areas.tolist() == [90, 40]
+    assert changed(room, Change(cover="wall", by="floor", area=10)).areas.tolist() == [90, 40]
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (Cover("wal", BOARD), '"wal" is no material'),
-        (Cover("wall", BOARD, 120), 'cover 120 m² of "wall" by "panel": .* more than the 100 m²'),
-        ([Cover("wall", BOARD, 60), Open("wall", 50)], 'open 50 m² of "wall": .* the 40 m²'),
-        (Add(rt.Material("panel", [0.8], [0.1]), 3), "2 bands"),
-        (Add(rt.Material("wall", [0.8, 0.8], [0.1, 0.1]), 3), "not that of the room's"),
-        (Add(BOARD, 1301), 'add 1301 m² of "panel": area = 1301 m² is more than 1300 m²'),
-        (Cover("floor", "ceiling", 1), '"ceiling" is no material'),
+        (Change(cover="wal", by=BOARD), '"wal" is no material'),
+        (
+            Change(cover="wall", by=BOARD, area=120),
+            'cover 120 m² of "wall" by "panel": .* more than the 100 m²',
+        ),
+        (
+            [Change(cover="wall", by=BOARD, area=60), Change(open="wall", area=50)],
+            'open 50 m² of "wall": .* the 40 m²',
+        ),
+        (Change(add=rt.Material("panel", [0.8], [0.1]), area=3), "2 bands"),
+        (Change(add=rt.Material("wall", [0.8, 0.8], [0.1, 0.1]), area=3), "not that of the room's"),
+        (
+            Change(add=BOARD, area=1301),
+            'add 1301 m² of "panel": area = 1301 m² is more than 1300 m²',
+        ),
+        (Change(cover="floor", by="ceiling", area=1), '"ceiling" is no material'),
     ],
 )
 def test_changes_that_do_not_fit_are_refused(change, said: str) -> None:

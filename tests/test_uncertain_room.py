@@ -11,18 +11,9 @@ import pytest
 import rtcal as rt
 from benchmarks.studies.calibrations import uncertain_room
 from rtcal import terms
-from rtcal.acoustics.changes import Change
 from rtcal.acoustics.room_errors import target_changes
 from rtcal.calibration.unknowns import Configurations
-from rtcal.prediction import (
-    Add,
-    Cover,
-    Open,
-    Remove,
-    Target,
-    Treatment,
-    changed,
-)
+from rtcal.prediction import Change, Target, Treatment, changed
 from rtcal.report.of_calibration import assumed
 from rtcal.support.errors import DataError, ModelError
 from tests.conftest import also
@@ -353,19 +344,27 @@ def test_a_changed_room_keeps_what_was_stated_of_its_areas() -> None:
         return dict(zip(after.materials, after.area_sigma.round(6).tolist(), strict=True))
 
     stated = {"floor": 0.03, "ceiling": 0.01, "wall": 0.0, "door": 0.0}
-    assert errors(Cover("floor", panel, 10)) == {**stated, "panel": 0.03}
-    assert errors(Open("floor", 10)) == {**stated, "opening": 0.03}
-    assert errors(Add(panel, 10)) == {**stated, "panel": 0.0}
-    assert errors(Add("floor", 10)) == stated
-    assert errors(Cover("floor", "ceiling", 10))["ceiling"] == 0.015  # 0.01 of 30 m², 0.03 of 10 m²
-    assert errors(Remove("floor")) == {name: stated[name] for name in ("ceiling", "wall", "door")}
+    assert errors(Change(cover="floor", by=panel, area=10)) == {**stated, "panel": 0.03}
+    assert errors(Change(open="floor", area=10)) == {**stated, "opening": 0.03}
+    assert errors(Change(add=panel, area=10)) == {**stated, "panel": 0.0}
+    assert errors(Change(add="floor", area=10)) == stated
+    assert (
+        errors(Change(cover="floor", by="ceiling", area=10))["ceiling"] == 0.015
+    )  # 0.01 of 30 m², 0.03 of 10 m²
+    assert errors(Change(remove="floor")) == {
+        name: stated[name] for name in ("ceiling", "wall", "door")
+    }
 
 
 def test_an_uncertain_room_is_predicted_and_designed_with() -> None:
     room = room_of(1, area_sigma=0.03)
     t = times(room, 1)
     panel = rt.Material("panel", [0.5] * 4, [0.1] * 4)
-    for change in (Cover("wall", panel, 5), Add(panel, 5), Open("wall", 1)):
+    for change in (
+        Change(cover="wall", by=panel, area=5),
+        Change(add=panel, area=5),
+        Change(open="wall", area=1),
+    ):
         assert np.isfinite(rt.calibrate(room, t, "soft").predict(change).mean).all()
     free = Treatment("panels", panel, 20, cost=1)
     found = rt.design(rt.calibrate(room, t, "soft"), [free], Target(t / 9, t * 3))

@@ -1,13 +1,13 @@
 """Changes of a room: what is covered, added, removed or opened; other air, another volume.
 
 Files of variants and of treatments, in TOML, state what may be changed, and its cost; docs/files.md
-describes them.
+describes them. A change has the same keys in a file and in Python.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import count
 from typing import Any
 
@@ -45,31 +45,151 @@ _SAME_AREA = 1e-6
 """Relative difference below which what comes in has the area of what goes out."""
 _ROUNDING = 1e-9
 """Relative difference below which an area is the whole area."""
+_TAKES: dict[str, dict[str, bool]] = {
+    "cover": {"by": True, "area": False},
+    "add": {"area": True},
+    "remove": {"area": False},
+    "open": {"area": False},
+    "air": {},
+    "volume": {},
+}
+"""Kinds of change, and the further keys of each: whether it must have one."""
 
 
+@dataclass(frozen=True, kw_only=True)
 class Change:
-    """A change of a room: what goes out of it, and what comes in.
+    """A change of a room, which states one of cover, add, remove, open, air and volume.
 
-    Another change than an exchange of areas has its own `apply`.
+    Parameters
+    ----------
+    cover : str
+        A material of the room: what lies below no longer absorbs, and the total surface stays.
+    by : Material or str
+        What covers it; a str is a material of the room. Its area is as uncertain as that below it.
+    add : Material or str
+        Something free-standing: the total surface grows, and nothing is covered.
+    remove : str
+        Something free-standing: the total surface shrinks.
+    open : str
+        A material of the room, a part of which is opened: alpha = 1 there, exactly.
+    area : float
+        In m², of what is covered, removed or opened: all of it if not given. Of what is added, the
+        surface that the sound reaches (both sides of a baffle), at most 10 times the room's; its
+        relative error is that of the room's material, and 0 of a new one.
+    air : Air
+        Another climate: temperature, humidity and pressure.
+    volume : float
+        Another volume in m³. The surfaces stay.
+
+    Raises
+    ------
+    DataError
+        For none or several kinds of change, a key that it has no meaning for, or a value of another
+        kind.
+
+    Examples
+    --------
+    >>> room = Room(name="box", volume=60, materials=["wall", "floor"], areas=[74, 20],
+    ...             alpha=[[0.1], [0.3]], sigma=[[0.02], [0.1]], centre_frequencies=[1000])
+    >>> Change(cover="wall", by="floor", area=10).apply(room).areas.tolist()
+    [64.0, 30.0]
+    >>> Change(add=Material("baffle", [0.9], [0.1]), area=12).apply(room).total_area
+    106.0
+    >>> print(Change(open="wall", area=4), Change(air=Air(26, 60)), sep="; ")
+    open 4 m² of "wall"; air of 26 °C and 60 %
     """
 
-    def goes(self, room: Room) -> tuple[str, float] | None:
-        """Return the material that goes out, and its area in m²; None if nothing does."""
-        return None
+    cover: str | None = None
+    by: Material | str | None = None
+    add: Material | str | None = None
+    remove: str | None = None
+    open: str | None = None
+    area: float | None = None
+    air: Air | None = None
+    volume: float | None = None
 
-    def comes(self, room: Room) -> Further | None:
-        """Return what comes in; None if nothing does."""
-        return None
+    def __post_init__(self) -> None:
+        stated = {key: value for key, value in vars(self).items() if value is not None}
+        kinds = [kind for kind in _TAKES if kind in stated]
+        if len(kinds) != 1:
+            raise DataError(f"a change has {len(kinds)} of {', '.join(_TAKES)}; it is one of them")
+        takes = _TAKES[self.kind]
+        if extra := [key for key in stated if key not in (self.kind, *takes)]:
+            raise DataError(f"{self.kind} has {extra[0]}, which has no meaning there")
+        if lacking := [key for key, needed in takes.items() if needed and key not in stated]:
+            raise DataError(f"{self.kind} lacks {lacking[0]}")
+        for key, value in stated.items():
+            place = f"change: {key}"
+            if key in ("area", "volume"):
+                checks.positive(place, value, "m²" if key == "area" else "m³")
+            elif key == "air":
+                checks.instance(place, value, Air)
+            elif key in ("add", "by") and not isinstance(value, Material | str):
+                raise DataError(f"{place} = {checks.shown(value)} is no Material, nor one's name")
+            elif key in ("cover", "remove", "open"):
+                checks.text(place, value)
+
+    @property
+    def kind(self) -> str:
+        """Which of cover, add, remove, open, air and volume it states."""
+        return next(kind for kind in _TAKES if getattr(self, kind) is not None)
+
+    @property
+    def surface(self) -> str | None:
+        """The room's material of which something goes; None if nothing does."""
+        going = (self.cover, self.remove, self.open)
+        return next((name for name in going if name is not None), None)
+
+    @property
+    def material(self) -> Material | str | None:
+        """The material that comes in; None if none does."""
+        if self.open is not None:
+            return OPENING
+        return self.add if self.by is None else self.by
+
+    def exchanged(self, room: Room) -> tuple[float, Further | None]:
+        """Return the area in m² that goes of `surface`, and what comes in.
+
+        Raises DataError if the room has less of the surface, or for more than `MOST_ADDED`.
+        """
+        taken, error = self.area or 0.0, 0.0
+        if self.surface is not None:
+            row = room.material_index(self.surface)
+            has, error = float(room.areas[row]), float(room.area_sigma[row])
+            if taken > has * (1 + _ROUNDING):
+                raise DataError(
+                    f'area = {taken:g} m² is more than the {has:g} m² of "{self.surface}"'
+                )
+            taken = has if self.area is None or taken > has * (1 - _ROUNDING) else taken
+        if self.material is None:
+            return taken, None
+        new = _material(room, self.material)
+        if self.surface is None:
+            if taken > (most := MOST_ADDED * room.total_area):
+                raise DataError(
+                    f"area = {taken:g} m² is more than {most:g} m², {MOST_ADDED:g} times the room's "
+                    "surface"
+                )
+            errors = dict(zip(room.materials, room.area_sigma.tolist(), strict=True))
+            error = errors.get(new.name, 0.0)
+        return taken, Further(new, taken, error)
 
     def apply(self, room: Room) -> Room:
         """Return the changed room; DataError if the room does not allow the change.
 
         The errors of two areas of one material add up.
         """
-        goes, comes = self.goes(room), self.comes(room)
+        if self.air is not None:
+            return room.with_air(self.air)
+        if self.volume is not None:
+            least, most = room.volume / MOST_VOLUME, room.volume * MOST_VOLUME
+            has = f": the room has {room.volume:g} m³"
+            checks.between("volume", self.volume, least, most, "m³", has)
+            return room.replace(volume=self.volume)
+        taken, comes = self.exchanged(room)
         areas, errors, further = room.areas.copy(), room.area_sigma.copy(), []
-        if goes is not None:
-            areas[room.material_index(goes[0])] -= goes[1]
+        if self.surface is not None:
+            areas[room.material_index(self.surface)] -= taken
         if comes is not None and comes.material.name in room.materials:
             row = room.material_index(comes.material.name)
             sigma = errors[row] * areas[row] + comes.area_sigma * comes.area
@@ -83,202 +203,19 @@ class Change:
         sigma = [*errors[kept], *(f.area_sigma for f in further)]
         return with_materials(room, further, kept, areas[kept], area_sigma=sigma)
 
-
-@dataclass(frozen=True)
-class Cover(Change):
-    """A surface is covered: what lies below it no longer absorbs. The total surface stays.
-
-    The relative error of the covering area is that of the surface's area.
-
-    Parameters
-    ----------
-    surface : str
-        A material of the room.
-    by : Material or str
-        What covers it; a str is a material of the room.
-    area : float, optional
-        m²; the whole surface, which is then replaced, if not given.
-
-    Examples
-    --------
-    >>> from rtcal.acoustics.room import Room
-    >>> room = Room(name="box", volume=60, materials=["wall", "floor"], areas=[74, 20],
-    ...             alpha=[[0.1], [0.3]], sigma=[[0.02], [0.1]], centre_frequencies=[1000])
-    >>> Cover("wall", "floor", 10).apply(room).areas.tolist()
-    [64.0, 30.0]
-    """
-
-    surface: str
-    by: Material | str
-    area: float | None = None
-
-    def __post_init__(self) -> None:
-        _check(self, "surface", self.surface, self.area, self.by)
-
-    def goes(self, room: Room) -> tuple[str, float]:
-        """Return the surface."""
-        return self.surface, _taken(room, self.surface, self.area)
-
-    def comes(self, room: Room) -> Further:
-        """Return what covers it."""
-        name, area = self.goes(room)
-        error = float(room.area_sigma[room.material_index(name)])
-        return Further(_material(room, self.by), area, error)
-
     def __str__(self) -> str:
-        return f'cover {_amount(self.area)} of "{self.surface}" by "{_name(self.by)}"'
+        if self.air is not None:
+            return f"air of {self.air.temperature:g} °C and {self.air.humidity:g} %"
+        if self.volume is not None:
+            return f"volume of {self.volume:g} m³"
+        amount = "all" if self.area is None else f"{self.area:g} m²"
+        by = "" if self.by is None else f' by "{name_of(self.by)}"'
+        return f'{self.kind} {amount} of "{self.surface or name_of(self.material)}"{by}'
 
 
-@dataclass(frozen=True)
-class Open(Cover):
-    """A part of a surface is opened: alpha = 1 there, exactly.
-
-    Parameters
-    ----------
-    surface : str
-        A material of the room.
-    area : float, optional
-        m²; all of it if not given.
-
-    Examples
-    --------
-    >>> from rtcal.acoustics.room import Room
-    >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[0.1]],
-    ...             sigma=[[0.02]], centre_frequencies=[1000])
-    >>> print(Open("wall", 4).apply(room).absorption_area)
-    [13.]
-    """
-
-    by: Material | str = field(default=OPENING, init=False)
-
-    def __str__(self) -> str:
-        return f'open {_amount(self.area)} of "{self.surface}"'
-
-
-@dataclass(frozen=True)
-class Add(Change):
-    """Something free-standing is added: the total surface grows, and nothing is covered.
-
-    Parameters
-    ----------
-    material : Material or str
-        A str is a material of the room.
-    area : float
-        m² of surface that the sound reaches: both sides of a baffle; at most 10 times the room's
-        surface. Its relative error is that of the room's material, and 0 of a new one.
-
-    Examples
-    --------
-    >>> from rtcal.acoustics.room import Room
-    >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[0.1]],
-    ...             sigma=[[0.02]], centre_frequencies=[1000])
-    >>> Add(Material("baffle", [0.9], [0.1]), 12).apply(room).total_area
-    106.0
-    """
-
-    material: Material | str
-    area: float
-
-    def __post_init__(self) -> None:
-        _check(self, "material", _name(self.material), self.area, self.material)
-
-    def comes(self, room: Room) -> Further:
-        """Return what is added; DataError for more than `MOST_ADDED` times the room's surface."""
-        most = MOST_ADDED * room.total_area
-        if self.area > most:
-            raise DataError(
-                f"area = {self.area:g} m² is more than {most:g} m², {MOST_ADDED:g} times the room's "
-                "surface"
-            )
-        new = _material(room, self.material)
-        errors = dict(zip(room.materials, room.area_sigma.tolist(), strict=True))
-        return Further(new, self.area, errors.get(new.name, 0.0))
-
-    def __str__(self) -> str:
-        return f'add {_amount(self.area)} of "{_name(self.material)}"'
-
-
-@dataclass(frozen=True)
-class Remove(Change):
-    """Something free-standing is removed: the total surface shrinks.
-
-    Parameters
-    ----------
-    material : str
-        A material of the room.
-    area : float, optional
-        m²; all of it if not given.
-
-    Examples
-    --------
-    >>> from rtcal.acoustics.room import Room
-    >>> room = Room(name="box", volume=60, materials=["wall", "seats"], areas=[94, 8],
-    ...             alpha=[[0.1], [0.5]], sigma=[[0.02], [0.1]], centre_frequencies=[1000])
-    >>> Remove("seats").apply(room).materials
-    ('wall',)
-    """
-
-    material: str
-    area: float | None = None
-
-    def __post_init__(self) -> None:
-        _check(self, "material", self.material, self.area)
-
-    def goes(self, room: Room) -> tuple[str, float]:
-        """Return what is removed."""
-        return self.material, _taken(room, self.material, self.area)
-
-    def __str__(self) -> str:
-        return f'remove {_amount(self.area)} of "{self.material}"'
-
-
-@dataclass(frozen=True)
-class Climate(Change):
-    """Another climate: temperature, humidity and pressure of the air.
-
-    Examples
-    --------
-    >>> str(Climate(Air(26, 60)))
-    'air of 26 °C and 60 %'
-    """
-
-    air: Air
-
-    def __post_init__(self) -> None:
-        checks.instance("Climate: air", self.air, Air)
-
-    def apply(self, room: Room) -> Room:
-        """Return the room in this air."""
-        return room.with_air(self.air)
-
-    def __str__(self) -> str:
-        return f"air of {self.air.temperature:g} °C and {self.air.humidity:g} %"
-
-
-@dataclass(frozen=True)
-class NewVolume(Change):
-    """Another volume in m³. The surfaces stay: `Add` and `Remove` change them.
-
-    Examples
-    --------
-    >>> str(NewVolume(180))
-    'volume of 180 m³'
-    """
-
-    volume: float
-
-    def __post_init__(self) -> None:
-        checks.positive("NewVolume: volume", self.volume, "m³")
-
-    def apply(self, room: Room) -> Room:
-        """Return the room with this volume; DataError for one a hundred times as small or large."""
-        least, most = room.volume / MOST_VOLUME, room.volume * MOST_VOLUME
-        has = f": the room has {room.volume:g} m³"
-        checks.between("volume", self.volume, least, most, "m³", has)
-        return room.replace(volume=self.volume)
-
-    def __str__(self) -> str:
-        return f"volume of {self.volume:g} m³"
+def name_of(material: Material | str | None) -> str:
+    """Return the name of a material, or the name itself."""
+    return material.name if isinstance(material, Material) else str(material)
 
 
 def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
@@ -297,7 +234,8 @@ def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
     >>> import rtcal as rt
     >>> room, _ = rt.datasets.bras_cr2()
     >>> panel = rt.Material("panel", [0.2, 0.6, 0.9, 0.9, 0.9, 0.9], [0.1] * 6)
-    >>> after = changed(room, [Cover("ceiling", panel, 20), Open("windows", 2)])
+    >>> after = changed(
+    ...     room, [Change(cover="ceiling", by=panel, area=20), Change(open="windows", area=2)])
     >>> after.materials[-2:], round(after.total_area - room.total_area, 6)
     (('panel', 'opening'), 0.0)
     """
@@ -342,7 +280,7 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
     --------
     >>> room = Room(name="box", volume=60, materials=["wall", "ceiling"], areas=[74, 20],
     ...             alpha=[[0.1], [0.3]], sigma=[[0.02], [0.1]], centre_frequencies=[1000])
-    >>> placed(room, [Cover("ceiling", "wall", 5)]).areas.tolist()
+    >>> placed(room, [Change(cover="ceiling", by="wall", area=5)]).areas.tolist()
     [[37.0, 37.0, 5.0, 0.0, 0.0], [0.0, 0.0, 15.0, 0.0, 0.0]]
     """
     shares = facing(before)
@@ -364,15 +302,14 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
         if not isinstance(change, Change):
             raise DataError(f"change = {checks.shown(change)} is not a rtcal Change")
         try:
-            goes, comes = change.goes(room), change.comes(room)
+            taken, comes = change.exchanged(room)
             after = change.apply(room)
         except DataError as error:
             raise DataError(f"{change}: {error}") from error
         moved = np.zeros(len(DIRECTIONS))
         moved[FREE] = 0.0 if comes is None else comes.area
-        if goes is not None:
-            name, area = goes
-            moved = faces[name] * (area / room.areas[room.material_index(name)])
+        if (name := change.surface) is not None:
+            moved = faces[name] * (taken / room.areas[room.material_index(name)])
             faces[name] = faces[name] - moved
         if comes is not None:
             by = comes.material.name
@@ -410,33 +347,6 @@ def _like(towards: Array, room: Room, unknown: Sequence[int], other: Placed) -> 
         covering = min(gone.sum() / area, 1.0)
         towards[row] = covering * gone / max(gone.sum(), 1e-300)
         towards[row, FREE] += 1 - covering
-
-
-def _name(material: Material | str) -> str:
-    return material.name if isinstance(material, Material) else material
-
-
-def _check(change: Change, key: str, name: str, area: float | None, by: object = "") -> None:
-    kind = type(change).__name__
-    checks.text(f"{kind}: {key}", name)
-    if not isinstance(by, Material | str):
-        raise DataError(f"{kind}: by = {checks.shown(by)} is no Material and no name of one")
-    if area is not None:
-        checks.positive(f"{kind}: area", area, "m²")
-
-
-def _amount(area: float | None) -> str:
-    return "all" if area is None else f"{area:g} m²"
-
-
-def _taken(room: Room, surface: str, area: float | None) -> float:
-    """Return the area in m² that is taken of a surface; DataError if it has less."""
-    has = float(room.areas[room.material_index(surface)])
-    if area is None:
-        return has
-    if area > has * (1 + _ROUNDING):
-        raise DataError(f'area = {area:g} m² is more than the {has:g} m² of "{surface}"')
-    return has if area > has * (1 - _ROUNDING) else area
 
 
 @dataclass(frozen=True)
@@ -550,15 +460,6 @@ def _material(room: Room, material: Material | str) -> Material:
 
 Catalogue = Callable[[str, Any], Material]
 """Returns the catalogue's material of a name for centre frequencies in Hz."""
-_TAKES = {
-    "cover": ("by", "area"),
-    "add": ("area",),
-    "remove": ("area",),
-    "open": ("area",),
-    "air": (),
-    "volume": (),
-}
-"""Kinds of change in a file, and the further keys that each may have."""
 
 
 class NewMaterial(FileTable):
@@ -572,7 +473,7 @@ class NewMaterial(FileTable):
 
 
 class ChangeTable(FileTable):
-    """A change: one of the keys of `_TAKES`, and what belongs to it."""
+    """A change, with the fields of `Change`."""
 
     cover: str | None = None
     by: str | None = None
@@ -626,8 +527,7 @@ class Variant:
 
     Examples
     --------
-    >>> from rtcal.prediction import Open
-    >>> Variant("window open", (Open("windows", 2.0),)).name
+    >>> Variant("window open", (Change(open="windows", area=2.0),)).name
     'window open'
     """
 
@@ -642,8 +542,8 @@ class Variant:
 
 def read_variants(
     content: str, room: Room, catalogue: Catalogue | None = None
-) -> tuple[Variant, ...]:
-    """Return the variants of a TOML text.
+) -> tuple[tuple[Variant, ...], Target | None]:
+    """Return the variants of a TOML text, and its target if it states one.
 
     Parameters
     ----------
@@ -657,21 +557,21 @@ def read_variants(
     ------
     DataError
         For an unknown key, a value that breaks a rule, a material that is nowhere stated, a name that
-        is given twice, or a change that the room does not allow.
+        is given twice, a change that the room does not allow, or as `target_of`.
 
     Examples
     --------
     >>> import rtcal as rt
     >>> room, _ = rt.datasets.bras_cr2()
-    >>> variants = read_variants('''
+    >>> (variant,), target = read_variants('''
     ... [[variant]]
     ... name = "window open"
     ... [[variant.change]]
     ... open = "windows"
     ... area = 2
     ... ''', room)
-    >>> print(variants[0].changes[0])
-    open 2 m² of "windows"
+    >>> print(variant.changes[0], target)
+    open 2 m² of "windows" None
     """
     file = read(VariantsFile, toml_table(content))
     new = new_materials(file.material, room, catalogue)
@@ -688,7 +588,9 @@ def read_variants(
     if not variants:
         raise DataError("no [[variant]]; the file has at least one")
     refuse_repeated_names("variants", variants)
-    return tuple(variants)
+    stated = file.target
+    target = stated and target_of(stated, room.volume, room.centre_frequencies)
+    return tuple(variants), target
 
 
 def refuse_repeated_names(place: str, listed: Sequence[Variant | Treatment]) -> None:
@@ -696,12 +598,6 @@ def refuse_repeated_names(place: str, listed: Sequence[Variant | Treatment]) -> 
     names = [each.name for each in listed]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise DataError(f'{place} has "{twice}" twice; each has a name of its own')
-
-
-def read_target(content: str, room: Room) -> Target | None:
-    """Return the target of a TOML text of variants; None if it states none. Raises as `target_of`."""
-    stated = read(VariantsFile, toml_table(content)).target
-    return None if stated is None else target_of(stated, room.volume, room.centre_frequencies)
 
 
 def new_materials(
@@ -741,28 +637,12 @@ def _new_material(table: NewMaterial, room: Room, catalogue: Catalogue | None) -
 
 def _change(table: ChangeTable, room: Room, new: Mapping[str, Material]) -> Change:
     stated = {k: v for k, v in msgspec.structs.asdict(table).items() if v is not None}
-    kinds = [kind for kind in _TAKES if kind in stated]
-    if len(kinds) != 1:
-        raise DataError(f"a change has {len(kinds)} of {', '.join(_TAKES)}; it is one of them")
-    (kind,) = kinds
-    if extra := [key for key in stated if key not in (kind, *_TAKES[kind])]:
-        raise DataError(f"{kind} has {extra[0]}, which has no meaning there")
-    if kind == "air":
-        return Climate(air(table.air) or Air())
-    if kind == "volume":
-        return NewVolume(stated["volume"])
-    surface = _material_name(kind, stated[kind], room, new)
-    if kind == "remove":
-        return Remove(surface, table.area)
-    if kind == "open":
-        return Open(surface, table.area)
-    needed = "by" if kind == "cover" else "area"
-    if needed not in stated:
-        raise DataError(f"{kind} lacks {needed}")
-    if kind == "add":
-        return Add(new.get(surface, surface), stated["area"])
-    by = _material_name("by", stated["by"], room, new)
-    return Cover(surface, new.get(by, by), table.area)
+    Change(**stated | {"air": air(table.air)})  # its keys, before its materials
+    for key in ("cover", "remove", "open", "add", "by"):
+        if key in stated:
+            name = _material_name(key, stated[key], room, new)
+            stated[key] = new.get(name, name) if key in ("add", "by") else name
+    return Change(**stated | {"air": air(table.air)})
 
 
 MOST_COST = 1e9
@@ -827,13 +707,8 @@ class Treatment:
     def change(self, area: float) -> Change:
         """Return the change that puts so many m² of it into the room."""
         if self.covers is None:
-            return Add(self.material, area)
-        return Cover(self.covers, self.material, area)
-
-    @property
-    def material_name(self) -> str:
-        """The name of its material."""
-        return self.material if isinstance(self.material, str) else self.material.name
+            return Change(add=self.material, area=area)
+        return Change(cover=self.covers, by=self.material, area=area)
 
 
 def read_treatments(

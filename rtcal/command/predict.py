@@ -98,7 +98,7 @@ def predict(
 
     Example: rtcal predict room.toml t20.csv --change variants.toml
     """
-    from rtcal.acoustics.changes import read_target, read_variants
+    from rtcal.acoustics.changes import read_variants
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.datasets import catalogue
@@ -108,8 +108,9 @@ def predict(
     # What the file of variants states is checked before anything is calibrated.
     fitted = fitted_folder(room, measured)
     before = Room.from_file(room) if fitted is None else fitted.prior
-    variants = read_changes(change, lambda text: read_variants(text, before, catalogue.material))
-    target = read_changes(change, lambda text: read_target(text, before))
+    variants, target = read_changes(
+        change, lambda text: read_variants(text, before, catalogue.material)
+    )
     known: PositionsResult | Measurement | None = fitted
     if measured is not None and not means:
         known = heard_at_positions(before, measured)

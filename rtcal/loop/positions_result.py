@@ -39,10 +39,9 @@ from scipy.stats import chi2
 from rtcal.acoustics import bands
 from rtcal.acoustics.changes import (
     Change,
-    Climate,
-    Cover,
     Variant,
     changed,
+    name_of,
     refuse_repeated_names,
 )
 from rtcal.acoustics.marks import rms
@@ -149,13 +148,13 @@ class PositionsPrediction(Result):
 
     Examples
     --------
-    >>> from rtcal.prediction import Open
+    >>> from rtcal.prediction import Change
     >>> room = Room(name="box", volume=60, materials=["plaster"], areas=[94], alpha=[[0.2]],
     ...             sigma=[[0.04]], centre_frequencies=[1000])
     >>> t = np.log([[[0.5], [0.5]]])  # one pair and the mean
     >>> found = PositionsPrediction(
-    ...     name="window", changes=(Open("plaster", 2.0),), before=room, simulator="a simulator",
-    ...     parameters=("t20",), pairs=(("S1", "R1"),), simulated_before=t + 0.1, middle=t,
+    ...     name="window", changes=(Change(open="plaster", area=2.0),), before=room,
+    ...     simulator="a simulator", parameters=("t20",), pairs=(("S1", "R1"),), simulated_before=t + 0.1, middle=t,
     ...     sigma=0 * t + 0.05, uncalibrated_sigma=0 * t + 0.2,
     ...     low=t - 0.08, high=t + 0.08, sampled=t > 1,
     ...     shares={"alpha of what stays": np.ones((1, 1))})
@@ -550,7 +549,7 @@ class ChangedRoom:
 
     def __post_init__(self) -> None:
         for change in self.changes:
-            if not isinstance(change, Cover | Climate):
+            if change.kind not in ("cover", "open", "air"):
                 raise DataError(
                     f"{change}: a simulator does not know where; state the changed room's own mesh, or "
                     "predict T by an equation"
@@ -578,10 +577,9 @@ class ChangedRoom:
         mixture = np.eye(self.before.n_materials, len(self.materials))
         moves = []
         for change in self.changes:
-            if not isinstance(change, Cover):
+            if change.surface is None:
                 continue
-            name = change.by if isinstance(change.by, str) else change.by.name
-            old, new = self.materials.index(change.surface), self.materials.index(name)
+            old, new = map(self.materials.index, (change.surface, name_of(change.material)))
             has = float(self.before.areas @ mixture[:, old])
             share = 1.0 if change.area is None else min(change.area / has, 1.0)
             moved = share * mixture[:, old]
@@ -953,7 +951,7 @@ def predict_positions(
     Examples
     --------
     >>> import rtcal as rt
-    >>> from rtcal.prediction import Cover, Open
+    >>> from rtcal.prediction import Change
     >>> room = rt.Room(name="box", volume=60, materials=["plaster"], areas=[94], alpha=[[0.2]],
     ...                sigma=[[0.04]], centre_frequencies=[1000], air=rt.Air(20, 50),
     ...                scattering=[[0.5]])
@@ -965,8 +963,8 @@ def predict_positions(
     >>> result = rt.calibrate_positions(tracer, room, measured, ("t20", "c80"), more_paths=1)
     >>> panel = rt.Material("panel", [0.8], [0.1])
     >>> after = predict_positions(
-    ...     result, [Variant("panels", (Cover("plaster", panel, 15),)),
-    ...              Variant("window", (Open("plaster", 2),))], wanted=("t20", "c80"))
+    ...     result, [Variant("panels", (Change(cover="plaster", by=panel, area=15),)),
+    ...              Variant("window", (Change(open="plaster", area=2),))], wanted=("t20", "c80"))
     >>> for prediction in after.predictions:
     ...     low, high = prediction.interval("t20")
     ...     print(prediction.name, bool((low < high).all()), bool((prediction.change("c80") > 0).all()))

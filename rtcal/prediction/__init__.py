@@ -6,12 +6,7 @@ from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.acoustics.changed_time import KnownRoom as KnownRoom
-    from rtcal.acoustics.changes import Add as Add
-    from rtcal.acoustics.changes import Climate as Climate
-    from rtcal.acoustics.changes import Cover as Cover
-    from rtcal.acoustics.changes import NewVolume as NewVolume
-    from rtcal.acoustics.changes import Open as Open
-    from rtcal.acoustics.changes import Remove as Remove
+    from rtcal.acoustics.changes import Change as Change
     from rtcal.acoustics.changes import Treatment as Treatment
     from rtcal.acoustics.changes import Variant as Variant
     from rtcal.acoustics.changes import changed as changed

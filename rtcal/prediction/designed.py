@@ -24,7 +24,7 @@ from scipy.special import ndtri
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.changed_time import KnownRoom
-from rtcal.acoustics.changes import Treatment, check_treatments
+from rtcal.acoustics.changes import Treatment, check_treatments, name_of
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.targets import Target
@@ -361,7 +361,7 @@ class DesignModel:
 
         def what(j: int) -> tuple[object, ...]:
             t = self.treatments[j]
-            return t.cost, t.largest, t.unit or 0.0, t.covers or "", t.material_name, t.name
+            return t.cost, t.largest, t.unit or 0.0, t.covers or "", name_of(t.material), t.name
 
         return np.array(sorted(range(len(self.treatments)), key=what))
 
@@ -500,7 +500,7 @@ class Design(Result):
             "treatments": [
                 {
                     "name": t.name,
-                    "material": t.material_name,
+                    "material": name_of(t.material),
                     "covers": t.covers or "",
                     "area": area,
                     "largest": t.largest,

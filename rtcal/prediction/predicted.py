@@ -381,7 +381,7 @@ def predict(
     >>> room, measured = rt.datasets.bras_cr2()
     >>> result = rt.calibrate(room, measured)
     >>> panel = rt.Material("panel", [0.2, 0.6, 0.9, 0.9, 0.9, 0.9], [0.1] * 6)
-    >>> after = predict(result, rt.prediction.Cover("ceiling", panel, 20))
+    >>> after = predict(result, rt.prediction.Change(cover="ceiling", by=panel, area=20))
     >>> low, high = after.interval
     >>> print(bool((low < after.mean).all() and (after.mean < high).all()))
     True
@@ -504,9 +504,9 @@ def compare(
     Examples
     --------
     >>> import rtcal as rt
-    >>> from rtcal.prediction import Open, Variant
+    >>> from rtcal.prediction import Change, Variant
     >>> result = rt.calibrate(*rt.datasets.bras_cr2())
-    >>> compare(result, [Variant("window open", (Open("windows", 2.0),))])
+    >>> compare(result, [Variant("window open", (Change(open="windows", area=2.0),))])
     <Predictions: window open>
     """
     refuse_repeated_names("variants", variants)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.prediction import Design, Open, Target, Treatment, Variant, compare
+from rtcal.prediction import Change, Design, Target, Treatment, Variant, compare
 from rtcal.report import figures, pages
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
@@ -27,8 +27,8 @@ def result():
 def folder(result, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("variants")
     variants = [
-        Variant("window open", (Open("windows", 2.0),)),
-        Variant(EVIL, (Open("windows", 4.0),)),
+        Variant("window open", (Change(open="windows", area=2.0),)),
+        Variant(EVIL, (Change(open="windows", area=4.0),)),
     ]
     compare(result, variants).save(path)
     return path
@@ -66,8 +66,8 @@ def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None
 
 def test_variants_have_cost_and_probability_of_a_target(result, tmp_path: Path) -> None:
     variants = [
-        Variant("two", (Open("windows", 2.0),), 100),
-        Variant("four", (Open("windows", 4.0),)),
+        Variant("two", (Change(open="windows", area=2.0),), 100),
+        Variant("four", (Change(open="windows", area=4.0),)),
     ]
     target = Target([0.5] * 6, [1.1] * 6)
     found = compare(result, variants, target=target)
@@ -95,7 +95,7 @@ def test_a_designs_page_compares_designs_of_other_probabilities(designed) -> Non
 
 
 def test_the_interval_is_drawn_where_it_is(result) -> None:
-    variant = result.predict(Open("windows", 2.0), name="open")
+    variant = result.predict(Change(open="windows", area=2.0), name="open")
     low, high = variant.interval
     f = variant.after.centre_frequencies
     drawn = figures.predicted_times(

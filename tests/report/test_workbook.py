@@ -45,7 +45,7 @@ def test_a_loop_has_its_bands_and_what_was_simulated(loop_result, tmp_path) -> N
 
 def test_sheets_of_one_title_are_kept_apart(tmp_path) -> None:
     room = rt.datasets.bras_cr2()[0]
-    window = rt.prediction.Open("windows", 2.0)
+    window = rt.prediction.Change(open="windows", area=2.0)
     found = rt.prediction.predict(rt.calibrate(*rt.datasets.bras_cr2()), window)
     names = list(pages.sheets(pages.blocks_of(found)))
     assert len({name.casefold()[:31] for name in names}) == len(names) > 2

@@ -13,7 +13,7 @@ import rtcal as rt
 from rtcal.acoustics.changes import Variant
 from rtcal.command.main import cli
 from rtcal.loop import ControlRuns, PositionsPredictions, PositionsResult, predict_positions
-from rtcal.prediction import Add, Climate, Cover, Open
+from rtcal.prediction import Change
 from rtcal.prediction.words import ALIKE, CHANGED_ALONE, PLACES, SIZES
 from rtcal.report import pages
 from rtcal.simulators import PathTracing, Polyhedron
@@ -73,12 +73,16 @@ def result(measured):
     return rt.calibrate_positions(tracing(a_room()), a_room(), measured, match)
 
 
-HALF = Variant("half the tiles", (Cover("tiles", PANEL, SIZE[0] * SIZE[1] / 2),))
+HALF = Variant("half the tiles", (Change(cover="tiles", by=PANEL, area=SIZE[0] * SIZE[1] / 2),))
 
 
 @pytest.fixture(scope="module")
 def predicted(result) -> PositionsPredictions:
-    variants = [HALF, Variant("window", (Open("plaster", 3.0),)), Variant("nothing", ())]
+    variants = [
+        HALF,
+        Variant("window", (Change(open="plaster", area=3.0),)),
+        Variant("nothing", ()),
+    ]
     return predict_positions(result, variants)
 
 
@@ -180,7 +184,7 @@ def small() -> PositionsResult:
 
 def test_a_change_without_a_place_is_refused(small) -> None:
     with pytest.raises(DataError, match='add 3 m² of "panel": a simulator does not know where'):
-        small.predict(Add(PANEL, 3))
+        small.predict(Change(add=PANEL, area=3))
 
 
 def test_what_can_be_checked_is_refused_before_anything_is_simulated(small) -> None:
@@ -188,8 +192,11 @@ def test_what_can_be_checked_is_refused_before_anything_is_simulated(small) -> N
         raise AssertionError("a control run was simulated")
 
     for change, said in (
-        (Cover("tiles", PANEL, 50), 'cover 50 m² of "tiles" by "panel": area = 50 m² is more than'),
-        (Open("door"), '"door" is no material'),
+        (
+            Change(cover="tiles", by=PANEL, area=50),
+            'cover 50 m² of "tiles" by "panel": area = 50 m² is more than',
+        ),
+        (Change(open="door"), '"door" is no material'),
     ):
         with pytest.raises(DataError, match=said):
             predict_positions(small, [HALF, Variant("wrong", (change,))], progress=told)
@@ -211,7 +218,7 @@ def test_the_command_refuses_a_change_before_it_calibrates(tmp_path: Path) -> No
 
 @pytest.mark.long
 def test_another_climate_is_the_room_in_other_air(result) -> None:
-    dry = result.predict(Climate(rt.Air(20, 20)), wanted=("t20",))
+    dry = result.predict(Change(air=rt.Air(20, 20)), wanted=("t20",))
     assert (dry.change("t20")[-1] < 0).all()  # the room states no air: it takes nothing
 
 

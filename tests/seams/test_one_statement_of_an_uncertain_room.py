@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.prediction import Climate, Prediction
+from rtcal.prediction import Change, Prediction
 from rtcal.simulators.external import EquationSimulator
 
 STATED = {"volume_sigma": 0.08, "area_sigma": 0.05}
@@ -36,7 +36,7 @@ def test_a_loop_takes_it_as_exact_and_does_not_push_the_target(room: rt.Room) ->
 
 def test_a_predicted_change_hardly_depends_on_it(room: rt.Room) -> None:
     """T before is known, so that a volume, and an error common to all areas, cancel in the change."""
-    change = Climate(rt.Air(25, 30))
+    change = Change(air=rt.Air(25, 30))
     usual, *others = (
         rt.calibrate(room.replace(**more), measured(room)).predict(change)
         for more in ({}, {"volume_sigma": 0.03, "area_sigma": 0.03}, {"volume_sigma": 0.08}, STATED)

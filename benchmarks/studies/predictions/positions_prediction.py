@@ -24,7 +24,7 @@ from benchmarks.studies.position_rooms import parameters, rooms, shapes
 from benchmarks.studies.position_rooms.tracer import Scene, trace
 from rtcal.acoustics.observables import observable
 from rtcal.loop.positions_result import PositionsPrediction, predict_positions
-from rtcal.prediction import Cover, Variant
+from rtcal.prediction import Change, Variant
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.base import observe
 from rtcal.support.types import Array
@@ -80,7 +80,7 @@ def world(part: str, index: int) -> World:
                 alpha[w + 6] = true_panel
             material = rt.Material("panel", panel.tolist(), [_SPREAD] * len(BANDS))
             area = None if whole else float(shares[w] * areas[w])
-            covers.append(Cover(f"surface {w + 1}", material, area))
+            covers.append(Change(cover=f"surface {w + 1}", by=material, area=area))
         column[n + 1] = alpha
         variants.append(Variant(f"change {n + 1}", tuple(covers)))
     n_states = len(column)

@@ -27,9 +27,10 @@ from benchmarks.studies.means.real_data import (
     ptb_measured,
     ptb_room,
 )
+from rtcal import prediction as rp
 from rtcal.acoustics.changes import placed
 from rtcal.calibration.measured import times_in_room
-from rtcal.prediction import Assumptions, Cover, Prediction, predict
+from rtcal.prediction import Assumptions, Prediction, predict
 from rtcal.support.types import Array
 
 Z = 1.6449
@@ -430,7 +431,7 @@ def prediction_of(change: Change, t: Array, named: bool) -> Prediction:
     room = room_of(change, named)
     panel = rt.Material("panel", change.panel_stated.tolist(), [change.panel_sigma] * 6)
     covers = [
-        Cover(name, panel, None if share == 1 else float(share * area))
+        rp.Change(cover=name, by=panel, area=None if share == 1 else float(share * area))
         for name, share, area in zip(room.materials, change.shares, change.areas, strict=True)
         if share > 0
     ]
