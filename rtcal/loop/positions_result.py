@@ -154,7 +154,8 @@ class PositionsPrediction(Result):
     >>> t = np.log([[[0.5], [0.5]]])  # one pair and the mean
     >>> found = PositionsPrediction(
     ...     name="window", changes=(Change(open="plaster", area=2.0),), before=room,
-    ...     simulator="a simulator", parameters=("t20",), pairs=(("S1", "R1"),), simulated_before=t + 0.1, middle=t,
+    ...     simulator="a simulator",
+    ...     parameters=("t20",), pairs=(("S1", "R1"),), simulated_before=t + 0.1, middle=t,
     ...     sigma=0 * t + 0.05, uncalibrated_sigma=0 * t + 0.2,
     ...     low=t - 0.08, high=t + 0.08, sampled=t > 1,
     ...     shares={"alpha of what stays": np.ones((1, 1))})
