@@ -179,7 +179,7 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "Simulator": simulator,
         "EquationSimulator": simulator,
         "Loop": loop,
-        "LoopResult": rt.calibrate_simulator(simulator, room, measured),
+        "Loop of a simulator": rt.calibrate_simulator(simulator, room, measured),
         "CalibrationProblem": CalibrationProblem(calibration, room, rt.Eyring()),
         "Posterior": distribution(result),
         "Calibrated": result,

@@ -137,7 +137,7 @@ def measured_loop() -> Any:
         run=lambda alpha, seed: 1.2 * rt.Eyring().time(room, room.areas @ alpha),
     )
     measured = rt.Measurement.from_values(bands, t20=np.full(16, 0.6))
-    return rt.calibrate_simulator(program, room, measured).loop
+    return rt.calibrate_simulator(program, room, measured)
 
 
 def test_every_picture_of_the_pages_has_words() -> None:

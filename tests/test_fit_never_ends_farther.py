@@ -287,7 +287,7 @@ def test_no_loop_ends_farther_than_the_stated_coefficients(name, factor):
     assert end <= 1
     if factor == 1:
         np.testing.assert_allclose(result.alpha, ALPHA, atol=1e-6)
-        assert len(result.loop.steps) == 1
+        assert len(result.steps) == 1
 
 
 def test_bands_that_depend_on_each_other_end_no_farther_than_a_step():

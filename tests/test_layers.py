@@ -189,7 +189,7 @@ def test_every_public_name_is_reached_by_attribute_alone() -> None:
         "rtcal.datasets.catalogue",
         "rtcal.datasets.halls",
         "rtcal.io.catt",
-        "rtcal.loop.LoopResult",
+        "rtcal.loop.Loop",
         "rtcal.posterior",
         "rtcal.report.figures",
     } <= set(public)

@@ -44,10 +44,10 @@ def test_all_calls_are_counted_and_none_is_beyond_the_limit(cr2, limit, determin
         simulator(program, deterministic=deterministic), room, measured, max_simulations=limit
     )
     assert result.simulations == len(program.calls) <= limit
-    assert len(result.loop.steps) >= max(limit - 1, 1)
+    assert len(result.steps) >= max(limit - 1, 1)
     if limit >= 5:
-        assert len(set(result.loop.best.tolist())) > 1
-        assert np.array_equal(program.calls[-1][0], result.loop.best_alpha)
+        assert len(set(result.best.tolist())) > 1
+        assert np.array_equal(program.calls[-1][0], result.best_alpha)
         assert any(np.array_equal(alpha, result.alpha) for alpha, _ in program.calls)
 
 
@@ -147,5 +147,5 @@ def test_a_band_without_t20_is_simulated_again_within_the_limit(cr2):
         program = Program(room, times)
         result = rt.calibrate_simulator(simulator(program), room, measured, max_simulations=limit)
         assert result.simulations == len(program.calls) <= limit
-        seen.add(result.simulations - len(result.loop.steps))
+        seen.add(result.simulations - len(result.steps))
     assert max(seen) >= 1  # steps that needed a second call

@@ -1,5 +1,7 @@
 """The closed loop's arithmetic by hand: rules, goals, statuses, limits, next targets."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -146,6 +148,11 @@ def test_the_goal_decides_what_is_converged(cr2):
     assert moved.tolist() == [True, True, True, True, True, False]
 
 
+def t20_alone(times):
+    """The measured T20 alone is matched."""
+    return Matched(measured={"t20": times}, shares={"t20": np.ones(len(times))})
+
+
 def loop_of(targets, simulated, wanted=(2.0,), alpha=None, room=None, **fields):
     """A loop after steps with these targets and T in s, one row per step and one column per band."""
     targets, simulated = np.array(targets, dtype=float), np.array(simulated, dtype=float)
@@ -153,9 +160,9 @@ def loop_of(targets, simulated, wanted=(2.0,), alpha=None, room=None, **fields):
     if alpha is None:
         alpha = np.broadcast_to(room.alpha, (len(targets), *room.alpha.shape))
     return rt.loop.Loop(
-        room=room,
-        matched=Matched.time(np.array(wanted), "T20"),
-        measured="",
+        prior=room,
+        matched=t20_alone(np.array(wanted)),
+        data="",
         rule="safeguarded",
         equation=rt.Sabine(speed_of_sound=343),
         steps=tuple(
@@ -205,7 +212,7 @@ def test_targets_keep_a_thousandth_from_the_bounds(room, equation, areas):
 
 
 def vars_of(loop):
-    return {n: getattr(loop, n) for n in ("room", "matched", "measured", "rule")}
+    return {n: getattr(loop, n) for n in ("prior", "matched", "data", "rule")}
 
 
 def status(gap, target=1.0, **fields):
@@ -246,13 +253,15 @@ def test_a_confirmation_is_within_tolerance_and_noise(cr2):
 
     loop = loop.record(loop.next_alpha, means([0.0, 0.0, 0.0, 0.0, 0.0, 9.0], np.zeros(6)))
     yes, no = "converged", "not confirmed"
-    assert loop.confirmed(
-        means([0.99, 1.29, 1.31, -1.31, 0.0, 9.0], [0.0, 0.3, 0.3, 0.3, 0.99, 0.0])
-    ) == (
+
+    def confirmed(gap, noise):
+        return replace(loop, confirmation=means(gap, noise)).status
+
+    assert confirmed([0.99, 1.29, 1.31, -1.31, 0.0, 9.0], [0.0, 0.3, 0.3, 0.3, 0.99, 0.0]) == (
         *(yes, yes, no, no, yes),
         "not converging",
     )
-    assert loop.confirmed(means([0.0] * 6, [1.01, NAN, 0, 0, 0, 0]))[:3] == (no, no, yes)
+    assert confirmed([0.0] * 6, [1.01, NAN, 0, 0, 0, 0])[:3] == (no, no, yes)
 
 
 def test_a_band_is_stuck_that_has_one_time_for_three_coefficients():
@@ -316,7 +325,7 @@ def measurement(**changes):
 
 
 def test_noise_of_a_mean_is_that_of_independent_pairs():
-    t20 = Matched.time(np.ones(2), "T20")
+    t20 = t20_alone(np.ones(2))
     assert t20.noise(measurement()) == pytest.approx([0.0, 0.0])
     stated = measurement(uncertainty={"t20": [[0.3, 0.6], [0.4, NAN]]})
     assert t20.noise(stated) == pytest.approx([0.25, NAN], nan_ok=True)

@@ -346,7 +346,7 @@ def report(result: str, out: str | None, heading: Heading) -> None:
     """Write RESULT as one HTML page: summary, doubts, tables, figures; or its tables as a workbook.
 
     RESULT is the folder of `rtcal calibrate`, `fit`, `find`, `predict` or `design --out`, its
-    result.json, the state of an `rtcal loop`, or the file of `LoopResult.save`. The page needs no
+    result.json, the state of an `rtcal loop`, or the file of `Loop.save`. The page needs no
     network and no other file. It can be printed.
 
     \b

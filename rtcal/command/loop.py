@@ -90,7 +90,7 @@ def start(
     closed.write(begun, state, out)
     beyond = [f"{band} (the nearest is taken)" for band in first.unreachable]
     parameters = [
-        parameter_label(p) for p in sorted(set(times_in_room(begun.room, data).parameter)) if p
+        parameter_label(p) for p in sorted(set(times_in_room(begun.prior, data).parameter)) if p
     ]
     record = {
         "state": state,
@@ -131,50 +131,16 @@ def next_(room: str, simulated: str, state: str, out: str, again: bool) -> None:
     Example: rtcal loop next room.toml simulated.csv \\
         --state loop.json --out next.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    from rtcal.acoustics import bands
-    from rtcal.acoustics.marks import explained
     from rtcal.acoustics.room import Room
     from rtcal.loop import closed
     from rtcal.loop.closed import Loop
-    from rtcal.loop.measured_pairs import sentences
-    from rtcal.report.of_loop import other_rows, statuses
-    from rtcal.support import blocks, text
-    from rtcal.support.blocks import Table
 
     spare([state, out], [room, simulated])
     before = Loop.load(state, Room.from_file(room))
     after = closed.record(before, simulated, state, out, again=again)
     closed.write(after, state, out)
-    finished, frequencies, shown = after.finished, after.room.centre_frequencies, statuses(after)
-    rows = [
-        (bands.label(frequency), [text.number(wanted, ".2f"), text.number(gap, "+.2f"), status])
-        for frequency, wanted, gap, status in zip(
-            frequencies, after.wanted, after.gap, shown, strict=True
-        )
-    ]
-    header = [
-        ("", ["T wanted", "gap of the nearest run", ""]),
-        ("", ["/ s", "(simulated - wanted) / JND", "status"]),
-    ]
-    lines = text.table(rows, header=header)
-    if more := other_rows(after):
-        lines += ["", *blocks.lines([Table(bands.labels(frequencies), more)])]
-    for sentence in sentences(after.gaps_beside, frequencies):
-        lines += text.wrapped(sentence)
-    lines += explained(after.trust_marks)
-    lines.append(closed.conclusion(after, out) if finished else _next_step(out))
-    record = {
-        "finished": finished,
-        "state": state,
-        "simulate": out,
-        "centre_frequencies": frequencies,
-        "gap_jnd": after.gap,
-        "status": shown,
-        "beside": {row.name: row.values for row in more},
-        "farther": after.farther,
-        "trust_marks": [vars(mark) for mark in after.trust_marks],
-    }
-    tell("\n".join(lines), record)
+    end = closed.conclusion(after, out) if after.finished else _next_step(out)
+    tell(f"{after}\n{end}", {"state": state, "simulate": out, **after.to_dict()})
 
 
 @loop.command(short_help="Take the last step back.")

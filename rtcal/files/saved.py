@@ -104,7 +104,7 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     Returns
     -------
-    CalibrationResult, JointResult, LoopResult, PositionsResult, Finding, Verification or another
+    CalibrationResult, JointResult, Loop, PositionsResult, Finding, Verification or another
         It prints the same as the one that was saved.
 
     Raises

@@ -7,7 +7,6 @@ from rtcal import support
 if TYPE_CHECKING:
     from rtcal.loop.closed import STATUSES as STATUSES
     from rtcal.loop.closed import Loop as Loop
-    from rtcal.loop.closed import LoopResult as LoopResult
     from rtcal.loop.closed import Step as Step
     from rtcal.loop.closed import start as start
     from rtcal.loop.control_runs import ControlRuns as ControlRuns

@@ -22,7 +22,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -30,7 +30,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.bands import label, labels, notes, span
+from rtcal.acoustics.bands import label, labels, span
+from rtcal.acoustics.bands import notes as notes_of_bands
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.marks import TrustMark, explained, gap_jnd, in_room, of_row, rms
 from rtcal.acoustics.measurement import MAX_BYTES, Measurement
@@ -41,7 +42,7 @@ from rtcal.calibration.measured import data_history, tell_data, times_in_room
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
-from rtcal.files.disk import json_numbers, read_text, write_all
+from rtcal.files.disk import read_text, write_all
 from rtcal.files.saved import NOT_SAVED, Result, load
 from rtcal.loop import rules
 from rtcal.loop.measured_pairs import (
@@ -58,7 +59,7 @@ from rtcal.loop.rules import RULES, Rule
 from rtcal.modes.calibrate import ModesResult, above_schroeder, of_room
 from rtcal.simulators.base import Simulator, at_places, check_alpha, check_fits, lost_paths, run
 from rtcal.support import blocks, checks, text
-from rtcal.support.blocks import Block, Note, Table
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError, OtherBandsWarning, RtcalError, SimulatorError
 from rtcal.support.text import as_sentence, shortened
 from rtcal.support.types import Array, read_only
@@ -90,12 +91,6 @@ class Matched:
             values = {p: read_only(v) for p, v in getattr(self, name).items()}
             object.__setattr__(self, name, values)
 
-    @classmethod
-    def time(cls, measured: Array, time_label: str) -> Matched:
-        """Return that the reverberation time alone is matched."""
-        shares = {TARGET.key: np.ones(len(measured))}
-        return cls(measured={TARGET.key: measured}, shares=shares, time_label=time_label)
-
     @property
     def label(self) -> str:
         """The matched parameters, in words."""
@@ -121,7 +116,6 @@ class Matched:
 
         T20 and EDT come from the same paths. Their errors are added, which no correlation exceeds.
         """
-        checks.instance("measurement", measurement, Measurement)
         time = self.combined(measurement.mean)
         total = np.zeros(len(time))
         for parameter, share in self.shares.items():
@@ -130,49 +124,6 @@ class Matched:
             part = share * error * (time / measurement.mean(parameter))
             total = total + np.where(share > 0, part, 0.0)
         return total
-
-    def gives(self, measurement: Measurement, times: Array) -> bool:
-        """Return whether a measurement has exactly these times in s, (n_bands,)."""
-        if len(measurement.centre_frequencies) != len(times):
-            return False
-        return np.array_equal(self.combined(measurement.mean), times, equal_nan=True)
-
-    def gap(self, measurement: Measurement) -> Array:
-        """Return the gap of the compromise in JND, (n_bands,)."""
-        return gap_jnd(self.combined(measurement.mean), self.wanted)
-
-    def compromise(
-        self, before: Callable[[str], Array], after: Callable[[str], Array]
-    ) -> dict[str, ParameterGap]:
-        """Return the gaps of each parameter in two simulations, and what the compromise cost it.
-
-        ``before`` and ``after`` give the mean (n_bands,) of a parameter.
-        """
-        left = gap_jnd(self.combined(after), self.wanted)
-        found = {}
-        for parameter, share in self.shares.items():
-            first, last = (
-                gap_jnd(mean(parameter), self.measured[parameter], parameter)
-                for mean in (before, after)
-            )
-            lost = np.maximum(np.abs(last) - np.abs(left), 0.0)
-            found[parameter] = ParameterGap(share, first, last, lost)
-        return found
-
-
-@dataclass(frozen=True, eq=False)
-class ParameterGap:
-    """The gaps of a parameter in a compromise, each (n_bands,).
-
-    ``share`` is its weight over the sum of the weights. ``before`` and ``after`` are its gaps in JND
-    with the equation's coefficients and with those returned. ``lost`` is by how many JND its gap
-    exceeds that of the weighted mean: what it gave up for the others. Matched alone, it is 0.
-    """
-
-    share: Array
-    before: Array
-    after: Array
-    lost: Array
 
 
 def matched_times(
@@ -186,52 +137,34 @@ def matched_times(
         For a weight that is no number of at least 0, or of another parameter. Also if all
         weights of a band are 0, or the measurement lacks a parameter that has a weight.
     """
-    if weights is None:
-        return Matched.time(t20, measured.time_label)
-    stated = checks.mapped("weights", weights)
-    if unknown := [name for name in stated if name not in PARAMETERS]:
-        raise DataError(
-            f"weights has {checks.shown(unknown[0])}, which is not one of {', '.join(PARAMETERS)}"
-        )
-    frequencies = room.centre_frequencies
-    by_parameter = {}
-    for p in PARAMETERS:
-        place, weight = f"weights[{p!r}]", checks.array(f"weights[{p!r}]", stated.get(p, 0.0))
-        if weight.shape not in ((), frequencies.shape):
-            raise DataError(
-                f"{place} has shape {weight.shape}; one number, or one per band, is needed: "
-                f"({len(frequencies)},)"
-            )
-        by_parameter[p] = weight = np.broadcast_to(weight, frequencies.shape)
-        if (bad := ~(np.isfinite(weight) & (weight >= 0))).any():
-            k = int(np.argmax(bad))
-            raise DataError(
-                f"{place} at {label(frequencies[k])} = {weight[k]:g} is not a finite number of at "
-                "least 0"
-            )
-    largest = np.max(list(by_parameter.values()), axis=0)
-    by_parameter = {
-        p: np.divide(w, largest, out=np.zeros_like(w), where=largest > 0)
-        for p, w in by_parameter.items()
-    }  # so that their sum is finite, and none is too small to count
-    total = np.sum(list(by_parameter.values()), axis=0)
-    if (total == 0).any():
-        band = label(frequencies[int(np.argmin(total))])
-        raise DataError(f"weights are 0 for every parameter at {band}: nothing is matched there")
-    in_room = measured.in_bands(frequencies)
-    times = {TARGET.key: t20, EARLY.key: in_room.mean(EARLY.key)}
-    anything = np.isfinite(t20) | np.isfinite(times[EARLY.key])
-    for parameter, weight in by_parameter.items():
-        lacking = np.isnan(times[parameter]) & (weight > 0) & anything
-        if lacking.any():
-            raise DataError(
-                f"weights[{parameter!r}] is above 0 at {label(frequencies[int(np.argmax(lacking))])}, "
-                f"where the measurement has no {parameter_label(parameter)}"
-            )
-    kept = [p for p in PARAMETERS if p == TARGET.key or by_parameter[p].any()]
+    stated = {TARGET.key: 1.0} if weights is None else checks.mapped("weights", weights)
+    for name in stated:
+        checks.choice("weights: a parameter", name, PARAMETERS)
+    edt = measured.in_bands(room.centre_frequencies).mean(EARLY.key)
+    times, weight = {TARGET.key: t20, EARLY.key: edt}, np.zeros((len(PARAMETERS), room.n_bands))
+    names = labels(room.centre_frequencies)
+
+    def refuse(place: str, bad: NDArray[np.bool_], why: str) -> None:
+        if bad.any():
+            raise DataError(f"{place} at {names[int(np.argmax(bad))]} {why}")
+
+    for p, row in zip(PARAMETERS, weight, strict=True):
+        place, of_bands = f"weights[{p!r}]", checks.array(f"weights[{p!r}]", stated.get(p, 0.0))
+        if of_bands.shape not in ((), row.shape):
+            raise DataError(f"{place} has shape {of_bands.shape}; it is one number or {row.shape}")
+        row[:] = of_bands
+        refuse(place, ~(np.isfinite(row) & (row >= 0)), "is not a finite number of at least 0")
+        lacking = (row > 0) & np.isnan(times[p]) & (np.isfinite(t20) | np.isfinite(edt))
+        if weights is not None:
+            refuse(place, lacking, f"is above 0, and the measurement has no {parameter_label(p)}")
+    largest = weight.max(axis=0)
+    refuse("weights are 0 for every parameter", largest == 0, ": nothing is matched there")
+    weight /= largest  # so that their sum is finite, and none is too small to count
+    shares = dict(zip(PARAMETERS, weight / weight.sum(axis=0), strict=True))
+    kept = [p for p in PARAMETERS if p == TARGET.key or shares[p].any()]
     return Matched(
         measured={p: times[p] for p in kept},
-        shares={p: by_parameter[p] / total for p in kept},
+        shares={p: shares[p] for p in kept},
         time_label=measured.time_label,
     )
 
@@ -245,7 +178,7 @@ STATUSES = (
     "not converging",
     "not confirmed",
 )
-"""Status of a band. Only a `LoopResult` has the last one: the loop itself has no confirmation."""
+"""Status of a band; the last one is that of a simulation with another seed."""
 LEFT_ALONE = STATUSES[:4]
 """Statuses of bands of which the loop asks nothing more."""
 MAX_DECIMALS = 12
@@ -302,20 +235,39 @@ class Step:
         object.__setattr__(self, "means", means)
 
 
+@dataclass(frozen=True, eq=False)
+class ParameterGap:
+    """The gaps of a parameter in a compromise, each (n_bands,).
+
+    ``share`` is its weight over the sum of the weights. ``before`` and ``after`` are its gaps in JND.
+    ``lost`` is by how many JND its gap exceeds that of the weighted mean: what it gave up for the
+    others. Matched alone, it is 0.
+    """
+
+    share: Array
+    before: Array
+    after: Array
+    lost: Array
+
+
+_STRONGEST_SHADE = 5.0  # JND
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Loop(Result):
-    """A closed loop between two simulations.
+    """A closed loop: its simulations so far, what to simulate next, and what came of it.
 
     A loop does not change: `record` returns the loop after a simulation. `start` returns a new
     loop. `save`, given a file's name, and `load` keep it between two runs of a program.
+    `rtcal.calibrate_simulator` returns the loop with the simulations that judge it.
 
     Attributes
     ----------
-    room : Room
+    prior : Room
         Its alpha and sigma are the prior.
     matched : Matched
         What is matched: the measured T20, or its compromise with EDT.
-    measured : str
+    data : str
         Fingerprints of the data, for the record of the calibrated room.
     rule : {"secant", "safeguarded"}
         See `rtcal.loop.rules`.
@@ -332,7 +284,24 @@ class Loop(Result):
     beside : dict of parameter to array (n_bands,)
         Measured means of what is shown and not matched.
     low : ModesResult, optional
-        What room modes tell of the bands below the Schroeder frequency.
+        Result of the room modes for the bands below the Schroeder frequency.
+    simulator : str
+        Name of the simulator that Python called; "" for a program that is run by hand. The
+        coefficients belong to no other.
+    simulations : int
+        Number of all calls of the simulator.
+    returned : array (n_materials, n_bands), optional
+        Coefficients of a loop that is over; `alpha` has them.
+    before : Measurement, optional
+        Simulated with the stated coefficients. If some band has no T20 with them, or fewer than three
+        simulations were allowed, with those of the equation's calibration.
+    after : Measurement, optional
+        Simulated with the coefficients returned.
+    confirmation : Measurement, optional
+        Simulated with the coefficients returned and another seed. None for a deterministic
+        simulator, and if no band converged.
+    notes : tuple of str
+        What is to be known of data and simulations, such as paths that left through gaps of the mesh.
 
     Examples
     --------
@@ -345,11 +314,11 @@ class Loop(Result):
     <Loop "BRAS CR2, seminar room": 1 simulation, 0 of 6 bands converged>
     """
 
-    record_kind: ClassVar[str] = "loop"
+    record_kind: ClassVar[str] = "loop 2"
 
-    room: Room
+    prior: Room
     matched: Matched
-    measured: str
+    data: str
     rule: Rule
     method: str = "mle"
     equation: LinearEquation = field(default_factory=Eyring)
@@ -359,25 +328,23 @@ class Loop(Result):
     bent: tuple[TrustMark, ...] = ()
     beside: Mapping[str, Array] = field(default_factory=dict)
     low: ModesResult | None = None
+    simulator: str = ""
+    simulations: int = 0
+    returned: Array | None = None
+    before: Measurement | None = None
+    after: Measurement | None = None
+    confirmation: Measurement | None = None
+    notes: tuple[str, ...] = ()
     _problems: list[CalibrationProblem[CalibrationResult]] = field(
         default_factory=list, metadata=NOT_SAVED
     )
 
     def __post_init__(self) -> None:
-        if not isinstance(self.rule, str) or self.rule not in RULES:
-            raise DataError(f'rule = "{self.rule}" is not one of {", ".join(RULES)}')
+        checks.choice("rule", self.rule, RULES)
         preset(self.method)
         if self.decimals is not None and checks.whole("decimals", self.decimals, 1) > MAX_DECIMALS:
             raise DataError(f"decimals = {self.decimals} is more than {MAX_DECIMALS}")
         checks.positive("tolerance", self.tolerance, "JND")
-
-    def __repr__(self) -> str:
-        n, measured = len(self.steps), np.isfinite(self.wanted).sum()
-        converged = self.status.count("converged") if self.steps else 0
-        return (
-            f'<Loop "{shortened(self.room.name)}": {n} simulation{"s" * (n != 1)}, {converged} of '
-            f"{measured} bands converged>"
-        )
 
     @cached_property
     def wanted(self) -> Array:
@@ -391,101 +358,42 @@ class Loop(Result):
         with the loops that `record` returns. Volume, areas and climate count as exact: else the
         coefficients would carry the share of each target that the loop tries.
         """
-        return self._problem().solve(target, unreachable="nearest", method=self.method)
+        return self._problem.solve(target, unreachable="nearest", method=self.method)
 
+    @property
     def _problem(self) -> CalibrationProblem[CalibrationResult]:
         if not self._problems:
-            room = self.room.as_exact
+            room = self.prior.as_exact
             self._problems.append(preset(self.method, room).build(room, self.equation))
         return self._problems[0]
 
+    # The steps, and each band's best one
+
     @property
-    def gap(self) -> Array:
-        """Gap of each band's best step in JND, (n_bands,), NaN without a measured T."""
-        return np.asarray(self._gaps[self.best, np.arange(self.room.n_bands)])
+    def _gaps(self) -> Array:
+        """Gap of every step in JND, (n_steps, n_bands)."""
+        if not self.steps:
+            raise DataError("the loop has no simulation yet, and so no gap")
+        return np.array([gap_jnd(step.simulated, self.wanted) for step in self.steps])
 
     @property
     def best(self) -> NDArray[np.int64]:
         """Number of the step with the smallest gap, per band, (n_bands,)."""
         return np.asarray(np.argmin(np.nan_to_num(np.abs(self._gaps), nan=np.inf), axis=0))
 
-    @property
-    def compromise(self) -> dict[str, ParameterGap]:
-        """Gaps of each matched parameter in the first and each band's best step, and what it lost."""
-        return self.matched.compromise(self.first, self.nearest)
-
-    @property
-    def gaps_beside(self) -> Gaps:
-        """Gaps of what is not matched in JND: in the first and each band's best step."""
-        return {
-            p: (gap_jnd(self.first(p), wanted, p), gap_jnd(self.nearest(p), wanted, p))
-            for p, wanted in self.beside.items()
-        }
-
-    @property
-    def farther(self) -> tuple[str, ...]:
-        """Parameters that are not matched and left what was measured by more than one JND."""
-        return left(self.gaps_beside)
-
-    def first(self, parameter: str) -> Array:
-        """Return a parameter's mean in the first simulation, (n_bands,), NaN where it has none."""
-        return np.asarray(self._means(parameter)[0])
-
-    def nearest(self, parameter: str) -> Array:
-        """Return a parameter's mean in each band's best simulation, (n_bands,)."""
-        return np.asarray(self._means(parameter)[self.best, np.arange(self.room.n_bands)])
-
-    def _means(self, parameter: str) -> Array:
-        checks.text("parameter", parameter)
-        if not self.steps:
-            raise DataError("the loop has no simulation yet, and so no means")
-        none = np.full(self.room.n_bands, np.nan)
-        return np.stack([step.means.get(parameter, none) for step in self.steps])
+    def _of_best(self, of_steps: Sequence[Array]) -> Array:
+        """Return of arrays (..., n_bands), one per step, each band's of its best step."""
+        return np.stack([of_steps[b][..., k] for k, b in enumerate(self.best)], axis=-1)
 
     @property
     def best_alpha(self) -> Array:
         """Coefficients of each band's best step, (n_materials, n_bands)."""
-        return np.stack([self.steps[b].alpha[:, k] for k, b in enumerate(self.best)], axis=1)
+        return self._of_best([step.alpha for step in self.steps])
 
     @property
     def best_target(self) -> Array:
         """Target T of each band's best step in s, (n_bands,)."""
-        return np.array([self.steps[b].target[k] for k, b in enumerate(self.best)])
-
-    @cached_property
-    def outcome(self) -> CalibrationResult:
-        """The equation's calibration to the targets of each band's best step."""
-        return self.calibrated(self.best_target)
-
-    @cached_property
-    def of_uncertain_room(self) -> CalibrationResult | None:
-        """The calibration to the targets of `outcome`, with the room as uncertain as it states.
-
-        Its coefficients leave their share to volume, areas and climate. The simulator, which
-        has the stated room, does not have the measured T with them. None for an exact room.
-        """
-        if not self.room.is_uncertain or not self.steps:
-            return None
-        problem = preset(self.method, self.room).build(self.room, self.equation)
-        return problem.solve(self.best_target, unreachable="nearest", method=self.method)
-
-    @property
-    def trust_marks(self) -> tuple[TrustMark, ...]:
-        """Likely typing errors, and bands of the `outcome` at a bound or against the prior (z over 2).
-
-        Also bands whose measured decay is bent, and those of `low` that no modes carry.
-        A simulator can be brought to almost any T: a small gap confirms nothing.
-        """
-        marks = [m for m in self.outcome.trust_marks if m.kind in ("at_bound", "implausible")]
-        label = self.matched.label.removeprefix("the ")
-        mistyped = of_row(self.room.centre_frequencies, self.wanted, label, " s")
-        return (
-            *mistyped,
-            *in_room(self.room),
-            *marks,
-            *self.bent,
-            *(self.low.loop_marks if self.low else ()),
-        )
+        return self._of_best([step.target for step in self.steps])
 
     @property
     def goal(self) -> Array:
@@ -498,12 +406,13 @@ class Loop(Result):
         return np.fmax(self.tolerance - noise, self.tolerance / 2)
 
     @property
-    def status(self) -> tuple[str, ...]:
+    def _status_of_steps(self) -> tuple[str, ...]:
         """Status of each band before a confirmation: one of `STATUSES`."""
+        gap = self._of_best(self._gaps)
         close = np.abs(np.log(self._target_without_t20 / self.best_target)) < _CLOSE_TARGETS
         (shortest, longest), target = self._target_limits, self.steps[-1].target
-        at_limit = ((self.gap < 0) & (target >= longest * (1 - _AT_LIMIT))) | (
-            (self.gap > 0) & (target <= shortest * (1 + _AT_LIMIT))
+        at_limit = ((gap < 0) & (target >= longest * (1 - _AT_LIMIT))) | (
+            (gap > 0) & (target <= shortest * (1 + _AT_LIMIT))
         )
         blocked = close | at_limit
         if len(last := self.steps[-_STUCK_STEPS:]) == _STUCK_STEPS:
@@ -511,7 +420,7 @@ class Loop(Result):
             same = np.diff([step.simulated for step in last], axis=0) == 0
             blocked |= changed.any(axis=1).all(axis=0) & same.all(axis=0)
         status = np.select(
-            [np.isnan(self.wanted), np.abs(self.gap) <= self.goal, blocked],
+            [np.isnan(self.wanted), np.abs(gap) <= self.goal, blocked],
             ["no measured T", "converged", "unreachable"],
             "not converging",
         )
@@ -523,19 +432,141 @@ class Loop(Result):
     @property
     def finished(self) -> bool:
         """Whether no band would gain from another simulation."""
-        return bool(self.steps) and "not converging" not in self.status
+        return bool(self.steps) and "not converging" not in self._status_of_steps
 
-    def confirmed(self, measurement: Measurement) -> tuple[str, ...]:
-        """Return the status of each band after a simulation of `best_alpha` with another seed.
+    # What came of it
 
-        A converged band is confirmed if the noise is within the tolerance, and the gap within tolerance
-        plus noise. A larger noise would confirm any gap.
+    @property
+    def final(self) -> Measurement | None:
+        """The simulation that judges the loop: `confirmation` if there is one, else `after`."""
+        return self.confirmation or self.after
+
+    @property
+    def alpha(self) -> Array:
+        """The calibrated coefficients, (n_materials, n_bands)."""
+        return self.best_alpha if self.returned is None else self.returned
+
+    @cached_property
+    def outcome(self) -> CalibrationResult:
+        """The equation's calibration to the targets of each band's best step."""
+        return self.calibrated(self.best_target)
+
+    @cached_property
+    def room(self) -> Room:
+        """The room with the calibrated coefficients, their posterior sigma, and a record."""
+        found, by = self.outcome.room, self.simulator or "a program run by hand"
+        record = found.calibration and replace(
+            found.calibration,
+            measured=self.data,
+            equation=f"{found.calibration.equation}, in the loop with {by}",
+        )
+        return found.replace(alpha=self.alpha, calibration=record)
+
+    @cached_property
+    def of_uncertain_room(self) -> CalibrationResult | None:
+        """The calibration to the targets of `outcome`, with the room as uncertain as it states.
+
+        Its coefficients leave their share to volume, areas and climate. The simulator, which
+        has the stated room, does not have the measured T with them. None for an exact room.
         """
-        noise = self.matched.noise(measurement) / TARGET.jnd_of(self.wanted)
-        gap = np.abs(self.matched.gap(measurement))
-        kept = (noise <= self.tolerance) & (gap <= self.tolerance + noise)
-        lost = (np.array(self.status) == "converged") & ~kept
-        return tuple(np.where(lost, "not confirmed", self.status).tolist())
+        if not self.prior.is_uncertain or not self.steps:
+            return None
+        problem = preset(self.method, self.prior).build(self.prior, self.equation)
+        return problem.solve(self.best_target, unreachable="nearest", method=self.method)
+
+    @property
+    def simulated(self) -> tuple[Array, Array]:
+        """T in s of what is matched, first and last, each (n_bands,).
+
+        In the first step and each band's best one, or in `before` and `final`.
+        """
+        if self.before is None or self.final is None:
+            every = [step.simulated for step in self.steps]
+            return every[0], self._of_best(every)
+        return self.matched.combined(self.before.mean), self.matched.combined(self.final.mean)
+
+    @property
+    def gap(self) -> Array:
+        """Gap of what is matched, of the last of `simulated`, in JND, (n_bands,); NaN without T."""
+        return self._of_best(self._gaps) if self.final is None else self.gap_of(self.final)
+
+    def gap_of(self, measurement: Measurement) -> Array:
+        """Return the gap of what is matched in a simulation in JND, (n_bands,)."""
+        return gap_jnd(self.matched.combined(measurement.mean), self.wanted)
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """Status of each band: one of `STATUSES`.
+
+        A converged band is confirmed if the noise of `final` is within the tolerance, and the gap is
+        within tolerance plus noise. A larger noise would confirm any gap.
+        """
+        status = self._status_of_steps
+        if self.final is None:
+            return status
+        noise = self.matched.noise(self.final) / TARGET.jnd_of(self.wanted)
+        kept = (noise <= self.tolerance) & (np.abs(self.gap) <= self.tolerance + noise)
+        lost = (np.array(status) == "converged") & ~kept
+        return tuple(np.where(lost, "not confirmed", status).tolist())
+
+    def ends(self, parameter: str) -> tuple[Array, Array]:
+        """Return a parameter's mean over the pairs, first and last as `simulated`, NaN for none."""
+        observable(parameter)
+        if self.before is not None and self.final is not None:
+            return self.before.mean(parameter), self.final.mean(parameter)
+        if not self.steps:
+            raise DataError("the loop has no simulation yet, and so no means")
+        none = np.full(self.prior.n_bands, np.nan)
+        every = [step.means.get(parameter, none) for step in self.steps]
+        return every[0], self._of_best(every)
+
+    def gaps(self, parameter: str) -> tuple[Array, Array]:
+        """Return simulated less measured, first and last, in JND, each (n_bands,).
+
+        Of the means over pairs; NaN where the parameter was not measured or not simulated.
+        """
+        none = np.full(self.prior.n_bands, np.nan)
+        measured = {**self.beside, **self.matched.measured}.get(parameter, none)
+        first, last = self.ends(parameter)
+        return gap_jnd(first, measured, parameter), gap_jnd(last, measured, parameter)
+
+    @property
+    def compromise(self) -> dict[str, ParameterGap]:
+        """Each matched parameter's share, its gaps before and after, and what it lost, in JND."""
+        found, left = {}, np.abs(self.gap)
+        for parameter, share in self.matched.shares.items():
+            before, after = self.gaps(parameter)
+            lost = np.maximum(np.abs(after) - left, 0.0)
+            found[parameter] = ParameterGap(share, before, after, lost)
+        return found
+
+    @property
+    def gaps_beside(self) -> Gaps:
+        """`gaps` of each parameter that was measured, is shown and is not matched."""
+        return {parameter: self.gaps(parameter) for parameter in self.beside}
+
+    @property
+    def farther(self) -> tuple[str, ...]:
+        """Parameters that are not matched and left what was measured by more than one JND."""
+        return left(self.gaps_beside)
+
+    @property
+    def trust_marks(self) -> tuple[TrustMark, ...]:
+        """Likely typing errors, and bands of the `outcome` at a bound or against the prior (z over 2).
+
+        Also bands whose measured decay is bent, and those of `low` that no modes carry.
+        A simulator can be brought to almost any T: a small gap confirms nothing.
+        """
+        name = self.matched.label.removeprefix("the ")
+        return (
+            *of_row(self.prior.centre_frequencies, self.wanted, name, " s"),
+            *in_room(self.prior),
+            *(m for m in self.outcome.trust_marks if m.kind in ("at_bound", "implausible")),
+            *self.bent,
+            *(self.low.loop_marks if self.low else ()),
+        )
+
+    # The next simulation
 
     @property
     def next_target(self) -> Array:
@@ -553,7 +584,7 @@ class Loop(Result):
             shortest, longest = (limit[k] for limit in self._target_limits)
             known = [step for step in self.steps if np.isfinite(step.simulated[k])]
             if not known:
-                stated = self.equation.reverberation_time(self.room)[k]
+                stated = self.equation.reverberation_time(self.prior)[k]
                 target[k] = np.clip(stated, shortest, longest)
                 continue
             proposed = rules.next_target(
@@ -576,37 +607,52 @@ class Loop(Result):
 
         Bands that are done keep the coefficients of their best step.
         """
-        alpha = self._rounded(self.calibrated(self.next_target).alpha)
+        alpha = self.rounded(self.calibrated(self.next_target).alpha)
         return np.where(self._moving, alpha, self.best_alpha) if self.steps else alpha
 
-    def prior_alpha(self) -> Array:
-        """Return the room's coefficients, (n_materials, n_bands), as the program reads them."""
-        return self._rounded(self.room.alpha)
-
-    def _rounded(self, alpha: Array) -> Array:
+    def rounded(self, alpha: Array) -> Array:
         """Return a copy with ``decimals`` decimals, rounded up if it would fall below alpha_min."""
         if self.decimals is None:
             return alpha.copy()
         rounded = np.round(alpha, self.decimals)
-        if self.room.alpha_min is None:
+        if self.prior.alpha_min is None:
             return rounded
         up = np.round(rounded + 10.0**-self.decimals, self.decimals)
-        return np.where(rounded < self.room.alpha_min, up, rounded)
+        return np.where(rounded < self.prior.alpha_min, up, rounded)
 
-    def repeats(self, alpha: Array, simulated: Measurement) -> bool:
-        """Whether T is that of the last step in every band, although alpha is not.
+    @property
+    def _moving(self) -> NDArray[np.bool_]:
+        """Whether the next step moves the band's target, (n_bands,)."""
+        status, gap = np.array(self._status_of_steps), self._of_best(self._gaps)
+        needed = status == "not converging"
+        rough = (np.abs(gap) > self.goal / 2) & np.isnan(self._target_without_t20)
+        return np.asarray(needed | ((status == "converged") & rough & needed.any()))
 
-        The program then most likely simulated the coefficients of the last step.
+    @property
+    def _target_without_t20(self) -> Array:
+        """The target without a simulated T20 that is nearest to the best one, (n_bands,).
+
+        NaN for a band with a T20 in every step or in none.
         """
-        if not self.steps or np.array_equal(alpha, self.steps[-1].alpha):
-            return False
-        return self.matched.gives(simulated, self.steps[-1].simulated)
+        targets = np.array([step.target for step in self.steps])
+        simulated = np.isfinite(self._gaps)
+        missing = ~simulated & np.isfinite(self.wanted)
+        distance = np.where(missing, np.abs(np.log(targets / self.best_target)), np.inf)
+        nearest = targets[np.argmin(distance, axis=0), np.arange(self.prior.n_bands)]
+        both = missing.any(axis=0) & simulated.any(axis=0)
+        return np.asarray(np.where(both, nearest, np.nan))
 
-    def back(self) -> Loop:
-        """Return the loop before its last step; DataError if it has none."""
-        if not self.steps:
-            raise DataError("the loop has no simulation yet: there is none to take back")
-        return replace(self, steps=self.steps[:-1])
+    @cached_property
+    def _target_limits(self) -> tuple[Array, Array]:
+        """The shortest and the longest T in s that the equation can give within the bounds."""
+        room, fixed = self.prior, self.prior.sigma == 0
+        floor = 0.0 if room.alpha_min is None else room.alpha_min
+        least = room.areas @ np.where(fixed, room.alpha, floor)
+        most = room.areas @ np.where(fixed, room.alpha, 1.0)
+        margin = _FROM_BOUNDS * (most - least)
+        largest = _BELOW_LARGEST_MEAN * self.equation.largest_mean * room.total_area
+        high = np.minimum(most - margin, largest)
+        return self.equation.time(room, high), self.equation.time(room, least + margin)
 
     def record(
         self,
@@ -630,7 +676,7 @@ class Loop(Result):
         without_t20 : sequence of int, optional
             Bands whose T20 in ``simulated`` belongs to other coefficients.
         stated : bool
-            Whether ``alpha`` is `prior_alpha`. Its target is the equation's own T.
+            Whether ``alpha`` is the prior's. Its target is the equation's own T.
 
         Raises
         ------
@@ -647,31 +693,16 @@ class Loop(Result):
             time[band] = np.nan
         target = self.next_target
         if checks.flag("stated", stated):
-            own = np.clip(self.equation.reverberation_time(self.room), *self._target_limits)
+            own = np.clip(self.equation.reverberation_time(self.prior), *self._target_limits)
             target = np.where(np.isfinite(self.wanted), own, np.nan)
         step = Step(
             target=target,
-            alpha=check_alpha(self.room, alpha),
+            alpha=check_alpha(self.prior, alpha),
             simulated=time,
             noise=self.matched.noise(simulated),
             means=means(simulated),
         )
-        return replace(self, steps=(*self.steps, step))
-
-    @property
-    def _gaps(self) -> Array:
-        """Gap of every step in JND, (n_steps, n_bands)."""
-        if not self.steps:
-            raise DataError("the loop has no simulation yet, and so no gap")
-        return np.array([gap_jnd(step.simulated, self.wanted) for step in self.steps])
-
-    @property
-    def _moving(self) -> NDArray[np.bool_]:
-        """Whether the next step moves the band's target, (n_bands,)."""
-        band_status = np.array(self.status)
-        needed = band_status == "not converging"
-        rough = (np.abs(self.gap) > self.goal / 2) & np.isnan(self._target_without_t20)
-        return np.asarray(needed | ((band_status == "converged") & rough & needed.any()))
+        return replace(self, steps=(*self.steps, step), simulations=self.simulations + 1)
 
     def _simulated_time(self, measurement: Measurement) -> Array:
         """Return the simulated T of what is matched in s, (n_bands,), NaN where some pair has none.
@@ -679,7 +710,7 @@ class Loop(Result):
         Raises DataError for other bands, or a matched parameter that is missing. A measured band may
         lack it only if it has one in an earlier step, and some measured band has one now.
         """
-        frequencies = self.room.centre_frequencies
+        frequencies = self.prior.centre_frequencies
         checks.instance("what was simulated", measurement, Measurement)
         if not np.array_equal(measurement.centre_frequencies, frequencies):
             raise DataError(
@@ -689,7 +720,7 @@ class Loop(Result):
         for parameter in self.matched.shares:
             if parameter not in measurement.values:
                 raise DataError(f"what was simulated has no {parameter_label(parameter)}")
-        measured = np.isfinite(self.matched.wanted)
+        measured = np.isfinite(self.wanted)
         missing = {
             parameter: np.isnan(measurement.values[parameter]) & measured & (share > 0)
             for parameter, share in self.matched.shares.items()
@@ -707,44 +738,17 @@ class Loop(Result):
                 )
         return np.where(lost, np.nan, self.matched.combined(measurement.mean))
 
-    @property
-    def _target_without_t20(self) -> Array:
-        """The target without a simulated T20 that is nearest to the best one, (n_bands,).
+    def same_times(self, measurement: Measurement, times: Array) -> bool:
+        """Return whether a measurement has exactly these times of what is matched in s, (n_bands,)."""
+        if len(measurement.centre_frequencies) != len(times):
+            return False
+        return np.array_equal(self.matched.combined(measurement.mean), times, equal_nan=True)
 
-        NaN for a band with a T20 in every step or in none.
-        """
-        targets = np.array([step.target for step in self.steps])
-        simulated = np.isfinite(self._gaps)
-        missing = ~simulated & np.isfinite(self.wanted)
-        distance = np.where(missing, np.abs(np.log(targets / self.best_target)), np.inf)
-        nearest = targets[np.argmin(distance, axis=0), np.arange(self.room.n_bands)]
-        both = missing.any(axis=0) & simulated.any(axis=0)
-        return np.asarray(np.where(both, nearest, np.nan))
-
-    @cached_property
-    def _target_limits(self) -> tuple[Array, Array]:
-        """The shortest and the longest T in s that the equation can give within the bounds."""
-        room, fixed = self.room, self.room.sigma == 0
-        floor = 0.0 if room.alpha_min is None else room.alpha_min
-        least = room.areas @ np.where(fixed, room.alpha, floor)
-        most = room.areas @ np.where(fixed, room.alpha, 1.0)
-        margin = _FROM_BOUNDS * (most - least)
-        largest = _BELOW_LARGEST_MEAN * self.equation.largest_mean * room.total_area
-        high = np.minimum(most - margin, largest)
-        return self.equation.time(room, high), self.equation.time(room, least + margin)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the loop as plain values."""
-        stated = {f.name: getattr(self, f.name) for f in fields(self) if f.metadata != NOT_SAVED}
-        return stated | {
-            "room": self.room.to_text(),
-            "matched": vars(self.matched),
-            "wanted": self.wanted,
-            "equation": {"name": self.equation.name, **asdict(self.equation)},
-            "bent": [vars(band) for band in self.bent],
-            "low": None if self.low is None else self.low.to_dict(),
-            "steps": [vars(step) for step in self.steps],
-        }
+    def back(self) -> Loop:
+        """Return the loop before its last step; DataError if it has none."""
+        if not self.steps:
+            raise DataError("the loop has no simulation yet: there is none to take back")
+        return replace(self, steps=self.steps[:-1], simulations=self.simulations - 1)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], room: Room | None = None) -> Loop:
@@ -755,10 +759,151 @@ class Loop(Result):
         loop = load(path)
         if not isinstance(loop, Loop):
             raise DataError(f"{path} is no state of a loop: it holds a {type(loop).__name__}")
-        own = loop.low.prior if loop.low else loop.room
+        own = loop.low.prior if loop.low else loop.prior
         if room is not None and of_room(room) != of_room(own):
             raise DataError(f'{path} is of another room, or room "{room.name}" was changed since')
-        return loop if room is None or loop.low else replace(loop, room=room)
+        return loop if room is None or loop.low else replace(loop, prior=room)
+
+    # What is shown
+
+    def __repr__(self) -> str:
+        return f"<{self._description}>"
+
+    @property
+    def _description(self) -> str:
+        n, of = self.simulations, self.simulator or self.prior.name
+        converged = self.status.count("converged") if self.steps else 0
+        return (
+            f'Loop "{shortened(of)}": {n} simulation{"s" * (n != 1)}, {converged} of '
+            f"{np.isfinite(self.wanted).sum()} bands converged"
+        )
+
+    def __str__(self) -> str:
+        return "\n".join(blocks.lines(self.blocks()))
+
+    def _repr_html_(self) -> str:
+        """Return the tables with shaded gaps: orange for a T that is too long, blue for too short."""
+        return blocks.notebook(self._description, self.blocks()[1:])
+
+    @property
+    def status_now(self) -> tuple[str, ...]:
+        """`status` as a user reads it: while the loop goes on, nothing has failed."""
+        on = self.final is None and not self.finished
+        return tuple("not yet" if on and s == "not converging" else s for s in self.status)
+
+    def blocks(self) -> list[Block]:
+        """Return what the loop has; DataError without a simulation."""
+        first, last = self.simulated
+        rows = [
+            Row("T wanted / s", self.wanted, ".3f"),
+            Row("first / s", first, ".3f"),
+            Row("simulated / s", last, ".3f"),
+            Row("first gap / JND", gap_jnd(first, self.wanted), "+.1f"),
+            Row(
+                "gap / JND",
+                self.gap,
+                shade=np.nan_to_num(self.gap) / _STRONGEST_SHADE,
+                shown=[_apart(*each) for each in zip(self.gap, self.goal, strict=True)],
+            ),
+            Row("done within / JND", self.goal, ".2f"),
+            Row("z", self.outcome.plausibility.z, "+.1f"),
+            Row("nearest simulation", [int(b) + 1 for b in self.best], "d"),
+            Row("status", self.status_now),
+        ]
+        for parameter, part in self.compromise.items() if len(self.compromise) > 1 else ():
+            name = parameter_label(parameter)
+            rows += [
+                Row(f"{name}, share of the weights", part.share, ".2f"),
+                Row(f"{name} gap / JND before", part.before, "+.1f"),
+                Row(f"{name} gap / JND after", part.after, "+.1f"),
+                Row(f"{name} lost / JND", part.lost, ".1f"),
+            ]
+        others, measured = [], {**self.beside, **self.matched.measured}
+        for p in (p for p in SHOWN if p != TARGET.key):  # EDT, C50 and C80
+            before, after = self.ends(p)
+            if np.isfinite(before).any():
+                name, form = parameter_label(p), f".{observable(p).decimals}f"
+                ends = {
+                    "measured": measured.get(p, np.nan * before),
+                    "before": before,
+                    "after": after,
+                }
+                others += [
+                    Row(f"{name} / {observable(p).unit} {n}", v, form) for n, v in ends.items()
+                ]
+        names, n = labels(self.prior.centre_frequencies), self.simulations
+        of = self.simulator or "the program that was run by hand"
+        return [
+            Note(f"Coefficients only for {of}; {n} simulation{'s' * (n != 1)}"),
+            Table(names, rows, "By band"),
+            *([Table(names, others, "Means over the pairs, not matched alone")] if others else []),
+            *(Note(n, hanging="       " if n.startswith(" ") else "    ") for n in self.every_note),
+        ]
+
+    @property
+    def every_note(self) -> list[str]:
+        """The ``notes``, and what the loop says against itself."""
+        notes = [*sentences(self.gaps_beside, self.prior.centre_frequencies)]
+        if "not confirmed" in self.status:
+            notes.append(
+                "Not confirmed: with another seed the gap exceeds tolerance plus noise, or the noise "
+                "exceeds the tolerance. Simulate with less noise (more paths)."
+            )
+        notes += explained(self.trust_marks)
+        if self.prior.is_uncertain:
+            notes.append(
+                f"The room is uncertain ({in_words(self.prior)}). These coefficients serve the "
+                "simulator in the room as stated, and carry the room's error, too. Those of the "
+                "materials are in result.of_uncertain_room."
+            )
+        return [*notes, *([] if self.low is None else [self.low.loop_note]), *self.notes]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the steps and what came of them as plain values."""
+        record = {
+            "room": self.prior.name,
+            "simulator": self.simulator,
+            "centre_frequencies": self.prior.centre_frequencies,
+            "matched": self.matched.label,
+            "shares": self.matched.shares,
+            "wanted": self.wanted,
+            "rule": self.rule,
+            "method": self.method,
+            "equation": {"name": self.equation.name, **asdict(self.equation)},
+            "decimals": self.decimals,
+            "tolerance": self.tolerance,
+            "simulations": self.simulations,
+            "steps": [vars(step) for step in self.steps],
+        }
+        if not self.steps:
+            return record
+        ends = {p: self.ends(p) for p in SHOWN}
+        return record | {
+            "alpha": self.alpha,
+            "finished": self.finished,
+            "confirmed": self.confirmation is not None,
+            "status": self.status_now,
+            "gap_jnd": self.gap,
+            "goal_jnd": self.goal,
+            "measured": {**self.beside, **self.matched.measured},
+            "before": {p: first for p, (first, _) in ends.items() if np.isfinite(first).any()},
+            "after": {p: last for p, (_, last) in ends.items() if np.isfinite(last).any()},
+            "farther": self.farther,
+            "trust_marks": [vars(mark) for mark in self.trust_marks],
+        }
+
+
+def _apart(gap: float, goal: float) -> str:
+    """Return a gap in JND with digits enough to show on which side of the goal it is.
+
+    Examples
+    --------
+    >>> _apart(-0.998, 1.0), _apart(-1.002, 1.0)
+    ('-1.00', '-1.002')
+    """
+    digits = range(2, 9)
+    same = (d for d in digits if (abs(round(gap, d)) <= goal) == (abs(gap) <= goal))
+    return text.number(gap, f"+.{next(same, digits[-1])}f")
 
 
 def start(
@@ -789,9 +934,9 @@ def start(
     what = matched_times(room, measured, data.reverberation_time, weights)
     measured_means = means(measured.in_bands(room.centre_frequencies))
     loop = Loop(
-        room=room,
+        prior=room,
         matched=what,
-        measured=data_history(room, data),
+        data=data_history(room, data),
         rule=rule,
         method=method,
         equation=equation or Eyring(),
@@ -801,214 +946,8 @@ def start(
         beside={p: mean for p, mean in measured_means.items() if p not in what.shares},
         low=low,
     )
-    loop._problem()  # warns of a room without air
+    _ = loop._problem  # warns of a room without air
     return loop
-
-
-_STRONGEST_SHADE = 5.0  # JND
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class LoopResult(Result):
-    """A calibrated simulator.
-
-    Attributes
-    ----------
-    room : Room
-        The room with the coefficients for the simulator, and a record of the calibration.
-    simulator : str
-        Name of the simulator. The coefficients belong to no other.
-    loop : Loop
-        All steps, and the `status` and `gap` of each band.
-    simulations : int
-        Number of all calls of the simulator.
-    before : Measurement
-        Simulated with the stated coefficients. If some band has no T20 with them, or fewer than three
-        simulations were allowed, with those of the equation's calibration.
-    after : Measurement
-        Simulated with the coefficients returned. What is matched was fitted, by default T20.
-    confirmation : Measurement or None
-        Simulated with the coefficients returned and another seed. None for a deterministic
-        simulator, and if no band converged.
-    measured : Measurement or None
-        What was measured, in the room's bands, also what was not fitted.
-    notes : tuple of str
-        What is to be known of the simulations, such as paths that left through gaps of the mesh.
-    """
-
-    record_kind: ClassVar[str] = "loop result 1"
-
-    room: Room
-    simulator: str
-    loop: Loop
-    simulations: int
-    before: Measurement
-    after: Measurement
-    confirmation: Measurement | None
-    measured: Measurement | None = None
-    notes: tuple[str, ...] = ()
-
-    @property
-    def alpha(self) -> Array:
-        """The calibrated coefficients, (n_materials, n_bands)."""
-        return self.room.alpha
-
-    @property
-    def final(self) -> Measurement:
-        """The simulation that judges the result: `confirmation` if there is one, else `after`."""
-        return self.confirmation or self.after
-
-    @property
-    def status(self) -> tuple[str, ...]:
-        """Status of each band: one of `STATUSES`."""
-        return self.loop.confirmed(self.final)
-
-    @property
-    def gap(self) -> Array:
-        """Gap of what is matched, of `final`, in JND, (n_bands,), NaN without a measured T."""
-        return self.loop.matched.gap(self.final)
-
-    @property
-    def compromise(self) -> dict[str, ParameterGap]:
-        """Each matched parameter's share, its gaps before and after, and what it lost, in JND."""
-        return self.loop.matched.compromise(self.before.mean, self.final.mean)
-
-    def gaps(self, parameter: str) -> tuple[Array, Array]:
-        """Return simulated less measured before and after in JND, each (n_bands,).
-
-        Of the means over pairs; NaN where the parameter was not measured or not simulated.
-        """
-        observable(parameter)
-        if self.measured is None:
-            return np.full(self.loop.wanted.shape, np.nan), np.full(self.loop.wanted.shape, np.nan)
-        wanted = self.measured.mean(parameter)
-        return (
-            gap_jnd(self.before.mean(parameter), wanted, parameter),
-            gap_jnd(self.final.mean(parameter), wanted, parameter),
-        )
-
-    @property
-    def farther(self) -> tuple[str, ...]:
-        """Parameters that are not fitted and whose gap grew by more than one JND, in some band.
-
-        The mean T20 is fitted; what it costs in EDT, C50 and C80 stands here; `compromise` has that
-        of what is matched.
-        """
-        return left(self.gaps_beside)
-
-    @property
-    def of_uncertain_room(self) -> CalibrationResult | None:
-        """The calibration to the same targets with volume, areas and climate uncertain.
-
-        None for an exact room. See `Loop.of_uncertain_room`.
-        """
-        return self.loop.of_uncertain_room
-
-    @property
-    def gaps_beside(self) -> Gaps:
-        """`gaps` of each parameter that is shown and was not matched."""
-        return {p: self.gaps(p) for p in SHOWN if p not in self.loop.matched.shares}
-
-    @property
-    def trust_marks(self) -> tuple[TrustMark, ...]:
-        """Reasons to doubt the coefficients of a band; see `Loop.trust_marks`."""
-        return self.loop.trust_marks
-
-    def __repr__(self) -> str:
-        return f"<{self._description}>"
-
-    @property
-    def _description(self) -> str:
-        measured = int(np.isfinite(self.loop.wanted).sum())
-        converged = self.status.count("converged")
-        return (
-            f'LoopResult of "{text.shortened(self.simulator)}": {self.simulations} '
-            f"simulation{'s' * (self.simulations != 1)}, {converged} of {measured} bands converged"
-        )
-
-    def ends(self) -> dict[str, Any]:
-        """Return the parameters before and after, means by parameter and band, as plain values."""
-        return {
-            "simulator": self.simulator,
-            "confirmed": self.confirmation is not None,
-            "status": list(self.status),
-            **{
-                name: {} if of is None else {p: json_numbers(of.mean(p)) for p in of.values}
-                for name, of in (
-                    ("measured", self.measured),
-                    ("before", self.before),
-                    ("after", self.final),
-                )
-            },
-        }
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the loop and the parameters before and after as plain values."""
-        return {**self.loop.to_dict(), "result": self.ends()}
-
-    def __str__(self) -> str:
-        return "\n".join(blocks.lines(self.blocks()))
-
-    def _repr_html_(self) -> str:
-        """Return the tables with shaded gaps: orange for a T that is too long, blue for too short."""
-        return blocks.notebook(self._description, self.blocks()[1:])
-
-    def blocks(self) -> list[Block]:
-        """Return what the result says."""
-        shades = np.nan_to_num(self.gap) / _STRONGEST_SHADE
-        outcome = {
-            "T wanted / s": text.numbers(self.loop.wanted, ".3f"),
-            "simulated / s": text.numbers(self.loop.matched.combined(self.final.mean), ".3f"),
-            "gap / JND": text.numbers(self.gap, "+.2f"),
-            "z": text.numbers(self.loop.outcome.plausibility.z, "+.1f"),
-            "status": self.status,
-        }
-        compromise: dict[str, Sequence[str]] = {}  # of what is matched together
-        for parameter, part in self.compromise.items() if len(self.compromise) > 1 else ():
-            name = parameter_label(parameter)
-            compromise[f"{name} gap / JND before"] = text.numbers(part.before, "+.1f")
-            compromise[f"{name} gap / JND after"] = text.numbers(part.after, "+.1f")
-            compromise[f"{name} lost / JND"] = text.numbers(part.lost, ".1f")
-        beside: dict[str, Sequence[str]] = {}  # EDT, C50 and C80
-        for parameter in (p for p in SHOWN if p != TARGET.key and p in self.before.values):
-            name = f"{parameter_label(parameter)} / {observable(parameter).unit}"
-            measured = self.measured and self.measured.values
-            for when, of in (
-                ("measured", self.measured if measured and parameter in measured else None),
-                ("before", self.before),
-                ("after", self.final),
-            ):
-                if of is not None:
-                    beside[f"{name} {when}"] = text.numbers(of.mean(parameter), ".2f")
-        by_band = labels(self.room.centre_frequencies)
-        return [
-            Note(f"Coefficients only for {self.simulator}; {self.simulations} simulations"),
-            *(
-                Table.of_columns(by_band, columns, {"gap / JND": shades})
-                for columns in (outcome, compromise, beside)
-                if columns
-            ),
-            *(Note(n, hanging="       " if n.startswith(" ") else "    ") for n in self._notes()),
-        ]
-
-    def _notes(self) -> list[str]:
-        notes = explained(self.trust_marks)
-        if "not confirmed" in self.status:
-            notes.insert(
-                0,
-                "Not confirmed: with another seed the gap exceeds tolerance plus noise, or the noise "
-                "exceeds the tolerance. Simulate with less noise (more paths).",
-            )
-        notes[:0] = sentences(self.gaps_beside, self.room.centre_frequencies)
-        if self.loop.room.is_uncertain:
-            notes.append(
-                f"The room is uncertain ({in_words(self.loop.room)}). These coefficients serve the "
-                "simulator in the room as stated, and carry the room's error, too. Those of the "
-                "materials are in result.of_uncertain_room."
-            )
-        if self.loop.low is not None:
-            notes.append(self.loop.low.loop_note)
-        return [*notes, *self.notes]
 
 
 def calibrate_simulator(
@@ -1026,7 +965,7 @@ def calibrate_simulator(
     max_simulations: int = 12,
     seed: int = 0,
     after_step: Callable[[Loop], None] | None = None,
-) -> LoopResult:
+) -> Loop:
     """Calibrate a room's coefficients so that a simulator has the measured mean T20.
 
     The stated coefficients are simulated first, so that no band ends farther away than it began.
@@ -1067,7 +1006,7 @@ def calibrate_simulator(
 
     Returns
     -------
-    LoopResult
+    Loop
         Its ``status`` says for each band whether it converged and was confirmed.
 
     Raises
@@ -1090,18 +1029,21 @@ def calibrate_simulator(
     ...     room=room, name="reverb 3000",
     ...     run=lambda alpha, seed: 1.2 * rt.Eyring().time(room, room.areas @ alpha))
     >>> rt.calibrate_simulator(program, room, measured)
-    <LoopResult of "reverb 3000": 2 simulations, 6 of 6 bands converged>
+    <Loop "reverb 3000": 2 simulations, 6 of 6 bands converged>
     """
     modes = room if isinstance(room, ModesResult) else None
     room = room.prior if isinstance(room, ModesResult) else room
     check_fits(simulator, room)
     exclude = checks.pairs("exclude", exclude)
     checks.whole("seed", seed, 0)
-    measured, repeated = at_places(simulator, measured)
+    checks.whole("max_simulations", max_simulations, 1 if simulator.deterministic else 2)
+    if after_step is not None and not callable(after_step):
+        raise DataError(f"after_step = {after_step!r} cannot be called")
+    measured, notes = at_places(simulator, measured)
     if exclude:
         refuse_unknown(exclude, measured)
         measured = _without(measured, exclude)
-        repeated = (*repeated, left_out(exclude))
+        notes = (*notes, left_out(exclude))
     # The result's notes and marks say it.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", OtherBandsWarning)
@@ -1116,51 +1058,29 @@ def calibrate_simulator(
             tolerance=tolerance,
             weights=weights,
         )
-    result = _run(simulator, loop, max_simulations, seed, after_step, exclude)
-    of_bands = notes(measured.centre_frequencies, room.centre_frequencies)
-    notes_of_data = [*map(as_sentence, of_bands)]
+    frequencies = room.centre_frequencies
+    notes += tuple(map(as_sentence, notes_of_bands(measured.centre_frequencies, frequencies)))
     parameters = times_in_room(room, measured).parameter
-    named = zip(room.centre_frequencies, parameters, strict=True)
+    named = zip(frequencies, parameters, strict=True)
     if in_place := [label(f) for f, p in named if p not in ("", TARGET.key)]:
         where = f" at {', '.join(in_place)}" if TARGET.key in parameters else ""
-        notes_of_data.append(f"T30 is matched{where} in place of T20, which was not measured.")
-    return replace(
-        result,
-        measured=measured.in_bands(room.centre_frequencies),
-        notes=(*repeated, *notes_of_data, *result.notes),
-    )
-
-
-def _run(
-    simulator: Simulator,
-    loop: Loop,
-    max_simulations: int,
-    seed: int,
-    after_step: Callable[[Loop], None] | None,
-    exclude: Sequence[Pair],
-) -> LoopResult:
-    """Simulate and step until the loop is finished or no call is left; see `calibrate_simulator`."""
-    if after_step is not None and not callable(after_step):
-        raise DataError(f"after_step = {after_step!r} cannot be called")
-    checks.whole("max_simulations", max_simulations, 1 if simulator.deterministic else 2)
+        notes += (f"T30 is matched{where} in place of T20, which was not measured.",)
     calls = _Calls(simulator, max(max_simulations - 1, 1), exclude)
     try:
-        if calls.left > 1:
-            loop = _with_stated(calls, loop, seed)
-            if loop.steps and after_step is not None:
-                after_step(loop)
-        while not loop.finished and calls.left:
-            step = _simulate_step(calls, loop, seed)
+        while calls.left and not loop.finished:
+            step = calls.stated(loop, seed) if not calls.number else None
+            step = step or calls.step(loop, seed)
             if step is None:
                 break
-            loop = loop.record(*step)
+            loop = step
             if after_step is not None:
                 after_step(loop)
         calls.limit = max_simulations
-        return _result(calls, loop, seed)
+        loop = _judged(calls, loop, seed)
     except RtcalError as error:
         error.loop = loop
         raise
+    return replace(loop, notes=(*notes, *lost_paths(simulator)))
 
 
 def _without(measurement: Measurement, exclude: Sequence[Pair]) -> Measurement:
@@ -1178,8 +1098,8 @@ class _Calls:
     simulator: Simulator
     limit: int
     exclude: Sequence[Pair]
-    number: int = 0
     answers: list[tuple[Array, int, Measurement]] = field(default_factory=list)
+    number: int = 0
 
     @property
     def left(self) -> int:
@@ -1191,51 +1111,51 @@ class _Calls:
         self.answers.append((alpha, seed, measurement))
         return measurement
 
+    def stated(self, loop: Loop, seed: int) -> Loop | None:
+        """Return the loop after the stated coefficients, so that none ends farther away.
 
-def _with_stated(calls: _Calls, loop: Loop, seed: int) -> Loop:
-    """Return the loop after a simulation of the stated coefficients, so that none ends farther away.
+        None where no second call is left, or for coefficients that some band has no T20 for: the
+        equation's are simulated first then.
+        """
+        if self.left < 2:
+            return None
+        alpha = loop.rounded(loop.prior.alpha)
+        try:
+            return loop.record(alpha, self.simulate(alpha, seed), stated=True)
+        except RtcalError as error:
+            if not error.bands and not isinstance(error, DataError):
+                raise
+            return None
 
-    Coefficients that some band has no T20 for are no start: the equation's are simulated first.
-    """
-    alpha = loop.prior_alpha()
-    try:
-        return loop.record(alpha, calls.simulate(alpha, seed), stated=True)
-    except RtcalError as error:
-        if not error.bands and not isinstance(error, DataError):
-            raise
-        return loop
+    def step(self, loop: Loop, seed: int) -> Loop | None:
+        """Return the loop after its next coefficients.
 
-
-def _simulate_step(
-    calls: _Calls, loop: Loop, seed: int
-) -> tuple[Array, Measurement, tuple[int, ...]] | None:
-    """Simulate the next coefficients: return them, the measurement, and the bands without a T20.
-
-    If some bands have no T20, they are simulated again with coefficients that gave one, before the
-    first step with the prior; None if no call is left for that. An error in every band is raised,
-    and so is NaN in the first step.
-    """
-    alpha = loop.next_alpha
-    try:
-        return alpha, calls.simulate(alpha, seed), ()
-    except RtcalError as error:
-        nan_at_first = isinstance(error, SimulatorError) and not loop.steps
-        if not error.bands or nan_at_first or 1 < len(alpha[0]) == len(error.bands):
-            raise
-        if not calls.left and not loop.steps:
-            raise
-        without_t20 = error.bands
-    if not calls.left:
-        return None
-    with_t20 = alpha.copy()
-    for k in without_t20:
-        steps = [step for step in loop.steps if np.isfinite(step.simulated[k])]
-        with_t20[:, k] = steps[-1].alpha[:, k] if steps else loop.prior_alpha()[:, k]
-    return alpha, calls.simulate(with_t20, seed), without_t20
+        If some bands have no T20, they are simulated again with coefficients that gave one, before the
+        first step with the prior; None if no call is left for that. An error in every band is raised,
+        and so is NaN in the first step.
+        """
+        alpha = loop.next_alpha
+        try:
+            return loop.record(alpha, self.simulate(alpha, seed))
+        except RtcalError as error:
+            nan_at_first = isinstance(error, SimulatorError) and not loop.steps
+            if not error.bands or nan_at_first or 1 < len(alpha[0]) == len(error.bands):
+                raise
+            if not self.left and not loop.steps:
+                raise
+            without_t20 = error.bands
+        if not self.left:
+            return None
+        with_t20 = alpha.copy()
+        for k in without_t20:
+            steps = [step for step in loop.steps if np.isfinite(step.simulated[k])]
+            known = steps[-1].alpha if steps else loop.rounded(loop.prior.alpha)
+            with_t20[:, k] = known[:, k]
+        return loop.record(alpha, self.simulate(with_t20, seed), without_t20)
 
 
-def _result(calls: _Calls, loop: Loop, seed: int) -> LoopResult:
-    """Return the result: the coefficients of each band's best step, simulated together.
+def _judged(calls: _Calls, loop: Loop, seed: int) -> Loop:
+    """Return the loop with the coefficients of each band's best step, simulated together.
 
     If bands differ in their best step, their coefficients were never simulated together. Where bands
     depend on each other and are farther together than a step was, those of that step are returned.
@@ -1247,25 +1167,18 @@ def _result(calls: _Calls, loop: Loop, seed: int) -> LoopResult:
     simulated = [m for a, s, m in calls.answers if s == seed and np.array_equal(a, alpha)]
     after = simulated[-1] if simulated else confirmation or calls.simulate(alpha, seed)
     if simulator.deterministic:
-        nearest = rms(loop.matched.gap(after)) - _AS_NEAR
+        nearest = rms(loop.gap_of(after)) - _AS_NEAR
         for tried, _, measurement in calls.answers:
-            if (gap := rms(loop.matched.gap(measurement))) < nearest:
+            if (gap := rms(loop.gap_of(measurement))) < nearest:
                 nearest, alpha, after = gap, tried, measurement
-    calibrated = loop.outcome.room
-    record = calibrated.calibration and replace(
-        calibrated.calibration,
-        measured=loop.measured,
-        equation=f"{calibrated.calibration.equation}, in the loop with {simulator.name}",
-    )
-    return LoopResult(
-        room=calibrated.replace(alpha=alpha, calibration=record),
+    return replace(
+        loop,
         simulator=simulator.name,
-        loop=loop,
         simulations=calls.number,
+        returned=alpha,
         before=calls.answers[0][2],  # the stated coefficients, where they have a T20
         after=after,
         confirmation=confirmation,
-        notes=lost_paths(simulator),
     )
 
 
@@ -1322,12 +1235,15 @@ def record(loop: Loop, table: str, state: str, out: str, *, again: bool = False)
             f"{out}: it has other coefficients than {state} asks for, so {table} may be of those: "
             f"rtcal loop back writes what to simulate; or delete {out} if it was not simulated"
         )
-    if not again and not loop.steps and loop.matched.gives(simulated, loop.wanted):
+    if not again and not loop.steps and loop.same_times(simulated, loop.wanted):
         raise DataError(
             f"{table}: every T20 is the measured one to the last digit: is it the measurement itself, "
             "and not what was simulated? (--again takes it all the same)"
         )
-    if not again and loop.repeats(alpha, simulated):
+    last = (
+        loop.steps[-1] if loop.steps and not np.array_equal(alpha, loop.steps[-1].alpha) else None
+    )
+    if not again and last is not None and loop.same_times(simulated, last.simulated):
         raise DataError(
             f"{table}: the table is the last step's, though alpha changed: was the room that was "
             "written last simulated? (--again takes it all the same)"
@@ -1343,7 +1259,7 @@ def write(loop: Loop, state: str, out: str) -> None:
 
     A state without its room would accept a table that belongs to the room of the step before.
     """
-    room = loop.room.replace(alpha=loop.next_alpha, calibration=None)
+    room = loop.prior.replace(alpha=loop.next_alpha, calibration=None)
     digest = _digest(room.alpha)
     n, of = len(loop.steps), f"of the loop in {Path(state).name!r}"
     note = f"# To simulate: run {n + 1} {of}.\n"
@@ -1357,7 +1273,7 @@ def write(loop: Loop, state: str, out: str) -> None:
 def conclusion(loop: Loop, out: str) -> str:
     """Return what a user does with the last room written, for a finished loop."""
     left = len([s for s in loop.status if s not in LEFT_ALONE])
-    missed = f", but {left} of {loop.room.n_bands} bands were not reached" if left else ""
+    missed = f", but {left} of {loop.prior.n_bands} bands were not reached" if left else ""
     return (
         f"Done{missed}. {out} has the coefficients, those of each band's best step: give it to the "
         "program a last time."

@@ -536,7 +536,7 @@ def path(loop: Loop) -> Any:
     if not loop.steps:
         raise DataError("the loop has no simulation yet: there is no path to show")
     figure, (above, below) = new_figure(6.2, 7.6, 2, 1)
-    f, wanted = loop.room.centre_frequencies, loop.wanted
+    f, wanted = loop.prior.centre_frequencies, loop.wanted
     simulated = np.array([step.simulated for step in loop.steps])
     jnd_band(above, f, wanted)
     above.plot(f, wanted, **MEASURED | {"linestyle": "-", "markersize": 4}, label="measured")
@@ -547,7 +547,7 @@ def path(loop: Loop) -> Any:
     nearest = simulated[loop.best, np.arange(len(f))]
     above.plot(f, nearest, **AFTER, label="nearest, by band")
     _times_axes(above, f, loop.matched.label.removeprefix("the "))
-    above.set_title(shown(loop.room.name, 45))
+    above.set_title(shown(loop.prior.name, 45))
     gaps = np.array([gap_jnd(times, wanted) for times in simulated])
     steps = np.arange(1, len(gaps) + 1)
     below.axhspan(-1, 1, color="0.85")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,13 +9,12 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.marks import gap_jnd
-from rtcal.acoustics.observables import observable, parameter_label
-from rtcal.loop.closed import Loop, LoopResult
+from rtcal.loop.closed import Loop
 from rtcal.loop.measured_pairs import sentences
 from rtcal.report import figures
 from rtcal.report.document import Code, Items, Page, Picture, Section, coefficients, doubts, tables
 from rtcal.support import __version__
-from rtcal.support.blocks import Note, Row, Table
+from rtcal.support.blocks import Note
 
 _STATUS_IN_WORDS = {
     "converged": "came within the goal",
@@ -31,83 +29,32 @@ _STATUS_IN_WORDS = {
 }
 
 
-def statuses(loop: Loop) -> tuple[str, ...]:
-    """Return the status of each band as a user reads it: while the loop goes on, nothing has failed."""
-    unfinished = not loop.finished
-    return tuple("not yet" if unfinished and s == "not converging" else s for s in loop.status)
-
-
-def band_rows(loop: Loop) -> list[Row]:
-    """Return the rows of T by band: measured, first, nearest, their gaps, z, and which is nearest."""
-    first = loop.steps[0].simulated
-    nearest = np.array([loop.steps[b].simulated[k] for k, b in enumerate(loop.best)])
-    return [
-        Row("measured T / s", loop.wanted, ".3f"),
-        Row("first simulated / s", first, ".3f"),
-        Row("nearest simulated / s", nearest, ".3f"),
-        Row("first gap / JND", gap_jnd(first, loop.wanted), "+.1f"),
-        Row("gap left / JND", loop.gap, "+.2f"),
-        Row("z", loop.outcome.plausibility.z, "+.1f"),
-        Row("nearest simulation", [int(b) + 1 for b in loop.best], "d"),
-    ]
-
-
-def other_rows(loop: Loop) -> list[Row]:
-    """Return what each parameter lost in a compromise, and what was measured and not matched."""
-    rows = []
-    for parameter, part in loop.compromise.items() if len(loop.compromise) > 1 else ():
-        name = parameter_label(parameter)
-        rows += [
-            Row(f"{name}, share of the weights", part.share, ".2f"),
-            Row(f"{name}, first gap / JND", part.before, "+.1f"),
-            Row(f"{name}, gap left / JND", part.after, "+.1f"),
-            Row(f"{name}, lost / JND", part.lost, ".1f"),
-        ]
-    for p, wanted in loop.beside.items():
-        name, of, form = parameter_label(p), observable(p).unit, f".{observable(p).decimals}f"
-        rows += [
-            Row(f"{name}, measured / {of}", wanted, form),
-            Row(f"{name}, first / {of}", loop.first(p), form),
-            Row(f"{name}, nearest simulated / {of}", loop.nearest(p), form),
-        ]
-    return rows
-
-
-def page(result: Loop | LoopResult) -> Page:
+def page(loop: Loop) -> Page:
     """Return the page of a closed loop; DataError if it has no simulation."""
-    final = result if isinstance(result, LoopResult) else None
-    loop = result.loop if isinstance(result, LoopResult) else result
-    room, label = loop.room, loop.matched.label
-    status = statuses(loop) if final is None else final.status
+    room, matched = loop.prior, loop.matched.label
     first = figures.path(loop)
-    labels = bands.labels(room.centre_frequencies)
-    more = other_rows(loop) if final is None else []
-    rows = [*band_rows(loop), *more, Row("status", list(status))]
-    ends = _at_ends(loop)
     return Page(
         room.name,
         room.author,
         "calibration of a simulator in the closed loop",
         [
             Section("Summary", "summary"),
-            *map(Note, _summary(loop, status)),
-            *([] if final is None else [Note(_confirmed(final))]),
-            *map(Note, sentences(result.gaps_beside, room.centre_frequencies)),
+            *map(Note, _summary(loop)),
+            *map(Note, sentences(loop.gaps_beside, room.centre_frequencies)),
             Picture(
                 lambda: first,
-                f"By band: {label}, and how far each simulation was off. One JND is 5 %.",
+                f"By band: {matched}, and how far each simulation was off. One JND is 5 %.",
             ),
             Section("Tables", "tables"),
-            Table(labels, rows, "By band"),
-            coefficients(
-                "Absorption coefficients: stated → of each band's nearest simulation",
-                room,
-                loop.best_alpha,
+            Note(
+                f"Only {matched} was fitted. Means over the positions, first simulated and with each "
+                "band's nearest coefficients."
             ),
+            *tables(loop.blocks()),
+            coefficients("Absorption coefficients: stated → calibrated", room, loop.alpha),
             Section("What not to believe", "doubts"),
             *doubts(loop.trust_marks),
-            *_warned(ends),
-            *([] if final is None else _before_and_after(final)),
+            *_at_ends(loop),
             Section("What was assumed", "assumed"),
             Items(_assumed(loop)),
             Section("How to reproduce", "reproduce"),
@@ -116,63 +63,54 @@ def page(result: Loop | LoopResult) -> Page:
     )
 
 
-def _summary(loop: Loop, status_of_bands: Sequence[str]) -> list[str]:
-    """Return the loop as a few sentences; ``status_of_bands`` is each band's status."""
-    f, first = loop.room.centre_frequencies, gap_jnd(loop.steps[0].simulated, loop.wanted)
-    n = len(loop.steps)
-    sentences = [
+def _summary(loop: Loop) -> list[str]:
+    """Return the loop as a few sentences."""
+    f, first = loop.prior.centre_frequencies, gap_jnd(loop.simulated[0], loop.wanted)
+    n = loop.simulations
+    said = [
         f"Likely a typing error at {mark.frequency:g} Hz: {mark.text}. Check this value before "
         "anything else."
         for mark in loop.trust_marks
         if "typing_error" in mark.kind
     ]
-    sentences += [
-        f"A simulator was run {n} time{'' if n == 1 else 's'}, and after each run the absorption "
-        f"coefficients were changed so that {loop.matched.label} comes nearer to what was measured."
-    ]
-    compared = np.isfinite(first)
-    if compared.any():
-        sentences.append(
-            f"The first run was off by {np.abs(first[compared]).max():.1f} JND in the worst band; in "
-            f"each band's nearest run {np.abs(loop.gap[compared]).max():.1f} JND are left."
+    said.append(
+        f"{loop.simulator or 'A simulator'} was run {n} time{'s' * (n != 1)}, and after each run the "
+        f"absorption coefficients were changed so that {loop.matched.label} comes nearer to what "
+        "was measured."
+    )
+    if (compared := np.isfinite(first) & np.isfinite(loop.gap)).any():
+        gap = np.where(compared, np.abs(loop.gap), -np.inf)
+        how = "in each band's nearest run"
+        if loop.final is not None:
+            how = "with all the coefficients returned"
+        if loop.confirmation is not None:
+            how += " and random numbers that the calibration did not use"
+        k = int(np.argmax(gap))
+        said.append(
+            f"The first run was off by {np.abs(first[compared]).max():.1f} JND in the worst band; "
+            f"{how}, {loop.matched.label} is off by {gap[k]:.1f} JND at most, at {f[k]:g} Hz."
         )
+    status_of_bands = loop.status_now
     for status, description in _STATUS_IN_WORDS.items():
         some = [float(v) for v, s in zip(f, status_of_bands, strict=True) if s == status]
         if some:
             which = "All bands" if len(some) == len(f) else bands.hertz(some)
-            sentences.append(f"{which} {description}.")
-    sentences += [] if loop.low is None else loop.low.doubts
-    if not loop.finished:
-        sentences.append("The loop is not finished: simulate again and run `rtcal loop next`.")
-    return sentences
+            said.append(f"{which} {description}.")
+    said += [] if loop.low is None else loop.low.doubts
+    if "not yet" in status_of_bands:
+        said.append("The loop is not finished: simulate again and run `rtcal loop next`.")
+    return said
 
 
-def _confirmed(result: LoopResult) -> str:
-    """Return the gap with the coefficients returned, as a sentence."""
-    gap, f = np.abs(result.gap), result.loop.room.centre_frequencies
-    if not np.isfinite(gap).any():
-        return "What the coefficients returned give was not simulated."
-    k = int(np.nanargmax(gap))
-    how = "With all the coefficients returned"
-    if result.confirmation is not None:
-        how = "With random numbers that the calibration did not use"
-    return f"{how}, {result.loop.matched.label} is off by {gap[k]:.1f} JND at most, at {f[k]:g} Hz."
-
-
-def _at_ends(loop: Loop) -> list[str]:
-    """Return which coefficients moved to 0 or 1, in each band's best simulation, by material."""
-    f, before, after = loop.room.centre_frequencies, loop.room.alpha, loop.best_alpha
-    sentences = []
-    for i, name in enumerate(loop.room.materials):
-        for end in (0.0, 1.0):
-            moved = (after[i] == end) & (before[i] != end)
-            if moved.any():
-                sentences.append(f"{name}: α = {end:g} at {bands.hertz(f[moved])}")
-    return sentences
-
-
-def _warned(ends: Sequence[str]) -> list[Any]:
-    if not ends:
+def _at_ends(loop: Loop) -> list[Any]:
+    """Return which coefficients moved to 0 or 1, by material."""
+    f, before, after = loop.prior.centre_frequencies, loop.prior.alpha, loop.alpha
+    moved = [
+        (f"{name}: α = {end:g}", f[(after[i] == end) & (before[i] != end)])
+        for i, name in enumerate(loop.prior.materials)
+        for end in (0.0, 1.0)
+    ]
+    if not (ends := [f"{what} at {bands.hertz(where)}" for what, where in moved if len(where)]):
         return []
     return [
         Note(
@@ -180,19 +118,6 @@ def _warned(ends: Sequence[str]) -> list[Any]:
             "standard deviation is too small, an effect is missing, or the simulator is too noisy."
         ),
         Items(ends),
-    ]
-
-
-def _before_and_after(result: LoopResult) -> list[Any]:
-    """Return the tables that the result prints."""
-    again = "; what is simulated, with random numbers that the calibration has not seen"
-    return [
-        Section("Before and after", "ends"),
-        Note(
-            f"Simulated by {result.simulator}{again if result.confirmation else ''}. Only "
-            f"{result.loop.matched.label} was fitted. Means over the positions."
-        ),
-        *tables(result.blocks()),
     ]
 
 
@@ -239,5 +164,5 @@ def _reproduced(loop: Loop) -> list[Any]:
             "(simulate next.toml, write simulated.csv, then, until it says Done:)\n"
             f"rtcal loop next room.toml simulated.csv {files}"
         ),
-        Note(f"rtcal {__version__}. Fingerprint of the measured T: {loop.measured}."),
+        Note(f"rtcal {__version__}. Fingerprint of the measured T: {loop.data}."),
     ]

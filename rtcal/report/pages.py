@@ -16,7 +16,7 @@ from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.states import StatesFinding
 from rtcal.finder.verification import Verification
 from rtcal.io import workbook
-from rtcal.loop.closed import Loop, LoopResult
+from rtcal.loop.closed import Loop
 from rtcal.loop.positions_result import PositionsPrediction, PositionsPredictions, PositionsResult
 from rtcal.modes.calibrate import ModesResult
 from rtcal.prediction.designed import Design
@@ -33,7 +33,6 @@ _PAGES: dict[type, Callable[[Any], Page]] = {
     CalibrationResult: of_calibration.page,
     ModesResult: of_calibration.page_of_modes,
     Loop: of_loop.page,
-    LoopResult: of_loop.page,
     PositionsResult: of_positions.page,
     **dict.fromkeys((Prediction, Predictions, Design), of_prediction.page),
     **dict.fromkeys((PositionsPrediction, PositionsPredictions), of_prediction.page_at_positions),
@@ -61,7 +60,7 @@ def page(
 
     Parameters
     ----------
-    result : CalibrationResult, ModesResult, Loop, LoopResult, PositionsResult, Prediction, ...
+    result : CalibrationResult, ModesResult, Loop, PositionsResult, Prediction, ...
         Also a design, several predictions, predictions at positions, a finding or its verification.
     heading : Heading, optional
         Title, author and date; by default the room's name and author.

@@ -32,8 +32,8 @@ def test_a_loops_file_holds_its_room_and_equation(loop, tmp_path) -> None:
     path = str(tmp_path / "loop.json")
     loop.save(path)
     again = Loop.load(path)
-    assert again.room.name == loop.room.name
-    np.testing.assert_array_equal(again.room.sigma, loop.room.sigma)
+    assert again.prior.name == loop.prior.name
+    np.testing.assert_array_equal(again.prior.sigma, loop.prior.sigma)
     assert again.status == loop.status
     assert again.equation == rt.Eyring()
     other = rt.loop.start(*rt.datasets.bras_cr2(), equation=rt.Kuttruff(path_variance=0.3))

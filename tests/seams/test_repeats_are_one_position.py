@@ -118,7 +118,7 @@ def test_by_position() -> None:
     )
     assert to_all.measured.observations.pairs == joined.pairs
     to_mean = rt.calibrate_simulator(tracer, room, measured, max_simulations=2)
-    np.testing.assert_allclose(to_mean.loop.wanted, joined.mean("t20"))
+    np.testing.assert_allclose(to_mean.wanted, joined.mean("t20"))
     for result in (to_all, to_mean):
         assert any("one position: 2 of S1 to R1" in note for note in result.notes)
 

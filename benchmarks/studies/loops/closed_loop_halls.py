@@ -151,7 +151,7 @@ def run(name: str, case: Case, trial: int) -> Trial:
     )
     noise = seen.mean_uncertainty("t20") / seen.mean("t20") / TARGET.jnd
     numbers = [
-        float(len(result.loop.steps)),
+        float(len(result.steps)),
         largest(with_prior, seen, "t20"),
         largest(result.before, seen, "t20"),
         largest(after, seen, "t20"),

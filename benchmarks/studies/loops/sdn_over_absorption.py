@@ -58,7 +58,7 @@ def errors(rule: Rule, receivers: dict[str, tuple[float, ...]], rate: float) -> 
         max_simulations=7,
         tolerance=1e-6 if rule == "secant" else 1.0,
     )
-    return np.array([100 * (step.simulated / wanted - 1) for step in result.loop.steps])
+    return np.array([100 * (step.simulated / wanted - 1) for step in result.steps])
 
 
 def main() -> None:

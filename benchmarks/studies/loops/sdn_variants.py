@@ -229,7 +229,7 @@ def errors(variant: Variant) -> tuple[Array, float]:
         max_simulations=4,
         tolerance=1e-6,
     )
-    steps = (*result.loop.steps, *2 * result.loop.steps[-1:])  # a loop that can go no further stays
+    steps = (*result.steps, *2 * result.steps[-1:])  # a loop that can go no further stays
     off = np.array([100 * (step.simulated / wanted - 1) for step in steps])
     lengths = np.mean([network.line_lengths.mean() for network in networks])
     return off[:3], float(lengths * room.total_area / (4 * room.volume))
