@@ -381,7 +381,7 @@ class Loop(Result):
         """Number of the step with the smallest gap, per band, (n_bands,)."""
         return np.asarray(np.argmin(np.nan_to_num(np.abs(self._gaps), nan=np.inf), axis=0))
 
-    def _of_best(self, of_steps: Sequence[Array]) -> Array:
+    def _of_best(self, of_steps: Sequence[Array] | Array) -> Array:
         """Return of arrays (..., n_bands), one per step, each band's of its best step."""
         return np.stack([of_steps[b][..., k] for k, b in enumerate(self.best)], axis=-1)
 
