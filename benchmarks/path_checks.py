@@ -61,7 +61,7 @@ def diffuse(n_paths: int) -> None:
         geometry=Polyhedron.shoebox(SIDES, "wall"), room=room, n_paths=n_paths, **POINTS
     )
     times = t20(tracer.energy(ALPHAS[np.newaxis], 4.0).mean(axis=0))
-    gamma = tracer.traced(0, 1.0).gamma_squared
+    gamma = tracer.traced(0, 1.0).free_paths[1]
     a = -np.log(1 - ALPHAS)
     eyring = 24 * np.log(10) / room.speed_of_sound * room.volume / (142.0 * a)
     kuttruff = eyring / (1 - gamma * a / 2)

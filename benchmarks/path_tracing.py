@@ -77,7 +77,7 @@ def main() -> int:
     )
     for label, value in middle.items():
         print(f"  {label:30} {1000 * value:9.1f} ms   {one / value:8.2f} times as quick as tracing")
-    hits = SECONDS * hall.room.speed_of_sound / traced.mean_free_path
+    hits = SECONDS * hall.room.speed_of_sound / traced.free_paths[0]
     heard = sum(len(b.lengths) for source in traced.batches for b in source) / traced.n_paths
     print(
         f"  memory: {traced.nbytes / traced.n_paths:.0f} bytes a path = 2 a hit ({hits:.0f} hits)"

@@ -90,14 +90,14 @@ def test_energy_is_conserved_where_nothing_absorbs(diffuse):
 
 
 def test_free_paths(diffuse):
-    assert diffuse.mean_free_path == pytest.approx(4 * BOX.volume / 142, rel=0.002)
-    assert 0.3 < diffuse.gamma_squared < 0.5  # Kuttruff 2009, Table 5.1: about 0.4
+    assert diffuse.free_paths[0] == pytest.approx(4 * BOX.volume / 142, rel=0.002)
+    assert 0.3 < diffuse.free_paths[1] < 0.5  # Kuttruff 2009, Table 5.1: about 0.4
 
 
 def test_kuttruffs_equation_with_the_paths_own_gamma_squared(diffuse):
     alpha = np.array([0.05, 0.1, 0.2, 0.3, 0.4])
     a = -np.log(1 - alpha)
-    exponent = a * (1 - diffuse.gamma_squared * a / 2)
+    exponent = a * (1 - diffuse.free_paths[1] * a / 2)
     kuttruff = 24 * np.log(10) / C * BOX.volume / (142 * exponent)
     energy = diffuse.energy(alpha[np.newaxis], np.zeros(5), BIN).mean(axis=0)
     assert TARGET.value(energy[0], 0.002).mean(axis=0) == pytest.approx(kuttruff, rel=0.02)
@@ -239,7 +239,7 @@ def test_memory_per_path():
     hall = halls.lecture_hall()
     receivers = list(hall.receivers.values())
     made = trace(hall.geometry, [hall.sources["S1"]], receivers, 0.3, 1.0, n_paths=1600)
-    hits = C * 1.0 / made.mean_free_path
+    hits = C * 1.0 / made.free_paths[0]
     # Two bytes a hit and ten a time that a receiver hears it (about one a receiver and second),
     # eight for where the path starts.
     assert made.nbytes / made.n_paths == pytest.approx(2 * hits + 10 * 3.5 + 8, rel=0.05)

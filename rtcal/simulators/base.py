@@ -22,11 +22,10 @@ from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.decay import checked_decay, gradients
+from rtcal.acoustics.decay import checked_decay
 from rtcal.acoustics.measurement import SAME_PLACE, Measurement, note_of_repeats
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET, observable, parameter_label
 from rtcal.acoustics.room import Room, in_order
@@ -535,14 +534,3 @@ def values_of_decays(
                 )
             raise DataError(f"the decay from {place} has no {parameter_label(name)}: {cause}")
     return values
-
-
-def chained(
-    energy: Array, gradient: Array, bin_width: float, match: Sequence[str]
-) -> NDArray[np.float64]:
-    """Return the derivatives of the observations, (n_parameters, n_pairs, n_bands, n_unknowns).
-
-    ``energy`` (n_pairs, n_bands, n_bins), its ``gradient`` (n_pairs, n_bins, n_unknowns, n_bands).
-    """
-    by_bin = gradients(energy, bin_width, match)
-    return np.asarray(np.einsum("prkb,rbjk->prkj", by_bin, gradient, optimize=True))

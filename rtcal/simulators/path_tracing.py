@@ -16,14 +16,14 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from itertools import repeat
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, longest
 from rtcal.acoustics.scene import Directivity, DirectivityFile, directivities
 from rtcal.simulators import base
@@ -83,45 +83,16 @@ class Batch:
         """Events, starts, lengths and weights, as the kernels take them."""
         return self.events, self.starts, self.lengths, self.weights
 
-    @property
-    def nbytes(self) -> int:
-        """Memory in bytes."""
-        return sum(x.nbytes for x in self.arrays)
-
-
-def aimed(batches: Sequence[Batch], lobe: Directivity, n_codes: int) -> tuple[Batch, ...]:
-    """Return the paths of a source with this directivity, of one band.
-
-    Events of ``n_codes`` and above are receptions.
-    """
-    gains = lobe.gain(np.concatenate([batch.directions for batch in batches]))[:, 0]
-    ends = np.cumsum([len(batch.directions) for batch in batches])[:-1]
-    out = []
-    for batch, gain in zip(batches, np.split(gains, ends), strict=True):
-        path = np.repeat(np.arange(len(gain)), np.diff(batch.starts))[batch.events >= n_codes]
-        out.append(replace(batch, weights=batch.weights * gain[path].astype(np.float32)))
-    return tuple(out)
-
-
-def joined(
-    batches: Sequence[Batch],
-) -> tuple[NDArray[np.uint16], NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]:
-    """Return the arrays of several batches as those of one."""
-    before = np.cumsum([0, *(len(batch.events) for batch in batches)])
-    starts = [batch.starts[:-1] + begin for batch, begin in zip(batches, before, strict=False)]
-    return (
-        np.concatenate([batch.events for batch in batches]),
-        np.concatenate([*starts, before[-1:]]),
-        np.concatenate([batch.lengths for batch in batches]),
-        np.concatenate([batch.weights for batch in batches]),
-    )
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Paths:
     """Paths from every source to every receiver, in independent batches of equal size.
 
-    Made by `trace`.
+    Made by `trace`. The energies and derivatives of its methods are those for ``alpha``, an array
+    (n_materials, n_bands) of 0 to 1, ``air_attenuation``, (n_bands,) in 1/m, and bins of ``bin_length``
+    in m: the speed of sound times the width in s. The first bin starts with the first sound, and there
+    are as many as every pair fills. Energy is per area, in 1/m², for a source of unit energy: the
+    direct sound is 1/(4 pi r²).
 
     Attributes
     ----------
@@ -135,10 +106,9 @@ class Paths:
         ``n_paths`` per source, with those that were lost.
     longest : float
         Length in m to which every path is followed.
-    direct : array (n_sources, n_receivers)
-        Length of the direct sound in m, NaN where a wall hides the source.
-    direct_gain : array (n_sources, n_receivers)
-        Energy of the direct sound over an omnidirectional source's.
+    direct, direct_gain : array (n_sources, n_receivers)
+        Length of the direct sound in m, NaN where a wall hides the source; its energy over that of an
+        omnidirectional source.
     first : array (n_sources, n_receivers)
         Length of the first sound in m: the direct sound, else the first path heard.
     """
@@ -156,14 +126,8 @@ class Paths:
 
     def __post_init__(self) -> None:
         # The paths do not depend on alpha, so every simulation reads the same arrays.
-        for values in (
-            self.materials,
-            self.scattering,
-            self.direct,
-            self.direct_gain,
-            self.first,
-        ):
-            values.setflags(write=False)
+        for name in ("materials", "scattering", "direct", "direct_gain", "first"):
+            getattr(self, name).setflags(write=False)
 
     def aimed(self, lobes: Mapping[int, Directivity], to_receivers: Array) -> Paths:
         """Return the same paths from sources that are not omnidirectional.
@@ -177,14 +141,22 @@ class Paths:
         """
         batches, direct_gain = list(self.batches), self.direct_gain.copy()
         for s, lobe in lobes.items():
-            batches[s] = aimed(self.batches[s], lobe, 2 * len(self.materials))
+            # The gain of all paths at once: its last digits may depend on the number of directions.
+            every = lobe.gain(np.concatenate([batch.directions for batch in batches[s]]))[:, 0]
+            ends = np.cumsum([len(batch.directions) for batch in batches[s]])[:-1]
+            made = []
+            for batch, gain in zip(batches[s], np.split(every, ends), strict=True):
+                path = np.repeat(np.arange(len(gain)), np.diff(batch.starts))
+                heard = path[batch.events >= 2 * len(self.materials)]
+                made.append(replace(batch, weights=batch.weights * gain[heard].astype(np.float32)))
+            batches[s] = tuple(made)
             direct_gain[s] = lobe.gain(to_receivers[s])[:, 0]
         return replace(self, batches=tuple(batches), direct_gain=direct_gain)
 
     @property
     def nbytes(self) -> int:
         """Memory of all paths in bytes."""
-        return sum(batch.nbytes for source in self.batches for batch in source)
+        return sum(x.nbytes for source in self.batches for batch in source for x in batch.arrays)
 
     @property
     def lost_share(self) -> float:
@@ -198,135 +170,65 @@ class Paths:
         return [self.n_paths - sum([b.lost for b in source]) for source in self.batches]
 
     @property
-    def mean_free_path(self) -> float:
-        """Mean length in m between two reflections; 4V/S in a diffuse field."""
-        number, total, _ = self._free_paths()
-        return total / number
+    def free_paths(self) -> tuple[float, float]:
+        """Mean length in m between two reflections, 4V/S in a diffuse field; Kuttruff's gamma².
 
-    @property
-    def gamma_squared(self) -> float:
-        """Variance of the free paths over their squared mean: gamma² of Kuttruff's equation."""
-        number, total, squares = self._free_paths()
-        return squares / number / (total / number) ** 2 - 1
-
-    def _free_paths(self) -> tuple[float, float, float]:
-        sums = np.sum([b.free_paths for source in self.batches for b in source], axis=0)
-        return float(sums[0]), float(sums[1]), float(sums[2])
+        gamma² is the variance of the free paths over their squared mean.
+        """
+        every = np.sum([b.free_paths for source in self.batches for b in source], axis=0)
+        number, total, squares = map(float, every)
+        return total / number, squares / number / (total / number) ** 2 - 1
 
     def energy(
-        self,
-        alpha: Array,
-        air_attenuation: Array,
-        bin_length: float,
-        number: int | None = None,
+        self, alpha: Array, air_attenuation: Array, bin_length: float, number: int | None = None
     ) -> Array:
-        """Return the energy that each receiver hears, in bins of length after the first sound.
+        """Return the energy that each receiver hears; the estimate is the mean over groups.
 
-        Parameters
-        ----------
-        alpha : array (n_materials, n_bands)
-            Absorption coefficients, 0 to 1.
-        air_attenuation : array (n_bands,)
-            m in 1/m.
-        bin_length : float
-            Width of a bin in m: the speed of sound times the width in s. The first bin starts with
-            the first sound.
-        number : int, optional
-            Of groups of batches, by default of batches; it divides their number.
-
-        Returns
-        -------
-        array (number, n_sources, n_receivers, n_bands, n_bins)
-            As many bins as every pair fills. Energy per area in 1/m² for a source of unit energy:
-            the direct sound is 1/(4 pi r²). The estimate is the mean over groups.
+        (number, n_sources, n_receivers, n_bands, n_bins). ``number`` is of groups of batches, which it
+        divides, by default of batches.
         """
         from rtcal.simulators import kernels
 
-        log_reflection, attenuation = self._weights(alpha, air_attenuation)
-        n_sources, n_receivers = self.first.shape
-        n_bins = self._n_bins(bin_length)
-        n_batches, n_bands = len(self.batches[0]), len(attenuation)
+        log_reflection, attenuation, n_bins = self._weights(alpha, air_attenuation, bin_length)
+        n_batches = len(self.batches[0])
         number = n_batches if number is None else number
-        out = np.zeros((number, n_sources, n_receivers, n_bands, n_bins))
+        out = np.zeros((number, *self.first.shape, len(attenuation), n_bins))
         for s, source in enumerate(self.batches):
+            weighing = log_reflection, attenuation, self.first[s], float(bin_length)
             for b, batch in enumerate(source):
-                kernels.histogram(
-                    batch.arrays,
-                    (log_reflection, attenuation, self.first[s], float(bin_length)),
-                    out[b * number // n_batches, s],
-                )
+                kernels.histogram(batch.arrays, weighing, out[b * number // n_batches, s])
             out[:, s] *= number / self._kept[s]
         out[..., 0] += self._direct_sound(attenuation)
         return out
 
     def energy_gradient(
-        self,
-        source: int,
-        alpha: Array,
-        air_attenuation: Array,
-        bin_length: float,
+        self, source: int, alpha: Array, air_attenuation: Array, bin_length: float
     ) -> tuple[Array, Array]:
-        """Return the energies of one source, and their derivatives, in one sweep of its paths.
+        """Return the energies of one source, and their derivatives by alpha, in one sweep of its paths.
 
-        Parameters
-        ----------
-        source : int
-        alpha, air_attenuation, bin_length
-            As for `energy`; no alpha is 1.
-
-        Returns
-        -------
-        energy : array (n_receivers, n_bands, n_bins)
-            Mean over the batches.
-        gradient : array (1, n_receivers, n_bins, n_materials, n_bands)
-            d energy / d alpha; the first axis is that of `scattering_gradient`. Materials beyond the
-            last that a face has are left out.
+        The energy is the mean over the batches, (n_receivers, n_bands, n_bins). The gradient, (1,
+        n_receivers, n_bins, n_materials, n_bands), lacks the materials beyond the last that a face has.
+        No alpha is 1.
         """
-        energy, gradient = self._swept(
-            self.batches[source],
-            source,
-            (alpha, air_attenuation, bin_length),
-            np.tile(self.materials, 2),
-            np.ones(2 * len(self.materials)),
-        )
+        counts = np.ones(2 * len(self.materials))
+        weighing = alpha, air_attenuation, bin_length
+        energy, gradient = self._swept(source, self.batches[source], weighing, counts)
         # The kernel sums n E, n being the number of hits on the material's faces.
         reflected = 1 - np.asarray(alpha, dtype=float)[: gradient.shape[2]]
         return energy, gradient[np.newaxis] / -reflected
 
     def scattering_gradient(
-        self,
-        source: int,
-        alpha: Array,
-        air_attenuation: Array,
-        bin_length: float,
-        number: int,
+        self, source: int, alpha: Array, air_attenuation: Array, bin_length: float, number: int
     ) -> tuple[Array, Array]:
         """Return the energies of one source and their derivatives by the scattering of each material.
 
         A path that material j scattered d times and reflected r times without scattering has a
         probability proportional to s^d (1 - s)^r. So its energy counts with (1 - s) d - s r in the
         derivative by the log odds ln(s / (1 - s)) (Glynn 1990, likelihood ratios). It is 0 where s is
-        0 or 1.
+        0 or 1. The shapes are those of `energy_gradient`, with the gradients of ``number`` independent
+        groups of the batches first, which divides their number.
 
-        Parameters
-        ----------
-        source : int
-        alpha, air_attenuation, bin_length
-            As for `energy`.
-        number : int
-            Of independent groups of the batches; it divides their number.
-
-        Returns
-        -------
-        energy : array (n_receivers, n_bands, n_bins)
-            Mean over the batches.
-        gradient : array (number, n_receivers, n_bins, n_materials, n_bands)
-            Of each group, d energy / d ln(s / (1 - s)).
-
-        Raises
-        ------
-        DataError
-            If the paths were traced with another scattering model than "random".
+        Raises DataError if the paths were traced with another scattering model than "random".
         """
         if self.scattering_model != "random":
             raise DataError(
@@ -334,50 +236,35 @@ class Paths:
                 'by the scattering need "random"'
             )
         s = self.scattering[self.materials]
-        batches = self.batches[source]
-        swept = [
-            self._swept(
-                batches[group::number],
-                source,
-                (alpha, air_attenuation, bin_length),
-                np.tile(self.materials, 2),
-                np.concatenate([-s, 1 - s]),
-            )
-            for group in range(number)
-        ]
+        batches, weighing = self.batches[source], (alpha, air_attenuation, bin_length)
+        counts = np.concatenate([-s, 1 - s])
+        groups = [batches[group::number] for group in range(number)]
+        swept = [self._swept(source, group, weighing, counts) for group in groups]
         energy, gradient = zip(*swept, strict=True)
         return np.mean(energy, axis=0), np.array(gradient)
 
     def _swept(
         self,
-        batches: Sequence[Batch],
         source: int,
+        batches: Sequence[Batch],
         weighing: tuple[Array, Array, float],
-        groups: NDArray[np.int64],
         counts: Array,
     ) -> tuple[Array, Array]:
         """Return the mean energies of some batches, and what their kernel sums.
 
-        ``weighing`` is alpha, air attenuation and the length of a bin. ``groups`` and ``counts``
-        (2 n_faces,) belong to the codes of wall hits.
+        ``weighing`` is alpha, air attenuation and the length of a bin. ``counts`` (2 n_faces,) is what
+        a hit of each code adds to the sum of its material.
         """
         from rtcal.simulators import kernels
 
-        alpha, air_attenuation, bin_length = weighing
-        log_reflection, attenuation = self._weights(alpha, air_attenuation)
+        log_reflection, attenuation, n_bins = self._weights(*weighing)
         n_receivers, n_bands = self.first.shape[1], len(attenuation)
-        n_bins = self._n_bins(bin_length)
         energy = np.zeros((n_receivers, n_bands, n_bins))
-        gradient = np.zeros((n_receivers, n_bins, int(groups.max()) + 1, n_bands))
+        gradient = np.zeros((n_receivers, n_bins, int(self.materials.max()) + 1, n_bands))
+        weights = log_reflection, attenuation, self.first[source], float(weighing[2])
+        materials = np.tile(self.materials, 2)
         for batch in batches:
-            kernels.histogram_gradient(
-                batch.arrays,
-                (log_reflection, attenuation, self.first[source], float(bin_length)),
-                groups,
-                counts,
-                energy,
-                gradient,
-            )
+            kernels.histogram_gradient(batch.arrays, weights, materials, counts, energy, gradient)
         kept = len(batches) * self.n_paths // len(self.batches[source])
         kept -= sum(batch.lost for batch in batches)
         energy /= kept
@@ -403,7 +290,7 @@ class Paths:
         Parameters
         ----------
         alpha, air_attenuation, bin_length
-            As for `energy`; no alpha is 1.
+            As for `Paths`; no alpha is 1.
         parts : int array (n_faces,)
             Number of the part that each face belongs to. The faces of a part have one material.
         members : bool array (n_groups, n_parts)
@@ -416,7 +303,6 @@ class Paths:
         array (n_groups, n_changes, n_sources, n_receivers, n_bands, n_bins)
             Mean over the batches.
         """
-        n_sources, n_receivers = self.first.shape
         n_changes, n_parts, n_bands = changed.shape
         material = np.zeros(n_parts, dtype=np.int64)
         material[parts] = self.materials
@@ -424,7 +310,7 @@ class Paths:
         ratio = (1 - changed) / (1 - stated)
         alike = np.array([not np.ptp(ratio[:, held], axis=1).any() for held in members], dtype=bool)
         n_bins = self._n_bins(bin_length)
-        out = np.empty((len(members), n_changes, n_sources, n_receivers, n_bands, n_bins))
+        out = np.empty((len(members), n_changes, *self.first.shape, n_bands, n_bins))
         if alike.any():
             factor = np.array([ratio[:, np.argmax(held)] for held in members[alike]])
             held = np.tile(members[alike][:, parts], 2).T.astype(np.int64)
@@ -449,11 +335,9 @@ class Paths:
         """
         from rtcal.simulators import kernels
 
-        log_reflection, attenuation = self._weights(alpha, air_attenuation)
-        n_sources, n_receivers = self.first.shape
+        log_reflection, attenuation, n_bins = self._weights(alpha, air_attenuation, bin_length)
         n_groups, n_changes, n_bands = factor.shape
-        n_bins = self._n_bins(bin_length)
-        out = np.empty((n_groups, n_changes, n_sources, n_receivers, n_bands, n_bins))
+        out = np.empty((n_groups, n_changes, *self.first.shape, n_bands, n_bins))
         every = [batch for source in self.batches for batch in source]
         most = max(kernels.most_hits(batch.events, batch.starts, held) for batch in every)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -461,23 +345,27 @@ class Paths:
         logs[:, 0] = 0.0
         powers = np.exp(np.minimum(logs, _LARGEST_POWER))
         for s, source in enumerate(self.batches):
-            heard = np.zeros((n_groups, n_receivers, n_bins, n_changes, n_bands))
+            heard = np.zeros((n_groups, self.first.shape[1], n_bins, n_changes, n_bands))
+            weighing = log_reflection, attenuation, self.first[s], float(bin_length)
             receptions = sum(len(batch.lengths) for batch in source)
             together = max(len(source) * _TOGETHER // max(receptions, 1), 1)
             for start in range(0, len(source), together):
-                kernels.histogram_changed(
-                    joined(source[start : start + together]),
-                    (log_reflection, attenuation, self.first[s], float(bin_length)),
-                    held,
-                    powers,
-                    heard,
+                some = source[start : start + together]
+                before = np.cumsum([0, *(len(batch.events) for batch in some)])
+                starts = [b.starts[:-1] + begin for b, begin in zip(some, before, strict=False)]
+                events, _, lengths, weights = (
+                    np.concatenate(each) for each in zip(*(b.arrays for b in some), strict=True)
                 )
+                joined = events, np.concatenate([*starts, before[-1:]]), lengths, weights
+                kernels.histogram_changed(joined, weighing, held, powers, heard)
             out[:, :, s] = np.moveaxis(heard, (1, 2, 3, 4), (2, 4, 1, 3)) / self._kept[s]
         out[..., 0] += self._direct_sound(attenuation)
         return out
 
-    def _weights(self, alpha: Array, air_attenuation: Array) -> tuple[Array, Array]:
-        """Return ln(1 - alpha) of every wall hit's code, (2 n_faces, n_bands), and m of every band."""
+    def _weights(
+        self, alpha: Array, air_attenuation: Array, bin_length: float
+    ) -> tuple[Array, Array, int]:
+        """Return ln(1 - alpha) of every wall hit's code, (2 n_faces, n_bands), m, and the n_bins."""
         alpha = np.asarray(alpha, dtype=float)
         attenuation = np.ascontiguousarray(air_attenuation, dtype=float)
         if alpha.ndim != 2 or alpha.shape != (self.n_materials, len(attenuation)):
@@ -486,7 +374,8 @@ class Paths:
                 f"({self.n_materials}, {len(attenuation)})"
             )
         with np.errstate(divide="ignore"):
-            return np.log1p(-alpha)[np.tile(self.materials, 2)], attenuation
+            by_code = np.log1p(-alpha)[np.tile(self.materials, 2)]
+        return by_code, attenuation, self._n_bins(bin_length)
 
     def _n_bins(self, bin_length: float) -> int:
         return max(int((self.longest - self.first.max()) / bin_length), 1)
@@ -696,8 +585,7 @@ _THINNED = 0.25
 """Time after which every second path ends, over Eyring's T of the band with the longest."""
 
 _Weighing = tuple[Array, Array, float]
-_Gradient = Callable[[Paths, int, _Weighing], tuple[Array, Array]]
-"""Energies of a source's paths and gradients of groups of them, for alpha, air and bin length."""
+"""Alpha, air attenuation and bin length, as the methods of `Paths` take them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -818,9 +706,7 @@ class PathTracing(Tracer):
         depend on it little. DataError where none is left.
         """
         names = base.checked_parameters(match)
-        if not self.unknown_sources:
-            return names
-        kept = tuple(name for name in names if OBSERVABLES[name].part == "late")
+        kept = tuple(n for n in names if not self.unknown_sources or OBSERVABLES[n].part == "late")
         if not kept:
             raise DataError(
                 f"match = {', '.join(names)} depends on the directivity of a source, which is unknown"
@@ -910,12 +796,9 @@ class PathTracing(Tracer):
         least ``seconds`` after the emission; see `Paths.energy`. DataError
         for ``seconds`` above `rtcal.simulators.tracer.LONGEST`, or another ``number``.
         """
-        self._check_number(number)
-        return self._energy(check_alpha(self, alpha), seconds, seed, number)
-
-    def _energy(self, alpha: Array, seconds: float, seed: int, number: int | None) -> Array:
-        """Return the `energy` for an alpha that was checked."""
-        groups = self.bands_of_paths()
+        if number is not None and self.n_batches % checks.whole("number", number, 1):
+            raise DataError(f"number = {number} does not divide n_batches = {self.n_batches}")
+        alpha, groups = check_alpha(self, alpha), self.bands_of_paths()
         decays = [
             self.traced(int(bands[0]), seconds, seed=seed).energy(
                 *self._weighing(alpha, bands), number
@@ -925,29 +808,20 @@ class PathTracing(Tracer):
         return of_all_bands(groups, decays)
 
     def observe(
-        self,
-        alpha: Array,
-        match: Sequence[str] = MATCH,
-        *,
-        seed: int = 0,
-        again: bool = True,
+        self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0, again: bool = True
     ) -> Observations:
         """Return what each position hears for alpha (n_materials, n_bands).
 
         The level is G of a source whose power is known. Raises as `simulate` does, and
         `TooShortError` where paths that were traced end too early and are not to be traced ``again``.
         """
-        alpha, match = check_alpha(self, alpha), base.checked_parameters(match)
-        again = checks.flag("again", again)
-        (energy,) = self._groups(alpha, match, 1, seed, None if again else self._followed(seed))
-        return self._observed(energy, alpha, match)
-
-    def _followed(self, seed: int) -> float:
-        """Return for how many seconds the paths of a seed were followed; `LONGEST` if for none."""
-        lengths = [paths.longest for (of, *_), paths in self._traced.items() if of == seed]
-        # Rounded down, so that no path is too short for it.
-        seconds = min(lengths, default=np.inf) / self.room.speed_of_sound
-        return float(min(seconds * (1 - 1e-9), LONGEST))
+        most = None
+        if not checks.flag("again", again):
+            lengths = [paths.longest for (of, *_), paths in self._traced.items() if of == seed]
+            # Rounded down, so that no path is too short for it.
+            most = min(lengths, default=np.inf) / self.room.speed_of_sound * (1 - 1e-9)
+            most = min(most, LONGEST)
+        return self._observed(alpha, match, 1, seed, most)[0]
 
     def observe_in_groups(
         self, alpha: Array, number: int, match: Sequence[str] = MATCH, *, seed: int = 0
@@ -956,42 +830,27 @@ class PathTracing(Tracer):
 
         Their differences are the noise of as many paths. ``number`` divides ``n_batches``.
         """
-        alpha, match = check_alpha(self, alpha), base.checked_parameters(match)
-        groups = self._groups(alpha, match, number, seed)
-        return np.array([self._observed(energy, alpha, match).values for energy in groups])
+        return np.array([of.values for of in self._observed(alpha, match, number, seed)])
 
-    def _groups(
+    def _observed(
         self, alpha: Array, match: Sequence[str], number: int, seed: int, most: float | None = None
-    ) -> Array:
-        """Return the energy decays of groups of the paths, each long enough for ``match``."""
+    ) -> list[Observations]:
+        """Return the observations of groups of the paths, each long enough for ``match``."""
+        alpha, match = check_alpha(self, alpha), base.checked_parameters(match)
         # Each group is to hold the decay times, so no mean over the groups is asked.
-        self._check_number(number)
         (groups,) = decay_long_enough(
-            lambda seconds: self._energy(alpha, seconds, seed, number)[np.newaxis],
+            lambda seconds: self.energy(alpha, seconds, seed=seed, number=number)[np.newaxis],
             self.room,
             alpha,
             longest(match),
             most,
         )
-        return np.asarray(groups)
-
-    def _check_number(self, number: int | None) -> None:
-        if number is not None and self.n_batches % checks.whole("number", number, 1):
-            raise DataError(f"number = {number} does not divide n_batches = {self.n_batches}")
-
-    def _observed(self, energy: Array, alpha: Array, match: Sequence[str]) -> Observations:
-        """Return the observations of energy (n_sources, n_receivers, n_bands, n_bins)."""
         cause = "too little is reflected"
         if np.max(self.room.areas @ alpha) < _REFLECTING * self.room.areas.sum():
             cause = f"{self.n_paths} paths per source are too few. Take a larger n_paths"
-        return base.of_decays(
-            energy.reshape(len(self.pairs), *energy.shape[2:]),
-            self.bin_width,
-            match,
-            self.pairs,
-            self.centre_frequencies,
-            cause,
-        )
+        of_room = match, self.pairs, self.centre_frequencies, cause
+        by_pair = groups.reshape(number, len(self.pairs), *groups.shape[3:])
+        return [base.of_decays(energy, self.bin_width, *of_room) for energy in by_pair]
 
     def jacobian(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Array:
         """Return the derivatives of `observe`, (n_parameters, n_pairs, n_bands, n_materials).
@@ -1002,15 +861,8 @@ class PathTracing(Tracer):
         derivatives are those of the mean over the steps: with one seed a difference departs from them,
         in the mean over seeds it does not. Raises as `simulate` does.
         """
-        alpha, match = check_alpha(self, alpha), base.checked_parameters(match)
-        alpha = np.minimum(alpha, base.LARGEST_ALPHA)
-        derivatives = self._derivatives(
-            alpha,
-            match,
-            seed,
-            lambda traced, source, by: traced.energy_gradient(source, *by),
-        )
-        return np.asarray(derivatives[0])
+        alpha = np.minimum(check_alpha(self, alpha), base.LARGEST_ALPHA)
+        return np.asarray(self._derivatives(alpha, match, seed, Paths.energy_gradient)[0])
 
     def scattering_jacobian(
         self, alpha: Array, match: Sequence[str] = MATCH, *, number: int = 2, seed: int = 0
@@ -1018,17 +870,9 @@ class PathTracing(Tracer):
         """Return the derivatives of `observe` by the scattering of each material.
 
         By its log odds ln(s / (1 - s)), which are changed by as much in all bands. They come from the
-        paths of `observe`, of ``number`` independent groups: their mean is the derivative, their
-        differences its noise. Materials with s = 0 or 1 have 0. See
+        paths of `observe`, of ``number`` independent groups, which divides ``n_batches``: their mean is
+        the derivative, their differences its noise. Materials with s = 0 or 1 have 0. See
         `Paths.scattering_gradient`.
-
-        Parameters
-        ----------
-        alpha : array (n_materials, n_bands)
-        match : sequence of str
-        number : int
-            Divides ``n_batches``.
-        seed : int
 
         Returns
         -------
@@ -1040,15 +884,10 @@ class PathTracing(Tracer):
             As `observe` does, for a ``number`` that does not divide, and if ``scattering_model`` is
             not "random".
         """
-        alpha, match = check_alpha(self, alpha), base.checked_parameters(match)
-        checks.whole("number", number, 1)
-        self._check_number(number)
-        return self._derivatives(
-            alpha,
-            match,
-            seed,
-            lambda traced, source, by: traced.scattering_gradient(source, *by, number),
-        )
+        if self.n_batches % checks.whole("number", number, 1):
+            raise DataError(f"number = {number} does not divide n_batches = {self.n_batches}")
+        gradient = partial(Paths.scattering_gradient, number=number)
+        return self._derivatives(check_alpha(self, alpha), match, seed, gradient)
 
     def _weighing(self, alpha: Array, bands: NDArray[np.int64]) -> _Weighing:
         """Return what the paths of some bands are weighed with."""
@@ -1060,12 +899,14 @@ class PathTracing(Tracer):
         alpha: Array,
         match: Sequence[str],
         seed: int,
-        gradient: _Gradient,
+        gradient: Callable[..., tuple[Array, Array]],
     ) -> Array:
         """Return the derivatives of `observe`, (number, n_parameters, n_pairs, n_bands, n_materials).
 
-        ``gradient`` gives those of the energies in ``number`` groups. Materials that no face has are 0.
+        ``gradient`` gives those of the energies in ``number`` groups, for paths, a source and its
+        `_weighing`. Materials that no face has are 0.
         """
+        match = base.checked_parameters(match)
         sweeps: list[list[tuple[Array, Array]]] = []
         groups, sources = self.bands_of_paths(), range(len(self.sources))
 
@@ -1075,7 +916,7 @@ class PathTracing(Tracer):
                 for bands in groups:
                     traced = self.traced(int(bands[0]), seconds, seed=seed)
                     by = self._weighing(alpha, bands)
-                    sweeps.append([*pool.map(gradient, repeat(traced), sources, repeat(by))])
+                    sweeps.append([*pool.map(lambda s: gradient(traced, s, *by), sources)])  # noqa: B023
             decays = [np.stack([energy for energy, _ in sweep]) for sweep in sweeps]
             return of_all_bands(groups, decays)[np.newaxis]
 
@@ -1085,8 +926,12 @@ class PathTracing(Tracer):
         for bands, sweep in zip(groups, sweeps, strict=True):
             for s, (_, of_groups) in enumerate(sweep):
                 for of_group, by_bin in zip(out, of_groups, strict=True):
-                    of_group[:, s][:, :, bands, : by_bin.shape[2]] = base.chained(
-                        decays[s][:, bands], by_bin[:, : decays.shape[-1]], self.bin_width, match
+                    by_bin = by_bin[:, : decays.shape[-1]]
+                    of_group[:, s][:, :, bands, : by_bin.shape[2]] = np.einsum(
+                        "prkb,rbjk->prkj",
+                        gradients(decays[s][:, bands], self.bin_width, match),
+                        by_bin,
+                        optimize=True,
                     )
         return out.reshape(number, len(match), len(self.pairs), self.room.n_bands, n_unknowns)
 
@@ -1104,8 +949,31 @@ class PathTracing(Tracer):
         if key not in self._traced or self._traced[key].longest < longest:
             if any(other != seed for other, *_ in self._traced):
                 self._traced.clear()
-            self._traced[key] = self._trace(self.scattering[:, band], longest, seed)
-        return self._aimed(key, band) if self.aimed_sources else self._traced[key]
+            sources, receivers = self._points()
+            self._traced[key] = trace(
+                self.geometry,
+                sources,
+                receivers,
+                materials=self.room.material_rows(self.geometry.materials),
+                scattering=self.scattering[:, band],
+                radii=self._radii(),
+                longest=longest,
+                n_paths=self.n_paths,
+                n_batches=self.n_batches,
+                scattering_model=self.scattering_model,
+                seed=seed,
+                workers=self.workers,
+                thinned=np.inf if self.thinned is None else self.thinned * self.room.speed_of_sound,
+            )
+        traced = self._traced[key]
+        if not self.aimed_sources:
+            return traced
+        # As the sources' directivities in this band weigh the paths.
+        aimed = self._traced.get((*key, band))
+        if aimed is None or aimed.longest != traced.longest:
+            lobes = {s: of.in_band(band) for s, of in self.aimed_sources.items()}
+            aimed = self._traced[(*key, band)] = traced.aimed(lobes, self.to_receivers)
+        return aimed
 
     def bands_of_paths(self) -> list[NDArray[np.int64]]:
         """Return the bands' numbers in groups whose scattering and directivity are the same."""
@@ -1115,31 +983,3 @@ class PathTracing(Tracer):
     def _bands_of_paths(self) -> list[NDArray[np.int64]]:
         aimed = [of.pattern for of in self.aimed_sources.values()]
         return equal_columns(np.vstack([self.scattering, *aimed]))
-
-    def _aimed(self, key: tuple[int, int], band: int) -> Paths:
-        """Return the paths of ``key`` as the sources' directivities in a band weigh them."""
-        traced = self._traced[key]
-        aimed = self._traced.get((*key, band))
-        if aimed is None or aimed.longest != traced.longest:
-            lobes = {s: of.in_band(band) for s, of in self.aimed_sources.items()}
-            aimed = traced.aimed(lobes, self.to_receivers)
-            self._traced[(*key, band)] = aimed
-        return aimed
-
-    def _trace(self, scattering: Array, longest: float, seed: int) -> Paths:
-        sources, receivers = self._points()
-        return trace(
-            self.geometry,
-            sources,
-            receivers,
-            materials=self.room.material_rows(self.geometry.materials),
-            scattering=scattering,
-            radii=self._radii(),
-            longest=longest,
-            n_paths=self.n_paths,
-            n_batches=self.n_batches,
-            scattering_model=self.scattering_model,
-            seed=seed,
-            workers=self.workers,
-            thinned=np.inf if self.thinned is None else self.thinned * self.room.speed_of_sound,
-        )
