@@ -37,34 +37,21 @@ from rtcal.support.types import Array
 
 @runtime_checkable
 class Simulator(Protocol):
-    """Absorption coefficients in, `Measurement` out.
-
-    Attributes
-    ----------
-    name : str
-        Calibrated coefficients belong to the simulator of this name. The name contains the
-        settings that change T.
-    materials : sequence of str (n_materials,)
-        Materials of the rows of alpha, as in the `Room`.
-    centre_frequencies : array (n_bands,)
-        Bands of the columns of alpha in Hz.
-    deterministic : bool
-        Whether the result does not depend on the seed.
-    """
+    """Absorption coefficients in, `Measurement` out."""
 
     @property
     def name(self) -> str:
-        """Name that calibrated coefficients belong to."""
+        """What calibrated coefficients belong to, with the settings that change T."""
         ...
 
     @property
     def materials(self) -> Sequence[str]:
-        """Materials of the rows of alpha."""
+        """Materials of the rows of alpha, as in the `Room`, (n_materials,)."""
         ...
 
     @property
     def centre_frequencies(self) -> Array:
-        """Bands of the columns of alpha in Hz."""
+        """Bands of the columns of alpha in Hz, (n_bands,)."""
         ...
 
     @property
@@ -230,26 +217,6 @@ def lost_paths(simulator: Simulator) -> tuple[str, ...]:
     )
 
 
-def _of_points(points: Mapping[str, Sequence[float]]) -> dict[str, str]:
-    """Return the place of each name whose point in m is that of an earlier name.
-
-    Examples
-    --------
-    >>> _of_points({"R1": (1, 2, 1.2), "R2": (1, 2, 1.2), "R3": (4, 2, 1.2)})
-    {'R2': 'R1'}
-    """
-    first: dict[str, Array] = {}
-    places = {}
-    for name, point in points.items():
-        here = np.asarray(point, dtype=float)
-        near = (n for n, p in first.items() if np.linalg.norm(p - here) <= SAME_PLACE)
-        if (place := next(near, None)) is None:
-            first[name] = here
-        else:
-            places[name] = place
-    return places
-
-
 def at_places(simulator: Simulator, measured: Measurement) -> tuple[Measurement, tuple[str, ...]]:
     """Return the measurement with the pairs at one place averaged, and a note of them.
 
@@ -257,15 +224,21 @@ def at_places(simulator: Simulator, measured: Measurement) -> tuple[Measurement,
     counted as positions, they would make their mean surer than it is.
     """
     checks.instance("measured", measured, Measurement)
-    same = {}
-    for i, kind in enumerate(("sources", "receivers")):
+    same: dict[str, dict[str, str]] = {"sources": {}, "receivers": {}}
+    for i, (kind, of_kind) in enumerate(same.items()):
         points = getattr(simulator, kind, None)
-        names = dict.fromkeys(pair[i] for pair in measured.pairs)
-        known = {n: points[n] for n in names if n in points} if isinstance(points, Mapping) else {}
-        same[kind] = _of_points(known)
-    if not any(same.values()):
-        return measured, ()
+        places: dict[str, Array] = {}
+        for name in dict.fromkeys(pair[i] for pair in measured.pairs):
+            if isinstance(points, Mapping) and name in points:
+                here = np.asarray(points[name], dtype=float)
+                near = (n for n, p in places.items() if np.linalg.norm(p - here) <= SAME_PLACE)
+                if (place := next(near, None)) is None:
+                    places[name] = here
+                else:
+                    of_kind[name] = place
     of_sources, of_receivers = same.values()
+    if not of_sources and not of_receivers:
+        return measured, ()
     placed = [(of_sources.get(s, s), of_receivers.get(r, r)) for s, r in measured.pairs]
     return measured.with_repeats(**same), tuple(map(as_sentence, note_of_repeats(placed)))
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +33,8 @@ _LEAST_SAMPLES = 10
 _NEIGHBOUR = np.array([[j + (j >= k) for j in range(_PORTS)] for k in range(_NODES)])
 
 
-@dataclass(frozen=True, eq=False)
-class Network:
-    """The delays in samples and lengths in m of one source-receiver pair. Arrays are read-only.
+class Network(NamedTuple):
+    """The delays in samples and lengths in m of one source-receiver pair; its arrays are read-only.
 
     ``lines`` and ``line_lengths`` (6, 5) lead from node to node, ``source_delays`` and
     ``source_lengths`` (6,) from the source to the nodes, ``tap_delays`` and ``tap_lengths`` (6,)
@@ -50,12 +49,6 @@ class Network:
     tap_lengths: Array
     direct_delay: int
     direct_length: float
-
-    def __post_init__(self) -> None:
-        for values in (self.lines, self.line_lengths, self.source_delays, self.source_lengths):
-            values.setflags(write=False)
-        for values in (self.tap_delays, self.tap_lengths):
-            values.setflags(write=False)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -248,7 +241,7 @@ def _network(dimensions: Array, source: Array, receiver: Array, rate: float) -> 
     direct = float(np.linalg.norm(receiver - source))
     source_delays = np.rint(rate * from_source).astype(np.int64)
     first_order_delays = np.rint(rate * (from_source + from_nodes)).astype(np.int64)
-    return Network(
+    made = Network(
         lines=np.maximum(np.rint(rate * lengths).astype(np.int64), 1),
         line_lengths=lengths,
         source_delays=source_delays,
@@ -258,3 +251,6 @@ def _network(dimensions: Array, source: Array, receiver: Array, rate: float) -> 
         direct_delay=int(np.rint(rate * direct)),
         direct_length=direct,
     )
+    for values in made[:6]:
+        values.setflags(write=False)
+    return made

@@ -19,7 +19,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,39 +35,23 @@ from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only_view
 
 Point = Sequence[float]
 
 
-@dataclass(frozen=True, eq=False)
-class Shoebox:
-    """A shoebox with sources and receivers.
-
-    Attributes
-    ----------
-    dimensions : array (3,)
-        In m.
-    walls : int array (6,)
-        Row of alpha of each wall, in the order of `SHOEBOX_WALLS`.
-    sources, receivers : array (n, 3)
-        Positions in m.
-    pairs : tuple of (source, receiver)
-        Names, source by source.
-    """
+class Shoebox(NamedTuple):
+    """A shoebox with sources and receivers; its arrays are read-only."""
 
     dimensions: Array
+    """(3,) in m."""
     walls: NDArray[np.int64]
+    """Row of alpha of each wall, (6,), in the order of `SHOEBOX_WALLS`."""
     sources: Array
     receivers: Array
+    """Positions in m, (n, 3)."""
     pairs: tuple[tuple[str, str], ...]
-
-    def __post_init__(self) -> None:
-        for values in (self.dimensions, self.walls, self.sources, self.receivers):
-            values.setflags(write=False)
-        for source in self.sources:
-            if (self.receivers == source).all(axis=1).any():
-                raise DataError("a source and a receiver are at the same place")
+    """Names of source and receiver, source by source."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -188,52 +172,41 @@ def shoebox_of(room: Room, sources: Mapping[str, Point], receivers: Mapping[str,
                 f"{' x '.join(f'{d:g}' for d in room.dimensions)} m have "
                 f"{box.areas.get(material, 0.0):.4g} m²"
             )
-    return Shoebox(
+    made = Shoebox(
         dimensions=np.array(room.dimensions, dtype=float),
         walls=np.array([room.material_index(materials[wall]) for wall in SHOEBOX_WALLS]),
         sources=box.require_inside("source", sources),
         receivers=box.require_inside("receiver", receivers),
         pairs=tuple((s, r) for s in sources for r in receivers),
     )
+    if any((made.receivers == source).all(axis=1).any() for source in made.sources):
+        raise DataError("a source and a receiver are at the same place")
+    for values in made[:4]:
+        values.setflags(write=False)
+    return made
 
 
 _MOST_IMAGES = 50_000_000
 
 
-@dataclass(frozen=True, eq=False)
-class Images:
-    """The images of one source as heard by one receiver. All arrays are read-only.
+class Images(NamedTuple):
+    """The images of one source as heard by one receiver; its arrays are read-only.
 
     A run is a sequence of images that differ only in their position along the last axis.
-
-    Attributes
-    ----------
-    hits : tuple of int arrays (n_lattice, 2)
-        By axis: hits on the near and on the far wall.
-    rows : int array (n_runs, 3)
-        By axis, the row of ``hits`` of the run's first image.
-    starts : int array (n_runs + 1,)
-        Index of each run's first image.
-    bins : int array (n_images,)
-        Time bin of each image.
-    weights : array (n_images,)
-        1 / (4 pi d²) in 1/m².
-    lengths : array (n_bins,)
-        Mean d of each bin's images in m.
     """
 
     hits: tuple[NDArray[np.int64], ...]
+    """By axis: hits on the near and on the far wall, (n_lattice, 2)."""
     rows: NDArray[np.int64]
+    """By axis, the row of ``hits`` of each run's first image, (n_runs, 3)."""
     starts: NDArray[np.int64]
+    """Index of each run's first image, (n_runs + 1,)."""
     bins: NDArray[np.uint32]
+    """Time bin of each image, (n_images,)."""
     weights: Array
+    """1 / (4 pi d²) of each image in 1/m²."""
     lengths: Array
-
-    def __post_init__(self) -> None:
-        for hits in self.hits:
-            hits.setflags(write=False)
-        for values in (self.rows, self.starts, self.bins, self.weights, self.lengths):
-            values.setflags(write=False)
+    """Mean d of each bin's images in m, (n_bins,)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -369,12 +342,12 @@ class ImageSource(ShoeboxSimulator):
         bin_, length = np.concatenate(bins), np.concatenate(lengths)
         images_per_bin = np.bincount(bin_, minlength=n_bins)
         return Images(
-            hits=tuple(hits),
-            rows=np.concatenate(rows),
-            starts=np.concatenate([[0], np.cumsum(np.concatenate(sizes))]),
-            bins=bin_,
-            weights=1 / (4 * np.pi * length**2),
-            lengths=np.bincount(bin_, length, n_bins) / np.maximum(images_per_bin, 1),
+            tuple(map(read_only_view, hits)),
+            read_only_view(np.concatenate(rows)),
+            read_only_view(np.concatenate([[0], np.cumsum(np.concatenate(sizes))])),
+            read_only_view(bin_),
+            read_only_view(1 / (4 * np.pi * length**2)),
+            read_only_view(np.bincount(bin_, length, n_bins) / np.maximum(images_per_bin, 1)),
         )
 
 

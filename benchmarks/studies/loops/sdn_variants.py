@@ -66,7 +66,7 @@ def lines_between(network: Network, nodes: Array, rate: float) -> Network:
 
 def with_lengths(network: Network, lengths: Array, rate: float) -> Network:
     lines = np.maximum(np.rint(rate * lengths).astype(np.int64), 1)
-    return replace(network, lines=lines, line_lengths=lengths)
+    return network._replace(lines=lines, line_lengths=lengths)
 
 
 def on_walls(draw: Callable[[], Array]) -> Place:
