@@ -59,7 +59,8 @@ def test_a_noisy_pair_is_a_hint() -> None:
 
 
 def spread(effect: str) -> SpreadHypothesis:
-    return SpreadHypothesis(effect, "S1", 3.0, "", np.arange(1), np.eye(1), 0.5)
+    one = np.ones(1)
+    return SpreadHypothesis(effect, "S1", one, "", np.arange(1), np.eye(1), one, 0.5 * one)
 
 
 def scored(

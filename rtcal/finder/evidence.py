@@ -40,9 +40,18 @@ def with_columns(
         U' C⁻¹ U.
     """
     factor = np.linalg.cholesky(inner + np.eye(inner.shape[-1]))
-    gained = np.linalg.inv(factor) @ across  # quicker than to solve for many residuals
+    whitened = np.array(across.swapaxes(-2, -1), order="C")
+    every = (each.reshape(-1, *each.shape[-2:]) for each in (factor, whitened))
+    for matrix, rows in zip(*every, strict=True):
+        _whiten(matrix, rows)
     more = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)[..., np.newaxis]
-    return square - np.einsum("...rm,...rm->...m", gained, gained), half + more
+    return square - np.einsum("...mr,...mr->...m", whitened, whitened), half + more
+
+
+def _whiten(factor: Array, rows: Array) -> None:
+    """Replace rows x (d, m) by L⁻¹ x, of a lower factor L (m, m)."""
+    # LAPACK sees the transpose of a matrix in C order, so its upper factor is the lower one.
+    dtrtrs(factor.T, rows.T, lower=0, trans=1, overwrite_b=1)
 
 
 DEGREES = 5.0
@@ -130,7 +139,7 @@ class Factorization:
         whitened, begin = np.ascontiguousarray(rows), 0
         if whitened.size:
             for matrix, right in zip(self._lower, whitened, strict=True):
-                dtrtrs(matrix.T, right.T, lower=0, trans=1, overwrite_b=1)
+                _whiten(matrix, right)
         square, across, inner = np.zeros(()), np.zeros(()), np.zeros(())
         for end in ends:
             z, w = whitened[:, :first, begin:end], whitened[:, first:, begin:end]

@@ -36,7 +36,8 @@ def shift(effect: str) -> ShiftHypothesis:
 
 
 def spread(effect: str) -> SpreadHypothesis:
-    return SpreadHypothesis(effect, "S1", 1.0, "", np.arange(1), np.eye(1), ODDS[effect])
+    one = np.ones(1)
+    return SpreadHypothesis(effect, "S1", one, "", np.arange(1), np.eye(1), one, ODDS[effect] * one)
 
 
 EVERY = PositionsHypotheses(
@@ -48,7 +49,7 @@ EVERY = PositionsHypotheses(
 
 def score_of(**nats: float) -> tuple[float, float]:
     """Return the scores where these effects explain what was measured better than nothing does."""
-    evidence = np.array([[nats.get(effect, 0.0)] for effect in EVERY.effects])
+    evidence = np.array([[nats.get(effect, 0.0)] for effect in EVERY.by_row("effect")])
     score, noisy = scores(weights(evidence, EVERY), EVERY)
     return float(score[0]), float(noisy[0])
 

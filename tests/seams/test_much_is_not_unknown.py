@@ -54,7 +54,7 @@ def searched(kept: Path) -> Searched:
 def told(of: Searched, seed: int, hidden: bool) -> tuple[Summary, float]:
     """Return what a search tells, and its score, where the simulator errs by more than is assumed."""
     case, numbers, every = of
-    error = LARGER * numbers.simulator_error()
+    error = LARGER * numbers.simulator_error
     drawn = np.random.default_rng(seed).multivariate_normal(
         np.zeros(len(error)), error, method="eigh"
     )
@@ -94,9 +94,10 @@ def test_what_no_effect_explains_is_as_probable_alone_as_beside_one() -> None:
     every = shifts(case, library())
     for some in (every, every[: len(every) // 2]):
         hypotheses = PositionsHypotheses(some, [], off=0.0)
-        evidence = np.full((len(hypotheses.effects), 1), -60.0)
+        evidence = np.full((len(hypotheses.log_prior), 1), -60.0)
         evidence[2] = 0.0
-        hypotheses.of_shifts(evidence)[1][:] = 0.0
+        for beside in hypotheses.of_groups(evidence)[2]:
+            beside[:] = 0.0
         told = summary_of(case, hypotheses, weights(evidence, hypotheses))
         assert told.probabilities[UNKNOWN] == pytest.approx(0.5, abs=1e-6)
         assert told.unexplained == pytest.approx(1.0, abs=1e-6)

@@ -33,7 +33,6 @@ from rtcal.finder.evidence import log_sums
 from rtcal.finder.positions.finding import LIKELY
 from rtcal.finder.positions.hypotheses import (
     COUPLED,
-    MEASUREMENT,
     POSITION,
     PositionsHypotheses,
     ShiftHypothesis,
@@ -70,7 +69,12 @@ def drawn(
         if shift.effect in HIDDEN
         for row, odds in enumerate(shift.odds)
     ]
-    chances += [(s.odds, s, 0) for s in every.spreads if s.effect in HIDDEN]
+    chances += [
+        (float(odds), spread, row)
+        for spread in every.spreads
+        if spread.effect in HIDDEN
+        for row, odds in enumerate(spread.odds)
+    ]
     odds = np.array([chance for chance, _, _ in chances])
     kept = np.flatnonzero(numbers.used)
     factor = np.linalg.cholesky(likelihood.covariance[np.ix_(kept, kept)])
@@ -84,7 +88,8 @@ def drawn(
         _, what, row = chances[choice]
         hidden.append(what)
         if isinstance(what, SpreadHypothesis):
-            out[what.rows, column] += what.columns @ rng.standard_normal(what.columns.shape[1])
+            drawn_errors = what.columns @ rng.standard_normal(what.columns.shape[1])
+            out[what.rows, column] += what.scales[row] * drawn_errors
         else:
             out[:, column] += shifted(likelihood, what, row, rng)
     return [*hidden, *[None] * DRAWS], out
@@ -94,8 +99,7 @@ def shifted(
     likelihood: Likelihood, shift: ShiftHypothesis, row: int, rng: np.random.Generator
 ) -> np.ndarray:
     """Draw the shift of a hypothesis with the errors of its spectrum and of its place, (n,)."""
-    nodes, share = likelihood.nodes[shift.response], shift.weights[row]
-    exact = np.einsum("kvn,kn->kv", nodes, share)
+    exact = likelihood.changes(shift)[row]
     factor = 1 + rng.multivariate_normal(np.zeros(len(shift.error)), shift.error)
     change = exact @ likelihood.amount * shift.uneven[row]
     place = likelihood.uneven @ rng.standard_normal(likelihood.uneven.shape[1])
@@ -139,7 +143,8 @@ def said(
     """Return what the observer says of each draw."""
     posterior = weights(evaluate(likelihoods, every, residuals), every, temper=1.0)
     score = scores(posterior, every)[0]
-    by_surface, families = log_sums(every.surfaces, posterior), log_sums(every.families, posterior)
+    by_surface = log_sums(every.by_row("surface"), posterior)
+    families = log_sums(every.by_row("family"), posterior)
     nowhere = np.full(residuals.shape[1], -np.inf)
     surfaces = np.array([by_surface.get(j, nowhere) for j in range(n_surfaces)])
     names = [name for name in families if name not in (NONE, UNKNOWN)]
@@ -150,8 +155,7 @@ def said(
         row: Row = {"score": round(float(score[column]), 2)}
         if what is not None:
             best = names[int(by_family[:, column].argmax())]
-            family = what.family if isinstance(what, ShiftHypothesis) else MEASUREMENT
-            row |= {"effect": what.effect, "family": best == family}
+            row |= {"effect": what.effect, "family": best == what.family}
         if isinstance(what, ShiftHypothesis) and what.effect in ABSORBERS:
             order = np.argsort(-chance[:, column])
             held = np.cumsum(chance[order, column])

@@ -64,7 +64,8 @@ def of_room(population: int, index: int, data: str, cache: Path) -> Row | None:
     by_temper = {}
     for temper in TEMPERS:
         posterior = weights(evidence, every, temper)
-        logs = log_sums(list(zip(every.families, every.surfaces, strict=True)), posterior[:, 0])
+        surfaces = [-1 if j is None else j for j in every.by_row("surface")]
+        logs = log_sums([*zip(every.by_row("family"), surfaces, strict=True)], posterior[:, 0])
         chances = {k: float(np.exp(v - logsumexp(posterior[:, 0]))) for k, v in logs.items()}
         by_temper[str(temper)] = [
             [family, surface, float(f"{p:.3g}")]

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from benchmarks.studies.geometric_world.load import HANDBOOK, IN_SITU, load, tru
 from benchmarks.studies.pairs.where import case_of, prepared
 from benchmarks.studies.pairs.where_figures import DATA
 from rtcal.finder.positions.hypotheses import PositionsHypotheses, ShiftHypothesis
-from rtcal.finder.positions.problem import Likelihood, PositionsProblem, Residuals
+from rtcal.finder.positions.problem import Likelihood, PositionsProblem, Residuals, flat
 from rtcal.finder.positions.search import TEMPER, evaluate, scores, weights
 
 FOLDS, DRAWS = 4, 25
@@ -55,7 +56,8 @@ def drawn(numbers: PositionsProblem, fold: np.ndarray, rng: np.random.Generator)
     out = numbers.alpha @ unknowns
     out[kept] += np.linalg.cholesky(covariance) @ rng.standard_normal((len(kept), DRAWS))
     chosen = fold[np.arange(DRAWS) % len(fold)]
-    return np.asarray(out + numbers.errors[chosen].T)
+    errors = np.array([flat(run) for run in numbers.error.assumed.errors[chosen]]) * numbers.scale
+    return np.asarray(out + errors.T)
 
 
 def control_scores(
@@ -64,8 +66,11 @@ def control_scores(
     """Return the scores of control rooms, (FOLDS DRAWS,), and the mean square of the projections."""
     rng = np.random.default_rng([seed, 22])
     every, squares = [], []
-    for fold in folds(len(numbers.errors)):
-        likelihoods = numbers.likelihoods(fold)
+    runs = numbers.error.runs
+    for fold in folds(len(runs.errors)):
+        others = replace(runs, errors=np.delete(runs.errors, fold, axis=0))
+        unseen = replace(numbers, error=replace(numbers.error, runs=others))
+        likelihoods = unseen.likelihoods()
         residuals = drawn(numbers, fold, rng)
         posterior = weights(evaluate(likelihoods, hypotheses, residuals), hypotheses)
         every.append(scores(posterior, hypotheses)[0])
@@ -83,11 +88,10 @@ def standardised(
     likelihood: Likelihood, shift: ShiftHypothesis, residuals: Residuals
 ) -> np.ndarray:
     """Return d' K⁻¹ r over its standard deviation, (n_hypotheses, n_draws)."""
-    nodes = likelihood.nodes[shift.response]
-    by_node = nodes.swapaxes(1, 2) @ residuals.pull.reshape(len(nodes), nodes.shape[1], -1)
-    projected = np.einsum("hkn,knm->hm", shift.weights, by_node)
-    size = np.sqrt(np.maximum(likelihood.forms(shift).sum((1, 2)), 1e-12))
-    return np.asarray(projected / size[:, np.newaxis])
+    changes = likelihood.changes(shift).reshape(len(shift.weights), -1)
+    square = np.einsum("hv,hv->h", changes @ likelihood.inverse, changes)
+    size = np.sqrt(np.maximum(square, 1e-12))
+    return np.asarray(changes @ residuals.pull / size[:, np.newaxis])
 
 
 def of_room(index: int, statement: str, data: str, cache: Path) -> dict[str, Any]:

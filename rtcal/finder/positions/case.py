@@ -28,7 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,6 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import LEVEL, MATCH, observable, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import LARGEST_INDEX, POSITION, UNKNOWN, Directivity, checked_uncertainty
-from rtcal.finder.positions import surfaces
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Divided, Faces
 from rtcal.io import geometry_files
@@ -107,24 +106,21 @@ class PositionsCase:
         checks.instance("simulator", self.simulator, PathTracing)
         checks.instance("measured", self.measured, Measurement)
         checked_uncertainty(self.position_uncertainty)
-        wanted = with_t30(self.match, self.measured)
-        object.__setattr__(self, "match", self.simulator.trusted(wanted))
-        object.__setattr__(self, "exclude", checks.pairs("exclude", self.exclude))
-        for name in ("measured", "simulated"):
-            values = getattr(self, name)
-            if values is not None:
-                checks.instance(name, values, Measurement)
-                values, repeated = at_places(self.simulator, values)
-                if name == "measured":
-                    object.__setattr__(
-                        self, "notes", (*checks.listed("notes", self.notes), *repeated)
-                    )
-                object.__setattr__(self, name, values)
-            if values is not None and values.is_summary:
+        put = partial(object.__setattr__, self)
+        put("match", self.simulator.trusted(with_t30(self.match, self.measured)))
+        put("exclude", checks.pairs("exclude", self.exclude))
+        repeated: tuple[str, ...] = ()
+        for name in ("simulated", "measured"):
+            if (values := getattr(self, name)) is None:
+                continue
+            values, repeated = at_places(self.simulator, checks.instance(name, values, Measurement))
+            put(name, values)
+            if values.is_summary:
                 raise DataError(
                     f"{name} holds means over pairs; to say where, it needs a row for each source and "
                     "receiver. Without a geometry rtcal.finder says what is missing"
                 )
+        put("notes", (*checks.listed("notes", self.notes), *repeated))
         refuse_unknown(self.exclude, self.measured)
         if self.simulated is not None:
             self._check_simulated(self.simulated)
@@ -137,40 +133,37 @@ class PositionsCase:
             raise DataError(
                 f'room "{self.room.name}" states sigma = 0: every coefficient is exactly known'
             )
-        object.__setattr__(self, "faces", of_room.of_geometry(self.geometry, self.surfaces))
+        put("faces", of_room.of_geometry(self.geometry, self.surfaces))
 
     def _check_simulated(self, simulated: Measurement) -> None:
         """Raise DataError unless there is a value for everything that was measured and is used."""
-        checks.instance("simulated", simulated, Measurement)
-        if not np.array_equal(simulated.centre_frequencies, self.room.centre_frequencies):
+        frequencies = self.room.centre_frequencies
+        if not np.array_equal(simulated.centre_frequencies, frequencies):
             raise DataError(
                 f"simulated has {bands.span(simulated.centre_frequencies)}; the room has "
-                f"{bands.span(self.room.centre_frequencies)}"
+                f"{bands.span(frequencies)}"
             )
         if lacking := [pair for pair in self.pairs if pair not in simulated.pairs]:
             raise DataError(
                 f"simulated lacks {' to '.join(lacking[0])}, which was measured; exclude the pair or "
                 "add its rows"
             )
+        measured, given = (m.select(self.pairs).values for m in (self.in_room, simulated))
         for name in self.match:
             kind = observable(name)
-            key = kind.key_in(self.measured.values)
-            if key not in self.measured.values:
+            key = kind.key_in(measured)
+            if key not in measured:
                 continue
-            if not {key, kind.stand_in} & {*simulated.values}:
+            label = parameter_label(key)
+            values = given.get(key, given.get(str(kind.stand_in)))
+            if values is None:
                 raise DataError(
-                    f"simulated has no {parameter_label(key)}, which was measured; leave {name} out "
-                    "of match"
+                    f"simulated has no {label}, which was measured; leave {name} out of match"
                 )
-            measured = self.in_room.select(self.pairs).values[key]
-            given = simulated.select(self.pairs).values
-            values = given[key if key in given else str(kind.stand_in)]
-            lacks = np.isfinite(measured) & ~np.isfinite(values)
-            for i, k in np.argwhere(lacks):
-                band = bands.label(self.room.centre_frequencies[k])
+            for i, k in np.argwhere(np.isfinite(measured[key]) & ~np.isfinite(values)):
                 raise DataError(
-                    f"simulated lacks {parameter_label(key)} from {' to '.join(self.pairs[i])} at "
-                    f"{band}, which was measured"
+                    f"simulated lacks {label} from {' to '.join(self.pairs[i])} at "
+                    f"{bands.label(frequencies[k])}, which was measured"
                 )
 
     @classmethod
@@ -221,7 +214,17 @@ class PositionsCase:
     @cached_property
     def divided(self) -> Divided:
         """The geometry with its long surfaces divided."""
-        return surfaces.divided(self.geometry, self.faces)
+        return of_room.divided(self.geometry, self.faces)
+
+    @cached_property
+    def surfaces_of_materials(self) -> dict[int, list[int]]:
+        """The numbers of the surfaces that are of one material alone, by the material's number."""
+        made_of = np.array(self.room.material_rows(self.geometry.materials))
+        out: dict[int, list[int]] = {}
+        for j, faces in enumerate(self.faces.values()):
+            if (made_of[faces] == made_of[faces[0]]).all():
+                out.setdefault(int(made_of[faces[0]]), []).append(j)
+        return dict(sorted(out.items()))
 
     @cached_property
     def kinds(self) -> tuple[str, ...]:

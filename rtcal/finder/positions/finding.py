@@ -446,10 +446,9 @@ def next_position(
         receivers={f"place {i + 1}": p for i, p in enumerate(places)},
     )
     weighing = Weighing(tracer, finding.parameters, seed)
-    base = weighing.alpha
-    shifts = [
-        weighing.observe(_with(case, base, rival)) - weighing.observe(base) for rival in rivals
-    ]
+    alpha = weighing.alpha
+    stated = weighing.observe(alpha)
+    shifts = [weighing.observe(_with(case, alpha, rival)) - stated for rival in rivals]
     weights = [finding.surfaces[str(rival.surface)] for rival in rivals[1:]]
     precision = np.linalg.inv(_error(finding))
     nats = np.zeros(len(tracer.pairs))

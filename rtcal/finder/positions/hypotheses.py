@@ -15,8 +15,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,10 +35,8 @@ from rtcal.finder.effects import (
     WrongVolume,
     middle_absorption,
 )
-from rtcal.finder.evidence import Label
 from rtcal.finder.model import RoomState
 from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.positions.surfaces import Part
 from rtcal.finder.positions.weighing import AIR, MOVE, OPEN, SECOND_ROOMS, SHARES, VOLUME
 from rtcal.finder.prior import (
     COEFFICIENTS,
@@ -49,76 +49,7 @@ from rtcal.finder.prior import (
 from rtcal.loop.measured_pairs import Pair
 from rtcal.support.types import Array
 
-
-@dataclass(frozen=True, eq=False)
-class PositionsHypotheses:
-    """All hypotheses as one table; evidence and posterior weights are arrays (n, n_draws) of its rows.
-
-    The rows are "none", coefficients that are off together, something that no effect explains, each
-    spread, each shift with each of its sizes, and, where something may be ``unknown``, each of these
-    once more with it beside. ``off`` is the probability of coefficients that are off together.
-    """
-
-    shifts: Sequence[ShiftHypothesis]
-    spreads: Sequence[SpreadHypothesis]
-    off: float
-    unknown: bool = True
-
-    @cached_property
-    def effects(self) -> list[str]:
-        """The effect of each row."""
-        of_spreads, of_shifts = [s.effect for s in self.spreads], [s.effect for s in self.shifts]
-        return self._by_row((NONE, COEFFICIENTS, UNKNOWN), of_spreads, of_shifts)
-
-    @cached_property
-    def families(self) -> list[str]:
-        """The family of each row."""
-        of_spreads, of_shifts = [MEASUREMENT] * len(self.spreads), [s.family for s in self.shifts]
-        return self._by_row((NONE, COEFFICIENTS, UNKNOWN), of_spreads, of_shifts)
-
-    @cached_property
-    def surfaces(self) -> list[int]:
-        """The number of the surface of each row; -1 where it is of none."""
-        of_shifts = [-1 if s.surface is None else s.surface for s in self.shifts]
-        return self._by_row((-1, -1, -1), [-1] * len(self.spreads), of_shifts)
-
-    def _by_row(
-        self, first: Sequence[Label], of_spreads: Sequence[Label], of_shifts: Sequence[Label]
-    ) -> list[Label]:
-        sizes = zip(of_shifts, self.shifts, strict=True)
-        each = [label for label, shift in sizes for _ in shift.odds]
-        return [*first, *of_spreads, *each, *(each if self.unknown else ())]
-
-    def of_shifts(self, values: Array) -> tuple[Array, Array]:
-        """Return the rows of the shifts, and those of the shifts with something unknown beside."""
-        first = 3 + len(self.spreads)
-        second = first + sum(len(s.odds) for s in self.shifts)
-        return values[first:second], values[second:]
-
-    @cached_property
-    def log_prior(self) -> Array:
-        """Log prior probability of each row, (n,); those of all rows but the first two sum to 1 - p.
-
-        p is that of no effect. "none" has the rest of it beside coefficients that are off together.
-        """
-        of_shifts = np.concatenate([np.zeros(0), *(s.odds for s in self.shifts)])
-        of_spreads = [s.odds for s in self.spreads]
-        unknown = ODDS[UNKNOWN] if self.unknown else 0.0
-        total, of_effects = unknown + sum(of_spreads) + of_shifts.sum(), of_shifts.sum()
-        # Over all effects that nothing explains everything is as probable as something unknown alone,
-        # but no more than a half.
-        beside = min(unknown / of_effects, 0.5) if of_effects > 0 else 0.0
-        both = [(1 - beside) * of_shifts, *([beside * of_shifts] if self.unknown else [])]
-        odds = np.concatenate([[unknown], of_spreads, *both])
-        off = max(self.off, 1e-300)
-        nothing = NO_EFFECT * np.array([1 - off, off])
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log(np.concatenate([nothing, (1 - NO_EFFECT) * odds / total])))
-
-
 POSITION, NOISE, MEASUREMENT = "position", "noise", "measurement"
-
-
 ODDS = {
     POSITION: 0.5,
     NOISE: 0.5,
@@ -130,15 +61,13 @@ ODDS = {
 """Prior odds against an effect of odds 1; those of the absorbers are their classes'."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ShiftHypothesis:
     """Hypotheses of one effect in one place, with their sizes.
 
     Attributes
     ----------
     effect, family : str
-    surface : int or None
-        Number of the surface; None for the whole room.
     response : str
         Which of the responses is interpolated.
     weights : array (n_hypotheses, n_bands, n_nodes)
@@ -148,14 +77,16 @@ class ShiftHypothesis:
     sizes : array (n_hypotheses,)
     unit : str
     parameters : sequence of mapping
-    spectra : array (n_hypotheses, n_bands)
-        Alpha of what stands on the surface; empty for the whole room.
     error : array (n_bands, n_bands)
         Covariance of the relative error of the change, band by band.
+    spectra : array (n_hypotheses, n_bands)
+        Alpha of what stands on the surface; empty for the whole room.
     uneven : array (n_hypotheses,)
         How far pairs may hear more or less of it; see `rtcal.finder.positions.hypotheses`.
     size_error : float
         Standard deviation of ln size that the effect's description leaves open.
+    surface : int or None
+        Number of the surface; None for the whole room.
     place : str
         The material whose coefficients are off.
     part : int or None
@@ -166,50 +97,100 @@ class ShiftHypothesis:
 
     effect: str
     family: str
-    surface: int | None
     response: str
     weights: Array
     odds: Array
     sizes: Array
     unit: str
     parameters: Sequence[Parameters]
-    spectra: Array
     error: Array
+    spectra: Array
     uneven: Array
     size_error: float = 0.0
+    surface: int | None = None
     place: str = ""
     part: int | None = None
     divisible: bool = False
 
-    def some(self, which: slice) -> ShiftHypothesis:
-        """Return some of the hypotheses."""
-        return replace(
-            self,
-            weights=self.weights[which],
-            odds=self.odds[which],
-            sizes=self.sizes[which],
-            parameters=self.parameters[which],
-            spectra=self.spectra[which],
-            uneven=self.uneven[which],
-        )
+    def some(self, which: Any) -> ShiftHypothesis:
+        """Return some of the hypotheses, by a slice or by flags."""
+        by_row = ("weights", "odds", "sizes", "spectra", "uneven")
+        parameters = np.array(self.parameters, dtype=object)[which].tolist()
+        return replace(self, parameters=parameters, **{n: getattr(self, n)[which] for n in by_row})
 
 
 @dataclass(frozen=True, eq=False)
 class SpreadHypothesis:
-    """A hypothesis that some values err by more: their covariance grows by ``columns columns'``.
+    """Hypotheses that some values err by more, with their sizes.
 
-    ``rows`` are the values' numbers in the order (band, parameter, pair), ``columns`` (n_rows,
-    n_errors) are their errors, one standard deviation each. ``place`` names the source, receiver or
-    pair.
+    The covariance grows by ``scales**2 columns columns'``. ``rows`` are the values' numbers in the
+    order (band, parameter, pair), ``columns`` (n_rows, n_errors) their errors, one standard deviation
+    each at a scale of 1. ``sizes``, ``scales`` and ``odds`` are (n_hypotheses,). ``place`` names the
+    source, receiver or pair.
     """
 
     effect: str
     place: str
-    size: float
+    sizes: Array
     unit: str
     rows: NDArray[np.int64]
     columns: Array
-    odds: float
+    scales: Array
+    odds: Array
+    family: str = field(default=MEASUREMENT, init=False)
+    surface: None = field(default=None, init=False)
+
+
+@dataclass(frozen=True, eq=False)
+class PositionsHypotheses:
+    """All hypotheses as one table; evidence and posterior weights are arrays (n, n_draws) of its rows.
+
+    The rows are "none", coefficients that are off together, something that no effect explains, each
+    spread and each shift with each of its sizes, and, where something may be ``unknown``, each shift
+    once more with it beside. ``off`` is the probability of coefficients that are off together.
+    """
+
+    shifts: Sequence[ShiftHypothesis]
+    spreads: Sequence[SpreadHypothesis]
+    off: float
+    unknown: bool = True
+
+    def by_row(self, attribute: str) -> list[Any]:
+        """Return "effect", "family" or "surface" of each row; the first three have no surface."""
+        groups: list[Any] = [*self.spreads, *self.shifts]
+        groups += self.shifts if self.unknown else ()
+        first = [None] * 3 if attribute == "surface" else [NONE, COEFFICIENTS, UNKNOWN]
+        return [*first, *(getattr(group, attribute) for group in groups for _ in group.odds)]
+
+    def of_groups(self, values: Array) -> tuple[list[Array], list[Array], list[Array]]:
+        """Return the rows of each spread, of each shift, and of each shift with "unknown" beside."""
+        n = len(self.spreads)
+        groups: list[Any] = [*self.spreads, *self.shifts, *self.shifts]
+        ends = 3 + np.cumsum([0, *(len(group.odds) for group in groups)])
+        rows = [values[first:end] for first, end in pairwise(ends)]
+        return rows[:n], rows[n : n + len(self.shifts)], rows[n + len(self.shifts) :]
+
+    @cached_property
+    def log_prior(self) -> Array:
+        """Log prior probability of each row, (n,); those of all rows but the first two sum to 1 - p.
+
+        p is that of no effect. "none" has the rest of it beside coefficients that are off together.
+        """
+        of_shifts, of_spreads = (
+            np.concatenate([np.zeros(0), *(group.odds for group in groups)])
+            for groups in (self.shifts, self.spreads)
+        )
+        unknown = ODDS[UNKNOWN] if self.unknown else 0.0
+        total, of_effects = unknown + of_spreads.sum() + of_shifts.sum(), of_shifts.sum()
+        # Over all effects that nothing explains everything is as probable as something unknown alone,
+        # but no more than a half.
+        beside = min(unknown / of_effects, 0.5) if of_effects > 0 else 0.0
+        both = [(1 - beside) * of_shifts, *([beside * of_shifts] if self.unknown else [])]
+        odds = np.concatenate([[unknown], of_spreads, *both])
+        off = max(self.off, 1e-300)
+        nothing = NO_EFFECT * np.array([1 - off, off])
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(np.concatenate([nothing, (1 - NO_EFFECT) * odds / total])))
 
 
 def interpolation(nodes: Sequence[float], at: Array) -> Array:
@@ -224,54 +205,53 @@ def interpolation(nodes: Sequence[float], at: Array) -> Array:
     out = np.zeros((*np.shape(at), len(every)))
     np.put_along_axis(out, right[..., np.newaxis], share[..., np.newaxis], -1)
     np.put_along_axis(out, right[..., np.newaxis] - 1, (1 - share)[..., np.newaxis], -1)
-    kept = [int(np.flatnonzero(every == node)[0]) for node in nodes]
-    return np.asarray(out[..., kept])
+    return np.asarray(out[..., np.searchsorted(every, nodes)])
 
 
 def towards(moved: Array, stated: Array) -> Array:
-    """Return changes of alpha as shares of the way to 1, or (below 0) to a hard wall; see `SHARES`."""
+    """Return the weights of `SHARES` for changes of alpha (..., n_bands), (..., n_bands, n_nodes).
+
+    A change is a share of the way to 1, or (below 0) to a hard wall.
+    """
     up = moved / np.maximum(1 - stated, 1e-6)
     down = moved / np.maximum(stated - HARD, 1e-6)
-    return np.asarray(np.where(moved >= 0, up, np.maximum(down, -1.0)))
+    return interpolation(SHARES, np.where(moved >= 0, up, np.maximum(down, -1.0)))
 
 
 LEAST_COVERED = 1 / 9
 """Least part of a surface for which the shares were found; smaller ones have its error."""
-
-
 COMMON_UNEVENNESS = {"late": 0.05, "early": 0.06, "level": 0.14}
 """Relative deviation that all pairs share, by `Observable.part`. That of T and of the early parameters
 is the same one."""
-
-
 OWN_UNEVENNESS = {"late": 0.06, "early": 0.06, "level": 0.24}
 """Relative deviation of each pair: one for T, one for all early parameters, one for the level."""
 
 
-def sign(parameter: str) -> float:
-    """Return whether a parameter's linear scale rises or falls with the absorption."""
-    return 1.0 if observable(parameter).rises else -1.0
-
-
 def uneven_amount(parameters: Sequence[str], n_pairs: int) -> Array:
     """Return the weights of a mean change of the absorption, (n_parameters n_pairs,)."""
-    signs = np.array([sign(name) for name in parameters])
-    return np.repeat(signs, n_pairs) / (len(parameters) * n_pairs)
+    return np.repeat(_signs(parameters), n_pairs) / (len(parameters) * n_pairs)
+
+
+def _signs(parameters: Sequence[str]) -> Array:
+    """Return whether each parameter's linear scale rises or falls with the absorption, 1 or -1."""
+    return np.array([1.0 if observable(name).rises else -1.0 for name in parameters])
 
 
 def uneven_columns(parameters: Sequence[str], n_pairs: int) -> Array:
     """Return the deviations at a change of 1, (n_parameters n_pairs, n_columns)."""
-    signs = np.array([sign(name) for name in parameters])
-    groups = [observable(name).part for name in parameters]
-    out = []
-    for shared in (("late", "early"), ("level",)):
-        row = [COMMON_UNEVENNESS[g] if g in shared else 0.0 for g in groups]
-        out.append(np.repeat(signs * row, n_pairs))
-    for group in OWN_UNEVENNESS:
-        own = np.array([OWN_UNEVENNESS[g] if g == group else 0.0 for g in groups])
-        for pair in np.eye(n_pairs):
-            out.append(np.outer(signs * own, pair).ravel())
-    every = np.array(out).T
+    signs, groups = _signs(parameters), [observable(name).part for name in parameters]
+
+    def row(of: Mapping[str, float], members: Sequence[str]) -> Array:
+        return np.array([of[g] if g in members else 0.0 for g in groups]) * signs
+
+    shared = [row(COMMON_UNEVENNESS, members) for members in (("late", "early"), ("level",))]
+    own = [row(OWN_UNEVENNESS, [group]) for group in OWN_UNEVENNESS]
+    every = np.hstack(
+        [
+            *(np.repeat(each, n_pairs)[:, np.newaxis] for each in shared),
+            *(np.kron(each[:, np.newaxis], np.eye(n_pairs)) for each in own),
+        ]
+    )
     return np.asarray(every[:, np.abs(every).max(axis=0) > 0])
 
 
@@ -287,73 +267,43 @@ FACTOR_SCALE = 0.35
 tables, and now and then by a factor of three."""
 
 
+def _anywhere(**of: Any) -> ShiftHypothesis:
+    """Return what stands on no surface: it has no spectrum, and no place that is not known."""
+    n = len(of["sizes"])
+    return ShiftHypothesis(**of, spectra=np.zeros((n, 0)), uneven=np.zeros(n))
+
+
 def materials(case: PositionsCase) -> list[ShiftHypothesis]:
     """Return each material's coefficients off by a factor.
 
     Its surfaces then hear what an absorber on all of them would do, with the material's own spectrum.
     """
     room = case.room
-    made_of = room.material_rows(case.geometry.materials)
     over_bands = bands.correlation(room.centre_frequencies, 0.7)
     density = np.exp(-np.abs(FACTORS) / FACTOR_SCALE)
     # Who states a small sigma knows the coefficients from a measurement (`probability_off`).
     odds = ODDS[COEFFICIENTS] * relative_sigma(room) ** 2
     absorbed = room.areas * room.alpha.mean(axis=1)
+    factors = np.exp(FACTORS)
     made = []
-    for row, material in enumerate(room.materials):
-        members = [
-            j for j, faces in enumerate(case.faces.values()) if (made_of[faces] == row).all()
-        ]
-        if not members:
-            continue
+    for row, members in case.surfaces_of_materials.items():
         alpha = room.alpha[row]
-        moved = np.minimum(np.exp(FACTORS)[:, np.newaxis] * alpha, 1.0) - alpha
-        every = interpolation(SHARES, towards(moved, alpha))
+        moved = np.minimum(factors[:, np.newaxis] * alpha, 1.0) - alpha
         made.append(
-            ShiftHypothesis(
+            _anywhere(
                 effect=COEFFICIENTS,
                 family=COEFFICIENTS,
-                surface=None,
+                place=room.materials[row],
                 response=f"material {row}",
-                weights=np.tile(every, (1, 1, len(members))),
+                weights=np.tile(towards(moved, alpha), (1, 1, len(members))),
                 odds=density / density.sum() * absorbed[row] / absorbed.sum() * odds,
-                sizes=np.exp(FACTORS),
+                sizes=factors,
                 unit="of what is stated",
-                parameters=[{"factor": float(np.exp(f))} for f in FACTORS],
-                spectra=np.zeros((len(FACTORS), 0)),
+                parameters=[{"factor": float(factor)} for factor in factors],
                 error=0.1**2 + 0.15**2 * over_bands,
-                uneven=np.zeros(len(FACTORS)),
-                place=material,
             )
         )
     return made
-
-
-def _whole(
-    effect: Effect,
-    at: Array,
-    nodes: Sequence[float],
-    *,
-    odds: Array,
-    sizes: Array,
-    parameters: Sequence[Parameters],
-    error: Array,
-) -> ShiftHypothesis:
-    """Return an effect of the whole room, whose response has the effect's name."""
-    return ShiftHypothesis(
-        effect=effect.name,
-        family=effect.family,
-        surface=None,
-        response=effect.name,
-        weights=interpolation(nodes, at),
-        odds=odds * ODDS[effect.name] / odds.sum(),
-        sizes=sizes,
-        unit=effect.unit,
-        parameters=parameters,
-        spectra=np.zeros((len(sizes), 0)),
-        error=error,
-        uneven=np.zeros(len(sizes)),
-    )
 
 
 def stated_room(case: PositionsCase) -> RoomState:
@@ -361,43 +311,51 @@ def stated_room(case: PositionsCase) -> RoomState:
     return RoomState.of_room(case.room, np.full((case.room.n_materials, 3), 1 / 3))
 
 
+def _whole(
+    effect: Effect,
+    nodes: Sequence[float],
+    at: Array,
+    grid: Sequence[Parameters],
+    odds: Array,
+    sizes: Array,
+    error: Array,
+) -> ShiftHypothesis:
+    """Return an effect of the whole room, whose response has the effect's name."""
+    return _anywhere(
+        effect=effect.name,
+        family=effect.family,
+        response=effect.name,
+        weights=interpolation(nodes, at),
+        odds=odds * ODDS[effect.name] / odds.sum(),
+        sizes=sizes,
+        unit=effect.unit,
+        parameters=grid,
+        error=error,
+    )
+
+
 def air(case: PositionsCase) -> ShiftHypothesis:
     """Return other climates, or air where none is stated."""
-    effect, room = OmittedAir(), case.room
+    effect, room, stated = OmittedAir(), case.room, stated_room(case)
     f = room.centre_frequencies
-    reference = Air(20, 50).attenuation(f)
-    stated = stated_room(case)
     grid = effect.grid(stated)
     attenuation = np.array([state.air for state in effect.changes(stated, grid)])
-    density = grid_weights(effect, grid, stated)
-    return _whole(
-        effect,
-        (attenuation - room.air_attenuation) / reference,
-        AIR,
-        odds=density * effect.prior_odds(room),
-        sizes=np.array([p["humidity"] for p in grid]),
-        parameters=grid,
-        error=effect.error_over_bands(f),
-    )
+    more = (attenuation - room.air_attenuation) / Air(20, 50).attenuation(f)
+    odds = grid_weights(effect, grid, stated) * effect.prior_odds(room)
+    sizes = np.array([p["humidity"] for p in grid])
+    return _whole(effect, AIR, more, grid, odds, sizes, effect.error_over_bands(f))
 
 
 def volume(case: PositionsCase) -> ShiftHypothesis:
     """Return other volumes, the geometry scaled."""
-    effect, n_bands = WrongVolume(), case.room.n_bands
-    stated = stated_room(case)
+    effect, n_bands, stated = WrongVolume(), case.room.n_bands, stated_room(case)
     # A geometry that is traced has no gross mistake in its volume.
     grid = effect.near(stated)
     logs = np.log([p["ratio"] for p in grid])
-    density = grid_weights(effect, grid, stated)
-    return _whole(
-        effect,
-        np.repeat(logs[:, np.newaxis], n_bands, axis=1),
-        VOLUME,
-        odds=density,
-        sizes=np.exp(logs),
-        parameters=grid,
-        error=np.full((n_bands, n_bands), 0.02**2) + 0.02**2 * np.eye(n_bands),
-    )
+    at = np.repeat(logs[:, np.newaxis], n_bands, axis=1)
+    error = 0.02**2 * (1 + np.eye(n_bands))
+    odds = grid_weights(effect, grid, stated)
+    return _whole(effect, VOLUME, at, grid, odds, np.exp(logs), error)
 
 
 COUPLED = CoupledRoom()
@@ -407,12 +365,14 @@ RATIO = 28.0 ** (1 / 13)
 """Of an area that is tried to the one before it. The last is the largest that the surface holds."""
 WHOLE = {"air": air, "volume": volume}
 """Effects of the whole room that change what is traced, by name."""
-DISPLACEMENTS = (0.5, 1.0, 2.0)
+DISPLACEMENTS = np.array([0.5, 1.0, 2.0])
 """Distances in m by which a source or receiver may stand elsewhere."""
-NOISES = (3.0, 10.0)
+NOISES = np.array([3.0, 10.0])
 """Factors of the standard deviation of a pair whose measurement failed."""
 LOCATED = 0.5
 """Prior probability that something which fits on a part of its surface stands on one alone."""
+_LEAST_TAKEN = 0.1
+"""A cover that takes less than this share of a surface's absorption is no hypothesis."""
 
 
 def areas_tried(middle: float, area: float) -> Array:
@@ -431,61 +391,56 @@ def shifts(
     case: PositionsCase, effects: Sequence[Effect], without: Sequence[str] = ()
 ) -> list[ShiftHypothesis]:
     """Return the hypotheses of the room, but for some effects."""
-    out: list[ShiftHypothesis] = []
-    tried = [effect for effect in effects if effect.name not in without]
-    for effect in on_surfaces(tried):
-        out += _on_surfaces(case, effect)
-    if COUPLED.name in [effect.name for effect in tried]:
-        out += _apertures(case)
+    tried = {effect.name: effect for effect in effects if effect.name not in without}
+    out = [each for effect in on_surfaces([*tried.values()]) for each in _covering(case, effect)]
+    out += _apertures(case) if COUPLED.name in tried else []
     out += materials(case) if COEFFICIENTS not in without else []
-    whole = [make(case) for name, make in WHOLE.items() if name in [e.name for e in tried]]
-    return [*out, *whole]
+    return out + [make(case) for name, make in WHOLE.items() if name in tried]
 
 
-def _on_surfaces(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
+def _covering(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
     """Return an effect on each surface that can have it."""
     frequencies, areas = case.room.centre_frequencies, np.array(list(case.areas.values()))
-    stated = case.surface_alpha
     possible = np.array([k in effect.stands_on for k in case.kinds])
     spectra = effect.on_surface(frequencies)
     middle = middle_absorption(stated_room(case))
-    covering = bool(effect.shares)
+    covers = bool(effect.shares)
     made = []
     for j in np.flatnonzero(possible):
-        changes, odds, used, parameters, alpha = [], [], [], [], []
-        tried = np.array(effect.shares) * areas[j] if covering else areas_tried(middle, areas[j])
-        for settings, spectrum in spectra:
-            for area in tried:
-                moved = area / areas[j] * (spectrum - stated[j])
-                if covering:
-                    moved = np.minimum(moved, 0.0)
-                    if (-moved / np.maximum(stated[j], 1e-6)).max() < _LEAST_TAKEN:
-                        continue
-                changes.append(moved)
-                fitting = areas[possible & (areas >= (0 if covering else area))]
-                odds.append(areas[j] / fitting.sum() / len(spectra))
-                used.append(area)
-                parameters.append({**settings, "area": float(area)})
-                alpha.append(spectrum)
-        if changes:
-            made.append(
-                ShiftHypothesis(
-                    effect=effect.name,
-                    family=effect.family,
-                    surface=int(j),
-                    response=f"surface {j}",
-                    weights=interpolation(SHARES, towards(np.array(changes), stated[j])),
-                    odds=np.array(odds),
-                    sizes=np.array(used),
-                    unit="m²",
-                    parameters=parameters,
-                    spectra=np.array(alpha),
-                    error=effect.error_over_bands(frequencies),
-                    uneven=unevenness(np.array(used) / areas[j]),
-                    size_error=effect.size_error,
-                    divisible=not covering,
-                )
+        stated = case.surface_alpha[j]
+        tried = np.array(effect.shares) * areas[j] if covers else areas_tried(middle, areas[j])
+        every = [  # change of alpha, spectrum and parameters of each
+            (area / areas[j] * (spectrum - stated), spectrum, {**settings, "area": float(area)})
+            for settings, spectrum in spectra
+            for area in tried
+        ]
+        if covers:
+            every = [(np.minimum(moved, 0.0), *rest) for moved, *rest in every]
+            least = _LEAST_TAKEN * np.maximum(stated, 1e-6)
+            every = [each for each in every if (-each[0] >= least).any()]
+        if not every:
+            continue
+        moved, alpha, parameters = zip(*every, strict=True)
+        used = np.array([p["area"] for p in parameters])
+        fitting = [areas[possible & (areas >= (0 if covers else area))].sum() for area in used]
+        made.append(
+            ShiftHypothesis(
+                effect=effect.name,
+                family=effect.family,
+                surface=int(j),
+                response=f"surface {j}",
+                weights=towards(np.array(moved), stated),
+                odds=areas[j] / np.array(fitting) / len(spectra),
+                sizes=used,
+                unit="m²",
+                parameters=parameters,
+                spectra=np.array(alpha),
+                error=effect.error_over_bands(frequencies),
+                uneven=unevenness(used / areas[j]),
+                size_error=effect.size_error,
+                divisible=not covers,
             )
+        )
     return _normalised(made, effect.prior_odds(case.room))
 
 
@@ -495,14 +450,14 @@ def _normalised(shifts: Sequence[ShiftHypothesis], odds: float) -> list[ShiftHyp
     return [replace(s, odds=s.odds * odds / total) for s in shifts]
 
 
-_LEAST_TAKEN = 0.1
-"""A cover that takes less than this share of a surface's absorption is no hypothesis."""
-
-
 def _apertures(case: PositionsCase) -> list[ShiftHypothesis]:
     """Return an aperture to a second room on each wall and ceiling."""
     room, areas = case.room, np.array(list(case.areas.values()))
-    middle, n_bands = middle_absorption(stated_room(case)), case.room.n_bands
+    middle, n_bands, n_rooms = (
+        middle_absorption(stated_room(case)),
+        room.n_bands,
+        len(SECOND_ROOMS),
+    )
     possible = np.array([k in COUPLED.stands_on for k in case.kinds])
     made = []
     for j in np.flatnonzero(possible):
@@ -510,28 +465,26 @@ def _apertures(case: PositionsCase) -> list[ShiftHypothesis]:
         if not len(area):
             continue
         share = interpolation(OPEN, np.repeat(area[:, np.newaxis] / areas[j], n_bands, axis=1))
-        weights = np.zeros((len(SECOND_ROOMS), len(area), n_bands, len(SECOND_ROOMS), len(OPEN)))
-        for n in range(len(SECOND_ROOMS)):
-            weights[n, :, :, n] = share
         odds = areas[j] / np.array([areas[possible & (areas >= a)].sum() for a in area])
+        sizes = np.tile(area, n_rooms)
         made.append(
             ShiftHypothesis(
                 effect=COUPLED.name,
                 family=COUPLED.family,
                 surface=int(j),
                 response=f"aperture {j}",
-                weights=weights.reshape(len(SECOND_ROOMS) * len(area), n_bands, -1),
-                odds=np.tile(odds, len(SECOND_ROOMS)),
-                sizes=np.tile(area, len(SECOND_ROOMS)),
+                weights=np.vstack([np.kron(row, share) for row in np.eye(n_rooms)]),
+                odds=np.tile(odds, n_rooms),
+                sizes=sizes,
                 unit=COUPLED.unit,
                 parameters=[
                     {"aperture": float(a), "volume": volume * room.volume, "alpha": alpha}
                     for volume, alpha in SECOND_ROOMS
                     for a in area
                 ],
-                spectra=np.ones((len(SECOND_ROOMS) * len(area), n_bands)),
+                spectra=np.ones((len(sizes), n_bands)),
                 error=COUPLED.error_over_bands(room.centre_frequencies),
-                uneven=np.tile(unevenness(area / areas[j]), len(SECOND_ROOMS)),
+                uneven=unevenness(sizes / areas[j]),
                 size_error=COUPLED.size_error,
             )
         )
@@ -545,43 +498,32 @@ def on_parts(case: PositionsCase, shifts: Sequence[ShiftHypothesis]) -> list[Shi
     over the surface. So the odds of a surface do not depend on the number of its parts. What covers a
     stated absorber is a share of the whole surface, and has no parts; nor has an aperture.
     """
-    stated, every = case.surface_alpha, list(enumerate(case.divided.parts))
     out = []
     for shift in shifts:
-        own = [(p, part) for p, part in every if part.surface == shift.surface]
-        if not own or not shift.divisible:
+        parts = {p: t for p, t in enumerate(case.divided.parts) if t.surface == shift.surface}
+        if not parts or not shift.divisible:
             out.append(shift)
             continue
-        holds = np.array([shift.sizes <= part.area for _, part in own])
-        number = holds.sum(axis=0)
+        holds = {p: shift.sizes <= part.area for p, part in parts.items()}
+        number = np.sum([*holds.values()], axis=0)
         out.append(replace(shift, odds=np.where(number > 0, 1 - LOCATED, 1.0) * shift.odds))
-        for (p, part), rows in zip(own, holds, strict=True):
-            if rows.any():
-                out.append(_on_part(shift, p, part, stated[part.surface], rows, number))
+        shared = replace(shift, odds=LOCATED * shift.odds / np.maximum(number, 1))
+        for p, part in parts.items():
+            if not holds[p].any():
+                continue
+            some, stated = shared.some(holds[p]), case.surface_alpha[part.surface]
+            covered = some.sizes / part.area
+            weights = towards(covered[:, np.newaxis] * (some.spectra - stated), stated)
+            out.append(
+                replace(
+                    some,
+                    part=p,
+                    response=f"part {p}",
+                    weights=weights,
+                    uneven=unevenness(covered),
+                )
+            )
     return out
-
-
-def _on_part(
-    shift: ShiftHypothesis,
-    p: int,
-    part: Part,
-    stated: Array,
-    rows: NDArray[np.bool_],
-    number: Array,
-) -> ShiftHypothesis:
-    spectra = shift.spectra[rows]
-    moved = shift.sizes[rows, np.newaxis] / part.area * (spectra - stated)
-    return replace(
-        shift,
-        part=p,
-        response=f"part {p}",
-        weights=interpolation(SHARES, towards(moved, stated)),
-        odds=LOCATED * shift.odds[rows] / number[rows],
-        sizes=shift.sizes[rows],
-        parameters=[q for q, holds in zip(shift.parameters, rows, strict=True) if holds],
-        spectra=spectra,
-        uneven=unevenness(shift.sizes[rows] / part.area),
-    )
 
 
 def spreads(
@@ -599,8 +541,8 @@ def spreads(
     errors : array (n_bands, n_parameters, n_pairs, same three)
         Covariance of the errors of simulator and measurement.
     """
-    n_bands, n_parameters, n_pairs = errors.shape[:3]
-    number = np.arange(n_bands * n_parameters * n_pairs).reshape(errors.shape[:3])
+    shape = errors.shape[:3]
+    number = np.arange(math.prod(shape)).reshape(shape)
     full = errors.reshape(number.size, number.size)
     out = []
     for place, shift in moved.items():
@@ -608,21 +550,20 @@ def spreads(
         if not len(pairs):
             continue
         rows = number[:, :, pairs].ravel()
-        steps = np.moveaxis(shift[:, pairs], 2, 0).reshape(len(rows), -1)
         # The displacements along an axis and back have nearly opposite shifts: three free directions.
-        columns = steps / np.sqrt(6)
-        for distance in DISPLACEMENTS:
-            odds = ODDS[POSITION] / (len(moved) * len(DISPLACEMENTS))
-            scaled = distance / MOVE * columns
-            out.append(SpreadHypothesis(POSITION, place, distance, "m", rows, scaled, odds))
+        columns = np.moveaxis(shift[:, pairs], 2, 0).reshape(len(rows), -1) / np.sqrt(6)
+        odds = np.full(len(DISPLACEMENTS), ODDS[POSITION] / (len(moved) * len(DISPLACEMENTS)))
+        scales = DISPLACEMENTS / MOVE
+        out.append(
+            SpreadHypothesis(POSITION, place, DISPLACEMENTS, "m", rows, columns, scales, odds)
+        )
     for i, pair in enumerate(measured):
         rows = number[:, :, i].ravel()
-        root = np.linalg.cholesky(full[np.ix_(rows, rows)])
-        for factor in NOISES:
-            odds = ODDS[NOISE] / (n_pairs * len(NOISES))
-            scaled = np.sqrt(factor**2 - 1) * root
-            name = " to ".join(pair)
-            out.append(
-                SpreadHypothesis(NOISE, name, factor, "times as uncertain", rows, scaled, odds)
-            )
+        root = np.asarray(np.linalg.cholesky(full[np.ix_(rows, rows)]))
+        odds = np.full(len(NOISES), ODDS[NOISE] / (len(measured) * len(NOISES)))
+        scales = np.sqrt(NOISES**2 - 1)
+        name = " to ".join(pair)
+        out.append(
+            SpreadHypothesis(NOISE, name, NOISES, "times as uncertain", rows, root, scales, odds)
+        )
     return out

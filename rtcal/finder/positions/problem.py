@@ -34,6 +34,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,7 @@ from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.observables import Observable, observable
+from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room_errors import alike_alpha, common_error_columns, prior_covariance
 from rtcal.finder.case import (
     CLIMATE_UNCERTAINTY,
@@ -90,13 +91,6 @@ class ScatteringLevels:
         """Return the assumed level alone, for ``n`` values."""
         return cls(np.zeros((n, 1)), np.zeros(1))
 
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the shifts over the levels, (n, n)."""
-        weights = np.exp(self.log_weights)
-        off = self.shifts - (self.shifts @ weights)[:, np.newaxis]
-        return np.asarray((off * weights) @ off.T)
-
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
@@ -141,13 +135,12 @@ class Likelihood:
     levels: ScatteringLevels
     inverse: Array = field(init=False)
     half: float = field(init=False)
-    _products: dict[str, Array] = field(default_factory=dict, init=False)
+    _products: dict[str, tuple[Array, Array]] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         both = np.outer(self.used, self.used)
         kept = np.where(both, self.covariance, 0.0) + np.diag(np.where(self.used, 0.0, 1.0))
-        factor = np.linalg.cholesky(kept)
-        self.half = float(np.log(np.diag(factor)).sum())
+        self.half = float(np.log(np.diag(np.linalg.cholesky(kept))).sum())
         # A value that was not measured has a residual of any size: its row is 0.
         self.inverse = np.where(both, np.linalg.inv(kept), 0.0)
 
@@ -165,24 +158,30 @@ class Likelihood:
 
     def with_one_level(self) -> Likelihood:
         """Return the normal likelihood whose covariance has that of the levels."""
-        covariance = self.covariance + self.levels.covariance
-        levels = ScatteringLevels.assumed(len(covariance))
-        return Likelihood(
-            covariance, self.used, self.nodes, uneven=self.uneven, amount=self.amount, levels=levels
+        weights, shifts = np.exp(self.levels.log_weights), self.levels.shifts
+        off = shifts - (shifts @ weights)[:, np.newaxis]
+        covariance = self.covariance + (off * weights) @ off.T
+        return replace(
+            self, covariance=covariance, levels=ScatteringLevels.assumed(len(covariance))
         )
 
     def stated(self, residuals: Residuals) -> Array:
         """Return the log density if nothing is other than stated, (n_draws,)."""
         return self._log(residuals.square, self.half)
 
+    def spread(self, spread: SpreadHypothesis, residuals: Residuals) -> Array:
+        """Return the log density with some errors wider, (n_hypotheses, n_draws)."""
+        kept, scales = self.used[spread.rows], spread.scales[:, np.newaxis, np.newaxis]
+        rows, columns = spread.rows[kept], spread.columns[kept]
+        across, inner = columns.T @ residuals.pull[rows], self.inverse[np.ix_(rows, rows)]
+        inner = scales**2 * (columns.T @ inner @ columns)
+        return self._log(*with_columns(residuals.square, self.half, scales * across, inner))
+
     def shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
         """Return the log density by hypothesis, (n_hypotheses, n_draws)."""
-        if len(shift.weights) <= _AT_ONCE:
-            return self._shifted(shift, residuals)
-        parts = range(0, len(shift.weights), _AT_ONCE)
-        return np.concatenate(
-            [self._shifted(shift.some(slice(p, p + _AT_ONCE)), residuals) for p in parts]
-        )
+        every = range(0, len(shift.weights), _AT_ONCE)
+        parts = [shift.some(slice(p, p + _AT_ONCE)) for p in every] if len(every) > 1 else [shift]
+        return np.concatenate([self._shifted(part, residuals) for part in parts])
 
     def each_shifted(self, shifts: Sequence[ShiftHypothesis], residuals: Residuals) -> Array:
         """Return `shifted` of each, one after the other."""
@@ -191,110 +190,68 @@ class Likelihood:
             [np.zeros((0, n_draws)), *(self.shifted(s, residuals) for s in shifts)]
         )
 
-    def _shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
-        projected, forms = self._forms(shift, residuals)
-        error = np.asarray(np.linalg.cholesky(shift.error + 1e-9 * np.eye(len(shift.error))))
-        whole = residuals.square - 2 * projected.sum(1)
-        whole = whole + forms.sum((1, 2))[:, np.newaxis]
-        left = projected - forms.sum(2)[:, :, np.newaxis]
-        inner = error.T @ forms @ error
-        turned = error.T @ left
-        if shift.uneven.any():
-            inner, turned = self._with_uneven(shift, residuals, error, inner, turned)
-        return self._log(*with_columns(whole, self.half, turned, inner))
+    def changes(self, shift: ShiftHypothesis) -> Array:
+        """Return the shift d of each hypothesis, (n_hypotheses, n_bands, n_values)."""
+        every = self.nodes[shift.response] @ np.moveaxis(shift.weights, 0, -1)
+        return np.moveaxis(every, -1, 0)
 
-    def _with_uneven(
-        self,
-        shift: ShiftHypothesis,
-        residuals: Residuals,
-        error: Array,
-        inner: Array,
-        turned: Array,
-    ) -> tuple[Array, Array]:
-        """Return products with K⁻¹ of the errors' columns, those of the pairs after the bands'."""
-        nodes = self.nodes[shift.response]
-        n_columns = self.uneven.shape[1]
-        change = np.einsum("hkn,kn->hk", shift.weights, np.einsum("v,kvn->kn", self.amount, nodes))
-        change = change * shift.uneven[:, np.newaxis]
-        both = (change[:, :, np.newaxis] * change[:, np.newaxis]).reshape(len(change), -1)
-        pairs = (both @ self._uneven_products).reshape(-1, n_columns, n_columns)
-        cross = self._uneven_node_products(shift.response)  # (k, c, l, n): band k, column c
-        mixed = np.einsum("hk,kcln->hcln", change, cross, optimize=True)
-        mixed = np.einsum("hcln,hln->hcl", mixed, shift.weights, optimize=True)
-        pulled = residuals.pull.reshape(len(nodes), nodes.shape[1], -1)
-        by_column = np.einsum("vc,kvm->kcm", self.uneven, pulled)
-        toward = np.einsum("hk,kcm->hcm", change, by_column, optimize=True)
-        toward = toward - mixed.sum(axis=2)[:, :, np.newaxis]
-        side = mixed @ error
-        joined = np.concatenate(
-            [
-                np.concatenate([inner, side.swapaxes(1, 2)], axis=2),
-                np.concatenate([side, pairs], axis=2),
-            ],
-            axis=1,
-        )
-        return joined, np.concatenate([turned, toward], axis=1)
+    def _shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
+        """Return `shifted` of few.
+
+        The errors' columns are d in one band with the factor of `ShiftHypothesis.error`, and W in a
+        band by its change, W being `uneven`.
+        """
+        columns, products = self._of_response(shift.response)
+        (n_bands, n_nodes), by_band = shift.weights.shape[1:], shift.weights.swapaxes(0, 1)
+        pulled = columns.swapaxes(1, 2) @ residuals.pull.reshape(*columns.shape[:2], -1)
+        turned = (by_band @ products).reshape(*by_band.shape[:2], n_bands, -1)  # (l, h, k, a)
+        projected = (by_band @ pulled[:, :n_nodes]).swapaxes(0, 1)  # d' K⁻¹ r, by band
+        forms = np.einsum("hkn,lhkn->hkl", shift.weights, turned[..., :n_nodes])  # d' K⁻¹ d
+        square = residuals.square - 2 * projected.sum(1) + forms.sum((1, 2))[:, np.newaxis]
+        error = np.asarray(np.linalg.cholesky(shift.error + 1e-9 * np.eye(n_bands)))
+        across = error.T @ (projected - forms.sum(2)[..., np.newaxis])
+        inner = error.T @ forms @ error
+        if shift.uneven.any():
+            change = shift.uneven[:, np.newaxis] * (self.changes(shift) @ self.amount)
+            mixed = np.einsum("hk,lhkc->hcl", change, turned[..., n_nodes:])
+            own = np.einsum("hk,kcm->hcm", change, pulled[:, n_nodes:])
+            across = np.concatenate([across, own - mixed.sum(2)[..., np.newaxis]], axis=1)
+            both = (change[:, :, np.newaxis] * change[:, np.newaxis]).reshape(len(change), -1)
+            pairs = (both @ self._of_uneven).reshape(-1, *2 * self.uneven.shape[1:])
+            side = mixed @ error
+            inner = np.block([[inner, side.swapaxes(1, 2)], [side, pairs]])
+        return self._log(*with_columns(square, self.half, across, inner))
 
     def inverse_with_place(self, shift: ShiftHypothesis, row: int) -> Array:
         """Return the inverse of the covariance with the error of a hypothesis' place, (n, n)."""
-        nodes = self.nodes[shift.response]
-        change = np.einsum("kn,kvn,v->k", shift.weights[row], nodes, self.amount)
-        columns = np.multiply.outer(change * shift.uneven[row], self.uneven)
-        columns = columns.reshape(-1, self.uneven.shape[1])
+        change = shift.uneven[row] * (self.changes(shift)[row] @ self.amount)
+        columns = np.kron(change[:, np.newaxis], self.uneven)
         pulled = self.inverse @ columns
         inner = np.eye(columns.shape[1]) + columns.T @ pulled
         return np.asarray(self.inverse - pulled @ np.linalg.solve(inner, pulled.T))
 
+    @property
+    def _by_band(self) -> Array:
+        """K⁻¹ as (n_bands, n_values, n_bands, n_values)."""
+        shape = (len(self.inverse) // len(self.amount), len(self.amount))
+        return self.inverse.reshape(*shape, *shape)
+
     @cached_property
-    def _uneven_products(self) -> Array:
-        """W' K⁻¹ W by pairs of bands, (n_bands², n_columns²), W being `uneven`."""
-        n_values, n_columns = self.uneven.shape
-        n_bands = len(self.inverse) // n_values
-        inverse = self.inverse.reshape(n_bands, n_values, n_bands, n_values)
-        half = np.einsum("vc,kvlw->kclw", self.uneven, inverse, optimize=True)
-        full = np.einsum("kclw,wd->klcd", half, self.uneven, optimize=True)
-        return np.asarray(full.reshape(n_bands**2, n_columns**2))
+    def _of_uneven(self) -> Array:
+        """W' K⁻¹ W by pairs of bands, (n_bands², n_columns²)."""
+        full = self.uneven.T @ np.moveaxis(self._by_band, 2, 1) @ self.uneven
+        return full.reshape(full.shape[0] ** 2, -1)
 
-    def _uneven_node_products(self, response: str) -> Array:
-        """Return W' K⁻¹ N, (n_bands, n_columns, n_bands, n_nodes)."""
-        key = f"uneven {response}"
-        if key not in self._products:
-            nodes = self.nodes[response]
-            n_bands, n_values, _ = nodes.shape
-            inverse = self.inverse.reshape(n_bands, n_values, n_bands, n_values)
-            half = np.einsum("kvlw,lwn->kvln", inverse, nodes, optimize=True)
-            self._products[key] = np.einsum("vc,kvln->kcln", self.uneven, half, optimize=True)
-        return self._products[key]
-
-    def spread(self, spread: SpreadHypothesis, residuals: Residuals) -> Array:
-        """Return the log density with some errors wider, (n_draws,)."""
-        kept = self.used[spread.rows]
-        rows, columns = spread.rows[kept], spread.columns[kept]
-        across, inner = columns.T @ residuals.pull[rows], self.inverse[np.ix_(rows, rows)]
-        return self._log(
-            *with_columns(residuals.square, self.half, across, columns.T @ inner @ columns)
-        )
-
-    def forms(self, shift: ShiftHypothesis) -> Array:
-        """Return d' K⁻¹ d by pairs of bands, (n_hypotheses, n_bands, n_bands)."""
-        products = self._node_products(shift.response)
-        right = np.einsum("kmln,hln->hkml", products, shift.weights, optimize=True)
-        return np.asarray((shift.weights[..., np.newaxis] * right).sum(axis=2))
-
-    def _forms(self, shift: ShiftHypothesis, residuals: Residuals) -> tuple[Array, Array]:
-        nodes = self.nodes[shift.response]
-        pulled = residuals.pull.reshape(len(nodes), nodes.shape[1], -1)
-        by_node = nodes.swapaxes(1, 2) @ pulled
-        return np.asarray(shift.weights.swapaxes(0, 1) @ by_node).swapaxes(0, 1), self.forms(shift)
-
-    def _node_products(self, response: str) -> Array:
-        """Return N' K⁻¹ N, (n_bands, n_nodes, n_bands, n_nodes)."""
+    def _of_response(self, response: str) -> tuple[Array, Array]:
+        """Return [N W] of each band, (k, v, a), and [N W]' K⁻¹ N, (l, n, k a)."""
         if response not in self._products:
             nodes = self.nodes[response]
-            n_bands, n_values, _ = nodes.shape
-            inverse = self.inverse.reshape(n_bands, n_values, n_bands, n_values)
-            half = np.einsum("krls,lsn->krln", inverse, nodes, optimize=True)
-            self._products[response] = np.einsum("krm,krln->kmln", nodes, half, optimize=True)
+            n_bands, _, n_nodes = nodes.shape
+            uneven = np.broadcast_to(self.uneven, (n_bands, *self.uneven.shape))
+            columns = np.concatenate([nodes, uneven], axis=2)
+            half = np.moveaxis(self._by_band, 2, 0) @ nodes[:, np.newaxis]  # (l, k, v, n)
+            products = (half.swapaxes(2, 3) @ columns).swapaxes(1, 2)
+            self._products[response] = columns, products.reshape(n_bands, n_nodes, -1)
         return self._products[response]
 
     def _log(self, square: Array, half: Array | float) -> Array:
@@ -312,7 +269,7 @@ Likelihoods = tuple[Likelihood, list[Likelihood], list[Likelihood]]
 """With coefficients as stated, off together, and of something that no effect explains."""
 
 
-def flat(values: Array) -> Array:
+def flat(values: NDArray[Any]) -> NDArray[Any]:
     """Return values (n_parameters, n_pairs, n_bands) in the order (band, parameter, pair), (n,)."""
     return np.asarray(np.moveaxis(values, 2, 0).reshape(-1))
 
@@ -323,27 +280,14 @@ def band_first(values: Array) -> Array:
     return np.asarray(moved.reshape(len(moved), -1, values.shape[-1]))
 
 
-def reordered(covariance: Array, shape: Sequence[int]) -> Array:
-    """Return a covariance over (parameter, pair, band) in the order (band, parameter, pair)."""
-    p, i, k = shape
-    order = np.moveaxis(np.arange(p * i * k).reshape(p, i, k), 2, 0).reshape(-1)
-    return np.asarray(covariance[np.ix_(order, order)])
-
-
 UNKNOWN_SCALES = (4.0, 16.0)
 """Factors of the variance of the simulator's error if it misses something that no effect explains."""
-
-
 OWN = 0.1
 """Share of the control runs' variance that is each value's own. Without it, combinations of values
 decide that hardly differ between so few runs."""
-
-
 COMMON = 0.25
 """Share of the variance common to all pairs that is assumed. Control runs scatter from hardly at all to
 nearly everything, by which T of the whole room differs most."""
-
-
 BETWEEN_OCTAVES = 0.7
 """Correlation of the scattering's part of each band between bands an octave apart. Without that part
 what was measured in a flat room that scatters little was less likely by 8 to 11 nats."""
@@ -359,28 +303,26 @@ class TracingError:
         Without their noise.
     rest : array (n, n)
         Covariance by the scattering of the materials and by noise, n = parameters x pairs x bands.
-    common : float
-        Share of the variance common to all pairs that is assumed.
     """
 
     runs: ControlRuns
     rest: Array
-    common: float = COMMON
 
     @property
-    def assumed(self) -> Array:
-        """The errors, what is common to all pairs as large as is assumed; (n_runs, p, i, k)."""
-        return self.runs.with_common(self.common**0.5).errors
+    def assumed(self) -> ControlRuns:
+        """The runs, what is common to all pairs as large as is assumed."""
+        return self.runs.with_common(COMMON**0.5)
 
-    def covariance(self, without: NDArray[np.int64] | None = None) -> Array:
-        """Return the covariance, (n, n), from all runs but some."""
-        kept = np.ones(len(self.runs.errors), dtype=bool)
-        if without is not None:
-            kept[without] = False
-        runs = replace(self.runs, errors=self.assumed[kept], levels=None, models=())
-        covariance = runs.covariance()
-        of_runs = (1 - OWN) * covariance + OWN * np.diag(np.diag(covariance))
-        return np.asarray(of_runs + self.rest)
+    def covariance(self) -> Array:
+        """Return the covariance, (n, n)."""
+        of_runs = self.assumed.covariance()
+        return np.asarray((1 - OWN) * of_runs + OWN * np.diag(np.diag(of_runs)) + self.rest)
+
+
+def reordered(covariance: Array, shape: Sequence[int]) -> Array:
+    """Return a covariance over (parameter, pair, band) in the order (band, parameter, pair)."""
+    order = flat(np.arange(len(covariance)).reshape(*shape))
+    return np.asarray(covariance[np.ix_(order, order)])
 
 
 def simulator_error(
@@ -408,34 +350,35 @@ def simulator_error(
     """
     free = len(noise) - tracings
     variance = (noise**2).sum(axis=0).mean(axis=1) / free  # (n_parameters, n_bands)
-    slope = _alike(scattering).reshape(-1, scattering.shape[-1])
+    # What derivatives differ by between pairs is mostly noise.
+    slope, alike = (
+        np.broadcast_to(of.mean(axis=-3, keepdims=True), of.shape)
+        for of in (scattering, scattering_noise)
+    )
+    slope = slope.reshape(-1, scattering.shape[-1])
     prior = MaterialScattering(slope=slope, traced=np.zeros(slope.shape[1])).prior
-    alike = _alike(scattering_noise)
 
     def runs_of(errors: Array) -> ControlRuns:
         return replace(controls, errors=errors, levels=None, models=())
-
-    def mean_of(errors: Array) -> Array:
-        return np.asarray(runs_of(errors).covariance() / free)
 
     def of_scattering(prior: Array) -> Array:
         """Return the covariance by other scattering, and by the noise of the derivatives."""
         # What they err by counts as often as the scattering that they belong to may be other.
         by_material = np.moveaxis(alike @ np.linalg.cholesky(prior), -1, 0)
-        return np.asarray(slope @ prior @ slope.T + sum(map(mean_of, by_material)))
+        of_noise = sum(runs_of(errors).covariance() / free for errors in by_material)
+        return np.asarray(slope @ prior @ slope.T + of_noise)
 
     # A control run is the difference of two tracings, whose noise is taken off. Errors as large as the
     # noise of one are assumed instead: without them, what was measured was likelier by 5 nats in 27
     # rooms, and the right surface less likely. In them all pairs are alike, so that no pattern of
     # the paths counts.
-    runs = controls.without_noise(2 * variance)
-    of_paths = runs_of(noise).alike() * len(noise) / free
+    runs = runs_of(controls.without_noise(2 * variance).errors)
+    of_paths = runs_of(noise).alike() * len(noise) / free + runs_of(noise).covariance() / free
     between = bands.correlation(centre_frequencies, BETWEEN_OCTAVES)
     between = np.tile(between, 2 * [len(slope) // len(between)])
     # Parameters and bands share the paths, and the pairs of a source, too.
     in_all_bands = of_scattering(OF_MATERIAL**2 * np.eye(len(prior)))
-    of_scattering_alone = in_all_bands + of_scattering(prior) * between
-    return TracingError(runs, of_paths + mean_of(noise) + of_scattering_alone)
+    return TracingError(runs, of_paths + in_all_bands + of_scattering(prior) * between)
 
 
 _LEVELS = np.linspace(-2.4, 2.4, 9)
@@ -454,11 +397,6 @@ def levels(traced: Array) -> ScatteringLevels:
     shifts = CubicSpline(nodes, known, axis=-1, bc_type="natural")(_LEVELS)
     log = -0.5 * (_LEVELS / OF_ROOM) ** 2
     return ScatteringLevels(shifts.reshape(-1, len(_LEVELS)), np.asarray(log - logsumexp(log)))
-
-
-def _alike(derivatives: Array) -> Array:
-    """Return the mean over pairs at each pair: what derivatives differ by there is mostly noise."""
-    return np.broadcast_to(derivatives.mean(axis=-3, keepdims=True), derivatives.shape)
 
 
 def covariance_of_lobes(nodes: Array, pairs: Sequence[Pair], frequencies: Array) -> Array:
@@ -533,42 +471,28 @@ class PositionsProblem:
         p, i, k = self.data.observations.values.shape
         return p, i, k
 
-    @property
-    def errors(self) -> Array:
-        """The simulator's errors in the control runs, as large as is assumed, (n_runs, n)."""
-        return np.array([flat(run) for run in self.error.assumed]) * self.scale
-
-    def simulator_error(self, without: NDArray[np.int64] | None = None) -> Array:
-        """Return the covariance of the simulator's error, from all control runs but some."""
-        covariance = reordered(self.error.covariance(without), self.shape)
+    @cached_property
+    def simulator_error(self) -> Array:
+        """Covariance of the simulator's error, (n, n)."""
+        covariance = reordered(self.error.covariance(), self.shape)
         return covariance * np.outer(self.scale, self.scale)
 
-    def likelihoods(
-        self, without: NDArray[np.int64] | None = None, sources: Array | float = 0.0
-    ) -> Likelihoods:
+    def likelihoods(self, sources: Array | float = 0.0) -> Likelihoods:
         """Return the likelihoods with coefficients as stated, off together, and of the unknown.
 
         ``sources`` is a covariance of what the sources may be off by: `aimed` or `gains`.
         """
-        error = self.simulator_error(without)
+        error = self.simulator_error
         base = self.alpha @ self.alpha.T + self.measurement + error + sources
         common = self.together @ self.together.T
         names, n_pairs = self.data.observations.parameters, self.shape[1]
         uneven, amount = uneven_columns(names, n_pairs), uneven_amount(names, n_pairs)
 
-        def of(covariance: Array) -> Likelihood:
-            return Likelihood(
-                covariance,
-                self.used,
-                self.nodes,
-                uneven=uneven,
-                amount=amount,
-                levels=self.levels,
-            )
+        def of(more: Array | float) -> Likelihood:
+            return Likelihood(base + more, self.used, self.nodes, uneven, amount, self.levels)
 
-        off = [of(base + (scale**2 - 1) * common) for scale, _ in SCALES]
-        unknown = [of(base + (scale - 1) * error) for scale in UNKNOWN_SCALES]
-        return of(base), off, unknown
+        off = [of((scale**2 - 1) * common) for scale, _ in SCALES]
+        return of(0.0), off, [of((scale - 1) * error) for scale in UNKNOWN_SCALES]
 
 
 def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> PositionsProblem:
@@ -590,27 +514,33 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
         raise DataError(
             f"{' to '.join(wanted.pairs[0])} is the only pair; to say where, it needs at least two"
         )
-    columns = [tracer.pairs.index(p) for p in wanted.pairs]
-    at_pairs = made.at(wanted.parameters, columns).columns
-    stated = base[[made.parameters.index(p) for p in wanted.parameters]][:, columns]
+    stated, at_pairs = heard.at(wanted).values, made.at(wanted).columns
     used = flat(np.isfinite(wanted.values - stated)).astype(bool)
     if not used.any():
         raise DataError("no value was both measured and simulated")
     measured = np.where(np.isfinite(wanted.values), wanted.values, stated)
     kinds = [observable(name) for name in wanted.parameters]
-    rows_of = zip(kinds, _smooth(measured, stated), stated, strict=True)
-    scale = np.array([kind.linear_slope(value, at) for kind, value, at in rows_of])
+    # What is stated, moved by the mean difference over the pairs: where errors are scaled.
+    smooth = stated + (measured - stated).mean(axis=1, keepdims=True)
+    rows_of = zip(kinds, smooth, stated, strict=True)
+    scale = flat(np.array([kind.linear_slope(value, at) for kind, value, at in rows_of]))
+
+    def linear(values: Array) -> Array:
+        """Return values (n_parameters, n_pairs, n_bands, ...) on the scales of `Observable.linear`."""
+        at = stated.reshape(*stated.shape, *[1] * (values.ndim - 3))
+        return np.array([k.linear(v, t) for k, v, t in zip(kinds, values, at, strict=True)])
 
     def shifted(name: str) -> Array:
-        ends = stated[..., np.newaxis] + at_pairs[name]
-        return band_first(_linear(kinds, ends, stated[..., np.newaxis]))
+        """Return shifts by band, (n_bands, n_values, n_nodes)."""
+        by_band = np.moveaxis(linear(stated[..., np.newaxis] + at_pairs[name]), 2, 0)
+        return by_band.reshape(len(by_band), -1, by_band.shape[-1])
 
     heard_as = ("surface", "part", "aperture", "air", "volume")
     nodes = {name: shifted(name) for name in at_pairs if name.split()[0] in heard_as}
-    nodes |= _of_materials(case, nodes)
-    of_groups = at_pairs["noise of scattering"].reshape(
-        *stated.shape, -1, at_pairs["scattering"].shape[-1]
-    )
+    for row, members in case.surfaces_of_materials.items():
+        nodes[f"material {row}"] = np.concatenate([nodes[f"surface {j}"] for j in members], axis=2)
+    of_groups = at_pairs["noise of scattering"]
+    of_groups = of_groups.reshape(*stated.shape, -1, at_pairs["scattering"].shape[-1])
     error = simulator_error(
         controls.at(wanted.parameters, wanted.pairs),
         np.moveaxis(at_pairs["noise"], -1, 0),
@@ -619,77 +549,41 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
         TRACINGS,
         room.centre_frequencies,
     )
-    of_levels = shifted("levels")
-    traced = np.minimum(room.alpha, LARGEST_ALPHA)
-    step = STEP * (1 - traced.T)  # (n_bands, n_materials)
+    step = STEP * (1 - np.minimum(room.alpha, LARGEST_ALPHA).T)  # (n_bands, n_materials)
     slopes = shifted("materials") / step[:, np.newaxis]
     alpha, together = _prior(case, slopes, nodes["air"])
     gains: list[Array] = []
     if data.level == "absolute" and "g" not in case.measured.common_uncertainty:
         every = covariances_of_gains(wanted.parameters, wanted.pairs, room.n_bands)
-        gains = [of_gain * np.outer(flat(scale), flat(scale)) for of_gain in every]
+        gains = [of_gain * np.outer(scale, scale) for of_gain in every]
+    aimed = None
+    if made.columns["aimed"].any():
+        aimed = covariance_of_lobes(shifted("aimed"), wanted.pairs, room.centre_frequencies)
+    measurement = np.zeros((used.size, used.size))
+    measured_ones = np.flatnonzero(data.used)
+    measurement[np.ix_(measured_ones, measured_ones)] = data.covariance
     return PositionsProblem(
         data=data,
         controls=controls,
-        residual=np.where(used, flat(_linear(kinds, measured, stated)), 0.0),
-        scale=flat(scale),
+        residual=np.where(used, flat(linear(measured)), 0.0),
+        scale=scale,
         used=used,
         alpha=alpha,
         together=together,
-        measurement=_measurement(data) * np.outer(flat(scale), flat(scale)),
+        measurement=reordered(measurement, stated.shape) * np.outer(scale, scale),
         error=error,
-        levels=levels(of_levels.reshape(len(of_levels), *stated.shape[:2], -1)),
-        aimed=covariance_of_lobes(shifted("aimed"), wanted.pairs, room.centre_frequencies)
-        if made.columns["aimed"].any()
-        else None,
+        levels=levels(shifted("levels").reshape(room.n_bands, *stated.shape[:2], -1)),
+        aimed=aimed,
         gains=gains,
         nodes=nodes,
     )
 
 
-def _linear(kinds: Sequence[Observable], values: Array, stated: Array) -> Array:
-    """Return values (n_parameters, ...) on the scales of `Observable.linear`."""
-    rows = zip(kinds, values, stated, strict=True)
-    return np.array([kind.linear(value, at) for kind, value, at in rows])
-
-
-def _smooth(measured: Array, stated: Array) -> Array:
-    """Return what is stated, moved by the mean difference over the pairs: where errors are scaled."""
-    return np.asarray(stated + (measured - stated).mean(axis=1, keepdims=True))
-
-
-def _of_materials(case: PositionsCase, nodes: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the nodes of each material: those of all its surfaces, one after the other."""
-    made_of = case.room.material_rows(case.geometry.materials)
-    out = {}
-    for row in range(case.room.n_materials):
-        members = [
-            f"surface {j}"
-            for j, faces in enumerate(case.faces.values())
-            if (made_of[faces] == row).all()
-        ]
-        if members:
-            out[f"material {row}"] = np.concatenate([nodes[m] for m in members], axis=2)
-    return out
-
-
-def _measurement(data: MeasuredPairs) -> Array:
-    """Return the covariance of the measurement's errors over all values, 0 where there is none."""
-    used = data.used.ravel()
-    full = np.zeros((used.size, used.size))
-    full[np.ix_(used, used)] = data.covariance
-    return reordered(full, data.used.shape)
-
-
 def _prior(case: PositionsCase, slopes: Array, air: Array) -> tuple[Array, Array]:
     """Return the factors of what alpha and the climate leave open, and of the common errors."""
-    n_bands, n_values, n_materials = slopes.shape
-    full = np.zeros((n_bands, n_values, n_materials, n_bands))
-    for k in range(n_bands):
-        full[k, :, :, k] = slopes[k]
-    matrix = full.reshape(n_bands * n_values, -1)
-    covariance = prior_covariance(case.room)
-    values, vectors = np.linalg.eigh(covariance)
+    n_bands, n_values, _ = slopes.shape
+    matrix = np.einsum("kvj,kl->kvjl", slopes, np.eye(n_bands)).reshape(n_bands * n_values, -1)
+    values, vectors = np.linalg.eigh(prior_covariance(case.room))
     own = matrix @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     usual = usual_errors(case)
     together = matrix @ usual.reshape(len(usual), -1).T

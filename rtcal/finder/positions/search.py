@@ -20,6 +20,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import logsumexp
@@ -51,12 +52,12 @@ from rtcal.finder.positions.case import (
 from rtcal.finder.positions.finding import MOST, PositionsFinding
 from rtcal.finder.positions.hypotheses import (
     COUPLED,
-    MEASUREMENT,
     NOISE,
     POSITION,
     WHOLE,
     PositionsHypotheses,
     ShiftHypothesis,
+    SpreadHypothesis,
     on_parts,
     on_surfaces,
     shifts,
@@ -122,24 +123,26 @@ def evaluate(likelihoods: Likelihoods, hypotheses: PositionsHypotheses, residual
     as_stated = stated.of(residuals)
     none, shifts = stated.stated(as_stated), stated.each_shifted(hypotheses.shifts, as_stated)
     as_off = [(one, one.of(residuals)) for one in off]
-    shares = np.log([share for _, share in SCALES])[:, np.newaxis]
-    together = logsumexp(shares + [one.stated(r) for one, r in as_off], axis=0)
-    if len(shifts) and hypotheses.off > 0:
-        of_scales = [one.each_shifted(hypotheses.shifts, r) for one, r in as_off]
-        others = logsumexp(shares[..., np.newaxis] + of_scales, axis=0)
-        shifts = log_mixture(shifts, others, hypotheses.off)
     as_unknown = [(one, one.of(residuals)) for one in unknown]
 
-    def over_scales(values: Sequence[Array]) -> Array:
-        return np.asarray(logsumexp(np.array(values), axis=0) - np.log(len(values)))
+    def over_scales(values: Sequence[Array], shares: Sequence[float]) -> Array:
+        every = np.array(values)
+        log = np.log(shares).reshape(-1, *[1] * (every.ndim - 1))
+        return np.asarray(logsumexp(log + every, axis=0))
 
-    alone = over_scales([one.stated(r) for one, r in as_unknown])
+    of_off, of_unknown = [share for _, share in SCALES], [1 / len(unknown)] * len(unknown)
+    together = over_scales([one.stated(r) for one, r in as_off], of_off)
+    if len(shifts) and hypotheses.off > 0:
+        others = [one.each_shifted(hypotheses.shifts, r) for one, r in as_off]
+        shifts = log_mixture(shifts, over_scales(others, of_off), hypotheses.off)
+    alone = over_scales([one.stated(r) for one, r in as_unknown], of_unknown)
     beside = np.full_like(shifts, -np.inf) if hypotheses.unknown else shifts[:0]
     # Errors that explain even less than what nothing explains do so beside an effect, too.
     if len(beside) and not (alone < none - _NEGLIGIBLE).all():
-        beside = over_scales([one.each_shifted(hypotheses.shifts, r) for one, r in as_unknown])
+        every = [one.each_shifted(hypotheses.shifts, r) for one, r in as_unknown]
+        beside = over_scales(every, of_unknown)
     spreads = [stated.spread(spread, as_stated) for spread in hypotheses.spreads]
-    return np.concatenate([[none, together, alone, *spreads], shifts, beside])
+    return np.concatenate([[none, together, alone], *spreads, shifts, beside])
 
 
 def scores(posterior: Array, hypotheses: PositionsHypotheses) -> tuple[Array, Array]:
@@ -149,7 +152,7 @@ def scores(posterior: Array, hypotheses: PositionsHypotheses) -> tuple[Array, Ar
     against nothing or such a pair; that of the second is against nothing. Where nothing else is tried,
     the first is 0.
     """
-    none, noisy = posterior[0], np.array(hypotheses.effects) == NOISE
+    none, noisy = posterior[0], np.array(hypotheses.by_row("effect")) == NOISE
     other = ~noisy
     other[0] = False
     of_pair = np.logaddexp.reduce(posterior[noisy], axis=0, initial=-np.inf)
@@ -183,7 +186,9 @@ def with_families(
 
     A logarithmic pool of two opinions (Genest & Zidek 1986).
     """
-    least = [max(families.get(family, 0.0), LEAST_BY_MEANS) for family in hypotheses.families]
+    least = [
+        max(families.get(family, 0.0), LEAST_BY_MEANS) for family in hypotheses.by_row("family")
+    ]
     return np.asarray(posterior + MEANS_POWER * np.log(least)[:, np.newaxis])
 
 
@@ -275,21 +280,15 @@ class Summary:
 def summary_of(case: PositionsCase, hypotheses: PositionsHypotheses, posterior: Array) -> Summary:
     """Return what the weights of a single set of residuals say."""
     chances = np.exp(posterior[:, 0] - logsumexp(posterior[:, 0]))
-    of_shifts, beside = hypotheses.of_shifts(chances)
-    unexplained = float(chances[2] + beside.sum())
-    if len(beside):
-        of_shifts = of_shifts + beside
-    ends = np.cumsum([len(shift.odds) for shift in hypotheses.shifts])
+    of_spreads, of_shifts, beside = hypotheses.of_groups(chances)
+    unexplained = float(chances[2] + sum(some.sum() for some in beside))
+    if hypotheses.unknown:
+        of_shifts = [one + other for one, other in zip(of_shifts, beside, strict=True)]
     grouped: dict[tuple[str, int | None, str], list[tuple[ShiftHypothesis, Array]]] = {}
-    for shift, some in zip(hypotheses.shifts, np.split(of_shifts, ends)[: len(ends)], strict=True):
+    for shift, some in zip(hypotheses.shifts, of_shifts, strict=True):
         grouped.setdefault((shift.effect, shift.surface, shift.place), []).append((shift, some))
     candidates = [_candidate(case, members) for members in grouped.values()]
-    places: dict[tuple[str, str], list[tuple[float, float, str]]] = {}
-    for spread, chance in zip(hypotheses.spreads, chances[3:].tolist(), strict=False):
-        places.setdefault((spread.effect, spread.place), []).append(
-            (chance, spread.size, spread.unit)
-        )
-    candidates += [_misplaced(*place, members) for place, members in places.items()]
+    candidates += [_misplaced(*of) for of in zip(hypotheses.spreads, of_spreads, strict=True)]
     for effect, chance in zip((COEFFICIENTS, UNKNOWN), chances[1:3].tolist(), strict=True):
         if chance > 0:
             candidates.append(Candidate(effect=effect, family=effect, probability=chance))
@@ -325,30 +324,29 @@ def _candidate(case: PositionsCase, members: Sequence[tuple[ShiftHypothesis, Arr
     shift = members[0][0]
     chances = np.concatenate([some for _, some in members])
     sizes = np.concatenate([member.sizes for member, _ in members])
-    total = float(chances.sum())
     share = _shares(chances)
-    likely = int(np.argmax(share))
     signed = bool((sizes <= 0).any())
     scale = sizes if signed else np.log(sizes)
     mean = float(share @ scale)
     more = 0.0 if signed else _SPACING**2 + shift.size_error**2
     deviation = float(np.sqrt(share @ (scale - mean) ** 2 + more))
-    ends = [mean, mean - NORMAL_90 * deviation, mean + NORMAL_90 * deviation]
-    size, low, high = ends if signed else np.exp(ends).tolist()
+    ends = mean + NORMAL_90 * deviation * np.array([0.0, -1.0, 1.0])
+    ends = ends if signed else np.exp(ends)
     surface = None if shift.surface is None else list(case.faces)[shift.surface]
     if surface is not None and shift.unit == "m²":  # no more stands on a surface than it has
-        size, low, high = (min(each, case.areas[surface]) for each in (size, low, high))
+        ends = np.minimum(ends, case.areas[surface])
+    size, low, high = ends.tolist()
     return Candidate(
         effect=shift.effect,
         family=shift.family,
         surface=surface,
         place=surface or shift.place,
-        probability=total,
+        probability=float(chances.sum()),
         size=size,
         low=low,
         high=high,
         unit=shift.unit,
-        parameters=[p for member, _ in members for p in member.parameters][likely],
+        parameters=[p for member, _ in members for p in member.parameters][int(np.argmax(share))],
         spectrum=np.asarray(share @ np.concatenate([member.spectra for member, _ in members])),
         parts=tuple(
             (case.divided.parts[member.part].middle, float(some.sum()))
@@ -358,23 +356,19 @@ def _candidate(case: PositionsCase, members: Sequence[tuple[ShiftHypothesis, Arr
     )
 
 
-def _misplaced(effect: str, place: str, members: Sequence[tuple[float, float, str]]) -> Candidate:
+def _misplaced(spread: SpreadHypothesis, chances: Array) -> Candidate:
     """Return a candidate of the measurement: its sizes are those that are tried."""
-    chances = np.array([chance for chance, _, _ in members])
-    sizes = np.array([size for _, size, _ in members])
-    total = float(chances.sum())
     share = _shares(chances)
-    likely = sizes[share >= min(0.05, share.max())]
-    size = float(np.clip(share @ sizes, likely.min(), likely.max()))
+    likely = spread.sizes[share >= min(0.05, share.max())]
     return Candidate(
-        effect=effect,
-        family=MEASUREMENT,
-        place=place,
-        probability=total,
-        size=size,
+        effect=spread.effect,
+        family=spread.family,
+        place=spread.place,
+        probability=float(chances.sum()),
+        size=float(np.clip(share @ spread.sizes, likely.min(), likely.max())),
         low=float(likely.min()),
         high=float(likely.max()),
-        unit=members[0][2],
+        unit=spread.unit,
     )
 
 
@@ -480,6 +474,35 @@ def controls_of(
     return controls
 
 
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """The numbers of a case and its hypotheses."""
+
+    case: PositionsCase
+    numbers: PositionsProblem
+    hypotheses: PositionsHypotheses
+
+    def evidence(self, sources: Array | float = 0.0) -> Array:
+        """Return the log evidence by hypothesis, (n, 1); ``sources`` as of `likelihoods`."""
+        residuals = self.numbers.residual[:, np.newaxis]
+        return evaluate(self.numbers.likelihoods(sources), self.hypotheses, residuals)
+
+    def with_gains(self, evidence: Array, sources: Array | float = 0.0) -> Array:
+        """Return the evidence, where the sources may also have been calibrated wrongly."""
+        for gains in self.numbers.gains:
+            evidence = log_mixture(evidence, self.evidence(sources + gains), MISCALIBRATED)
+        return evidence
+
+    def scores(self, evidence: Array) -> tuple[float, float]:
+        """Return `scores` of an evidence."""
+        score, noise = scores(weights(evidence, self.hypotheses), self.hypotheses)
+        return float(score[0]), float(noise[0])
+
+    def gain(self, other: Array, evidence: Array) -> float:
+        """Return the evidence in nats for another likelihood."""
+        return float(gain(other, evidence, self.hypotheses)[0])
+
+
 @single_threaded_blas()
 def find_by_positions(
     case: PositionsCase,
@@ -492,85 +515,63 @@ def find_by_positions(
     means: MeansFinding | None = None,
 ) -> PositionsFinding:
     """Return what the positions say; ``means`` as `evidence_of_means`, None if they were not asked."""
-
-    def run_finished(done: int, total: int) -> None:
-        if progress is not None:
-            progress("control runs", done, total)
-
     if controls is None:
-        controls = controls_of(case, seed, cache, run_finished)
+        controls = controls_of(case, seed, cache, progress and partial(progress, "control runs"))
     made = responses_of(case, seed, cache, progress)
     threshold = THRESHOLD if case.simulated is None else OF_PROGRAMS
 
-    def searched(
-        case: PositionsCase,
-    ) -> tuple[PositionsProblem, PositionsHypotheses, Array]:
+    def searched(case: PositionsCase) -> _Search:
         numbers = problem_of(case, made, controls)
-        hypotheses = every_hypothesis(case, made, numbers, effects, left_out)
-        return numbers, hypotheses, evaluated(numbers, hypotheses)
+        return _Search(case, numbers, every_hypothesis(case, made, numbers, effects, left_out))
 
-    def evaluated(
-        numbers: PositionsProblem, hypotheses: PositionsHypotheses, sources: Array | float = 0.0
-    ) -> Array:
-        residuals = numbers.residual[:, np.newaxis]
-        return evaluate(numbers.likelihoods(sources=sources), hypotheses, residuals)
-
-    def with_gains(
-        numbers: PositionsProblem,
-        hypotheses: PositionsHypotheses,
-        evidence: Array,
-        sources: Array | float = 0.0,
-    ) -> Array:
-        for gains in numbers.gains:
-            regained = evaluated(numbers, hypotheses, sources + gains)
-            evidence = log_mixture(evidence, regained, MISCALIBRATED)
-        return evidence
-
-    numbers, hypotheses, evidence = searched(case)
-    score, noise = scores(weights(evidence, hypotheses), hypotheses)
+    search = searched(case)
+    evidence = search.evidence()
+    score, noise = search.scores(evidence)
     # A gain or a lobe that is off may pass for the noise of a pair, which is no evidence by itself.
-    disagree = max(score[0], noise[0]) > threshold
+    disagree = max(score, noise) > threshold
     of_gain = -np.inf
-    if disagree and len(numbers.gains):
-        as_calibrated = evidence
-        evidence = with_gains(numbers, hypotheses, evidence)
-        of_gain = float(gain(evidence, as_calibrated, hypotheses)[0])
-        score, noise = scores(weights(evidence, hypotheses), hypotheses)
-    reverberation = any(observable(p).part == "late" for p in numbers.data.observations.parameters)
+    if disagree and len(search.numbers.gains):
+        as_calibrated, evidence = evidence, search.with_gains(evidence)
+        of_gain = search.gain(evidence, as_calibrated)
+    names = search.numbers.data.observations.parameters
+    reverberation = any(observable(p).part == "late" for p in names)
     indexed = list(with_index(case.simulator))
     aimed, unexplained, doubted = 0.0, False, False
-    if disagree and numbers.aimed is not None:
-        lobes = evaluated(numbers, hypotheses, numbers.aimed)
-        lobes = with_gains(numbers, hypotheses, lobes, numbers.aimed)
-        aimed = float(gain(lobes, evidence, hypotheses)[0])
+    if disagree and search.numbers.aimed is not None:
+        lobes = search.with_gains(search.evidence(search.numbers.aimed), search.numbers.aimed)
+        aimed = search.gain(lobes, evidence)
         if indexed and reverberation:
-            told = summary_of(case, hypotheses, weights(evidence, hypotheses, TOLD_TEMPER))
-            unexplained = told.unexplained >= CLAIMED
+            posterior = weights(evidence, search.hypotheses, TOLD_TEMPER)
+            unexplained = summary_of(case, search.hypotheses, posterior).unexplained >= CLAIMED
         doubted = aimed > (LIKELY_INDEX if indexed else LIKELY_LOBES) or unexplained
         if doubted and reverberation:
-            case, of_gain = as_unknown(case), -np.inf
-            numbers, hypotheses, evidence = searched(case)
-            means = None if means is None else evidence_of_means(case, effects, cache)
+            search, of_gain = searched(as_unknown(case)), -np.inf
+            evidence = search.evidence()
+            means = None if means is None else evidence_of_means(search.case, effects, cache)
         elif doubted:  # nothing is left that says as much whatever the source
             evidence = lobes
         else:
             evidence = log_mixture(evidence, lobes, AIMED)
-        score, noise = scores(weights(evidence, hypotheses), hypotheses)
+    score, noise = search.scores(evidence)
     detected = Detection(
-        score=float(score[0]),
+        score=score,
         threshold=threshold,
-        noise=float(noise[0]) if np.isfinite(noise[0]) else None,
+        noise=noise if np.isfinite(noise) else None,
         means=None if means is None else means.score,
     )
-    posterior = weights(evidence, hypotheses, TOLD_TEMPER)
+    posterior = weights(evidence, search.hypotheses, TOLD_TEMPER)
     if means is not None:
-        posterior = with_families(posterior, hypotheses, means.families)
-    likelihood = numbers.likelihoods()[0].with_one_level()
-    finding = _finding(case, numbers, hypotheses, posterior, likelihood, detected, effects)
-    notes = (*finding.notes, lobes_in_words(aimed, indexed if doubted else ()))
-    if means is not None and finding.effect is None and finding.family is None:
-        notes = (unconfirmed(means), *notes)
-    notes = (*notes, gains_in_words(of_gain), untried(effects), *([CHOSEN] if left_out else []))
+        posterior = with_families(posterior, search.hypotheses, means.families)
+    finding = _finding(search, posterior, detected, effects)
+    unsaid = means is not None and finding.effect is None and finding.family is None
+    notes = (
+        unconfirmed(means) if means is not None and unsaid else "",
+        *finding.notes,
+        lobes_in_words(aimed, indexed if doubted else ()),
+        gains_in_words(of_gain),
+        untried(effects),
+        CHOSEN if left_out else "",
+    )
     return replace(finding, left_out=tuple(left_out), notes=tuple(filter(None, notes)))
 
 
@@ -583,14 +584,13 @@ def every_hypothesis(
 ) -> PositionsHypotheses:
     """Return the hypotheses of a search, but for some effects."""
     observations, (p, i, k) = numbers.data.observations, numbers.shape
-    columns = [case.simulator.pairs.index(pair) for pair in observations.pairs]
     scale = np.moveaxis(numbers.scale.reshape(k, p, i), 0, 2)[..., np.newaxis]
     moved = {
         name: shift * scale
-        for name, shift in made.at(observations.parameters, columns).columns.items()
+        for name, shift in made.at(observations).columns.items()
         if name.startswith(("source ", "receiver "))
     }
-    errors = (numbers.measurement + numbers.simulator_error()).reshape(k, p, i, k, p, i)
+    errors = (numbers.measurement + numbers.simulator_error).reshape(k, p, i, k, p, i)
     places = spreads(observations.pairs, moved, errors)
     return PositionsHypotheses(
         shifts=on_parts(case, shifts(case, effects, left_out)),
@@ -601,43 +601,43 @@ def every_hypothesis(
 
 
 def _finding(
-    case: PositionsCase,
-    numbers: PositionsProblem,
-    hypotheses: PositionsHypotheses,
-    posterior: Array,
-    likelihood: Likelihood,
-    detected: Detection,
-    effects: Sequence[Effect],
+    search: _Search, posterior: Array, detected: Detection, effects: Sequence[Effect]
 ) -> PositionsFinding:
-    summary = summary_of(case, hypotheses, posterior)
-    groups = _groups(case, hypotheses, summary, likelihood)
+    case, numbers = search.case, search.numbers
+    likelihood = numbers.likelihoods()[0].with_one_level()
+    summary = summary_of(case, search.hypotheses, posterior)
     in_families = [effect.name for effect in effects if not effect.alone]
     # The library as a whole is weighed against what it does not explain, and not each of its effects.
     known = dict(summary.probabilities)
     if known.get(UNKNOWN, 0.0) < MOST * (1 - known[NONE]):
         known.pop(UNKNOWN, None)
     verdict, family = claimed(detected.verdict, known, summary.families, in_families)
-    best = next(e for e in known if e != NONE)
-    placed = _first_placed(summary, verdict)
-    reasons = _reasons(case, verdict, placed)
+    is_claimed = verdict in ("named", "family", "ambiguous")
+    reasons: tuple[str, ...] = ()
+    if is_claimed and case.simulator.unknown_sources:
+        reasons = (_AIMED,)
+    elif is_claimed and (best := summary.candidates[0]).surface and best.effect == COUPLED.name:
+        reasons = (_ANYWHERE,)
     first = next(iter(summary.surfaces))
     sure = summary.surfaces[first] * summary.on_surfaces >= CLAIMED
-    located = verdict in ("named", "family", "ambiguous") and sure and not reasons
-    observations = numbers.data.observations
+    observations, (p, i, k) = numbers.data.observations, numbers.shape
+    off = np.where(
+        numbers.used, -numbers.residual / np.sqrt(np.diag(likelihood.covariance)), np.nan
+    )
     return PositionsFinding(
         case=case,
         verdict=verdict,
-        effect=best if verdict == "named" else None,
+        effect=next(e for e in known if e != NONE) if verdict == "named" else None,
         family=family,
-        surface=first if located else None,
+        surface=first if is_claimed and sure and not reasons else None,
         surfaces=summary.surfaces,
         unexplained=summary.unexplained,
-        groups=groups,
+        groups=_groups(case, search.hypotheses, summary, likelihood),
         candidates=summary.candidates,
         probabilities=summary.probabilities,
         families=summary.families,
         detection=detected,
-        map=_map(numbers, likelihood),
+        map=np.moveaxis(off.reshape(k, p, i), 0, 2),
         parameters=observations.parameters,
         pairs=observations.pairs,
         reasons=reasons,
@@ -676,29 +676,6 @@ def untried(effects: Sequence[Effect]) -> str:
     )
 
 
-def _first_placed(summary: Summary, verdict: str) -> Candidate | None:
-    """Return the most probable candidate, if it is claimed and stands on a surface."""
-    if verdict not in ("named", "family", "ambiguous"):
-        return None
-    first = summary.candidates[0]
-    return first if first.surface is not None else None
-
-
-def _reasons(case: PositionsCase, verdict: str, best: Candidate | None) -> tuple[str, ...]:
-    """Return why the most probable surface is not claimed."""
-    if verdict in ("named", "family", "ambiguous") and case.simulator.unknown_sources:
-        return (_AIMED,)
-    return (_ANYWHERE,) if best is not None and best.effect == COUPLED.name else ()
-
-
-def _map(numbers: PositionsProblem, likelihood: Likelihood) -> Array:
-    """Return simulated less measured in standard deviations, (n_parameters, n_pairs, n_bands)."""
-    p, i, k = numbers.shape
-    variance = np.diag(likelihood.covariance).copy()
-    z = np.where(numbers.used, -numbers.residual / np.sqrt(variance), np.nan)
-    return np.asarray(np.moveaxis(z.reshape(k, p, i), 0, 2))
-
-
 def _groups(
     case: PositionsCase,
     hypotheses: PositionsHypotheses,
@@ -723,24 +700,19 @@ def _groups(
         if summary.surfaces[name] < least:
             continue
         near = np.abs(np.log(np.maximum(shift.sizes, 1e-9) / best.size))
-        row = int(np.argmin(near + _unlike(shift, best)))
-        nodes = likelihood.nodes[shift.response]
+        unlike = np.abs(shift.spectra - best.spectrum).max(axis=1)
+        row = int(np.argmin(near + unlike))
         if name == best.surface:
             inverse = likelihood.inverse_with_place(shift, row)
         names.append(name)
-        vectors.append(np.einsum("kn,krn->kr", shift.weights[row], nodes).ravel())
+        vectors.append(likelihood.changes(shift)[row].ravel())
     if not vectors:
         return ()
-    every = np.array(vectors).T
-    gram = every.T @ inverse @ every
+    every = np.array(vectors)
+    gram = every @ inverse @ every.T
     size = np.maximum(np.diag(gram), 1e-12)
     nats = 0.5 * (size[:, np.newaxis] - gram**2 / size) / TOLD_TEMPER
     return _joined(names, np.minimum(nats, nats.T) < DISTINCT_NATS)
-
-
-def _unlike(shift: ShiftHypothesis, best: Candidate) -> Array:
-    """Return how far each hypothesis' spectrum is from the candidate's, (n_hypotheses,)."""
-    return np.asarray(np.abs(shift.spectra - best.spectrum).max(axis=1))
 
 
 def _joined(names: Sequence[str], alike: Array) -> tuple[tuple[str, ...], ...]:

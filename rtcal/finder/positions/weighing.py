@@ -22,11 +22,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,9 +38,7 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Directivity, plain_directivities
 from rtcal.files import disk
 from rtcal.finder.effects import HARD
-from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.case import (
-    AIMS,
     INDEX_ERROR,
     LOBE_INDEX,
     OWN_INDEX_ERROR,
@@ -50,9 +47,10 @@ from rtcal.finder.positions.case import (
 )
 from rtcal.finder.positions.surfaces import Faces
 from rtcal.loop.control_runs import scattered, share_of_signal
-from rtcal.simulators.base import LARGEST_ALPHA, observe, values_of_decays
+from rtcal.loop.measured_pairs import Pair
+from rtcal.simulators.base import LARGEST_ALPHA, Observations, observe, values_of_decays
 from rtcal.simulators.path_tracing import DENSER, LARGER, Paths, PathTracing
-from rtcal.simulators.tracer import LONGEST, decay_long_enough, eyring_seconds
+from rtcal.simulators.tracer import LONGEST, eyring_seconds, of_all_bands
 from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError, TooShortError
 from rtcal.support.speed import Progress, TaskProgress
@@ -125,18 +123,18 @@ class Aperture:
         slow, fast = (first + second) / 2 - root, (first + second) / 2 + root
         seconds = min(_FOLLOWED * _NEPERS / float(slow.min()), LONGEST)
         heard = _followed(energy, first, int(seconds / bin_width), bin_width)
+        heard = heard.reshape(n_sources, -1, *heard.shape[1:])
         reverberant = heard.copy()
         reverberant[..., 0] = 0.0  # the direct sound is not what the whole room hears
-        shape = (n_sources, -1, *heard.shape[1:])
-        mean = reverberant.reshape(shape).mean(axis=1)
+        mean = reverberant.mean(axis=1)
         back = np.empty_like(mean)
-        for k in range(heard.shape[1]):
+        for k, (of_slow, of_fast) in enumerate(zip(slow, fast, strict=True)):
             both = [
                 lfilter([1.0], [1.0, -np.exp(-rate * bin_width)], mean[:, k])
-                for rate in (slow[k], fast[k])
+                for rate in (of_slow, of_fast)
             ]
-            back[:, k] = exchange[k] * bin_width * (both[0] - both[1]) / (fast[k] - slow[k])
-        return np.asarray((heard.reshape(shape) + back[:, np.newaxis]).reshape(heard.shape))
+            back[:, k] = exchange[k] * bin_width * (both[0] - both[1]) / (of_fast - of_slow)
+        return np.asarray((heard + back[:, np.newaxis]).reshape(-1, *heard.shape[2:]))
 
 
 def decay_rate(energy: Array, bin_width: float) -> Array:
@@ -163,19 +161,20 @@ _AT_ONCE = 8
 """Groups of faces in one sweep: their decays share the memory of one room."""
 
 
-def changed_alpha(alpha: Array, faces: Faces, share: float) -> Array:
-    """Return alpha (n_faces, n_bands) with the faces' moved towards 1, or towards a hard wall's."""
-    out = alpha.copy()
+def changed_alpha(alpha: Array, share: float) -> Array:
+    """Return alpha moved by a share of the way to 1, or (below 0) to that of a hard wall."""
     if share >= 0:
-        out[faces] += share * (1 - out[faces])
-    else:
-        out[faces] += share * np.maximum(out[faces] - HARD, 0.0)
-    return out
+        return alpha + share * (1 - alpha)
+    return alpha + share * np.maximum(alpha - HARD, 0.0)
 
 
 @dataclass(eq=False)
 class Weighing:
-    """The paths of a tracing, weighed with one alpha per face."""
+    """The paths of a tracing, weighed with one alpha per face.
+
+    They are followed for ``seconds``, and longer where a decay is too short for ``match``; from 0 for
+    as long as the first decays need.
+    """
 
     tracer: PathTracing
     match: Sequence[str]
@@ -185,14 +184,36 @@ class Weighing:
     @property
     def alpha(self) -> Array:
         """Alpha of each face as it is traced, (n_faces, n_bands): less than 1."""
-        room = self.tracer.room
-        alpha = np.minimum(room.alpha, LARGEST_ALPHA)
-        return np.asarray(alpha[room.material_rows(self.tracer.geometry.materials)])
+        return np.asarray(np.minimum(self.tracer.room.alpha, LARGEST_ALPHA)[self.made_of])
+
+    @cached_property
+    def made_of(self) -> NDArray[np.int64]:
+        """Number of each face's material."""
+        return np.array(self.tracer.room.material_rows(self.tracer.geometry.materials))
+
+    def parameters(self, energy: Array) -> Array:
+        """Return the parameters of decays, (n_parameters, ..., n_pairs, n_bands); see `Observations`.
+
+        Of decays (..., n_pairs, n_bands, n_bins).
+        """
+        tracer = self.tracer
+        named = tracer.pairs, tracer.centre_frequencies
+        return values_of_decays(energy, tracer.bin_width, self.match, *named)
 
     def observe(
         self, alpha: Array, attenuation: Array | None = None, stretch: float = 1.0
     ) -> Array:
-        """Return what the positions hear, (n_parameters, n_pairs, n_bands); see `Observations`.
+        """Return the parameters of `energy`, (n_parameters, n_pairs, n_bands)."""
+        return self.parameters(self.energy(alpha, attenuation, stretch)[0])
+
+    def energy(
+        self,
+        alpha: Array,
+        attenuation: Array | None = None,
+        stretch: float = 1.0,
+        number: int = 1,
+    ) -> Array:
+        """Return the decays of groups of paths, (number, n_pairs, n_bands, n_bins).
 
         Parameters
         ----------
@@ -201,8 +222,18 @@ class Weighing:
             Of the air, in 1/m; by default the room's.
         stretch : float
             Factor of all lengths of the room.
+        number : int
+            Of groups.
         """
-        return self.parameters(self.energy(alpha, attenuation, stretch)[0])
+        room = self.tracer.room
+        # Lengths that grow by a factor: bins that are shorter by it, and air that absorbs more.
+        air = stretch * (room.air_attenuation if attenuation is None else attenuation)
+        width = room.speed_of_sound * self.tracer.bin_width / stretch
+
+        def weighed(paths: Paths, bands: NDArray[np.int64]) -> Array:
+            return paths.energy(alpha[:, bands], air[bands], width, number)
+
+        return self._long_enough(weighed, 1.5 if self.seconds else 2.0) / stretch**2
 
     def of_groups(self, groups: Sequence[Faces], shares: Sequence[float]) -> Iterator[Array]:
         """Yield the decays with each group of faces changed, in one sweep of the paths for many.
@@ -218,145 +249,43 @@ class Weighing:
         ------
         array (n_shares, n_pairs, n_bands, n_bins)
         """
-        if not self.seconds:
-            self.seconds = eyring_seconds(self.tracer.room, self.tracer.room.alpha)
         for start in range(0, len(groups), _AT_ONCE):
-            some = groups[start : start + _AT_ONCE]
-            while True:
-                energy = self._of_groups(self.alpha, some, shares)
-                every = energy.reshape(-1, *energy.shape[2:])
-                if self._long_enough(every):
-                    break
-            yield from energy
+            yield from self._of_groups(groups[start : start + _AT_ONCE], shares)
 
-    def with_apertures(self, area: float, opened: Array, shares: Sequence[float]) -> Array:
-        """Return the parameters with an aperture to each of `SECOND_ROOMS`, for each of its shares.
-
-        Parameters
-        ----------
-        area : float
-            Of the surface in m².
-        opened : array (n_shares, n_pairs, n_bands, n_bins)
-            Decays with an opening in place of the aperture.
-        shares : sequence of float
-            Of the surface.
-
-        Returns
-        -------
-        array (n_parameters, n_pairs, n_bands, n_second_rooms n_shares)
-        """
-        tracer, room = self.tracer, self.tracer.room
-        width, n_sources = tracer.bin_width, len(tracer.sources)
-        rates = decay_rate(opened, width)
-        decays = [
-            Aperture(share * area, volume * room.volume, alpha).returned_to(
-                energy, room, width, n_sources, rate
-            )
-            for volume, alpha in SECOND_ROOMS
-            for share, energy, rate in zip(shares, opened, rates, strict=True)
-        ]
-        lengths = np.array([energy.shape[-1] for energy in decays])
-        heard = np.empty((len(self.match), *opened.shape[1:-1], len(decays)))
-        for length in np.unique(lengths):
-            alike = np.flatnonzero(lengths == length)
-            values = self.parameters(np.array([decays[i] for i in alike]))
-            heard[..., alike] = np.moveaxis(values, 1, -1)
-        return heard
-
-    def parameters(self, energy: Array) -> Array:
-        """Return the parameters of decays, (..., n_pairs, n_bands, n_bins), as `observe` does.
-
-        (n_parameters, ..., n_pairs, n_bands).
-        """
-        pairs, frequencies = self._named
-        return values_of_decays(energy, self.tracer.bin_width, self.match, pairs, frequencies)
-
-    @cached_property
-    def _named(self) -> tuple[Sequence[tuple[str, str]], Array]:
-        """The pairs and bands that an error names."""
-        return self.tracer.pairs, self.tracer.centre_frequencies
-
-    def energy(
-        self,
-        alpha: Array,
-        attenuation: Array | None = None,
-        stretch: float = 1.0,
-        number: int = 1,
-    ) -> Array:
-        """Return the decays of groups of paths, (number, n_pairs, n_bands, n_bins), as T20 needs."""
-        room = self.tracer.room
-        air = room.air_attenuation if attenuation is None else attenuation
-        if not self.seconds:
-            decay_long_enough(self._probe, room, room.alpha, longest(self.match))
-        while True:
-            energy = self._energy(alpha, air, stretch, number)
-            if self._long_enough(energy):
-                return energy
-
-    def _long_enough(self, energy: Array) -> bool:
-        """Return whether decays need no longer paths; if they do, the next are longer."""
-        if self.seconds >= LONGEST or not longest(self.match).too_short(energy).any():
-            return True
-        self.seconds = min(1.5 * self.seconds, LONGEST)
-        return False
-
-    def _probe(self, seconds: float) -> Array:
-        self.seconds = seconds
-        return self._energy(self.alpha, self.tracer.room.air_attenuation, 1.0, 1)
-
-    def _energy(self, alpha: Array, attenuation: Array, stretch: float, number: int) -> Array:
-        tracer = self.tracer
-        width = tracer.room.speed_of_sound * tracer.bin_width
-        decays = [
-            # Lengths that grow by a factor: bins that are shorter by it, and air that absorbs more.
-            self._by_face(int(bands[0])).energy(
-                alpha[:, bands], stretch * attenuation[bands], width / stretch, number
-            )
-            for bands in self._bands
-        ]
-        return self._joined(decays) / stretch**2
-
-    def _of_groups(self, alpha: Array, groups: Sequence[Faces], shares: Sequence[float]) -> Array:
-        """Return decays, (n_groups, n_shares, n_pairs, n_bands, n_bins)."""
-        tracer = self.tracer
+    def _of_groups(self, groups: Sequence[Faces], shares: Sequence[float]) -> Array:
+        room, alpha = self.tracer.room, self.alpha
         # A part's faces have one material, and belong to the same groups.
         held = np.array([np.isin(np.arange(len(alpha)), group) for group in groups])
-        made_of = tracer.room.material_rows(tracer.geometry.materials)
         kinds, first, parts = np.unique(
-            np.vstack([made_of, held]), axis=1, return_index=True, return_inverse=True
+            np.vstack([self.made_of, held]), axis=1, return_index=True, return_inverse=True
         )
-        of_part = alpha[first]
-        every = np.arange(len(of_part))
-        changed = np.array([changed_alpha(of_part, every, share) for share in shares])
-        decays = [
-            self._by_face(int(bands[0])).energy_changed(
-                alpha[:, bands],
-                tracer.room.air_attenuation[bands],
-                tracer.room.speed_of_sound * tracer.bin_width,
-                parts.reshape(-1),
-                kinds[1:].astype(bool),
-                changed[..., bands],
+        members = kinds[1:].astype(bool)
+        changed = np.array([changed_alpha(alpha[first], share) for share in shares])
+        width = room.speed_of_sound * self.tracer.bin_width
+
+        def weighed(paths: Paths, bands: NDArray[np.int64]) -> Array:
+            air = room.air_attenuation[bands]
+            return paths.energy_changed(
+                alpha[:, bands], air, width, parts.reshape(-1), members, changed[..., bands]
             )
-            for bands in self._bands
-        ]
-        joined = self._joined([d.reshape(-1, *d.shape[2:]) for d in decays])
-        return joined.reshape(len(groups), len(shares), *joined.shape[1:])
 
-    def _joined(self, decays: Sequence[Array]) -> Array:
-        """Return the decays of groups of bands, (n, n_sources, n_receivers, ...), as one array.
+        return self._long_enough(weighed, 1.5)
 
-        Its shape is (n, n_pairs, n_bands, n_bins).
+    def _long_enough(
+        self, weighed: Callable[[Paths, NDArray[np.int64]], Array], growth: float
+    ) -> Array:
+        """Return the decays that a weighing of some bands' paths gives, of paths as long as needed.
+
+        (..., n_pairs, n_bands, n_bins), of those by source and receiver.
         """
-        n_pairs, n_bins = len(self.tracer.pairs), min(d.shape[-1] for d in decays)
-        out = np.empty((len(decays[0]), n_pairs, self.tracer.room.n_bands, n_bins))
-        for bands, of_bands in zip(self._bands, decays, strict=True):
-            cut = of_bands[..., :n_bins]
-            out[:, :, bands] = cut.reshape(len(cut), n_pairs, len(bands), n_bins)
-        return out
-
-    @cached_property
-    def _bands(self) -> list[NDArray[np.int64]]:
-        return self.tracer.bands_of_paths()
+        tracer, groups = self.tracer, self.tracer.bands_of_paths()
+        self.seconds = self.seconds or eyring_seconds(tracer.room, tracer.room.alpha)
+        while True:
+            every = of_all_bands(groups, [weighed(self._by_face(int(g[0])), g) for g in groups])
+            energy = every.reshape(*every.shape[:-4], len(tracer.pairs), *every.shape[-2:])
+            if self.seconds >= LONGEST or not longest(self.match).too_short(energy).any():
+                return energy
+            self.seconds = min(growth * self.seconds, LONGEST)
 
     def _by_face(self, band: int) -> Paths:
         """Return the band's paths with each face as a material of its own."""
@@ -385,24 +314,23 @@ def displaced(
     (n_parameters, n_pairs, n_bands, n_displacements) each; ``base`` is what is simulated as stated.
     """
     tracer = case.simulator
+    steps = np.array([sign * axis for axis in np.eye(3) for sign in (-MOVE, MOVE)])
+    stated = base.reshape(len(match), len(tracer.sources), len(tracer.receivers), -1)
     out: dict[str, Array] = {}
-    steps = [sign * axis for axis in np.eye(3) for sign in (-MOVE, MOVE)]
-
-    n_sources, n_receivers = len(tracer.sources), len(tracer.receivers)
-    shape = (len(match), n_sources, n_receivers, base.shape[-1])
-    stated = base.reshape(shape)
-    for kind in ("receivers", "sources"):
+    for axis, kind in ((2, "receivers"), (1, "sources")):
         points: Mapping[str, object] = getattr(tracer, kind)
-        fewer = min(tracer.n_paths, _SOURCE_PATHS) if kind == "sources" else tracer.n_paths
-        aimed = {
-            f"{name} {i}": of for name, of in tracer.directivity.items() for i in range(len(steps))
-        }
-        moved = _inside(case, np.array([*points.values()], dtype=float), np.array(steps))
+        moved = _inside(case, np.array([*points.values()], dtype=float), steps)
         names = [f"{name} {i}" for name in points for i in range(len(steps))]
-        changes: dict[str, Any] = {kind: dict(zip(names, moved, strict=True)), "n_paths": fewer}
+        changes: dict[str, Any] = {kind: dict(zip(names, moved, strict=True))}
+        fewer = tracer.n_paths
         if kind == "sources":
-            changes["directivity"] = aimed
-        changed = replace(tracer.denser(), **changes)
+            fewer = min(fewer, _SOURCE_PATHS)
+            changes["directivity"] = {
+                f"{name} {i}": of
+                for name, of in tracer.directivity.items()
+                for i in range(len(steps))
+            }
+        changed = replace(tracer.denser(), n_paths=fewer, **changes)
         try:
             heard = observe(changed, case.room.alpha, match, seed=seed)
         except TooShortError:  # more paths would be as short
@@ -410,14 +338,12 @@ def displaced(
         except DataError:  # a decay with too few paths for its T20
             changed = replace(changed, n_paths=_MORE_PATHS * fewer)
             heard = observe(changed, case.room.alpha, match, seed=seed)
-        values = heard.values
-        axis = 1 if kind == "sources" else 2
-        sizes = list(shape)
-        sizes[axis : axis + 1] = [len(points), len(steps)]
-        off = np.moveaxis(values.reshape(sizes), axis + 1, -1) - stated[..., np.newaxis]
+        by_step = list(stated.shape)
+        by_step[axis : axis + 1] = [len(points), len(steps)]
+        values = np.moveaxis(heard.values.reshape(by_step), axis + 1, -1)
         for i, name in enumerate(points):
-            shift, rows = np.zeros_like(off), (slice(None),) * axis + (i,)
-            shift[rows] = off[rows]
+            shift, rows = np.zeros_like(values), (slice(None),) * axis + (i,)
+            shift[rows] = values[rows] - stated[rows][..., np.newaxis]
             out[f"{kind[:-1]} {name}"] = shift.reshape(*base.shape, len(steps))
     return out
 
@@ -476,7 +402,7 @@ class PairShifts:
 
     Attributes
     ----------
-    parameters : tuple of str
+    parameters, pairs : tuple
     columns : mapping of str to array (n_parameters, n_pairs, n_bands, n_columns)
         - "base": what the simulator hears as stated, with `TRACINGS` times `BASE` times its paths;
         - "surface 0", ..., "part 0", ...: shifts at the nodes `SHARES` of each surface, and of each of
@@ -495,6 +421,7 @@ class PairShifts:
     """
 
     parameters: tuple[str, ...]
+    pairs: tuple[Pair, ...]
     columns: Mapping[str, Array]
 
     @property
@@ -502,11 +429,12 @@ class PairShifts:
         """What is heard as stated, (n_parameters, n_pairs, n_bands)."""
         return np.asarray(self.columns["base"][..., 0])
 
-    def at(self, parameters: Sequence[str], pairs: Sequence[int]) -> PairShifts:
-        """Return the shifts of some parameters at some pairs, by number."""
-        rows = [self.parameters.index(name) for name in parameters]
+    def at(self, like: Observations) -> PairShifts:
+        """Return the shifts of some parameters at some pairs."""
+        rows = [self.parameters.index(name) for name in like.parameters]
+        pairs = [self.pairs.index(pair) for pair in like.pairs]
         some = {name: values[rows][:, pairs] for name, values in self.columns.items()}
-        return PairShifts(tuple(parameters), some)
+        return PairShifts(like.parameters, like.pairs, some)
 
 
 def parameters(case: PositionsCase) -> tuple[str, ...]:
@@ -521,35 +449,28 @@ def responses_of(
     progress: TaskProgress | None = None,
 ) -> PairShifts:
     """Return the shifts in a case's room, from a folder where they are kept or newly weighed."""
+    match, pairs = parameters(case), case.simulator.pairs
     path = None
     if cache is not None:
         path = checks.path("cache", cache) / f"{key_of(case, seed)}.array"
-        if (kept := _read(path, case)) is not None:
-            return kept
-    made = _weighed(case, seed, progress)
-    if path is not None:
-        disk.write(path, np.concatenate([made.columns[n] for n in _sizes(case)], axis=-1))
-    return made
-
-
-def _weighed(case: PositionsCase, seed: int, progress: TaskProgress | None) -> PairShifts:
-    match = parameters(case)
-
-    def telling(tracing: int) -> Progress:
-        def tell(done: int, total: int) -> None:
-            if progress is not None:
-                progress(f"surfaces, tracing {tracing} of {TRACINGS}", done, total)
-
-        return tell
-
+        kept: Any = disk.read(path)
+        if kept is not None and kept.dtype.names:
+            columns = {name: np.ascontiguousarray(kept[name]) for name in kept.dtype.names}
+            if all(np.isfinite(values).all() for values in columns.values()):
+                return PairShifts(match, pairs, columns)
     seconds, aimed = _seconds(case, match, seed), lobes(case.simulator)
-    seeds = range(TRACINGS * seed, TRACINGS * (seed + 1))
-    return _mean(
-        [
-            _of_tracing(case, match, s, seconds, aimed, telling(t))
-            for t, s in enumerate(seeds, start=1)
-        ]
-    )
+    tracings = []
+    for t in range(TRACINGS):
+        said = progress and partial(progress, f"surfaces, tracing {t + 1} of {TRACINGS}")
+        tracings.append(_of_tracing(case, match, TRACINGS * seed + t, seconds, aimed, said))
+    made = PairShifts(match, pairs, _mean(tracings))
+    if path is not None:
+        kinds = [(name, float, values.shape[-1:]) for name, values in made.columns.items()]
+        packed = np.empty(made.base.shape, dtype=kinds)
+        for name, values in made.columns.items():
+            packed[name] = values
+        disk.write(path, packed)
+    return made
 
 
 def _of_tracing(
@@ -558,22 +479,21 @@ def _of_tracing(
     seed: int,
     seconds: float,
     directivities: Sequence[Mapping[str, Directivity]],
-    progress: Progress,
-) -> PairShifts:
+    progress: Progress | None,
+) -> dict[str, Array]:
     """Return the shifts of one tracing, whose paths are followed for ``seconds`` at least."""
-    tracer = _retraced(case.simulator.denser(BASE), geometry=case.divided.geometry)
-    weighing = Weighing(tracer, match, seed, seconds)
-    energy = weighing.energy(weighing.alpha, number=BASE)
-    base = weighing.parameters(energy.mean(axis=0))
-    groups = np.ascontiguousarray(np.moveaxis(weighing.parameters(energy), 1, 0))
-    columns = _of_surfaces(case, weighing, base, progress)
     room = case.room
+    tracer = replace(case.simulator.denser(BASE), geometry=case.divided.geometry)
+    weighing = Weighing(tracer, match, seed, seconds)
+    alpha, energy = weighing.alpha, weighing.energy(weighing.alpha, number=BASE)
+    base = weighing.parameters(energy.mean(axis=0))
+    groups = np.moveaxis(weighing.parameters(energy), 1, -1)
+
+    def shifts(values: Sequence[Array]) -> Array:
+        return np.stack(values, axis=-1) - base[..., np.newaxis]
+
     reference = Air(20, 50).attenuation(room.centre_frequencies)
-    air = [
-        weighing.observe(weighing.alpha, np.maximum(room.air_attenuation + t * reference, 0.0))
-        for t in AIR
-    ]
-    volume = [weighing.observe(weighing.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
+    airs = [np.maximum(room.air_attenuation + t * reference, 0.0) for t in AIR]
     aimed: list[Array] = []
     for i, of in enumerate(directivities):
         if (
@@ -581,58 +501,53 @@ def _of_tracing(
         ):  # only sources of which nothing is stated aim elsewhere
             aimed.append(aimed[-1])
         elif of:
-            aimed.append(replace(weighing, tracer=tracer.aimed(of)).observe(weighing.alpha))
+            aimed.append(replace(weighing, tracer=tracer.aimed(of)).observe(alpha))
         else:
             aimed.append(base)
-    # Only paths of the model "random" tell the derivatives.
-    if tracer.scattering_model != "random":
-        tracer = _retraced(tracer, scattering_model="random")
-    slopes = tracer.scattering_jacobian(room.alpha, match, number=BASE, seed=seed)
-    scattering = slopes.mean(axis=0)
-    off = np.moveaxis(slopes - scattering, 0, -2)
+    columns = _of_surfaces(case, weighing, base, progress)
     columns |= {
         "base": base[..., np.newaxis],
-        "air": np.stack(air, axis=-1) - base[..., np.newaxis],
-        "volume": np.stack(volume, axis=-1) - base[..., np.newaxis],
-        "levels": _at_levels(case, match, base, seed),
-        "aimed": np.stack(aimed, axis=-1) - base[..., np.newaxis],
+        "air": shifts([weighing.observe(alpha, air) for air in airs]),
+        "volume": shifts([weighing.observe(alpha, stretch=np.exp(t / 3)) for t in VOLUME]),
+        "aimed": shifts(aimed),
+    }
+    # Only paths of the model "random" tell the derivatives.
+    if tracer.scattering_model != "random":
+        tracer = replace(tracer, scattering_model="random")
+    slopes = tracer.scattering_jacobian(room.alpha, match, number=BASE, seed=seed)
+    scattering = slopes.mean(axis=0)
+    levels = []
+    for change in TRACED:
+        of_materials = np.full(room.n_materials, change)
+        other = scattered(case.simulator, of_materials, case.simulator.scattering_model)
+        levels.append(other.denser().observe(room.alpha, match, seed=seed).values)
+    return columns | {
+        "levels": shifts(levels),
         "scattering": scattering,
-        "noise": np.moveaxis(groups - groups.mean(axis=0), 0, -1),
-        "noise of scattering": off.reshape(*base.shape, -1),
+        "noise": groups - groups.mean(axis=-1, keepdims=True),
+        "noise of scattering": np.moveaxis(slopes - scattering, 0, -2).reshape(*base.shape, -1),
         **displaced(case, match, base, seed),
     }
-    return PairShifts(match, columns)
-
-
-def _at_levels(case: PositionsCase, match: Sequence[str], base: Array, seed: int) -> Array:
-    """Return the shifts where the room scatters more or less; see `PairShifts.levels`."""
-    shifts = []
-    for change in TRACED:
-        of_materials = np.full(case.room.n_materials, change)
-        tracer = scattered(case.simulator, of_materials, case.simulator.scattering_model)
-        heard = tracer.denser().observe(case.room.alpha, match, seed=seed)
-        shifts.append(heard.values - base)
-    return np.stack(shifts, axis=-1)
 
 
 _QUIET = ("surface", "part", "aperture", "air", "volume", "materials", "scattering")
 """Kinds of shifts whose differences between the pairs are drawn to their mean."""
 
 
-def _mean(tracings: Sequence[PairShifts]) -> PairShifts:
+def _mean(tracings: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
     """Return the mean of tracings, its shifts as far as they differ between the pairs by no noise."""
     out: dict[str, Array] = {}
     kinds: dict[str, list[str]] = {}
-    for name in tracings[0].columns:
+    for name in tracings[0]:
         kinds.setdefault(name if name.startswith("noise") else name.split()[0], []).append(name)
     for kind, names in kinds.items():
-        every = np.array([[made.columns[name] for name in names] for made in tracings])
+        every = np.array([[made[name] for name in names] for made in tracings])
         if kind.startswith("noise"):
             out[kind] = np.concatenate(every[:, 0], axis=-1)
         else:
             mean = without_noise(every) if kind in _QUIET else every.mean(axis=0)
             out |= dict(zip(names, mean, strict=True))
-    return PairShifts(tracings[0].parameters, out)
+    return out
 
 
 def without_noise(shifts: Array) -> Array:
@@ -645,54 +560,51 @@ def without_noise(shifts: Array) -> Array:
     common = mean.mean(axis=-3, keepdims=True)
     off = shifts - mean
     off = off - off.mean(axis=-3, keepdims=True)
-    n = len(shifts)
+    axes = tuple(a for a in range(mean.ndim) if a != mean.ndim - 4)
 
     def square(values: Array) -> Array:
-        axes = tuple(a for a in range(mean.ndim) if a != mean.ndim - 4)
         return np.asarray((values**2).mean(axis=axes, keepdims=True))
 
-    noise = np.mean([square(one) for one in off], axis=0) / (n - 1)
+    noise = np.mean([square(one) for one in off], axis=0) / (len(shifts) - 1)
     return np.asarray(common + share_of_signal(square(mean - common), noise) * (mean - common))
 
 
 def _seconds(case: PositionsCase, match: Sequence[str], seed: int) -> float:
     """Return how long paths must be where any surface is hard, so that they are traced once."""
-    few = Weighing(_retraced(case.simulator, n_paths=_FEW_PATHS), match, seed)
+    few = Weighing(replace(case.simulator, n_paths=_FEW_PATHS), match, seed)
     for _ in few.of_groups([*case.faces.values()], [min(SHARES)]):
         pass
     return min(_SPARE * few.seconds, LONGEST)
 
 
 def _of_surfaces(
-    case: PositionsCase, weighing: Weighing, base: Array, progress: Progress
+    case: PositionsCase, weighing: Weighing, base: Array, progress: Progress | None
 ) -> dict[str, Array]:
     """Return the shifts by surfaces, parts, apertures and materials; see `PairShifts`."""
-    room, divided = case.room, case.divided
-    made_of = room.material_rows(divided.geometry.materials)
-    of_materials = [np.flatnonzero(made_of == row) for row in range(room.n_materials)]
-    of_parts = [part.faces for part in divided.parts]
-    groups = {frozenset(f.tolist()): f for f in (*divided.surfaces, *of_parts)}
-    by_surface = [frozenset(faces.tolist()) for faces in divided.surfaces]
-    names = dict(zip(by_surface, case.faces, strict=True))
+    divided, made_of = case.divided, weighing.made_of
+    groups = {f"surface {j}": faces for j, faces in enumerate(divided.surfaces)}
+    groups |= {f"part {p}": part.faces for p, part in enumerate(divided.parts)}
     # An alpha of 1 leaves no sound after the first reflection where a surface is all of the room.
     shares = [*(min(t, 0.98) for t in SHARES), STEP]
-    shifts, apertures = {}, {}
-    for members, decays in zip(groups, weighing.of_groups([*groups.values()], shares), strict=True):
-        shifts[members] = _at_shares(weighing, decays) - base[..., np.newaxis]
-        if members in names:
-            apertures[members] = _apertures(case, weighing, names[members], decays, base)
-        progress(len(shifts), len(groups))
+    out: dict[str, Array] = {}
+    steps: dict[tuple[int, ...], Array] = {}
+    every = zip(groups.items(), weighing.of_groups([*groups.values()], shares), strict=True)
+    for (name, faces), decays in every:
+        shifts = _at_shares(weighing, decays) - base[..., np.newaxis]
+        out[name], steps[tuple(faces.tolist())] = shifts[..., :-1], shifts[..., -1]
+        if name.startswith("surface"):
+            j = int(name.split()[1])
+            out[f"aperture {j}"] = _apertures(case, weighing, j, decays, base)
+        if progress is not None:
+            progress(sum(name in out for name in groups), len(groups))
+    materials = [
+        tuple(np.flatnonzero(made_of == row).tolist()) for row in range(case.room.n_materials)
+    ]
     # Several surfaces together: paths would be followed for long where all of them are hard.
-    other = {frozenset(f.tolist()): f for f in of_materials if frozenset(f.tolist()) not in groups}
+    other = {faces: np.array(faces, dtype=int) for faces in materials if faces not in steps}
     for members, (decay,) in zip(other, weighing.of_groups([*other.values()], [STEP]), strict=True):
-        shifts[members] = (weighing.parameters(decay) - base)[..., np.newaxis]
-    by_material = [shifts[frozenset(f.tolist())][..., -1] for f in of_materials]
-    return {
-        **{f"surface {j}": shifts[members][..., :-1] for j, members in enumerate(by_surface)},
-        **{f"part {p}": shifts[frozenset(f.tolist())][..., :-1] for p, f in enumerate(of_parts)},
-        **{f"aperture {j}": apertures[members] for j, members in enumerate(by_surface)},
-        "materials": np.stack(by_material, axis=-1),
-    }
+        steps[members] = weighing.parameters(decay) - base
+    return {**out, "materials": np.stack([steps[faces] for faces in materials], axis=-1)}
 
 
 def _at_shares(weighing: Weighing, decays: Array) -> Array:
@@ -719,52 +631,31 @@ def _at_shares(weighing: Weighing, decays: Array) -> Array:
 
 
 def _apertures(
-    case: PositionsCase, weighing: Weighing, name: str, decays: Array, base: Array
+    case: PositionsCase, weighing: Weighing, surface: int, decays: Array, base: Array
 ) -> Array:
-    """Return the shifts with an aperture on a surface, from its decays at `SHARES`."""
-    if of_room.kind(case.geometry, case.faces[name]) == "floor":
-        return np.zeros((*base.shape, len(SECOND_ROOMS) * len(OPEN)))
+    """Return the shifts with an aperture on a surface, from its decays at `SHARES`.
+
+    (n_parameters, n_pairs, n_bands, n_second_rooms n_open).
+    """
+    out = np.zeros((*base.shape, len(SECOND_ROOMS) * len(OPEN)))
+    if case.kinds[surface] == "floor":
+        return out
+    tracer, room, area = weighing.tracer, case.room, [*case.areas.values()][surface]
     opened = decays[[SHARES.index(share) for share in OPEN]]
-    return weighing.with_apertures(case.areas[name], opened, OPEN) - base[..., np.newaxis]
-
-
-def _retraced(tracer: PathTracing, **changes: object) -> PathTracing:
-    return replace(tracer, **changes)  # type: ignore[arg-type]
-
-
-def _sizes(case: PositionsCase) -> dict[str, int]:
-    """Return the number of columns of each kind of shift, in the order of a file."""
-    tracer, n_materials, n_groups = case.simulator, case.room.n_materials, TRACINGS * BASE
-    places = [
-        f"{kind[:-1]} {n}" for kind in ("receivers", "sources") for n in getattr(tracer, kind)
+    rates = decay_rate(opened, tracer.bin_width)
+    coupled = [
+        Aperture(share * area, volume * room.volume, alpha).returned_to(
+            energy, room, tracer.bin_width, len(tracer.sources), rate
+        )
+        for volume, alpha in SECOND_ROOMS
+        for share, energy, rate in zip(OPEN, opened, rates, strict=True)
     ]
-    return {
-        "base": 1,
-        "materials": n_materials,
-        "scattering": n_materials,
-        "air": len(AIR),
-        "volume": len(VOLUME),
-        "levels": len(TRACED),
-        "aimed": len(AIMS),
-        "noise": n_groups,
-        "noise of scattering": n_groups * n_materials,
-        **{f"surface {j}": len(SHARES) for j in range(len(case.faces))},
-        **{f"part {p}": len(SHARES) for p in range(len(case.divided.parts))},
-        **{f"aperture {j}": len(OPEN) * len(SECOND_ROOMS) for j in range(len(case.faces))},
-        **dict.fromkeys(places, 6),
-    }
-
-
-def _read(path: Path, case: PositionsCase) -> PairShifts | None:
-    """Return the shifts that a file holds; None if it cannot be used."""
-    packed, sizes = disk.read(path), _sizes(case)
-    shape = (len(parameters(case)), len(case.simulator.pairs), case.room.n_bands)
-    if packed is None or packed.shape != (*shape, sum(sizes.values())):
-        return None
-    if not np.isfinite(packed).all():
-        return None
-    each = np.split(packed, np.cumsum([*sizes.values()])[:-1], axis=-1)
-    return PairShifts(parameters(case), dict(zip(sizes, each, strict=True)))
+    lengths = np.array([energy.shape[-1] for energy in coupled])
+    for length in np.unique(lengths):
+        alike = np.flatnonzero(lengths == length)
+        values = weighing.parameters(np.array([coupled[i] for i in alike]))
+        out[..., alike] = np.moveaxis(values, 1, -1) - base[..., np.newaxis]
+    return out
 
 
 def key_of(case: PositionsCase, seed: int) -> str:
