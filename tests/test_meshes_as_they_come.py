@@ -51,7 +51,7 @@ def faces(drawn: Drawn, path: str = "room.obj") -> mend.Faces:
 
 def mended(drawn: Drawn, **options: float) -> mend.Mended:
     """Return the room as `mesh.room` takes a file's faces."""
-    return (not options and mend.closed(faces(drawn))) or mend.mended(faces(drawn), **options)
+    return mend.mended(faces(drawn), **options)
 
 
 def kinds(done: mend.Mended) -> list[str]:

@@ -359,7 +359,7 @@ def _with_scene(
     from rtcal.acoustics.scene import Scene
 
     if mended is None:
-        as_it_is = all(d.kind in ("turned", "gap") for d in model.defects)
+        as_it_is = all(d.kind == "gap" for d in model.defects)
         if model.geometry is None:
             return room
         if as_it_is and Path(mesh).suffix.lower() == ".obj":

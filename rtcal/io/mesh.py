@@ -30,8 +30,7 @@ import numpy as np
 
 from rtcal.files.disk import read_bytes
 from rtcal.io import budget, ifc, obj, units
-from rtcal.io.mend import OFFSET, WELD, Faces, Mended, MeshError, closed, mended
-from rtcal.io.mend.solids import room_between
+from rtcal.io.mend import WELD, Faces, Mended, MeshError, mended
 from rtcal.io.text import decode, lines, number, shown
 from rtcal.support import checks, library
 from rtcal.support.checks import text_name
@@ -159,21 +158,12 @@ def room(
     unit: float | None = None,
     space: str | None = None,
     weld: float = WELD,
-    offset: float = OFFSET,
     largest_hole: float | None = None,
 ) -> Mended:
-    """Return the closed room of a mesh, with every defect that was mended; see `read` and `mended`.
-
-    A mesh whose faces close as they are drawn is taken as it is.
-    """
+    """Return the closed room of a mesh, with every defect that was mended; see `read` and `mended`."""
     faces = read(path, unit=unit, space=space, weld=weld)
     try:
-        done = closed(faces, weld=weld, offset=offset)
-        if done is None:
-            between = room_between(faces, weld)
-            faces, solids = (faces, ()) if between is None else between
-            done = mended(faces, weld=weld, offset=offset, largest_hole=largest_hole)
-            done = replace(done, defects=(*solids, *done.defects))
+        done = mended(faces, weld=weld, largest_hole=largest_hole)
     except MeshError as error:
         _doubt_first(error, faces)
         raise

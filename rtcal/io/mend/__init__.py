@@ -8,7 +8,7 @@ on walls, reflectors hang free, tables have no bottom. In this order
 2. faces narrower than ``weld`` (slivers) and faces drawn twice are dropped; faces that are not plane
    are divided into triangles;
 3. small holes of the room's shell are closed, with the material of the face at their longest edge;
-4. a face on a larger one (a window on its wall, up to ``offset`` before it) takes its area;
+4. a face on a larger one (a window on its wall, up to `OFFSET` before it) takes its area;
 5. an object that stands on a face with an open bottom takes its footprint from that face;
 6. a free panel becomes a reflector with two sides, `THICKNESS` thick;
 7. what lies outside the shell is left out, and a solid that reaches through it ends there;
@@ -22,14 +22,13 @@ with it, so that they can be mended in one go. Needs shapely
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from rtcal.io.mend.contacts import objects_are_within, without_contacts
 from rtcal.io.mend.faces import (
     MOST_FACES,
-    OFFSET,
     SAME,
     WELD,
     Defect,
@@ -38,36 +37,30 @@ from rtcal.io.mend.faces import (
     Mended,
     Mending,
     MeshError,
-    normal_of,
     numbered,
 )
 from rtcal.io.mend.shell import as_drawn, shell_of, without_holes
-from rtcal.io.mend.walls import note_loose, with_others
+from rtcal.io.mend.solids import room_between
+from rtcal.io.mend.walls import note_loose, objects_are_within, with_others, without_contacts
 from rtcal.io.mend.welding import flattened, joined, snapped, welded, without_repetitions
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.errors import DataError
-from rtcal.support.types import Array
 
-__all__ = ["OFFSET", "WELD", "Defect", "Faces", "Mended", "MeshError", "closed", "mended"]
+__all__ = ["WELD", "Defect", "Faces", "Mended", "MeshError", "mended"]
 __dir__ = __all__.copy
 
 
-def mended(
-    faces: Faces,
-    *,
-    weld: float = WELD,
-    offset: float = OFFSET,
-    largest_hole: float | None = None,
-) -> Mended:
+def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = None) -> Mended:
     """Return the closed room of some faces, and every defect.
+
+    Faces that close as they are drawn are taken as they are: closed objects are in the room, without
+    what they share with the faces that they touch.
 
     Parameters
     ----------
     faces : Faces
     weld : float
         Distance in m within which corners are one.
-    offset : float
-        Distance in m up to which a face lies on another.
     largest_hole : float, optional
         Largest area in m² of a hole that is closed; by default 1 % of the shell's area.
 
@@ -78,16 +71,18 @@ def mended(
     MissingDependencyError
         Without shapely, if a face must be cut.
     """
-    for name, value in (("weld", weld), ("offset", offset)):
+    for name, value, unit in (("weld", weld, "m"), ("largest_hole", largest_hole or 0.0, "m²")):
         if not 0 <= value < np.inf:
-            raise DataError(f"{name} = {value:g} m is not finite and 0 or more")
-    if largest_hole is not None and not 0 <= largest_hole < np.inf:
-        raise DataError(f"largest_hole = {largest_hole:g} m² is not finite and 0 or more")
+            raise DataError(f"{name} = {value:g} {unit} is not finite and 0 or more")
     if not faces.polygons:
         raise DataError(f"{faces.path}: there is no face; a room has at least 4")
     if len(faces.polygons) > 20 * MOST_FACES:
         raise DataError(f"{faces.path}: {len(faces.polygons)} faces; at most {20 * MOST_FACES}")
-    mend = Mending(faces, max(weld, SAME), offset, largest_hole)
+    if (closed := _closed_as_drawn(faces, weld)) is not None:
+        return closed
+    between = room_between(faces, weld)
+    faces, solids = (faces, ()) if between is None else between
+    mend = Mending(faces, max(weld, SAME), largest_hole)
     part = without_repetitions(welded(mend))
     part = flattened(snapped(without_repetitions(joined(part))))
     shell, others = shell_of(part)
@@ -96,8 +91,8 @@ def mended(
         raise mend.refused(
             "two closed rooms have a wall in common: leave one of them out, or delete that wall"
         )
-    _note_turned(mend, geometry)
-    return mend.result(without_contacts(mend, geometry))
+    done = mend.result(without_contacts(mend, geometry))
+    return replace(done, defects=(*solids, *done.defects))
 
 
 def _closed(shell: FaceSet, others: Sequence[FaceSet]) -> Polyhedron:
@@ -120,38 +115,16 @@ def _closed(shell: FaceSet, others: Sequence[FaceSet]) -> Polyhedron:
         raise as_drawn(shell, others, refused) from error
 
 
-def closed(faces: Faces, *, weld: float = WELD, offset: float = OFFSET) -> Mended | None:
-    """Return the room of faces that close as they are drawn; None if they do not.
-
-    Closed objects are in it, without what they share with the faces that they touch.
-    """
+def _closed_as_drawn(faces: Faces, weld: float) -> Mended | None:
+    """Return the room of faces that close as they are drawn, its objects within; None of others."""
     if not 4 <= len(faces.polygons) <= MOST_FACES // 4:
         return None
+    mend = Mending(faces, max(weld, SAME))
     polygons = zip(numbered(faces.names), faces.materials, faces.polygons, strict=True)
     try:
         geometry = Polyhedron.from_polygons(list(polygons))
-    except DataError:  # not closed, or a defect that `mended` names
+    except DataError:  # not closed, or a defect that is named later
         return None
-    mend = Mending(faces, max(weld, SAME), offset)
     if not objects_are_within(mend, geometry):
         return None
-    _note_turned(mend, geometry)
     return mend.result(without_contacts(mend, geometry))
-
-
-def _note_turned(mend: Mending, geometry: Polyhedron) -> None:
-    """Note the drawn faces whose orientation differs from that of most."""
-
-    def key(corners: Array) -> tuple[float, ...]:
-        return tuple(np.round(corners.mean(axis=0), 3).tolist())
-
-    drawn = [np.asarray(polygon) for polygon in mend.drawn.polygons if len(polygon) > 2]
-    normals = {key(polygon): normal_of(polygon) for polygon in drawn}
-    agree: Mapping[str, bool] = {
-        name: float(normals[key(corners)] @ normal) > 0
-        for name, face, normal in zip(geometry.names, geometry.faces, geometry.normals, strict=True)
-        if key(corners := geometry.vertices[list(face)]) in normals
-    }
-    most = 2 * sum(agree.values()) >= len(agree)
-    if against := [name for name, same in agree.items() if same != most]:
-        mend.found("turned", "faces with the other orientation than most are turned", against)

@@ -73,7 +73,7 @@ class Defect:
     Parameters
     ----------
     kind : str
-        "joint", "sliver", "twice", "bent", "hole", "overlay", "open bottom", "panel", "turned",
+        "joint", "sliver", "twice", "bent", "hole", "overlay", "open bottom", "panel",
         "partly outside", "outside", "through", "contact", "gap", "solids".
     number : int
     area : float
@@ -100,22 +100,33 @@ class Defect:
     done: str
     area_uncertainty: Mapping[str, float] = field(default_factory=dict)
 
+    def __add__(self, other: Defect) -> Defect:
+        """Return defects of one kind as one."""
+        volume = self.volume_effect + other.volume_effect
+        u = float(np.hypot(self.volume_uncertainty, other.volume_uncertainty))
+        both = (*self.area_uncertainty.items(), *other.area_uncertainty.items())
+        return Defect(
+            self.kind,
+            self.number + other.number,
+            self.area + other.area,
+            volume,
+            self.area_effect + other.area_effect,
+            float(ANY_SHARE * abs(volume)) if self.kind in _OF_ANY_SHARE else u,
+            (*self.places, *other.places)[:MOST_PLACES],
+            self.done,
+            combined(both),
+        )
+
     def __str__(self) -> str:
         """Return the defect as one line."""
-        parts = [f"{self.number} {self.done}"]
-        if self.area:
-            parts.append(f"{rounded(self.area, 3)} m²")
-        for symbol, effect, unit in (
-            ("V", self.volume_effect, "m³"),
-            ("S", self.area_effect, "m²"),
-        ):
-            if abs(effect) > _SHOWN:
-                sign = "-" if effect < 0 else "+"
-                parts.append(f"{symbol} {sign}{rounded(abs(effect), 3)} {unit}")
-        if self.volume_uncertainty > _SHOWN:
-            parts.append(f"u(V) {rounded(self.volume_uncertainty, 2)} m³")
-        if (u := float(np.linalg.norm([*self.area_uncertainty.values()]))) > _SHOWN:
-            parts.append(f"u(S) {rounded(u, 2)} m²")
+        u = float(np.linalg.norm([*self.area_uncertainty.values()]))
+        parts = [f"{self.number} {self.done}", *[f"{rounded(self.area, 3)} m²"] * bool(self.area)]
+        for symbol, value, unit in (("V", self.volume_effect, "m³"), ("S", self.area_effect, "m²")):
+            if abs(value) > _SHOWN:
+                parts.append(f"{symbol} {'-' if value < 0 else '+'}{rounded(abs(value), 3)} {unit}")
+        for symbol, value, unit in (("V", self.volume_uncertainty, "m³"), ("S", u, "m²")):
+            if value > _SHOWN:
+                parts.append(f"u({symbol}) {rounded(value, 2)} {unit}")
         more = ", ..." if self.number > len(self.places) else ""
         at = f" ({', '.join(self.places)}{more})" if self.places else ""
         return f"{self.kind}: {', '.join(parts)}{at}"
@@ -201,15 +212,19 @@ class Mending:
         self,
         drawn: Faces,
         weld: float,
-        offset: float = 0.0,
         largest_hole: float | None = None,
         points: Array | None = None,
     ) -> None:
         self.drawn, self.path = drawn, drawn.path
-        self.weld, self.offset, self.largest_hole = weld, offset, largest_hole
+        self.weld, self.largest_hole = weld, largest_hole
         self.points: Array = np.zeros((0, 3)) if points is None else np.array(points)
         self.buried: list[Array] = []
-        self._found: dict[tuple[str, str], list[Defect]] = {}
+        self._found: dict[tuple[str, str], Defect] = {}
+
+    @property
+    def defects(self) -> tuple[Defect, ...]:
+        """What was found, each kind once."""
+        return tuple(self._found.values())
 
     def found(
         self,
@@ -226,14 +241,10 @@ class Mending:
 
         ``unsure`` are materials with a standard uncertainty of area in m² each.
         """
-        n, u = len(places), combined(unsure)
-        defect = Defect(kind, n, area, volume, surface, uncertainty, tuple(places), done, u)
-        self._found.setdefault((kind, done), []).append(defect)
-
-    @property
-    def defects(self) -> tuple[Defect, ...]:
-        """What was found, each kind once."""
-        return tuple(_together(rows) for rows in self._found.values())
+        none = self._found.get((kind, done)) or Defect(kind, 0, 0.0, 0.0, 0.0, 0.0, (), done)
+        u, places = combined(unsure), tuple(places)
+        this = Defect(kind, len(places), area, volume, surface, uncertainty, places, done, u)
+        self._found[kind, done] = none + this
 
     def refused(self, message: str, edges: Iterable[Edge] = ()) -> MeshError:
         """Return the error that says what is wrong; all defects that were found are in it, too."""
@@ -262,23 +273,6 @@ class Mending:
         return Mended(
             geometry, float(geometry.volume), u, geometry.areas, size, defects, self.drawn.notes
         )
-
-
-def _together(rows: Sequence[Defect]) -> Defect:
-    """Return defects of one kind as one."""
-    first, volume = rows[0], sum(d.volume_effect for d in rows)
-    u = float(np.linalg.norm([d.volume_uncertainty for d in rows]))
-    return Defect(
-        first.kind,
-        sum(d.number for d in rows),
-        sum(d.area for d in rows),
-        volume,
-        sum(d.area_effect for d in rows),
-        float(ANY_SHARE * abs(volume)) if first.kind in _OF_ANY_SHARE else u,
-        tuple(place for d in rows for place in d.places)[:MOST_PLACES],
-        first.done,
-        combined(each for d in rows for each in d.area_uncertainty.items()),
-    )
 
 
 class Polygon:
@@ -352,12 +346,6 @@ class FaceSet:
         self.mend = mend
         self.faces, self.materials, self.names = [*faces], [*materials], [*names]
 
-    @classmethod
-    def of_geometry(cls, mend: Mending, geometry: Polyhedron) -> FaceSet:
-        """Return the faces of a room, whose vertices become the points."""
-        mend.points = np.array(geometry.vertices)
-        return cls(mend, map(list, geometry.faces), geometry.materials, geometry.names)
-
     def add(self, face: Iterable[int], material: str, name: str) -> None:
         """Add a face of these corners."""
         self.faces.append(list(face))
@@ -414,7 +402,7 @@ class FaceSet:
     @property
     def edges(self) -> list[Edge]:
         """Each edge once, its lower corner first."""
-        return sorted({sorted_edge(*edge) for face in self.faces for edge in edges_of(face)})
+        return sorted({edge for face in self.faces for edge in edges_of(face)})
 
     def owners(self) -> dict[Edge, list[int]]:
         """Return the faces at each piece of an edge, which every corner on it divides."""
@@ -500,26 +488,19 @@ def shapely() -> Any:
     return library("a face is to be cut, which needs shapely: pip install 'rtcal[mesh]'", "shapely")
 
 
-def edges_of(face: Sequence[int]) -> Iterable[Edge]:
-    """Return the edges of a face, each from the corner before."""
-    return ((face[k - 1], face[k]) for k in range(len(face)))
-
-
-def sorted_edge(a: int, b: int) -> Edge:
-    """Return an edge with its lower corner first."""
-    return (min(a, b), max(a, b))
+def edges_of(face: Sequence[int]) -> list[Edge]:
+    """Return the edges of a face, each with its lower corner first."""
+    return [(min(a, b), max(a, b)) for a, b in zip([face[-1], *face[:-1]], face, strict=True)]
 
 
 def simplified(face: Face) -> Face:
     """Return a face without repeated corners and without spikes a, b, a."""
-    changed = True
-    while changed and len(face) > 2:
-        changed = False
-        for k in range(len(face)):
-            if face[k] == face[k - 1] or face[k - 1] == face[(k + 1) % len(face)]:
-                del face[k]
-                changed = True
-                break
+    k = 0
+    while k < len(face) > 2:
+        if face[k] == face[k - 1] or face[k - 1] == face[(k + 1) % len(face)]:
+            del face[k]
+            k = -1
+        k += 1
     return face
 
 

@@ -25,8 +25,8 @@ from rtcal.io.mend.faces import (
     MeshError,
     area_of,
     best_plane,
+    edges_of,
     loops_of,
-    sorted_edge,
 )
 from rtcal.io.mend.welding import flattened
 from rtcal.simulators import facets
@@ -93,7 +93,7 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
     if large:
         each = "; ".join(
             f"hole of {rounded(areas[k], 3)} m² at {mend.place(loops[k][0])}, beside "
-            f'"{part.names[missing[sorted_edge(*loops[k][:2])]]}"'
+            f'"{part.names[missing[edges_of(loops[k][:2])[0]]]}"'
             for k in large[:MOST_PLACES]
         )
         more = f" ({len(large)} holes in all)" if len(large) > MOST_PLACES else ""
@@ -106,7 +106,7 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
         ends = mend.points[[*loop, loop[0]]]
         longest = int(np.argmax(np.linalg.norm(np.diff(ends, axis=0), axis=1)))
         material = part.materials[
-            missing[sorted_edge(loop[longest], loop[longest - len(loop) + 1])]
+            missing[edges_of([loop[longest], loop[longest - len(loop) + 1]])[0]]
         ]
         mend.found(
             "hole",

@@ -20,7 +20,6 @@ from rtcal.io.mend.faces import (
     Mending,
     MeshError,
     edges_of,
-    sorted_edge,
 )
 from rtcal.io.mend.welding import welded
 from rtcal.simulators import facets
@@ -97,7 +96,7 @@ def _solids(faces: Sequence[Sequence[int]]) -> list[list[int]] | None:
     open_edges: set[tuple[int, int]] = set()
     for i, face in enumerate(faces):
         solid.append(i)
-        open_edges.symmetric_difference_update(sorted_edge(*edge) for edge in edges_of(face))
+        open_edges.symmetric_difference_update(edges_of(face))
         if not open_edges:
             solids.append(solid)
             solid = []

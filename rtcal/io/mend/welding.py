@@ -26,7 +26,6 @@ from rtcal.io.mend.faces import (
     loops_of,
     normal_of,
     simplified,
-    sorted_edge,
 )
 from rtcal.simulators import facets
 from rtcal.simulators.facets import WELD
@@ -242,7 +241,7 @@ def joined(part: FaceSet) -> FaceSet:
     sides: dict[tuple[int, int], list[int]] = {}
     for i, face in enumerate(part.faces):
         for edge in edges_of(face):
-            sides.setdefault(sorted_edge(*edge), []).append(i)
+            sides.setdefault(edge, []).append(i)
     links: list[list[int]] = [[] for _ in part.faces]
     for i, j in (pair for pair in sides.values() if len(pair) == 2):
         links[i].append(j)
@@ -266,7 +265,7 @@ def joined(part: FaceSet) -> FaceSet:
                     corners |= set(part.faces[j])
                     done[j] = True
                     members.append(j)
-        count = Counter(sorted_edge(*e) for i in members for e in edges_of(part.faces[i]))
+        count = Counter(e for i in members for e in edges_of(part.faces[i]))
         loops = loops_of([edge for edge, n in count.items() if n == 1])
         if len(members) > 1 and loops is not None and len(loops) == 1:
             out.add(_straightened(mend, loops[0]), part.materials[first], part.names[first])
