@@ -521,8 +521,8 @@ def without_contacts(mend: Mending, geometry: Polyhedron) -> Polyhedron:
     """Return a room without the parts of its faces on which closed objects stand or lie.
 
     A face of an object that is up to ``weld`` before a face of the room or of a larger object, or that
-    reaches through it by up to ``offset``, is moved onto it. What they share is taken from both. A
-    wider gap up to ``offset`` is noted.
+    reaches through it by up to `OFFSET`, is moved onto it. What they share is taken from both. A
+    wider gap up to `OFFSET` is noted.
     """
     part = _of_geometry(mend, geometry)
     groups = _by_size(part)
