@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.scene import Directivity, DirectivityFile
+from rtcal.acoustics.scene import Directivity
 from rtcal.datasets import halls
 from rtcal.io import balloon, geometry_files
 from rtcal.simulators import kernels
@@ -131,7 +131,7 @@ def test_a_fit_leaves_them_out_and_says_so():
 
 def box(directivity=(), **scene):
     stated = {
-        name: DirectivityFile(**of) if isinstance(of, dict) else of
+        name: Directivity(**of) if isinstance(of, dict) else of
         for name, of in dict(directivity).items()
     }
     return rt.Room(
@@ -301,7 +301,7 @@ def test_clf_s_text_that_says_too_little_is_refused(tmp_path, change, said):
         (lambda: Directivity(index=-1, aim=(1, 0, 0)), "index[0] = -1 dB"),
         (lambda: Directivity(index=[], aim=(1, 0, 0)), "index"),
         (lambda: Directivity(index=3, aim=(0, 0, 0)), "aim"),
-        (lambda: Directivity(aim=(1, 0, 0)), "index or gains"),
+        (lambda: Directivity(aim=(1, 0, 0)), "0 of index, gains and file"),
         (lambda: Directivity(gains=[[[1]]], aim=(1, 0, 0)), "gains has shape"),
         (lambda: Directivity(gains=-np.ones((1, 7, 4)), aim=(1, 0, 0)), "gains[0, 0, 0] = -1"),
         (lambda: Directivity(gains=np.zeros((1, 7, 4)), aim=(1, 0, 0)), "gains[0]"),

@@ -9,6 +9,5 @@ if TYPE_CHECKING:
     from rtcal.acoustics import decay as decay
     from rtcal.acoustics import marks as marks
     from rtcal.acoustics import observables as observables
-    from rtcal.acoustics.scene import DirectivityFile as DirectivityFile
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal
 from urllib.parse import quote, unquote
 
 import msgspec
@@ -87,20 +87,6 @@ class Surface:
         object.__setattr__(self, "area", area)
         if self.axis is not None and (not isinstance(self.axis, str) or self.axis not in AXES):
             raise DataError(f'surface["{self.name}"].axis = "{self.axis}" is not "x", "y" or "z"')
-
-
-class Geometry(Protocol):
-    """The part of a geometry that a room takes: its volume in m³ and its surfaces."""
-
-    @property
-    def volume(self) -> float:
-        """Volume in m³."""
-        ...
-
-    @property
-    def surfaces(self) -> Sequence[Surface]:
-        """The faces, with material, area and axis."""
-        ...
 
 
 ARCHIVE = "archive"
@@ -248,67 +234,45 @@ class Room:
     clipped: tuple[str, ...] = ()
 
     def __post_init__(self, above_one: str) -> None:
-        def put(name: str, value: object) -> None:
-            object.__setattr__(self, name, value)
+        def put(**values: object) -> None:
+            for name, value in values.items():
+                object.__setattr__(self, name, value)
 
         checks.choice("above_one", above_one, ("refuse", "clip"))
         if isinstance(self.materials, str):
             raise DataError(f'materials = "{self.materials}" is one text, not a sequence of names')
-        materials = checks.listed("materials", self.materials)
-        put("materials", tuple(text_name("materials", m) for m in materials))
-        if blank := [m for m in self.materials if not m.strip()]:
-            raise DataError(f"materials has {blank[0]!r}; a name is not blank")
-        put("name", text_name("name", self.name))
-        put("author", short_name("author", self.author))
-        put("surfaces", checks.listed("surfaces", self.surfaces))
-        put("sources", checks.mapped("sources", self.sources))
-        pairs = checks.mapped("material_correlation", self.material_correlation)
-        put("material_correlation", pairs)
+        put(
+            name=text_name("name", self.name),
+            author=short_name("author", self.author),
+            materials=tuple(
+                text_name("materials", m) for m in checks.listed("materials", self.materials)
+            ),
+            surfaces=checks.listed("surfaces", self.surfaces),
+            sources=checks.mapped("sources", self.sources),
+            material_correlation=checks.mapped("material_correlation", self.material_correlation),
+            centre_frequencies=read_only(bands.as_bands(self.centre_frequencies)),
+            volume=checks.between("volume", self.volume, LEAST, LARGEST, "m³"),
+        )
         for name, kind in (("air", Air), ("calibration", CalibrationRecord)):
-            if not isinstance(getattr(self, name), (kind, type(None))):
-                raise DataError(f"{name} = {getattr(self, name)!r} is not a rtcal {kind.__name__}")
-        if not all(isinstance(surface, Surface) for surface in self.surfaces):
-            raise DataError("surfaces has something that is no rtcal.Surface")
-        put("centre_frequencies", read_only(bands.as_bands(self.centre_frequencies)))
-        put("volume", checks.between("volume", self.volume, LEAST, LARGEST, "m³"))
-        n = self.n_materials
-        if n == 0:
-            raise DataError("materials is empty; a room has at least one material")
-        if len({*self.materials}) < n:
-            twice = min(m for m in self.materials if self.materials.count(m) > 1)
-            raise DataError(
-                f'materials has "{twice}" twice; a material is one row (Room.from_surfaces sums its '
-                "surfaces)"
-            )
-        if alike := look_alike(self.materials):
-            raise DataError(f'materials has "{alike[0]}" and "{alike[1]}", {LOOKS}')
+            if getattr(self, name) is not None:
+                checks.instance(name, getattr(self, name), kind)
+        self._check_names()
         for name in ("areas", "alpha", "sigma", "scattering", "alpha_min"):
             stated = getattr(self, name)
-            put(name, in_order(name, stated, self.materials, self.centre_frequencies))
-        put("areas", read_only(checks.array("areas", self.areas)))
-        if self.areas.shape != (n,):
+            put(**{name: in_order(name, stated, self.materials, self.centre_frequencies)})
+        put(areas=checks.shaped("areas", self.areas, self.n_materials))
+        if (bad := ~((self.areas > 0) & (self.areas <= LARGEST))).any():
+            i = int(np.argmax(bad))
             raise DataError(
-                f"areas has shape {self.areas.shape}; with {n} materials it must be ({n},)"
+                f'areas["{self.materials[i]}"] = {self.areas[i]:g} m² is not an area above 0 and at '
+                f"most {LARGEST:g}"
             )
-        for material, area in zip(self.materials, self.areas, strict=True):
-            if not 0 < area <= LARGEST:
-                raise DataError(
-                    f'areas["{material}"] = {area:g} m² is not an area above 0 and at most {LARGEST:g}'
-                )
         if above_one == "clip":
-            put("alpha", alpha := checks.array("alpha", self.alpha))
-            for i, k in np.argwhere(alpha > 1).tolist() if alpha.shape == self._shape else ():
-                if alpha[i, k] > LARGEST_LABORATORY_ALPHA:
-                    raise DataError(
-                        f"{self.place('alpha', i, k)} = {alpha[i, k]:g} looks like percent; "
-                        f'above_one = "clip" takes values up to {LARGEST_LABORATORY_ALPHA:g}, as '
-                        "laboratories report them"
-                    )
-                put("clipped", (*self.clipped, f"{self.place('alpha', i, k)} = {alpha[i, k]:g}"))
-                self.alpha[i, k] = 1.0
+            put(alpha=checks.shaped("alpha", self.alpha, self.n_materials, self.n_bands))
+            put(clipped=(*self.clipped, *self._clipped()), alpha=np.minimum(self.alpha, 1.0))
         for name in ("alpha", "sigma", "scattering", "alpha_min"):
             if getattr(self, name) is not None:
-                put(name, self._coefficients(name))
+                put(**{name: self._coefficients(name)})
         if self.alpha_min is not None and (low := self.alpha_min > self.alpha).any():
             i, k = np.argwhere(low)[0].tolist()
             raise DataError(
@@ -317,39 +281,53 @@ class Room:
             )
         if self.dimensions is not None:
             stated = checks.listed("dimensions", self.dimensions)
-            sides = tuple(checks.positive("dimensions", side, "m") for side in stated)
-            if len(sides) != 3:
-                raise DataError(f"dimensions has {len(sides)} values; a shoebox has 3")
-            put("dimensions", sides)
+            if len(stated) != 3:
+                raise DataError(f"dimensions has {len(stated)} values; a shoebox has 3")
+            put(dimensions=tuple(checks.positive("dimensions", side, "m") for side in stated))
         checks.choice("scattering_model", self.scattering_model, ("random", "vector"))
         checks.instance("scene", self.scene, Scene)
         self._check_surfaces()
         self._check_correlation()
-        for name in RELATIVE:
-            put(name, _relative(name, getattr(self, name)))
-        put("area_sigma", self._area_errors())
-        pair = checks.listed("climate_sigma", self.climate_sigma)
-        if len(pair) != 2:
-            raise DataError(f"climate_sigma has {len(pair)} values; it has K and % of humidity")
-        ends = ((20, "K"), (50, "%"))
-        climate = (
-            checks.between("climate_sigma", v, 0, *of) for v, of in zip(pair, ends, strict=True)
-        )
-        put("climate_sigma", tuple(climate))
+        put(**{name: _relative(name, getattr(self, name)) for name in RELATIVE})
+        put(area_sigma=self._area_errors())
+        climate = checks.listed("climate_sigma", self.climate_sigma)
+        if len(climate) != 2:
+            raise DataError(f"climate_sigma has {len(climate)} values; it has K and % of humidity")
+        ends = zip(climate, ((20, "K"), (50, "%")), strict=True)
+        put(climate_sigma=tuple(checks.between("climate_sigma", v, 0, *of) for v, of in ends))
         if self.air is None and any(self.climate_sigma):
             raise DataError("climate_sigma is stated, but no air that it belongs to")
 
-    @property
-    def _shape(self) -> tuple[int, int]:
-        return self.n_materials, self.n_bands
+    def _check_names(self) -> None:
+        """Raise DataError for no material, and for names that are blank, given twice or look alike."""
+        if not self.materials:
+            raise DataError("materials is empty; a room has at least one material")
+        if blank := [m for m in self.materials if not m.strip()]:
+            raise DataError(f"materials has {blank[0]!r}; a name is not blank")
+        if len({*self.materials}) < self.n_materials:
+            twice = min(m for m in self.materials if self.materials.count(m) > 1)
+            raise DataError(
+                f'materials has "{twice}" twice; a material is one row (Room.from_surfaces sums its '
+                "surfaces)"
+            )
+        if alike := look_alike(self.materials):
+            raise DataError(f'materials has "{alike[0]}" and "{alike[1]}", {LOOKS}')
+
+    def _clipped(self) -> list[str]:
+        """Return the coefficients above 1; DataError for one above those that laboratories report."""
+        if (self.alpha > LARGEST_LABORATORY_ALPHA).any():
+            i, k = np.argwhere(self.alpha > LARGEST_LABORATORY_ALPHA)[0].tolist()
+            raise DataError(
+                f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g} looks like percent; "
+                f'above_one = "clip" takes values up to {LARGEST_LABORATORY_ALPHA:g}, as '
+                "laboratories report them"
+            )
+        above = np.argwhere(self.alpha > 1).tolist()
+        return [f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g}" for i, k in above]
 
     def _coefficients(self, name: str) -> Array:
         """Return values from 0 to 1, (n_materials, n_bands), or raise DataError naming one."""
-        array, shape = checks.array(name, getattr(self, name)), self._shape
-        if array.shape != shape:
-            raise DataError(
-                f"{name} has shape {array.shape}; it must be (n_materials, n_bands) = {shape}"
-            )
+        array = checks.shaped(name, getattr(self, name), self.n_materials, self.n_bands)
         bad = ~np.isfinite(array) | (array < 0) | (array > 1)
         if bad.any():
             i, k = np.argwhere(bad)[0].tolist()
@@ -363,15 +341,15 @@ class Room:
             elif name == "alpha":
                 rule += above_one_hint(array[i, k])
             raise DataError(f"{self.place(name, i, k)} = {array[i, k]:g} is not {rule}")
-        return read_only(array)
+        return array
 
     def _check_surfaces(self) -> None:
         """Raise DataError unless the surfaces, if there are any, add up to the stated areas."""
         drawn = np.zeros(self.n_materials)
-        for surface in self.surfaces:
-            drawn[self._row(f'surface["{surface.name}"].material', surface.material)] += (
-                surface.area
-            )
+        for i, each in enumerate(self.surfaces):
+            surface = checks.instance(f"surfaces[{i}]", each, Surface)
+            place = f'surface["{surface.name}"].material: '
+            drawn[self.material_index(surface.material, place)] += surface.area
         for material, area, of in zip(self.materials, self.areas, drawn, strict=True):
             if self.surfaces and not np.isclose(of, area, rtol=1e-9, atol=0):
                 raise DataError(
@@ -390,7 +368,7 @@ class Room:
             if not isinstance(pair, tuple) or len(pair) != 2:
                 raise DataError(f"material_correlation: {pair!r} is not a pair of materials")
             place = f'material_correlation["{pair[0]}", "{pair[1]}"]'
-            i, j = (self._row(place, name) for name in pair)
+            i, j = (self.material_index(name, f"{place}: ") for name in pair)
             if i == j or not -1 < checks.number(place, value) < 1:
                 raise DataError(
                     f"{place} = {value:g} is not a value between -1 and 1 for two materials"
@@ -411,7 +389,8 @@ class Room:
             listed = listed.tolist()
         if isinstance(listed, Mapping):
             stated = {
-                self._row(f'area_sigma["{name}"]', name): value for name, value in listed.items()
+                self.material_index(name, f'area_sigma["{name}"]: '): value
+                for name, value in listed.items()
             }
             listed = [stated.get(i, 0.0) for i in range(self.n_materials)]
         elif not isinstance(listed, list | tuple):
@@ -537,33 +516,19 @@ class Room:
 
     def place(self, name: str, material: int, band: int) -> str:
         """Return the name of one value in messages: ``alpha["carpet", 500 Hz]``."""
-        checks.text("name", name)
-        axes = (("material", material, self.n_materials), ("band", band, self.n_bands))
-        for axis, place, count in axes:
-            if checks.whole(axis, place, 0) >= count:
-                raise DataError(f"{axis} = {checks.shown(place)} is not from 0 to {count - 1}")
         frequency = bands.label(self.centre_frequencies[band])
         return f'{name}["{self.materials[material]}", {frequency}]'
 
-    def _row(self, place: str, name: object) -> int:
+    def material_index(self, name: str, place: str = "") -> int:
+        """Return the row of the material ``name``; DataError, after ``place``, if the room has none."""
         if name not in self.materials:
-            raise DataError(
-                f'{place}: "{name}" is no material of the room; it has {", ".join(self.materials)}'
-            )
-        return self.materials.index(str(name))
-
-    def material_index(self, name: str) -> int:
-        """Return the row of the material ``name``; DataError if the room has none of that name."""
-        return int(self.material_rows([checks.text("name", name)])[0])
+            known = ", ".join(self.materials)
+            raise DataError(f'{place}"{name}" is no material of room "{self.name}"; it has {known}')
+        return self.materials.index(name)
 
     def material_rows(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the rows of materials, (n,); DataError as `material_index`."""
-        names = checks.texts("names", names)
-        rows = {name: i for i, name in enumerate(self.materials)}
-        if lacking := [name for name in names if name not in rows]:
-            known = ", ".join(self.materials)
-            raise DataError(f'"{lacking[0]}" is no material of room "{self.name}"; it has {known}')
-        return np.array([rows[name] for name in names], dtype=np.int64)
+        return np.array([self.material_index(name) for name in names], dtype=np.int64)
 
     def replace(self, **changes: Any) -> Room:
         """Return the room with some fields changed, checked like a new one.
@@ -600,17 +565,16 @@ class Room:
             raise DataError(f"a room cannot be made so: {error}") from error
 
     @classmethod
-    def from_geometry(cls, geometry: Geometry, **stated: Any) -> Room:
+    def from_geometry(cls, geometry: Any, **stated: Any) -> Room:
         """Return the room with the volume and surfaces of a `rtcal.simulators.Polyhedron`.
 
         ``stated`` goes to `from_surfaces`. Raises DataError as that does.
         """
-        for needed in ("volume", "surfaces"):
-            if not hasattr(geometry, needed):
-                raise DataError(
-                    f"geometry = {checks.shown(geometry)} has no {needed}, as a "
-                    "rtcal.simulators.Polyhedron has"
-                )
+        if not (hasattr(geometry, "volume") and hasattr(geometry, "surfaces")):
+            raise DataError(
+                f"geometry = {checks.shown(geometry)} has no volume and surfaces, as a "
+                "rtcal.simulators.Polyhedron has"
+            )
         return cls.from_surfaces(volume=geometry.volume, surfaces=geometry.surfaces, **stated)
 
     def to_dict(self) -> dict[str, Any]:

@@ -62,7 +62,7 @@ class Scene:
         Length of the mesh's unit in m.
     sources, receivers : mapping of str to (x, y, z)
         Positions in m, by the names of the measurement's pairs. Both are stated, or neither.
-    directivity : mapping of str to Directivity, DirectivityFile or "unknown"
+    directivity : mapping of str to Directivity or "unknown"
         By source. A source that is not stated is taken as omnidirectional. A file's path is as the
         mesh's.
     position_uncertainty : float
@@ -137,7 +137,7 @@ class Scene:
             mesh=None if self.mesh is None else named(os.fspath(self.mesh)),
             directivity={
                 name: replace(of, file=named(os.fspath(of.file)))
-                if isinstance(of, DirectivityFile)
+                if isinstance(of, Directivity) and of.file is not None
                 else of
                 for name, of in self.directivity.items()
             },
@@ -169,7 +169,7 @@ class Scene:
             sources=tables.sources or {},
             receivers=tables.receivers or {},
             directivity={
-                name: directivity_of(of, f'directivity["{name}"]')
+                name: of if isinstance(of, str) else of.directivity(f'directivity["{name}"]')
                 for name, of in tables.directivity.items()
             },
         )
@@ -214,6 +214,8 @@ _PARALLEL = 1e-3
 class Directivity:
     """The energy that a loudspeaker radiates in each direction: an index's lobe, or a balloon.
 
+    One of index, gains and file is stated.
+
     The energy of a lobe at the angle theta from the axis, over that of an omnidirectional source of the
     same power, is (n + 1) ((1 + cos theta) / 2)^n with n = 10^(index / 10) - 1 (docs/path_tracing.md).
     That of a balloon lies between its directions, linear in both angles.
@@ -222,14 +224,15 @@ class Directivity:
     ----------
     index : float or array (n_bands,), optional
         Directivity index in dB per octave band, 0 (omnidirectional) to 25: the level on the axis less
-        that of an omnidirectional source of the same power. Either it or ``gains`` is stated.
+        that of an omnidirectional source of the same power.
     aim : (x, y, z)
         Direction of the axis in the room's coordinates, of any length.
     gains : array (n_bands, n_theta, n_phi), optional
         Energy in any unit, at equal steps of the angle theta from the axis, 0 to 180 degrees with
         both ends, and of phi about it, 0 to 360 degrees without the end. phi is 0 above the axis and
-        90 degrees to its left. Each band's mean over the sphere becomes 1. `rtcal.io.balloon` reads
-        them from files.
+        90 degrees to its left. Each band's mean over the sphere becomes 1.
+    file : path, optional
+        With the balloon, as `rtcal.io.balloon` reads it: SOFA or CLF's text. It is named and not read.
     up : (x, y, z)
         The direction that is above a balloon's axis, in the room's coordinates.
 
@@ -255,17 +258,26 @@ class Directivity:
     index: Any = None
     aim: Sequence[float]
     gains: Any = None
+    file: str | os.PathLike[str] | None = None
     up: Sequence[float] = UPWARDS
 
     def __post_init__(self) -> None:
-        if (self.index is None) == (self.gains is None):
-            raise DataError("a directivity states either index or gains")
+        stated = sum(each is not None for each in (self.index, self.gains, self.file))
+        if stated != 1:
+            raise DataError(
+                f"index: a directivity states {stated} of index, gains and file; it has one of them"
+            )
         object.__setattr__(self, "aim", direction("aim", self.aim))
         object.__setattr__(self, "up", direction("up", self.up))
+        if self.file is not None:
+            object.__setattr__(self, "file", os.fspath(checks.path("file", self.file)))
+            return
         if self.gains is not None:
             object.__setattr__(self, "gains", read_only(_balloon(self.gains)))
             self._axes()
             return
+        if self.up != UPWARDS:
+            raise DataError("up is of a balloon, and an index has none")
         index = np.atleast_1d(checks.array("index", self.index))
         if index.ndim != 1 or not index.size:
             raise DataError(f"index has shape {index.shape}; it is one value, or one per band")
@@ -279,12 +291,14 @@ class Directivity:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Directivity):
             return NotImplemented
-        same = (self.aim, self.up) == (other.aim, other.up)
+        same = (self.aim, self.up, self.file) == (other.aim, other.up, other.file)
         return same and np.array_equal(self.pattern, other.pattern)
 
     @property
     def pattern(self) -> Array:
         """The numbers of each band, (n_numbers, n_bands): bands with equal ones radiate alike."""
+        if self.file is not None:
+            return np.zeros((0, 1))
         if self.gains is None:
             return np.asarray(self.index[np.newaxis])
         return np.asarray(self.gains.reshape(len(self.gains), -1).T)
@@ -349,42 +363,13 @@ class Directivity:
         return replace(self, index=self.index[band])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return index and aim, or gains, aim and up, as plain values."""
+        """Return index and aim, or gains or file, aim and up, as plain values of a room's file."""
+        if self.file is not None:
+            up = {} if self.up == UPWARDS else {"up": list(self.up)}
+            return {"file": self.file, "aim": list(self.aim), **up}
         if self.gains is None:
             return {"index": self.index.tolist(), "aim": list(self.aim)}
         return {"gains": self.gains.tolist(), "aim": list(self.aim), "up": list(self.up)}
-
-
-@dataclass(frozen=True, kw_only=True)
-class DirectivityFile:
-    """A file with a loudspeaker's balloon, and how it is aimed. It names the file and does not read it.
-
-    Parameters
-    ----------
-    file : path
-        Of SOFA or CLF's text, as `rtcal.io.balloon` reads.
-    aim, up : (x, y, z)
-        As of `Directivity`.
-
-    Raises
-    ------
-    DataError
-        For an aim or up of length 0.
-    """
-
-    file: str | os.PathLike[str]
-    aim: Sequence[float]
-    up: Sequence[float] = UPWARDS
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "file", os.fspath(checks.path("file", self.file)))
-        object.__setattr__(self, "aim", direction("aim", self.aim))
-        object.__setattr__(self, "up", direction("up", self.up))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values, as a room's file states them."""
-        up = {} if self.up == UPWARDS else {"up": list(self.up)}
-        return {"file": self.file, "aim": list(self.aim), **up}
 
 
 def direction(name: str, stated: Any) -> tuple[float, float, float]:
@@ -431,7 +416,7 @@ def _balloon(gains: Any) -> Array:
     return np.asarray(np.where(np.abs(mean - 1) < 1e-12, 1.0, 1 / mean)[:, None, None] * table)
 
 
-StatedDirectivity = Directivity | DirectivityFile | Literal["unknown"]
+StatedDirectivity = Directivity | Literal["unknown"]
 UNKNOWN: Literal["unknown"] = "unknown"
 """A source's directivity that nobody knows: it may be a loudspeaker, aimed anywhere."""
 
@@ -446,7 +431,7 @@ def directivities(
         if name not in sources:
             known = ", ".join(sources) or "none"
             raise DataError(f"{place} is of a source that is not stated; the sources are: {known}")
-        if not isinstance(of, Directivity | DirectivityFile) and of != UNKNOWN:
+        if not isinstance(of, Directivity) and of != UNKNOWN:
             raise DataError(f'{place} = {checks.shown(of)} is not a Directivity or "{UNKNOWN}"')
         made[name] = of
     return made
@@ -459,23 +444,14 @@ class Lobe(FileTable):
     index: Number | list[Number] | None = None
     gains: list[list[list[Number]]] | None = None
     file: str | None = None
-    up: Point | None = None
+    up: Point = UPWARDS
 
-
-def directivity_of(table: Lobe | str, place: str) -> StatedDirectivity:
-    """Return the directivity that a file states; DataError, which begins with ``place``, for none."""
-    if not isinstance(table, Lobe):
-        return UNKNOWN
-    stated = {k: v for k, v in msgspec.structs.asdict(table).items() if v is not None}
-    kinds = [key for key in ("index", "gains", "file") if key in stated]
-    if len(kinds) != 1:
-        raise DataError(f"{place} states {len(kinds)} of index, gains and file; it has one of them")
-    if kinds == ["index"] and table.up:
-        raise DataError(f"{place}.up is of a balloon, and an index has none")
-    try:
-        return DirectivityFile(**stated) if table.file is not None else Directivity(**stated)
-    except DataError as error:
-        raise DataError(f"{place}.{error}") from None
+    def directivity(self, place: str) -> Directivity:
+        """Return the directivity; DataError begins with ``place``."""
+        try:
+            return Directivity(**msgspec.structs.asdict(self))
+        except DataError as error:
+            raise DataError(f"{place}.{error}") from None
 
 
 def plain_directivities(stated: Mapping[str, Any]) -> dict[str, Any]:

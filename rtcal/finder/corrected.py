@@ -22,7 +22,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.changes import Further, new_name, with_materials
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import CHANGED, Material, Room
-from rtcal.acoustics.scene import POSITION, DirectivityFile, Scene
+from rtcal.acoustics.scene import POSITION, Directivity, Scene
 from rtcal.calibration.methods import calibrate
 from rtcal.files import disk
 from rtcal.files.disk import make_folder, write_all
@@ -153,7 +153,7 @@ class Corrected:
         of_files = {
             name: of
             for name, of in self.case.room.scene.directivity.items()
-            if isinstance(of, DirectivityFile)
+            if isinstance(of, Directivity) and of.file is not None
         }
         scene = Scene(
             mesh=mesh,

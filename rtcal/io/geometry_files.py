@@ -6,7 +6,7 @@ import os
 from typing import Any
 
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import DirectivityFile
+from rtcal.acoustics.scene import Directivity
 from rtcal.io import balloon, obj
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
@@ -95,8 +95,9 @@ def path_tracing(room: Room, **options: Any) -> PathTracing:
 
 def directivity(room: Room) -> dict[str, Any]:
     """Return the directivities of a room's sources, those in files read; raises as `balloon.read`."""
-    stated = room.scene.directivity
-    files = {of for of in stated.values() if isinstance(of, DirectivityFile)}
-    f = room.centre_frequencies
-    made = {of: balloon.read(of.file, f, of.aim, of.up) for of in files}
-    return {n: made[of] if isinstance(of, DirectivityFile) else of for n, of in stated.items()}
+    return {
+        name: balloon.read(of.file, room.centre_frequencies, of.aim, of.up)
+        if isinstance(of, Directivity) and of.file is not None
+        else of
+        for name, of in room.scene.directivity.items()
+    }

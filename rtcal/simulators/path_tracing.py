@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, longest
-from rtcal.acoustics.scene import Directivity, DirectivityFile, directivities
+from rtcal.acoustics.scene import Directivity, directivities
 from rtcal.simulators import base
 from rtcal.simulators.base import Observations, check_alpha
 from rtcal.simulators.facets import first_hit
@@ -663,9 +663,11 @@ class PathTracing(Tracer):
         checks.choice("scattering_model", self.scattering_model, ("random", "vector"))
         stated = directivities(self.directivity, self.sources)
         for name, of in stated.items():
-            if isinstance(of, DirectivityFile):
-                raise DataError(f'directivity["{name}"] is a file; rtcal.io.balloon.read reads it')
             if isinstance(of, Directivity):
+                if of.file is not None:
+                    raise DataError(
+                        f'directivity["{name}"] is a file; rtcal.io.balloon.read reads it'
+                    )
                 stated[name] = of.for_bands(self.room.n_bands, f'directivity["{name}"]')
         object.__setattr__(self, "directivity", stated)
         if self.workers is not None:
