@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay
-from rtcal.acoustics.marks import bent_decays, curvature_percent
-
-
-def test_curvature_is_that_of_iso_3382_2() -> None:
-    assert curvature_percent(np.array([2.0]), np.array([2.1])) == pytest.approx([5.0])
+from rtcal.acoustics.marks import bent_decays
 
 
 def test_the_double_slope_of_the_issue_is_bent() -> None:

@@ -271,7 +271,7 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
         ("0.9", "abc", 'line 2: value = "abc" is not a number'),
         ("0.9", "1_0.9", 'line 2: value = "1_0.9" is not a number'),
         ("0.9", "٠.٨", "line 2: value = "),
-        ("0.9", "-1", "line 2: T20 = -1 s is not above 0"),
+        ("0.9", "-1", "line 2: T20 = -1 s is not from 0.01"),
         ("0.9", "900", "line 2: T20 = 900"),
         ("0.9", "inf", 'line 2: value = "inf" is not finite'),
         ("0.9", "0" * 200_000, "line 2: not a line of comma-separated values"),

@@ -273,7 +273,7 @@ def registry():
 
 
 def test_an_observable_from_outside_is_a_header_by_its_label(registry):
-    kind = share(label="Clear share", spellings=())
+    kind = share(label="Clear share", spellings="")
     assert type(OBSERVABLES[register(kind).key]) is kind
     register(kind)  # as a notebook's cell does that is run again
     table = tables.parse(b"Frequency,Clear share\n500,0.7\n1000,0.8\n").measurement

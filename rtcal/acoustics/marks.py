@@ -423,19 +423,6 @@ _ALLOWED = 2.0
 """Standard deviations of a straight decay's ratio that are allowed."""
 
 
-def curvature_percent(t20: Array, t30: Array) -> Array:
-    """Return C = 100 (T30 / T20 - 1) in percent, same shape (ISO 3382-2:2008, Annex B).
-
-    A straight decay has 0 to 5 %; above 10 % it is far from straight.
-
-    Examples
-    --------
-    >>> print(curvature_percent(np.array([0.73]), np.array([1.01])).round(1))
-    [38.4]
-    """
-    return np.asarray(100 * (np.asarray(t30, dtype=float) / np.asarray(t20, dtype=float) - 1))
-
-
 def bent_decays(measured: Measurement) -> tuple[TrustMark, ...]:
     """Return the marks of bands whose mean decay over the positions is bent.
 
@@ -450,9 +437,9 @@ def bent_decays(measured: Measurement) -> tuple[TrustMark, ...]:
     """
     texts: dict[float, list[str]] = {}
     for parameter, slope in of_kind(DecaySlope).items():
-        bend = slope.bend
-        if bend is None or not {TARGET.key, parameter} <= {*measured.values}:
+        if slope.bend is None or not {TARGET.key, parameter} <= {*measured.values}:
             continue
+        name, limit, straight = slope.bend
         t20, other = measured.values[TARGET.key], measured.values[parameter]
         both = np.isfinite(t20) & np.isfinite(other)
         n_positions = np.sum(both, axis=0)
@@ -461,11 +448,11 @@ def bent_decays(measured: Measurement) -> tuple[TrustMark, ...]:
         width = bands.bandwidth_factor(measured.centre_frequencies) * measured.centre_frequencies
         for k in np.flatnonzero(n_positions).tolist():
             t, ratio = t20[both[:, k], k].mean(), other[both[:, k], k].mean()
-            percent = float(curvature_percent(t, ratio))
-            scatter = 100 * bend.scatter / np.sqrt(width[k] * t * n_positions[k])
-            if abs(percent) > bend.limit + _ALLOWED * scatter:
+            percent = float(100 * (ratio / t - 1))
+            scatter = 100 * straight / np.sqrt(width[k] * t * n_positions[k])
+            if abs(percent) > limit + _ALLOWED * scatter:
                 texts.setdefault(float(measured.centre_frequencies[k]), []).append(
-                    f"{bend.name} = {percent:+.0f} %"
+                    f"{name} = {percent:+.0f} %"
                 )
     return tuple(
         mark("bent", f, f"the decay is bent, {', '.join(texts[f])}") for f in sorted(texts)

@@ -316,13 +316,12 @@ class Measurement:
         array = checks.array(f"measurement {name}[{parameter}]", value).copy()
         if array.shape != shape:
             raise DataError(f"measurement {name}[{parameter}] has shape {array.shape}, not {shape}")
-        infinite, low = np.isinf(array), np.zeros(array.shape, dtype=bool)
-        rule = "finite"
-        if name != "values":
-            low, rule = array < 0, "finite and 0 or more"
-        else:
-            low, rule = kind.broken(array), kind.value_rule
-        if (bad := infinite | low).any():
+        wrong, rule = array < 0, "finite and 0 or more"
+        if name == "values":
+            wrong, rule = kind.broken(array), kind.rule
+            if kind.simulated:
+                rule = f"finite and above 0 {kind.unit}"
+        if (bad := np.isinf(array) | wrong).any():
             where = tuple(int(i) for i in np.argwhere(bad)[0])
             band = bands.label(self.centre_frequencies[where[-1]])
             raise DataError(
@@ -357,14 +356,15 @@ class Measurement:
             for parameter, array in getattr(self, name).items():
                 stated = np.atleast_2d(array)
                 kind = observable(parameter)
-                most, rule = kind.largest_uncertainty(self.values[parameter])
+                most = kind.largest_uncertainty(self.values[parameter])
                 if (bad := stated > most).any():
                     pair, band = (int(i) for i in np.argwhere(bad)[0])
                     row = 0 if name == "common_uncertainty" else pair
                     raise DataError(
                         f"measurement {name}[{parameter}, "
                         f"{bands.label(self.centre_frequencies[band])}] = {stated[row, band]:g}"
-                        f"{f' {kind.unit}'.rstrip()} is larger than {rule}: is it in percent?"
+                        f"{f' {kind.unit}'.rstrip()} is larger than the value, or than its whole "
+                        "range: is it in percent?"
                     )
 
     @property

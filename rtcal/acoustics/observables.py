@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Container, Iterable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Literal, TypeVar
 
@@ -54,6 +53,8 @@ DB = 10 / np.log(10)
 """dB per neper of energy."""
 OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 """Centre frequencies in Hz of `Observable.between_teams`."""
+_STEP = 1e-5
+"""Relative step of a derivative by differences, whose error is its square."""
 _BINS = 4000
 """Bins of the exponential decay that stands for a noise-like response, over twice its T."""
 
@@ -70,8 +71,8 @@ class Observable(ABC):
         Name in files, in JSON and in Python.
     label : str
         Name as it is printed.
-    spellings : tuple of str
-        Further names in tables of other programs, in lower case without spaces.
+    spellings : str
+        Further names in tables of other programs, in lower case without spaces, with blanks between.
     unit : str
     decimals : int
         Digits after the point as it is printed.
@@ -83,6 +84,8 @@ class Observable(ABC):
         Least and largest value that is accepted.
     doubt : str
         The likely mistake behind a value beyond them.
+    simulated : (float, float) or None
+        Least and largest value that a `Measurement` takes, if a simulated one may be beyond the limits.
     usual : (float, float)
         Least and largest value that hardly any room is beyond; one that is, is read and told.
     minimum_range : float or None
@@ -118,13 +121,14 @@ class Observable(ABC):
 
     key: ClassVar[str]
     label: ClassVar[str]
-    spellings: ClassVar[tuple[str, ...]] = ()
+    spellings: ClassVar[str] = ""
     unit: ClassVar[str]
     decimals: ClassVar[int]
     rank: ClassVar[int]
     jnd: ClassVar[float]
     relative_jnd: ClassVar[bool] = False
     limits: ClassVar[tuple[float, float]]
+    simulated: ClassVar[tuple[float, float] | None] = None
     doubt: ClassVar[str]
     usual: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
     minimum_range: ClassVar[float | None] = 20.0
@@ -156,10 +160,6 @@ class Observable(ABC):
     def rate(self, observed: Array) -> Array:
         """Return what is linear in the absorption, in any unit; it rises with what is observed."""
 
-    @abstractmethod
-    def rate_slope(self, observed: Array) -> Array:
-        """Return the derivative of `rate` by what is observed."""
-
     def linear(self, observed: Array, stated: Array) -> Array:
         """Return how far what is observed is from what is stated, linear in the absorption.
 
@@ -169,8 +169,10 @@ class Observable(ABC):
         return np.asarray((self.rate(observed) - at) / np.abs(at))
 
     def linear_slope(self, observed: Array, stated: Array) -> Array:
-        """Return the derivative of `linear` by what is observed."""
-        return np.asarray(self.rate_slope(observed) / np.abs(self.rate(stated)))
+        """Return the derivative of `linear` by what is observed, by differences of `_STEP`."""
+        step = _STEP * np.maximum(np.abs(observed), 0.1)
+        rise = self.rate(observed + step) - self.rate(observed - step)
+        return np.asarray(rise / (2 * step * np.abs(self.rate(stated))))
 
     def too_short(self, energy: Array) -> NDArray[np.bool_]:
         """Return whether energy decays (..., n_bins) are cut off too early to hold it, (...)."""
@@ -255,26 +257,23 @@ class Observable(ABC):
         unit = f" {self.unit}".rstrip()
         return f"from {self.limits[0]:g} to {self.limits[1]:g}{unit}: {self.doubt}"
 
-    @property
-    def value_rule(self) -> str:
-        """The rule that no `Measurement` breaks, in words: a simulated value may be implausible."""
-        return self.rule
-
     def broken(self, values: Array) -> NDArray[np.bool_]:
-        """Return where values break the ``value_rule``, rounding included."""
-        least, most = self.limits
+        """Return where values are none that a `Measurement` takes, rounding included."""
+        least, most = self.simulated or self.limits
         with np.errstate(invalid="ignore"):
             return np.asarray((values < least) | (values > most * (1 + 1e-9)))
 
-    def largest_uncertainty(self, values: Array) -> tuple[Array, str]:
-        """Return the largest uncertainty that says anything, and what it is, in words."""
+    def largest_uncertainty(self, values: Array) -> Array:
+        """Return the largest uncertainty that says anything: of a level, the range of its limits."""
         least, most = self.limits
-        return np.full(np.shape(values), most - least), "the parameter's range"
+        return np.full(np.shape(values), most - least)
 
     def refuse(self, place: str, value: float) -> None:
         """Raise DataError for a value that no room has; ``place`` says whose it is. NaN is missing."""
-        if self.broken(np.asarray(value)):
-            raise DataError(f"{place} = {value:g} is not {self.rule}")
+        least, most = self.limits
+        if not (np.isnan(value) or least <= value <= most * (1 + 1e-9)):
+            unit = f" {self.unit}".rstrip()
+            raise DataError(f"{place} = {value:g}{unit} is not {self.rule}")
 
 
 OBSERVABLES: dict[str, Observable] = {}
@@ -424,30 +423,6 @@ class Relative(Observable):
         """Return -1 / T: 1 / T and 1 / Ts are linear in the absorption area."""
         return np.asarray(-np.exp(-observed))
 
-    def rate_slope(self, observed: Array) -> Array:
-        """Return 1 / T."""
-        return np.asarray(np.exp(-observed))
-
-
-@dataclass(frozen=True)
-class Bend:
-    """The difference of a decay time from T20 in straight decays.
-
-    Attributes
-    ----------
-    name : str
-        Of the ratio less 1.
-    limit : float
-        Its largest size in percent.
-    scatter : float
-        Standard deviation of the ratio times sqrt(B T), over 4,000 exponential decays of Gaussian noise
-        (B T = 44 to 355).
-    """
-
-    name: str
-    limit: float
-    scatter: float
-
 
 class DecaySlope(Relative):
     """A decay time in s: -60 dB over the slope of the decay curve within a range of levels.
@@ -460,18 +435,21 @@ class DecaySlope(Relative):
         Relative standard deviation of one decay's time, times sqrt(B T), B the bandwidth in Hz.
     averages : (float, float) or None
         a and b of the uncertainty of a mean over positions (ISO 3382-2:2008, Eqs. 4 and 5).
-    bend : Bend or None
-        Where the ratio to T20 tells whether a decay is bent.
+    bend : (str, float, float) or None
+        Where its ratio to T20 less 1 tells whether a decay is bent: that ratio's name, its limit in
+        percent, and its standard deviation times sqrt(B T) in straight decays (4,000 exponential decays
+        of Gaussian noise, B T = 44 to 355).
     """
 
     upper: ClassVar[float]
     lower: ClassVar[float]
     one_decay: ClassVar[float]
     averages: ClassVar[tuple[float, float] | None] = None
-    bend: ClassVar[Bend | None] = None
+    bend: ClassVar[tuple[str, float, float] | None] = None
     jnd = 0.05
     relative_jnd = True
     limits = LIMITS
+    simulated = 1e-300, np.inf  # a decay of any length
     # An anechoic room for speech and a mausoleum.
     usual = 0.05, 30.0
     doubt = "is it in seconds?"
@@ -558,30 +536,9 @@ class DecaySlope(Relative):
         bandwidth = bands.bandwidth_factor(frequencies) * frequencies
         return np.asarray(a**2 * mean * (1 + b / _DECAYS) / (np.maximum(positions, 1) * bandwidth))
 
-    @property
-    def value_rule(self) -> str:
-        """A simulated decay may be of any length."""
-        return "finite and above 0 s"
-
-    def broken(self, values: Array) -> NDArray[np.bool_]:
-        """Return where values are not above 0."""
-        with np.errstate(invalid="ignore"):
-            return np.asarray(values <= 0)
-
-    def largest_uncertainty(self, values: Array) -> tuple[Array, str]:
+    def largest_uncertainty(self, values: Array) -> Array:
         """Return the values."""
-        return values, "the value itself"
-
-    def refuse(self, place: str, value: float) -> None:
-        """Raise DataError for a T that no room has: it is most likely in another unit."""
-        if value <= 0:
-            raise DataError(f"{place} = {value:g} s is not above 0")
-        low, high = self.limits
-        if value > high or value < low:
-            low, high = LIMITS
-            raise DataError(
-                f"{place} = {value:g} s is not from {low:g} to {high:g} s, as in any room: {self.doubt}"
-            )
+        return values
 
 
 @register
@@ -589,15 +546,7 @@ class T20(DecaySlope):
     """T20: -5 to -25 dB (ISO 3382-1:2009, 5.3)."""
 
     key, label, rank = "t20", "T20", 10
-    spellings = (
-        "rt20",
-        "tr20",
-        "rt60t20",
-        "t60t20",
-        "t60(20)",
-        "reverberationtimet20",
-        "nachhallzeitt20",
-    )
+    spellings = "rt20 tr20 rt60t20 t60t20 t60(20) reverberationtimet20 nachhallzeitt20"
     upper, lower = -5.0, -25.0
     minimum_range = 35.0
     one_decay = 0.88
@@ -610,21 +559,13 @@ class T30(DecaySlope):
     """T30: -5 to -35 dB (ISO 3382-1:2009, 5.3)."""
 
     key, label, rank = "t30", "T30", 20
-    spellings = (
-        "rt30",
-        "tr30",
-        "rt60t30",
-        "t60t30",
-        "t60(30)",
-        "reverberationtimet30",
-        "nachhallzeitt30",
-    )
+    spellings = "rt30 tr30 rt60t30 t60t30 t60(30) reverberationtimet30 nachhallzeitt30"
     upper, lower = -5.0, -35.0
     minimum_range = 45.0
     one_decay = 0.55
     averages = (0.55, 1.52)
-    # ISO 3382-2:2008, B.3: above 10 % a decay is far from straight. The scatter is 0.70 to 0.77.
-    bend = Bend("curvature T30/T20 - 1", 10.0, 0.75)
+    # ISO 3382-2:2008, B.3: a straight decay has 0 to 5 %; above 10 % it is far from straight.
+    bend = "curvature T30/T20 - 1", 10.0, 0.75
 
 
 @register
@@ -632,7 +573,7 @@ class EDT(DecaySlope):
     """Early decay time: 0 to -10 dB (ISO 3382-1:2009, A.2.2)."""
 
     key, label, rank = "edt", "EDT", 30
-    spellings = ("earlydecaytime",)
+    spellings = "earlydecaytime"
     upper, lower = 0.0, -10.0
     # Strong direct sound makes it arbitrarily short.
     limits = 0.0, LIMITS[1]
@@ -640,8 +581,7 @@ class EDT(DecaySlope):
     # 400 decays of octave-filtered Gaussian noise at 500 Hz and 400 at 1 kHz, T = 1 s, have 1.7.
     one_decay = 1.6
     part = "early"
-    # Four JND, in the mean over positions. The scatter is 2.2 to 2.3.
-    bend = Bend("EDT/T20 - 1", 20.0, 2.25)
+    bend = "EDT/T20 - 1", 20.0, 2.25  # four JND, in the mean over positions
     teams = (0.100, 0.080, 0.064, 0.051, 0.041, 0.033)
     matched = shown = True
 
@@ -717,10 +657,6 @@ class Clarity(Observable):
         """Return the decay rate k in 1/s of C = 10 lg(exp(k limit) - 1)."""
         return np.asarray(np.log1p(np.exp(observed / DB)) / self.limit)
 
-    def rate_slope(self, observed: Array) -> Array:
-        """Return the derivative of `rate` by the clarity."""
-        return np.asarray(-np.expm1(-self.rate(observed) * self.limit) / (DB * self.limit))
-
     def scatter(self, frequencies: Array, times: Array) -> Array:
         """Return the standard deviation in dB of one response, whose field is noise.
 
@@ -741,7 +677,7 @@ class C50(Clarity):
     """Clarity of speech: the energy before 50 ms over that after, in dB."""
 
     key, label, rank = "c50", "C50", 40
-    spellings = ("clarityc50", "deutlichkeitsmaß", "deutlichkeitsmaßc50", "deutlichkeitsmassc50")
+    spellings = "clarityc50 deutlichkeitsmaß deutlichkeitsmaßc50 deutlichkeitsmassc50"
     limit = reaches = 0.05
     shown = True
 
@@ -751,7 +687,7 @@ class C80(Clarity):
     """Clarity of music: the energy before 80 ms over that after, in dB."""
 
     key, label, rank = "c80", "C80", 50
-    spellings = ("clarityc80", "klarheitsmaß", "klarheitsmaßc80", "klarheitsmassc80")
+    spellings = "clarityc80 klarheitsmaß klarheitsmaßc80 klarheitsmassc80"
     limit = reaches = 0.08
     matched = shown = True
 
@@ -767,13 +703,8 @@ class D50(Observable):
 
     key, label, rank = "d50", "D50", 60
     spellings = (
-        "definition",
-        "definitiond50",
-        "deutlichkeitd50",
-        "d",
-        "deutlichkeit",
-        "deutlichkeitsgrad",
-        "deutlichkeitsgradd50",
+        "definition definitiond50 deutlichkeitd50 d deutlichkeit deutlichkeitsgrad "
+        "deutlichkeitsgradd50"
     )
     unit = ""
     decimals = 2
@@ -801,10 +732,6 @@ class D50(Observable):
     def rate(self, observed: Array) -> Array:
         """Return the decay rate k of D50 = 1 - exp(-k), over 50 ms."""
         return np.asarray(-np.log1p(-observed))
-
-    def rate_slope(self, observed: Array) -> Array:
-        """Return 1 / (1 - D50)."""
-        return np.asarray(1 / (1 - observed))
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
         """Return that of C50 times d D50 / d C50 = D50 (1 - D50) / DB, of an exponential decay."""
@@ -835,7 +762,7 @@ class STI(Observable):
     """
 
     key, label, rank = "sti", "STI", 65
-    spellings = ("speechtransmissionindex", "mti", "modulationtransferindex")
+    spellings = "speechtransmissionindex mti modulationtransferindex"
     unit = ""
     decimals = 2
     jnd = 0.03  # Bradley, Reich and Norcross 1999
@@ -864,12 +791,6 @@ class STI(Observable):
         """Return the k in 1/s of an exponential decay with this STI."""
         logarithms, table = self._table
         return np.asarray(np.exp(np.interp(observed, table, logarithms)))
-
-    def rate_slope(self, observed: Array) -> Array:
-        """Return the derivative of `rate` by STI."""
-        (logarithms, table), rate = self._table, self.rate(observed)
-        by_logarithm = np.interp(np.log(rate), logarithms, np.gradient(table, logarithms))
-        return np.asarray(rate / by_logarithm)
 
     def overall(self, values: Array, frequencies: Array) -> Array:
         """Return the STI of all octaves from 125 Hz to 8 kHz, (...); NaN if one is missing.
@@ -966,10 +887,6 @@ class OfEnergy(Observable):
         """Return -1 / E: the inverse of the energy is linear in the absorption area."""
         return np.asarray(-np.exp(-observed / DB))
 
-    def rate_slope(self, observed: Array) -> Array:
-        """Return the derivative of `rate` by the level."""
-        return np.asarray(np.exp(-observed / DB) / DB)
-
 
 @register
 class Level(OfEnergy):
@@ -988,7 +905,7 @@ class G(OfEnergy):
     """Sound strength: the level relative to 10 m in the free field (ISO 3382-1:2009, A.2.1)."""
 
     key, label, rank = "g", "G", 80
-    spellings = ("strength", "soundstrength")
+    spellings = "strength soundstrength"
     # Far outdoors, and at 0.1 m from a source.
     usual = -40.0, 45.0
 
@@ -998,7 +915,7 @@ class Ts(Relative):
     """Centre time: the energy's centre of gravity in s (ISO 3382-1:2009, A.13)."""
 
     key, label, rank = "ts", "Ts", 70
-    spellings = ("centretime", "centertime", "schwerpunktzeit")
+    spellings = "centretime centertime schwerpunktzeit"
     jnd = 0.010
     # Ts of an exponential decay is T / 13.8: 8.7 s for T = 120 s.
     limits = 0.0, 10.0

@@ -122,7 +122,9 @@ def parameters() -> Mapping[str, str]:
 
 @lru_cache(maxsize=1)  # every cell of a table asks
 def _by_spelling(observables: tuple[Observable, ...]) -> Mapping[str, str]:
-    return {plain(word): o.key for o in observables for word in (o.key, o.label, *o.spellings)}
+    return {
+        plain(word): o.key for o in observables for word in (o.key, o.label, *o.spellings.split())
+    }
 
 
 def parameter_of(text: str) -> str:

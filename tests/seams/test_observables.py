@@ -166,9 +166,6 @@ def test_an_observable_from_outside_is_heard() -> None:
         def rate(self, observed):
             return -(10 ** (-observed / 10))
 
-        def rate_slope(self, observed):
-            return np.log(10) / 10 * 10 ** (-observed / 10)
-
     before = dict(OBSERVABLES)
     register(Late)
     try:
