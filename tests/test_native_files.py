@@ -205,7 +205,7 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
         ),
         ("relative = 0.2", "minimum = nan", "prior.minimum = nan"),
         ("iso_12999_2 = true", "iso_12999_2 = 1", "prior.iso_12999_2 = 1 is not true or false"),
-        ("factor = 2.0", "factor = 0.5", "in-situ factor = 0.5 is not finite and 1 or more"),
+        ("factor = 2.0", "factor = 0.5", "in_situ_factor = 0.5 is not finite and 1 or more"),
         ("correlation = 0.7", "correlation = 1.0", "band_correlation = 1 is not from 0"),
         ("[prior]", "[[prior]]", "prior = [{"),
         ('method = "mle"\n', "", "calibration lacks method"),

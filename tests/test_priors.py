@@ -13,10 +13,9 @@ import rtcal as rt
 from rtcal.acoustics.bands import third_octaves
 from rtcal.acoustics.priors import (
     TIERS,
+    SigmaRule,
     TruncatedNormal,
-    in_situ,
     sigma_iso_12999_2,
-    sigma_relative,
 )
 
 sigmas = st.floats(np.log(1e-6), np.log(10)).map(np.exp)
@@ -120,12 +119,12 @@ def test_iso_12999_2_worked_example() -> None:
 
 
 def test_sigma_rules() -> None:
-    np.testing.assert_allclose(sigma_relative(np.array([0.01, 0.4]), 0.3, 0.01), [0.01, 0.12])
-    np.testing.assert_allclose(in_situ(np.array([0.02]), 1.5), [0.03])
+    rule = SigmaRule(relative=0.3, minimum=0.01, in_situ_factor=1.5)
+    np.testing.assert_allclose(rule.sigma([0.01, 0.4], [500, 1000]), [0.015, 0.18])
     assert list(TIERS.values()) == [0.01, 0.05, 0.1]
-    for bad in (lambda: sigma_relative(np.ones(1), -1), lambda: in_situ(np.ones(1), 0.5)):
-        with pytest.raises(rt.errors.DataError):
-            bad()
+    for bad in ({"relative": -1}, {"in_situ_factor": 0.5}):
+        with pytest.raises(rt.errors.DataError, match=next(iter(bad))):
+            SigmaRule(**bad)
 
 
 ROOM = """\

@@ -10,7 +10,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.marks import agreement, plausibility
-from rtcal.acoustics.priors import TruncatedNormal, in_situ, sigma_iso_12999_2, sigma_relative
+from rtcal.acoustics.priors import SigmaRule, TruncatedNormal, sigma_iso_12999_2
 from rtcal.calibration.terms import SoftMatch
 from rtcal.finder import ChangedMaterial, Configuration
 from rtcal.loop.closed import start
@@ -51,7 +51,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: rt.Air(20, 0.417), r"humidity = 0.417 % looks like a fraction; 41.7 %"),
     (lambda: room(sigma=[[2, 2], [5, 5]]), r'sigma\["a", 500 Hz\] = 2 .* is it in percent'),
     (lambda: room(sigma=[[1e160, 0.1], [0.1, 0.1]]), r"1e\+160 is not in \[0, 1\]"),
-    (lambda: sigma_relative([0.1, 0.2], 30), "fraction = 30 is not from 0 to 1: is it in percent"),
+    (lambda: SigmaRule(relative=30), "relative = 30 is not from 0 to 1: is it in percent"),
     (lambda: SoftMatch(relative=30), "relative = 30 .* at most 1: is it in percent"),
     (lambda: measured(ts=[80, 70]), r"ts, 500 Hz\] = 80 is not from 0 to 10 s: is it in ms"),
     (lambda: measured(d50=[50, 60]), "= 50 is not from 0 to 1: is it in percent"),
@@ -62,8 +62,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     ),
     (lambda: room().replace(volume=True), "volume = True is not a number"),
     (lambda: room(areas=[100, 120], dimensions=(True, 2, 3)), "dimensions = True is not a number"),
-    (lambda: sigma_relative([0.1, 2, -3], 0.3), "alpha has -3, which is not from 0 to 2"),
-    (lambda: in_situ([-1], 1.5), "sigma has -1, which is not from 0 to 1"),
+    (lambda: SigmaRule().sigma([0.1, 2, -3], [1, 2, 3]), "alpha has -3, which is not from 0 to 2"),
     (lambda: sigma_iso_12999_2([-1, 5], [500, 1000]), "alpha has -1, which is not from 0 to 2"),
     (lambda: sigma_iso_12999_2([0.1, 0.2], [500, 1000, 2000]), "its last axis has 3 bands"),
     (

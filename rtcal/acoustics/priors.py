@@ -5,8 +5,9 @@ Which sigma to state:
 - `TIERS`, the paper's three: 0.01 for a painted wall or linoleum, 0.05 for wood panels or a door,
   0.1 for seats and perforated ceilings (Bellows & Katz 2025, Sect. 4.3.1).
 - `sigma_iso_12999_2`: the standard deviation between laboratories for the same specimen, which is the
-  least for a handbook value. `in_situ` enlarges it for another specimen in another mounting.
-- `sigma_relative`: a fraction of alpha, with a minimum.
+  least for a handbook value.
+- `SigmaRule`: a fraction of alpha with a minimum, or ISO 12999-2's, enlarged for another specimen in
+  another mounting.
 """
 
 from __future__ import annotations
@@ -27,9 +28,7 @@ __all__ = [
     "TIERS",
     "SigmaRule",
     "TruncatedNormal",
-    "in_situ",
     "sigma_iso_12999_2",
-    "sigma_relative",
 ]
 __dir__ = __all__.copy
 
@@ -142,22 +141,6 @@ class TruncatedNormal:
         return truncated_moments(self.mu, self.sigma**2, lower, upper, FINE)
 
 
-def sigma_relative(alpha: Array, fraction: float, minimum: float = 0.0) -> Array:
-    """Return max(fraction alpha, minimum), same shape as ``alpha``.
-
-    Raises DataError if an alpha is not from 0 to 2, or fraction or minimum is not from 0 to 1.
-
-    Examples
-    --------
-    >>> print(sigma_relative(np.array([0.02, 0.5]), 0.3, 0.01))
-    [0.01 0.15]
-    """
-    for name, value in (("fraction", fraction), ("minimum", minimum)):
-        percent = ": is it in percent?" if 1 < value <= 100 else ""
-        checks.between(f"sigma_relative: {name}", value, 0, 1, why=percent)
-    return np.maximum(fraction * _coefficients("sigma_relative", alpha), minimum)
-
-
 def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array) -> Array:
     """Return sigma_R = m alpha + n, the reproducibility of ISO 354 between laboratories.
 
@@ -186,10 +169,7 @@ def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array)
     thirds = bands.bandwidth_factor(f) < 0.5
     constants = []
     for frequency in f:
-        wanted = [float(frequency)]
-        if not thirds and frequency in bands.THIRD_OCTAVES:
-            place = bands.THIRD_OCTAVES.index(frequency)
-            wanted = list(bands.THIRD_OCTAVES[max(place - 1, 0) : place + 2])
+        wanted = [float(frequency)] if thirds else bands.thirds_of(float(frequency))
         if any(w not in _ISO_12999_2 for w in wanted):
             raise DataError(
                 f"ISO 12999-2 tabulates third-octaves from 63 to 5000 Hz (octaves from 125 to "
@@ -197,10 +177,10 @@ def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array)
             )
         constants.append(np.mean([_ISO_12999_2[w] for w in wanted], axis=0))
     m, n = np.array(constants).T
-    coefficients = _coefficients("sigma_iso_12999_2", alpha)
+    coefficients = _coefficients(alpha)
     if coefficients.ndim == 0 or coefficients.shape[-1] not in (1, len(f)):
         raise DataError(
-            f"sigma_iso_12999_2: alpha has shape {coefficients.shape}; its last axis has {len(f)} bands"
+            f"ISO 12999-2: alpha has shape {coefficients.shape}; its last axis has {len(f)} bands"
         )
     return np.asarray(m * coefficients + n)
 
@@ -210,7 +190,17 @@ class SigmaRule:
     """A rule for the sigma of materials that state none.
 
     sigma = in_situ_factor * max(relative * alpha, minimum), or with ``iso_12999_2`` the maximum also of
-    ISO 12999-2's sigma_R.
+    ISO 12999-2's sigma_R. The factor is for another specimen, mounting, age or paint.
+
+    Raises
+    ------
+    DataError
+        If ``relative`` or ``minimum`` is not from 0 to 1, or the factor not finite and 1 or more.
+
+    Examples
+    --------
+    >>> print(SigmaRule(minimum=0.01).sigma(np.array([0.02, 0.5]), np.array([500, 1000])))
+    [0.01 0.15]
     """
 
     relative: float = 0.3
@@ -218,12 +208,19 @@ class SigmaRule:
     iso_12999_2: bool = False
     in_situ_factor: float = 1.0
 
+    def __post_init__(self) -> None:
+        for name in ("relative", "minimum"):
+            percent = ": is it in percent?" if 1 < getattr(self, name) <= 100 else ""
+            checks.between(f"sigma: {name}", getattr(self, name), 0, 1, why=percent)
+        if not 1 <= checks.number("in_situ_factor", self.in_situ_factor) < np.inf:
+            raise DataError(f"in_situ_factor = {self.in_situ_factor:g} is not finite and 1 or more")
+
     def sigma(self, alpha: Array, centre_frequencies: Array) -> Array:
-        """Return sigma, (n_bands,)."""
-        sigma = sigma_relative(alpha, self.relative, self.minimum)
+        """Return sigma, (n_bands,); DataError for an alpha that is not from 0 to 2."""
+        sigma = np.maximum(self.relative * _coefficients(alpha), self.minimum)
         if self.iso_12999_2:
             sigma = np.maximum(sigma, sigma_iso_12999_2(alpha, centre_frequencies))
-        return in_situ(sigma, self.in_situ_factor)
+        return np.asarray(self.in_situ_factor * sigma)
 
     def __str__(self) -> str:
         rules = [f"{self.relative:g} alpha", f"{self.minimum:g}"]
@@ -232,27 +229,9 @@ class SigmaRule:
         return f"sigma = {factor}max({', '.join(rules)})"
 
 
-def in_situ(sigma: Array, factor: float) -> Array:
-    """Return ``factor`` times ``sigma``, for another specimen, mounting, age or paint.
-
-    Raises DataError if a sigma is not from 0 to 1, or the factor is not finite and 1 or more.
-
-    Examples
-    --------
-    >>> print(in_situ(np.array([0.02]), 2.0))
-    [0.04]
-    """
-    if not 1 <= checks.number("in-situ factor", factor) < np.inf:
-        raise DataError(f"in-situ factor = {factor:g} is not finite and 1 or more")
-    return np.asarray(factor * _coefficients("in_situ", sigma, "sigma", most=1.0))
-
-
-def _coefficients(function: str, values: Array, name: str = "alpha", most: float = 2.0) -> Array:
-    """Return checked alpha or sigma; laboratories report alpha above 1 (ISO 354: edges absorb too)."""
-    array = checks.array(f"{function}: {name}", values)
-    bad = ~((array >= 0) & (array <= most))
-    if bad.any():
-        raise DataError(
-            f"{function}: {name} has {array[bad][0]:g}, which is not from 0 to {most:g}"
-        )
+def _coefficients(alpha: Array) -> Array:
+    """Return checked alpha; laboratories report values above 1 (ISO 354: edges absorb too)."""
+    array = checks.array("alpha", alpha)
+    if (bad := ~((array >= 0) & (array <= 2))).any():
+        raise DataError(f"alpha has {array[bad][0]:g}, which is not from 0 to 2")
     return array

@@ -17,7 +17,7 @@ from importlib import metadata, resources
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.priors import in_situ, sigma_iso_12999_2
+from rtcal.acoustics.priors import SigmaRule, sigma_iso_12999_2
 from rtcal.acoustics.room import Material
 from rtcal.io import pyroomacoustics
 from rtcal.io.material_list import MaterialList
@@ -128,7 +128,7 @@ def material(
     return Material(
         name=name,
         alpha=alpha.tolist(),
-        sigma=in_situ(sigma, in_situ_factor).tolist(),
+        sigma=(SigmaRule(in_situ_factor=in_situ_factor).in_situ_factor * sigma).tolist(),
         source=entries[name].source,
     )
 
