@@ -278,7 +278,7 @@ def test_a_measured_second_state_makes_the_design_cheaper() -> None:
         (lambda: Target([0.4], [100.5]), "high = 100.5 s is above 100 s"),
         (
             lambda: design(known(), [Treatment("x", PANEL, 2201, cost=1)], TARGET),
-            'treatment "x": largest = 2201 m² is more than 2200 m²',
+            'treatment "x": largest: area = 2201 m² is more than 2200 m²',
         ),
         (lambda: din_18041("A3", 6000, BANDS), "from 30 to 5000"),
         (lambda: din_18041("B1", 100, BANDS), "not one of A1"),
@@ -399,7 +399,10 @@ BOARD = rt.Material("board", [0.4] * 6, [0.1] * 6)
 @pytest.mark.parametrize(
     ("treatment", "rule"),
     [
-        ({"largest": 60, "unit": 52}, 'largest = 60 m² is more than the 51.62 m² of "ceiling"'),
+        (
+            {"largest": 60, "unit": 52},
+            'largest: area = 60 m² is more than the 51.62 m² of "ceiling"',
+        ),
         ({"largest": 1e300}, "is more than the 51.62 m²"),
         ({"largest": 40, "unit": 0.01}, "allows more than 500 panels"),
         ({"largest": 40, "cost": 1e308}, 'treatment "a": cost = 1e\\+308 is not from 0 to 1e\\+09'),

@@ -229,7 +229,7 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
         ('"moderate"', "[0.1]", 'material "floor": sigma has 1 values'),
         ('"moderate"', FLAT, "sigma = 1000"),
         ('sigma = "moderate"', "sigam = 0.1", '"sigam", which has no meaning: is "sigma" meant?'),
-        ('name = "rest"', 'name = "floor"', "is given twice"),
+        ('name = "rest"', 'name = "floor"', 'has "floor" twice'),
         ('name = "rest"', "", "material 2 lacks name"),
         ('source = "a book"', "scattering = 0.3", "scattering"),
         ('source = "a book"', "alpha_min = 0.5", 'alpha["rest", 250 Hz] = 0.1 is below its own'),
@@ -344,7 +344,7 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
         ("alpha = [0.5, 0.7, 0.8]", 'catalogue = "carpet"', 'material "panel": no catalogue'),
         ("sigma = 0.1\n", "", 'material "panel" states no sigma'),
         ('name = "panel"', 'name = "panel"\nsource = 3', 'material "panel": source = 3'),
-        (PANEL, PANEL * 2, 'material "panel" is given twice'),
+        (PANEL, PANEL * 2, 'materials has "panel" twice'),
     ],
     "treatments.toml": [
         (

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from rtcal.acoustics.changes import DIRECTIONS, FREE, UNKNOWN, Placed, least_alpha, placed
+from rtcal.acoustics.changes import DIRECTIONS, FREE, UNKNOWN, Placed, placed
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import (
@@ -137,7 +137,7 @@ class KnownRoom:
             equation=equation,
             materials=tuple(room.materials),
             alpha=room.alpha,
-            quantiles=normal_quantiles(room.alpha, sigma, least_alpha(room)),
+            quantiles=normal_quantiles(room.alpha, sigma, room.least_alpha),
             correlation=correlation,
             time=equation.time(room, room.absorption_area),
             measured=np.zeros(room.n_bands, dtype=bool),
@@ -292,7 +292,7 @@ class TimeChange:
             return before
         names, rows = self.materials[len(known.materials) :], self._new
         errors = _area_errors([*_rooms(known), room], names, self.assumptions)
-        quantiles = normal_quantiles(room.alpha[rows], room.sigma[rows], least_alpha(room)[rows])
+        quantiles = normal_quantiles(room.alpha[rows], room.sigma[rows], room.least_alpha[rows])
         alpha, factor = _draws(
             names, room.alpha[rows], quantiles, errors, self.assumptions, np.eye(len(rows)), DRAWS
         )

@@ -23,8 +23,8 @@ from rtcal.acoustics.room import (
     Room,
     StatedSigma,
     air,
-    by_material,
     material,
+    of_materials,
     refuse_repeats,
 )
 from rtcal.acoustics.scene import Scene
@@ -391,34 +391,15 @@ def with_materials(
     """
     rows = list(range(room.n_materials) if kept is None else kept)
     names, new = [room.materials[i] for i in rows], [f.material for f in further]
-
-    def joined(name: str, own: Array) -> Array:
-        return np.vstack([own[rows], by_material(name, new, room.n_bands)])
-
-    bounded = room.alpha_min is not None or any(np.any(np.asarray(m.alpha_min) > 0) for m in new)
-    scatter = None if any(m.scattering is None for m in new) else room.scattering
     stated = {
-        "materials": [*names, *(m.name for m in new)],
+        **of_materials([*map(room.material, names), *new], room.n_bands),
         "areas": [*(room.areas[rows] if areas is None else areas), *(f.area for f in further)],
         "area_sigma": [*room.area_sigma[rows], *(f.area_sigma for f in further)],
-        "alpha": joined("alpha", room.alpha),
-        "sigma": joined("sigma", room.sigma),
-        "alpha_min": joined("alpha_min", least_alpha(room)) if bounded else None,
-        "scattering": None if scatter is None else joined("scattering", scatter),
         "material_correlation": {
             pair: r for pair, r in room.material_correlation.items() if {*pair} <= {*names}
         },
-        "sources": {
-            **{m: source for m, source in room.sources.items() if m in names},
-            **{m.name: m.source for m in new if m.source},
-        },
     }
     return room.replace(**(stated | changes))
-
-
-def least_alpha(room: Room) -> Array:
-    """Return the lower bounds of alpha, (n_materials, n_bands)."""
-    return np.zeros_like(room.alpha) if room.alpha_min is None else room.alpha_min
 
 
 def new_name(taken: Iterable[str], wanted: str) -> str:
@@ -439,15 +420,7 @@ def _material(room: Room, material: Material | str) -> Material:
     if material == OPENING and OPENING not in room.materials:
         return Material(OPENING, [1.0] * room.n_bands, [0.0] * room.n_bands)
     if isinstance(material, str):
-        row = room.material_index(material)
-        return Material(
-            material,
-            room.alpha[row].tolist(),
-            room.sigma[row].tolist(),
-            0.0 if room.alpha_min is None else room.alpha_min[row].tolist(),
-            None if room.scattering is None else room.scattering[row].tolist(),
-            room.sources.get(material, ""),
-        )
+        return room.material(material)
     if material.name in room.materials:
         row = room.materials.index(material.name)
         for name in ("alpha", "sigma"):
@@ -574,7 +547,8 @@ def read_variants(
     open 2 m² of "windows" None
     """
     file = read(VariantsFile, toml_table(content))
-    new = new_materials(file.material, room, catalogue)
+    refuse_repeats("the file's materials", file.material)
+    new = {table.name: _new_material(table, room, catalogue) for table in file.material}
     variants: list[Variant] = []
     for i, table in enumerate(file.variant, start=1):
         place = f"variant {i}" if table.name is None else f'variant "{table.name}"'
@@ -587,25 +561,10 @@ def read_variants(
             raise DataError(f"{place}: {error}") from error
     if not variants:
         raise DataError("no [[variant]]; the file has at least one")
-    refuse_repeated_names("variants", variants)
-    stated = file.target
-    target = stated and target_of(stated, room.volume, room.centre_frequencies)
-    return tuple(variants), target
-
-
-def refuse_repeated_names(place: str, listed: Sequence[Variant | Treatment]) -> None:
-    """Raise DataError if two variants or treatments have one name."""
-    names = [each.name for each in listed]
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise DataError(f'{place} has "{twice}" twice; each has a name of its own')
-
-
-def new_materials(
-    tables: Sequence[NewMaterial], room: Room, catalogue: Catalogue | None
-) -> dict[str, Material]:
-    """Return the materials that a file states, by name; DataError for a name given twice."""
-    refuse_repeats(tables)
-    return {table.name: _new_material(table, room, catalogue) for table in tables}
+    refuse_repeats("variants", variants)
+    if file.target is None:
+        return tuple(variants), None
+    return tuple(variants), target_of(file.target, room.volume, room.centre_frequencies)
 
 
 def _material_name(key: str, name: str, room: Room, new: Mapping[str, Material]) -> str:
@@ -736,7 +695,8 @@ def read_treatments(
     ('plaster', np.float64(0.6), 0.8)
     """
     file = read(TreatmentsFile, toml_table(content))
-    new = new_materials(file.material, room, catalogue)
+    refuse_repeats("the file's materials", file.material)
+    new = {table.name: _new_material(table, room, catalogue) for table in file.material}
     treatments = []
     for table in file.treatment:
         place = f'treatment "{table.name}": '
@@ -753,22 +713,13 @@ def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treat
     """Return the treatments; DataError for none, two of one name, or one that does not fit the room."""
     listed = tuple(treatments)
     for treatment in listed:
-        if not isinstance(treatment, Treatment):
-            raise DataError(f"treatment = {checks.shown(treatment)} is not a rtcal Treatment")
+        checks.instance("treatment", treatment, Treatment)
     if not listed:
         raise DataError("treatments is empty; there is at least one")
-    refuse_repeated_names("treatments", listed)
+    refuse_repeats("treatments", listed)
     for treatment in listed:
-        if treatment.covers is not None:
-            has = float(room.areas[room.material_index(treatment.covers)])
-            if treatment.largest > has * (1 + 1e-9):
-                raise DataError(
-                    f'treatment "{treatment.name}": largest = {treatment.largest:g} m² is more than '
-                    f'the {has:g} m² of "{treatment.covers}"'
-                )
-        elif treatment.largest > (most := MOST_ADDED * room.total_area):
-            raise DataError(
-                f'treatment "{treatment.name}": largest = {treatment.largest:g} m² is more than '
-                f"{most:g} m², {MOST_ADDED:g} times the room's surface"
-            )
+        try:
+            treatment.change(treatment.largest).exchanged(room)
+        except DataError as error:
+            raise DataError(f'treatment "{treatment.name}": largest: {error}') from error
     return listed

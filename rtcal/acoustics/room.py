@@ -526,6 +526,23 @@ class Room:
             raise DataError(f'{place}"{name}" is no material of room "{self.name}"; it has {known}')
         return self.materials.index(name)
 
+    def material(self, name: str) -> Material:
+        """Return the material ``name``; DataError as `material_index`."""
+        row = self.material_index(name)
+        return Material(
+            name,
+            self.alpha[row].tolist(),
+            self.sigma[row].tolist(),
+            0.0 if self.alpha_min is None else self.alpha_min[row].tolist(),
+            None if self.scattering is None else self.scattering[row].tolist(),
+            self.sources.get(name, ""),
+        )
+
+    @property
+    def least_alpha(self) -> Array:
+        """The lower bounds of alpha, (n_materials, n_bands)."""
+        return np.zeros_like(self.alpha) if self.alpha_min is None else self.alpha_min
+
     def material_rows(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the rows of materials, (n,); DataError as `material_index`."""
         return np.array([self.material_index(name) for name in names], dtype=np.int64)
@@ -628,10 +645,8 @@ def stacked(
     for kind, members in ((Surface, surfaces), (Material, materials)):
         for i, member in enumerate(members):
             checks.instance(f"{kind.__name__.lower()}s[{i}]", member, kind)
+    refuse_repeats("materials", materials)
     by_name = {m.name: m for m in materials}
-    if len(by_name) < len(materials):
-        twice = next(m.name for m in materials if by_name[m.name] is not m)
-        raise DataError(f'material "{twice}" is given twice')
     for surface in surfaces:
         if surface.material not in by_name:
             raise DataError(
@@ -644,30 +659,37 @@ def stacked(
         raise DataError(
             f'scattering["{lacking[0]}"] is missing; state it for every material or for none'
         )
-    n_bands = len(centre_frequencies)
-    floors = by_material("alpha_min", used, n_bands)
     return {
-        "materials": [m.name for m in used],
+        **of_materials(used, len(centre_frequencies)),
         "areas": [float(np.sum([s.area for s in surfaces if s.material == m.name])) for m in used],
-        "alpha": by_material("alpha", used, n_bands),
-        "sigma": by_material("sigma", used, n_bands),
-        "alpha_min": floors if floors.any() else None,
-        "scattering": None if lacking else by_material("scattering", used, n_bands),
         "surfaces": tuple(surfaces),
-        "sources": {m.name: m.source for m in used if m.source},
     }
 
 
-def by_material(name: str, materials: Sequence[Material], n_bands: int) -> Array:
-    """Return a field of materials, (n_materials, n_bands), or raise DataError naming the material."""
-    rows = np.empty((len(materials), n_bands))
-    for row, material in zip(rows, materials, strict=True):
-        place = f'{name}["{material.name}"]'
-        values = checks.array(place, getattr(material, name))
-        if values.shape != (n_bands,) and (name != "alpha_min" or values.ndim):
-            raise DataError(f"{place} has {values.size} values; the room has {n_bands} bands")
-        row[:] = values
-    return rows
+def of_materials(materials: Sequence[Material], n_bands: int) -> dict[str, Any]:
+    """Return the arguments of `Room` that materials state; DataError for another number of bands.
+
+    Without scattering of all materials there is none.
+    """
+    tables: dict[str, Any] = {}
+    for name in ("alpha", "sigma", "alpha_min", "scattering"):
+        rows = np.empty((len(materials), n_bands))
+        for row, material in zip(rows, materials, strict=True):
+            place = f'{name}["{material.name}"]'
+            if getattr(material, name) is None:
+                row[:] = np.nan
+                continue
+            values = checks.array(place, getattr(material, name))
+            if values.shape != (n_bands,) and (name != "alpha_min" or values.ndim):
+                raise DataError(f"{place} has {values.size} values; the room has {n_bands} bands")
+            row[:] = values
+        tables[name] = rows
+    return tables | {
+        "materials": [m.name for m in materials],
+        "alpha_min": tables["alpha_min"] if tables["alpha_min"].any() else None,
+        "scattering": None if np.isnan(tables["scattering"]).any() else tables["scattering"],
+        "sources": {m.name: m.source for m in materials if m.source},
+    }
 
 
 def in_order(place: str, value: Any, materials: Sequence[str], frequencies: Array) -> Any:
@@ -997,7 +1019,7 @@ def _of_text(text: str) -> dict[str, Any]:
     frequencies = bands.as_bands(file.centre_frequencies)
     surfaces = _surfaces(file.surface)
     covered = {surface.material for surface in surfaces}
-    refuse_repeats(file.material)
+    refuse_repeats("material", file.material)
     for m in file.material:
         if m.area is not None and m.name in covered:
             raise DataError(f'area["{m.name}"] is given, and its surfaces too; give one')
@@ -1022,11 +1044,11 @@ def _of_text(text: str) -> dict[str, Any]:
     }
 
 
-def refuse_repeats(materials: Sequence[Any]) -> None:
-    """Raise DataError for two materials of a file with one name."""
-    names = [m.name for m in materials]
+def refuse_repeats(place: str, named: Sequence[Any]) -> None:
+    """Raise DataError if two of what has a ``name`` have the same."""
+    names = [each.name for each in named]
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise DataError(f'material "{twice}" is given twice')
+        raise DataError(f'{place} has "{twice}" twice; each has a name of its own')
 
 
 def material(table: MaterialTable, frequencies: Array, prior: PriorTable | None) -> Material:

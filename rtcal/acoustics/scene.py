@@ -169,7 +169,7 @@ class Scene:
             sources=tables.sources or {},
             receivers=tables.receivers or {},
             directivity={
-                name: of if isinstance(of, str) else of.directivity(f'directivity["{name}"]')
+                name: UNKNOWN if isinstance(of, str) else of.directivity(f'directivity["{name}"]')
                 for name, of in tables.directivity.items()
             },
         )
@@ -456,4 +456,4 @@ class Lobe(FileTable):
 
 def plain_directivities(stated: Mapping[str, Any]) -> dict[str, Any]:
     """Return the sources' directivities as plain values, as a room's file states them."""
-    return {name: of if isinstance(of, str) else of.to_dict() for name, of in stated.items()}
+    return {name: UNKNOWN if isinstance(of, str) else of.to_dict() for name, of in stated.items()}

@@ -42,7 +42,6 @@ from rtcal.acoustics.changes import (
     Variant,
     changed,
     name_of,
-    refuse_repeated_names,
 )
 from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import (
@@ -54,7 +53,7 @@ from rtcal.acoustics.observables import (
     parameter_label,
 )
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Room, refuse_repeats
 from rtcal.acoustics.room_errors import Assumptions, value_changes
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.calibration.fit import GaussNewtonStep
@@ -979,7 +978,7 @@ def predict_positions(
     variants = checks.listed("variants", variants)
     for i, variant in enumerate(variants):
         checks.instance(f"variants[{i}]", variant, Variant)
-    refuse_repeated_names("variants", variants)
+    refuse_repeats("variants", variants)
     assumed = Assumptions() if assumptions is None else assumptions
     every = (Variant(_BEFORE, ()), *variants)
     rooms = [ChangedRoom(result.prior, tuple(v.changes), assumed) for v in every]

@@ -17,9 +17,9 @@ from scipy.stats import multivariate_normal
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.changed_time import KnownRoom, TimeChange, probability_within
-from rtcal.acoustics.changes import Change, Placed, Variant, placed, refuse_repeated_names
+from rtcal.acoustics.changes import Change, Placed, Variant, placed
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Room, refuse_repeats
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.targets import Target
 from rtcal.files.disk import json_numbers
@@ -509,7 +509,7 @@ def compare(
     >>> compare(result, [Variant("window open", (Change(open="windows", area=2.0),))])
     <Predictions: window open>
     """
-    refuse_repeated_names("variants", variants)
+    refuse_repeats("variants", variants)
     room_known = known_room(known, equation)
     made = tuple(
         predict(room_known, v.changes, assumptions=assumptions, name=v.name) for v in variants
