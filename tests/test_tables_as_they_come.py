@@ -402,7 +402,7 @@ def test_rows_are_of_the_parameter_that_they_say(name: str, stated: str | None) 
         assert table.measurement.values[own][0] == pytest.approx(factor * np.array(values))
         assert {*table.measurement.values} == {own}
         return
-    rule = f'parameter="{stated}" is stated, and where=.* says' if own else "has no use for"
+    rule = f'parameter="{stated}" is not used, since .* its own' if own else "has no use for"
     with pytest.raises(DataError, match=rule):
         tables.parse(content, "room.txt", where=where, parameter=stated)
 

@@ -111,6 +111,7 @@ ARGUMENTS = (
     "decay_time",
     "parameter",
     "ignore",
+    "columns",
     "n_sources",
     "n_receivers",
     "repeats",

@@ -165,6 +165,12 @@ def _positions_text(responses: tuple[str, ...]) -> str:
     several("where", "COLUMN=ENTRY", "Read only rows with this entry."),
     several("ignore", "COLUMN", "Leave a column out."),
     click.option(
+        "--columns",
+        metavar="MEANINGS",
+        help="What each column holds, where no header says it: 'from line 3: receiver; T20 [ms] at 500 "
+        "Hz; -'. A refusal proposes it.",
+    ),
+    click.option(
         "--sources",
         "n_sources",
         type=click.IntRange(1),

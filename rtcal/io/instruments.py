@@ -1,4 +1,4 @@
-"""Decay times as Room EQ Wizard (REW) and NTi Audio's XL2 export them in text.
+"""The text of Room EQ Wizard (REW), NTi Audio's XL2 and Aurora, which need more than their cells.
 
 REW's (File, Export, RT60 data as text) is also of several measurements. Each is a block: "RT60 data
 saved by REW", lines such as "Measurement: S1R1", a line "Format is freq (Hz), BW (octaves), EDT (s), r,
@@ -10,6 +10,9 @@ The XL2's (``..._RT60_..._Report.txt``) is of one position: its averages over so
 every decay. Read are the averages. "MeasUnct" is the standard uncertainty of ISO 3382-2:2008, Eq. 3
 with N = 1 position and n decays, 0.88 sqrt((1 + 1.90 / n) / (B T)) for T20: so it is in the four
 reports of firmware 4.94 that were at hand, which their owner has published. No manual was at hand.
+
+Aurora's "ISO3382 Acoustical Parameter File" has a row per parameter, and tables of several channels
+below each other; or a row per file, in which D50 is in percent and Ts in ms without saying so.
 """
 
 from __future__ import annotations
@@ -18,9 +21,9 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import PureWindowsPath
 
+from rtcal.acoustics.observables import D50, Ts
 from rtcal.io.table_columns import OPEN, column_of, position_in
-from rtcal.io.table_layout import Row, Sheet
-from rtcal.io.text import Text, decode, lines, number, shown
+from rtcal.io.text import Row, Sheet, Text, decode, lines, number, sheets_of_text, shown
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 
@@ -33,8 +36,8 @@ _MOST_BENT = 6
 
 
 def claims(content: bytes) -> bool:
-    """Return whether a file is REW's text of decay times, or the XL2's report of them."""
-    return _is_of_rew(content) or _XL2 in content[:200]
+    """Return whether a file is REW's text of decay times, the XL2's report of them, or Aurora's."""
+    return _is_of_rew(content) or _XL2 in content[:200] or _AURORA in content[:200]
 
 
 def _is_of_rew(content: bytes) -> bool:
@@ -47,6 +50,8 @@ def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
     A file of REW's that has octaves and third-octaves needs ``where={"BW (octaves)": "1/3"}``.
     """
     text = decode(content, path)
+    if _AURORA in content[:200]:
+        return [_of_aurora(sheets_of_text(text, path)[0])]
     numbered = [(n, raw.strip()) for n, _, raw in lines(text.characters)]
     if not _is_of_rew(content):
         return [_averages(numbered, path, text)]
@@ -221,3 +226,40 @@ def _contradictions(rows: list[Row], decays: dict[str, list[float]]) -> list[str
     if not off:
         return []
     return [f"averages that are not the mean of the report's decays: {', '.join(off)}"]
+
+
+_AURORA = b"ISO3382 Acoustical Parameter File"
+_CHANNEL = re.compile(r"(?:.*\s)?(?:ch|channel)\s*(\d+)(?:\s.*)?", re.I)
+_WITHOUT_UNIT = {D50.key: "[%]", Ts.key: "[ms]"}
+
+
+def _with_unit(name: str) -> str:
+    """Return the name of a parameter and its band, such as D50_500, with the unit that it lacks."""
+    column = column_of(name)
+    unit = _WITHOUT_UNIT.get(column.parameter, "") if column and not column.unit else ""
+    return name.replace("_", f" {unit}_", 1) if unit else name
+
+
+def _of_aurora(sheet: Sheet) -> Sheet:
+    """Return Aurora's tables as one, with a column of channels where there are several."""
+    rows: list[Row] = []
+    channels: list[str] = []
+    channel = ""
+    for line, cells in sheet.rows:
+        while cells and not cells[-1]:
+            cells = cells[:-1]
+        if named := _CHANNEL.fullmatch(cells[0]):
+            channel = named[1]
+        if cells[0] == "Filename" and not rows:
+            rows.append((line, [_with_unit(name) for name in cells]))
+        elif rows and len(cells) == len(rows[0][1]) and cells[0] != "Filename":
+            rows.append((line, cells))
+            channels.append(channel)
+    if len(rows) < 2:
+        raise DataError(
+            f'{sheet.place}, line 1: Aurora\'s line "Filename" and rows below it are missing'
+        )
+    if len({*channels}) > 1:
+        named_rows = zip(rows, ["channel number", *channels], strict=True)
+        rows = [(line, [*cells, number]) for (line, cells), number in named_rows]
+    return Sheet(sheet.place, tuple(rows), f"Aurora's parameters, {sheet.note}")

@@ -40,9 +40,8 @@ from rtcal.io.table_columns import (
     plain,
     statistic_of,
 )
-from rtcal.io.table_layout import Sheet
 from rtcal.io.tables import sheets_of
-from rtcal.io.text import MAX_TEXT, Text, number, shown
+from rtcal.io.text import MAX_TEXT, Sheet, Text, number, shown
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
@@ -25,6 +25,7 @@ from rtcal.acoustics.observables import (
     parameter_label,
 )
 from rtcal.io.text import shown
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 _WORDS: dict[str, dict[str, frozenset[str]]] = {
@@ -90,7 +91,6 @@ _REPEAT = re.compile(
     r"(.*?\d)(?:\s*\((\d+)\)|_(\d+)|[\s_]+(?:sweep|take|run|rep|repeat|messung|wdh)[\s_.-]*(\d+))",
     re.I | re.ASCII,
 )
-_CHANNEL = re.compile(r"(?<![A-Za-z])(?:ch|channel)[\s._]*(\d+)(?!\w)", re.I | re.ASCII)
 _BRACKETS = re.compile(r"([^\[\](]*(?:\(\d+\))?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
 _UNIT_WITHIN = re.compile(r"([^\[\](]*\S)\s*[\[(]\s*(%|percent|m?s|sec|db)\s*[\])]\s*(\S.*)", re.I)
 _SUFFIX = re.compile(r"(.*?\S)(?:\s*/\s*|\s+in\s+|\s+|_)(%|percent|k?hz|m?s|sec|db)", re.I)
@@ -229,19 +229,15 @@ class Column:
     Parameters
     ----------
     kind : str
-        "data" for a column of values of the ``parameter``, the ``band`` or both. Other columns hold:
-        "source", "receiver", "parameter", "band", "value", "unit", "statistic", "uncertainty",
-        "common_uncertainty", "standard_deviation", "sources", "receivers" or "file", whose name may
-        have source and receiver in it; "" for an ignored column.
+        "value" for a column of values, else what stands in its cells beside the values of a row
+        (``words.toml``); "" for a column that is left out.
     header : str
     parameter : str
-        Empty if each row names it.
+        Of values; empty if each row names it, `OPEN` if the name does not say which decay time it is.
     band : float
-        In Hz; NaN if each row names it.
+        Of values in Hz; NaN if each row names it.
     unit : str
         Empty if the header has none.
-    is_open : bool
-        Whether the header, such as "RT60", does not say which decay time it is.
     source, receiver : str
         The position of all values of the column, such as "S1R2"; empty if each row names it.
     wrong : str
@@ -253,7 +249,6 @@ class Column:
     parameter: str = ""
     band: float = np.nan
     unit: str = ""
-    is_open: bool = False
     source: str = ""
     receiver: str = ""
     wrong: str = ""
@@ -266,16 +261,19 @@ class Column:
     @property
     def has_values(self) -> bool:
         """Whether the column's cells are measured values."""
-        return self.kind in ("data", "value")
+        return self.kind == "value"
+
+    @property
+    def _stated(self) -> tuple[bool, bool, bool]:
+        """Whether the header names the parameter, the band and the position of values."""
+        return bool(self.parameter), self.has_band, bool(self.receiver)
 
     def completed(self, below: Column) -> Column | None:
-        """Return the column of two merged headers, such as one with the parameter, one with the band.
+        """Return the column of two headers above each other, of which one has what the other lacks.
 
         None for headers that are no values, that state the same, or of which one states nothing.
         """
-        if self.kind != "data" or below.kind != "data":
-            return None
-        both = [(bool(c.parameter), c.has_band, bool(c.receiver)) for c in (self, below)]
+        both = self._stated, below._stated
         if not all(map(any, both)) or any(a and b for a, b in zip(*both, strict=True)):
             return None
         named, placed = (self if self.parameter else below), (self if self.receiver else below)
@@ -287,20 +285,111 @@ class Column:
             receiver=placed.receiver,
         )
 
-    def description(self, stated: str | None) -> str:
-        """Return the meaning of the column in words; ``stated`` is the user's parameter."""
-        content = self.kind.replace("_", " ") or "left out"
-        if self.kind == "data":
-            name = self.parameter or stated
-            content = parameter_label(name) if name else "the row's parameter"
-            if self.has_band:
-                content += f" at {bands.label(self.band)}"
-            if self.receiver:
-                content += f" of {self.source or 'S1'} to {self.receiver}"
-            scale = scale_of(self.parameter, self.unit) if self.parameter else 1
-            if scale != 1:
-                content += f", times {scale:g}"
-        return f'"{self.header}": {content}'
+    @property
+    def meaning(self) -> str:
+        """The meaning in words, which `stated` reads: "T20 [ms] at 500 Hz of S1 to R1"."""
+        if not self.kind:
+            return "left out"
+        name = self.kind.replace("_", " ")
+        if self.parameter:
+            name = "RT60" if self.parameter == OPEN else parameter_label(self.parameter)
+        unit = f" [{self.unit}]" if self.unit else ""
+        band = f" at {bands.label(self.band)}" if self.has_band else ""
+        position = " to ".join(filter(None, (self.source, self.receiver)))
+        return name + unit + band + (f" of {position}" if position else "")
+
+
+def stated(text: str) -> Column:
+    """Return the column of a meaning as `Column.meaning` has it, or of a usual header.
+
+    Raises DataError for another text.
+
+    Examples
+    --------
+    >>> stated("T20 [ms] at 500 Hz of S1 to Row 5").receiver, stated("band [kHz]").kind
+    ('Row 5', 'band')
+    """
+    text = text.strip()
+    if text in ("", "-", "left out"):
+        return Column("", text)
+    of = _OF.fullmatch(text)
+    name = (of[1] if of else text) or "value"
+    column = column_of(re.sub(r"^value at ", "", name))
+    if column is None or column.wrong or (of and not column.has_values):
+        raise DataError(
+            f'"{shown(text)}" is no meaning of a column{": " * bool(column and column.wrong)}'
+            f"{column.wrong if column else ''}; it is as {_EXAMPLES}"
+        )
+    return replace(column, header=text, source=of[2] or "", receiver=of[3]) if of else column
+
+
+_OF = re.compile(r"(?:(.*?)\s+)?of\s+(?:(.+?)\s+to\s+)?(.+)")
+_EXAMPLES = (
+    '"band", "receiver", "T20 [s]", "T20 [ms] at 500 Hz of S1 to R1", or "-" if it is left out'
+)
+
+
+def columns_of(header: Sequence[str], extra: Collection[str] = ()) -> list[Column | None]:
+    """Return the column of each cell of a header, None for an unknown one.
+
+    "R2" is a correlation, or a receiver among headers of which another is one. A statistic such as
+    "Mean" among positions is left out. ``extra`` are headers that may be unknown.
+    """
+    places = [position_of(name) for name in header]
+    several = any(p and not is_unused(name) for p, name in zip(places, header, strict=True))
+    columns: list[Column | None] = []
+    for i, (name, place) in enumerate(zip(header, places, strict=True)):
+        if place and several:
+            columns.append(Column("value", name, source=place[0], receiver=place[1]))
+        elif i and any(places) and statistic_of(name) is not None:
+            doubt = f'column "{shown(name)}" may be a statistic or a position'
+            columns.append(Column("", name, wrong=doubt if is_doubtful(name, ["?"]) else ""))
+        else:
+            column = column_of(name) if name else None
+            columns.append(column or (Column("", name) if name in extra else None))
+    return columns
+
+
+def joined(top: Sequence[str], below: Sequence[str]) -> list[Column] | None:
+    """Return the columns of a header of two lines, None where they are not one header.
+
+    The lower line adds the unit, or what the upper one lacks: the band, the parameter, the position. A
+    cell of the upper line that is merged over several columns has its name in the first of them.
+    """
+    width = max((i + 1 for row in (top, below) for i, cell in enumerate(row) if cell), default=0)
+    top, below = ([*row, *[""] * width][:width] for row in (top, below))
+    if named := with_units(top, below):
+        found = columns_of(named)
+        return [c for c in found if c] if None not in found else None
+    first = next(i for i, cell in enumerate(top) if cell)
+    if all(top[i] or not below[i] for i in range(first, width)):
+        return None
+    for i in range(first + 1, width):
+        top[i] = top[i] or top[i - 1]
+    columns, completed = [], 0
+    for over, under in zip(columns_of(top), columns_of(below), strict=True):
+        both = over.completed(under) if over and under else None
+        column = both or (under if under or not over or over.has_values else over)
+        if over and not over.kind and over.header:
+            column = over  # such as the mean of the positions beside it
+        if column is None or column.wrong:
+            return None
+        completed += both is not None
+        columns.append(column)
+    return columns if completed > 1 else None
+
+
+def with_units(
+    header: Sequence[str], below: Sequence[str], words: Collection[str] = UNIT_WORDS
+) -> list[str] | None:
+    """Return the headers with the units below them; None if a cell below is none of the words."""
+    units = [cell.strip("[]()") for cell in below]
+    if any(u and u.lower() not in words for u in units) or all(cell in "-1" for cell in below):
+        return None
+    return [
+        f"{h} [{u}]" if u and name_and_unit(h)[1].lower() != u.lower() else h
+        for h, u in zip(header, units, strict=True)
+    ]
 
 
 def column_of(header: str) -> Column | None:
@@ -316,13 +405,14 @@ def column_of(header: str) -> Column | None:
     name, unit = name_and_unit(header)
     if unit.lower() not in UNIT_WORDS and plain(header) in parameters():  # as in "RT60 (T20)"
         name, unit = header, ""
-    frequency = frequency_of(name if unit.lower() in ("", "hz", "khz") else header)
+    of_band = unit.lower() in ("hz", "khz")
+    in_hz = 1000 if unit.lower() == "khz" else 1
+    frequency = frequency_of(name if of_band or not unit else header)
     if frequency is not None:
-        frequency *= 1000 if unit.lower() == "khz" else 1
-        if frequency < LEAST_BAND:
+        if in_hz * frequency < LEAST_BAND:
             wrong = "is no band; is the line with the names of the columns missing?"
-            return Column("data", header, wrong=f'column "{shown(header)}" {wrong}')
-        return _of_values(header, band=frequency)
+            return Column("value", header, wrong=f'column "{shown(header)}" {wrong}')
+        return _of_values(header, band=in_hz * frequency)
     if plain(name) in COLUMNS:
         kind = COLUMNS[plain(name)]
         units = {"band": ("", "hz", "khz"), "value": UNIT_WORDS | {""}, "": (unit.lower(),)}
@@ -332,14 +422,12 @@ def column_of(header: str) -> Column | None:
     if is_unused(header) or _is_of_whole_range(name):
         return Column("", header)
     if position := position_of(header):
-        return Column("data", header, source=position[0], receiver=position[1])
+        return Column("value", header, source=position[0], receiver=position[1])
     if parameter := parameter_of(name):
         return _of_values(header, parameter, unit=unit)
     both = _BOTH.fullmatch(name)
     if both and (parameter := parameter_of(both[1])) and (frequency := frequency_of(both[2])):
-        in_khz, of_band = unit.lower() == "khz", unit.lower() in ("hz", "khz")
-        frequency *= 1000 if in_khz else 1
-        return _of_values(header, parameter, frequency, "" if of_band else unit)
+        return _of_values(header, parameter, in_hz * frequency, "" if of_band else unit)
     return None
 
 
@@ -350,8 +438,7 @@ def _of_values(header: str, parameter: str = "", band: float = np.nan, unit: str
         nearest = nearest_band(band)
         wrong = wrong or ("" if nearest else no_band(band))
         band = nearest or band
-    is_open = parameter == OPEN
-    return Column("data", header, parameter, band, unit, is_open=is_open, wrong=wrong)
+    return Column("value", header, parameter, band, unit, wrong=wrong)
 
 
 def wrong_unit(parameter: str, unit: str) -> str:
@@ -446,18 +533,6 @@ def position_in(text: str) -> tuple[str, str] | None:
     """
     both = re.search(rf"(?<![A-Za-z0-9]){_POSITION.pattern}(?![A-Za-z0-9])", text, _POSITION.flags)
     return (both[1], both[2]) if both else None
-
-
-def channel_in(text: str) -> str | None:
-    """Return the channel's number in a title or a position's name; None without one.
-
-    Examples
-    --------
-    >>> channel_in("S1_R1 Ch 2"), channel_in("Channel 1 Parameters"), channel_in("Church 2")
-    ('2', '1', None)
-    """
-    match = _CHANNEL.search(text) if len(text) <= MAX_HEADER else None
-    return match[1] if match else None
 
 
 def is_unused(text: str) -> bool:

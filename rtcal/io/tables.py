@@ -1,8 +1,9 @@
 """Tables of measured values, as measuring systems and spreadsheets write them.
 
-A format is one module that turns a file into `Sheet`s of cells: text with separators (CSV,
-`table_layout`), workbooks (`workbook`, xlsx), and REW's and the XL2's text (`instruments`). What the
-cells mean is decided here, in all formats alike. The header decides between five shapes:
+A format makes `rtcal.io.text.Sheet`s of cells of a file: text with separators (CSV), workbooks
+(`workbook`, xlsx), and the text of REW, the XL2 and Aurora (`instruments`). What the cells mean is
+decided here, in all formats alike, in three steps: cells, the columns of a header (`table_columns`),
+values. The header decides between five shapes:
 
 - *long*: one value per row, in the columns of the native file or their usual spellings;
 - *bands across*: one row per parameter or position, one column per band;
@@ -12,16 +13,18 @@ cells mean is decided here, in all formats alike. The header decides between fiv
 
 A parameter or a position that neither rows nor columns name may be the name of the sheet, or a title
 above the header. Columns of text are separated by ``;``, tab or ``,``. Decimals may have a comma if
-columns are not separated by commas, or if the cell is quoted. Nothing is guessed: the result describes
-how each column was read, and an error names what the user must state.
+columns are not separated by commas, or if the cell is quoted. Any other header is refused: the message
+proposes ``columns``, the meaning of each column in their order, with which the file is read.
 """
 
 from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 from rtcal.acoustics import bands
@@ -34,7 +37,7 @@ from rtcal.acoustics.measurement import (
     places_of,
     require_repeats,
 )
-from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, TARGET, parameter_label
+from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, parameter_label
 from rtcal.files.disk import read_bytes, write_bytes
 from rtcal.io import instruments, workbook
 from rtcal.io.analysis import means, unusual
@@ -45,12 +48,13 @@ from rtcal.io.table_columns import (
     OPEN,
     WHOLE_RANGES,
     Column,
-    channel_in,
     column_of,
+    columns_of,
     frequency_of,
     is_doubtful,
     is_missing,
     is_unused,
+    joined,
     name_and_unit,
     nearest_band,
     no_band,
@@ -59,20 +63,14 @@ from rtcal.io.table_columns import (
     plain,
     position_in,
     position_of,
+    repeat_of,
     scale_of,
+    stated,
     statistic_of,
     with_repeats,
     wrong_unit,
 )
-from rtcal.io.table_layout import (
-    CellTable,
-    Sheet,
-    has_header,
-    open_decay_time,
-    sheet_of_text,
-    tables_of,
-)
-from rtcal.io.text import decode, number, shown, unit_of
+from rtcal.io.text import Row, Sheet, decode, number, sheets_of_text, shown, unit_of
 from rtcal.support import checks
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
@@ -84,18 +82,22 @@ __dir__ = __all__.copy
 MAX_PAIRS = 5000
 MAX_BYTES = 2**22
 """Largest size of a table in bytes; a workbook of 5000 positions, compressed, is a tenth of it."""
-_MOST_COLUMNS = 20
-"""Largest number of columns that a message names."""
-_MOST_STATISTICS = 6
-"""Largest number of rows of statistics that a message names."""
-_LEAST_VALUES = 3
-"""Of a parameter without a unit, that tell it."""
+MAX_COLUMNS = 1000
+MAX_LINES_BEFORE_HEADER = 40
+_MOST_NAMED = 6
+"""Largest number of columns or statistics that a message names."""
 _OTHER_UNITS = {"s": "ms", "": "%"}
 """The unit in which programs write a parameter, too."""
 _SPREADS = ("uncertainty", "common_uncertainty", "standard_deviation")
 _NUMBER = re.compile(
     r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII
 )
+_UNUSED = "left out, since rtcal has no use for it"
+_BARE_NUMBER = re.compile(r"[\d.,]+")
+_WORD = re.compile(r"[A-Za-z]")
+_INDEX = re.compile(r"Unnamed: \d+")
+"""The header of a column of row numbers that pandas has written and read again."""
+_FROM_LINE = re.compile(r"\s*from line (\d+):(.*)", re.DOTALL)
 
 FORMATS: list[Any] = [workbook, instruments]
 """Formats beside text with separators. Each has ``claims(content)`` and
@@ -127,12 +129,13 @@ class MeasuredTable:
 
 @dataclass(frozen=True, kw_only=True)
 class _Options:
-    """What the user states of tables; see `read`."""
+    """What the user states of tables, as `read` takes it."""
 
     decay_time: str | None = None
     parameter: str | None = None
     where: Mapping[str, str] = field(default_factory=dict)
     ignore: Collection[str] = ()
+    columns: str = ""
     n_sources: int | None = None
     n_receivers: int | None = None
     repeats: bool = False
@@ -146,11 +149,17 @@ class _Options:
             if getattr(self, name) is not None:
                 checks.whole(name, getattr(self, name), 1)
         checks.flag("repeats", self.repeats)
+        checks.text("columns", self.columns)
         object.__setattr__(self, "where", checks.text_by_name("where", self.where))
         for name in ("ignore", "sheets"):
             texts = getattr(self, name)
             texts = (texts,) if isinstance(texts, str) else checks.texts(name, texts)
             object.__setattr__(self, name, texts)
+
+    @property
+    def extra(self) -> set[str]:
+        """The headers of columns that may hold no values."""
+        return {*self.where, *self.ignore}
 
     @property
     def counts(self) -> dict[str, float]:
@@ -160,16 +169,7 @@ class _Options:
 
 
 def read(
-    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
-    *,
-    decay_time: str | None = None,
-    parameter: str | None = None,
-    where: Mapping[str, str] | None = None,
-    ignore: Collection[str] = (),
-    n_sources: int | None = None,
-    n_receivers: int | None = None,
-    repeats: bool = False,
-    sheets: Collection[str] = (),
+    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], **options: Any
 ) -> MeasuredTable:
     """Return the measurement of a table, or of several: one per position, as REW exports them.
 
@@ -185,9 +185,13 @@ def read(
         Selects rows by the entry of a column: ``{"room": "CR2"}``.
     ignore : collection of str, optional
         Columns to ignore.
+    columns : str, optional
+        What each column holds, in their order, where no header says it, and the first line of values
+        (by default the second): ``"from line 3: receiver; T20 [ms] at 500 Hz; -"``. A refusal proposes
+        it.
     n_sources, n_receivers : int, optional
         Numbers of sources and receivers, if the values are means over several pairs.
-    repeats : bool
+    repeats : bool, optional
         Whether several values of one pair, parameter and band are repeats, and averaged. Else they are
         refused, unless their names are ``R1``, ``R1#2`` and so on. Refused where nothing is repeated.
     sheets : collection of str, optional
@@ -201,46 +205,48 @@ def read(
         For a workbook (xlsx) without openpyxl.
     """
     paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
-    return parse(
-        {os.fspath(checks.path("path", p)): read_bytes(p, MAX_BYTES) for p in paths},
-        decay_time=decay_time,
-        parameter=parameter,
-        where=where,
-        ignore=ignore,
-        n_sources=n_sources,
-        n_receivers=n_receivers,
-        repeats=repeats,
-        sheets=sheets,
-    )
+    contents = {os.fspath(checks.path("path", p)): read_bytes(p, MAX_BYTES) for p in paths}
+    return parse(contents, **options)
 
 
 def parse(
-    content: bytes | Mapping[str, bytes], path: str = "table", **stated: Any
+    content: bytes | Mapping[str, bytes], path: str = "table", **options: Any
 ) -> MeasuredTable:
-    """Return the measurement of a table's content, or of several by their names.
-
-    ``stated`` are the options of `read`.
-    """
+    """Return the measurement of a table's content, or of several by their names, as `read` does."""
     checks.text("path", path)
     contents = {path: content} if isinstance(content, bytes) else checks.mapped("content", content)
     if not contents:
         raise DataError("no table is given")
-    options = _Options(**{name: value for name, value in stated.items() if value is not None})
-    found: list[CellTable] = []
+    stated = _Options(**{name: value for name, value in options.items() if value is not None})
+    found: list[_Table] = []
     notes: list[str] = []
     for path, content in contents.items():
         checks.content(checks.text("content: a name", path), content)
-        of_file, left_out = _tables(content, path, options)
+        of_file, left_out = _of_file(content, path, stated)
         found += of_file
         notes += left_out
-    if not options.sheets:
+    if not stated.sheets:
         found, left_out = _of_places(found)
         notes += left_out
-    _check_options(found, options)
-    names = [t for table in found for t in table.titles]
-    names += [n for table in found for n in table.cells("receiver") if position_in(n)]
-    several = len({*filter(None, map(channel_in, names))}) > 1
-    return _measured([_Reader(table, options, several) for table in found], notes, options)
+    place, headers = found[0].place, [c.header for table in found for c in table.columns]
+    if missing := [name for name in stated.ignore if name not in headers]:
+        raise DataError(
+            f'{place}: ignore="{shown(missing[0])}" is no column; they are {_quoted(headers)}'
+        )
+    readers = [_Reader(table, stated) for table in found]
+    table = _measured(readers, notes, stated)
+    own = {*table.measurement.values} - {stated.parameter}
+    if stated.parameter is not None and own and not any(reader.parameter for reader in readers):
+        raise DataError(
+            f'{place}: parameter="{stated.parameter}" is not used, since the table names its own: '
+            f"{', '.join(map(parameter_label, own))}; leave it out"
+        )
+    if stated.decay_time is not None and not any(reader.was_open for reader in readers):
+        raise DataError(
+            f'{place}: decay_time="{stated.decay_time}" is not used, since nothing in the table is '
+            "called RT60 or T60; leave it out"
+        )
+    return table
 
 
 def measurement(path: str | os.PathLike[str]) -> MeasuredTable:
@@ -268,26 +274,61 @@ def sheets_of(
     content: bytes,
     path: str,
     where: Mapping[str, str] | None = None,
-    extra_columns: Collection[str] = (),
+    extra: Collection[str] = (),
 ) -> list[Sheet]:
     """Return the sheets of a file by the first of `FORMATS` that claims it, else of its text.
 
-    ``where`` selects the widths of bands of REW's text, ``extra_columns`` are columns without values.
+    ``where`` selects the widths of bands of REW's text, ``extra`` are headers that may be unknown.
     """
     for module in FORMATS:
         if module.claims(content):
             sheets: list[Sheet] = module.sheets(content, path, where or {})
             return sheets
-    return [sheet_of_text(decode(content, path), path, extra_columns)]
+    likely = sheets_of_text(decode(content, path), path)
+    return [next((s for s in likely if _header(s.rows, extra)[1]), likely[0])]
 
 
-def _tables(content: bytes, path: str, options: _Options) -> tuple[list[CellTable], list[str]]:
+# -- cells to columns
+
+
+@dataclass(frozen=True)
+class _Table:
+    """The columns of a header, and the rows of values below it.
+
+    ``line`` is the first of the header, ``first`` that of the values; each of the ``rows`` has a cell
+    per column. ``titles`` stand alone in a row before the header.
+    """
+
+    sheet: Sheet
+    columns: tuple[Column, ...]
+    line: int
+    first: int
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...]
+    titles: tuple[str, ...] = ()
+
+    @property
+    def place(self) -> str:
+        """The header's name in messages."""
+        return f"{self.sheet.place}, line {self.line}"
+
+    @property
+    def position(self) -> tuple[str, str]:
+        """The source and receiver that the sheet is called after; a mean has none."""
+        source, receiver = self.sheet.position
+        if not source and statistic_of(receiver) not in (None, DOUBTFUL):
+            return "", ""
+        return (
+            self.sheet.position if source or receiver else position_of(self.sheet.name) or ("", "")
+        )
+
+
+def _of_file(content: bytes, path: str, options: _Options) -> tuple[list[_Table], list[str]]:
     """Return the tables of a file that are to be read, and a note on sheets that are left out.
 
     An error of a sheet names those that are tables.
     """
-    extra = {*options.where, *options.ignore}
-    of_file = sheets_of(content, path, options.where, extra)
+    of_file = sheets_of(content, path, options.where, options.extra)
     if options.repeats:
         of_file = [
             replace(s, rows=tuple((at, with_repeats(cells)) for at, cells in s.rows))
@@ -301,12 +342,13 @@ def _tables(content: bytes, path: str, options: _Options) -> tuple[list[CellTabl
         )
     chosen = [s for s in of_file if s.name in options.sheets]
     if not options.sheets:
-        chosen = [s for s in of_file if len(of_file) == 1 or has_header(s)] or of_file
-    tables: list[CellTable] = []
+        several = len(of_file) > 1
+        chosen = [s for s in of_file if not several or _has_header(s)] or of_file
+    tables: list[_Table] = []
     errors = []
     for sheet in chosen:
         try:
-            tables += tables_of(sheet, decay_time=options.decay_time, extra_columns=extra)
+            tables += _tables_of(sheet, options)
         except DataError as error:
             errors.append(error)
     if errors:
@@ -319,11 +361,11 @@ def _tables(content: bytes, path: str, options: _Options) -> tuple[list[CellTabl
     return tables, [f"left out, without a header: {', '.join(left_out)}"]
 
 
-def _of_places(found: list[CellTable]) -> tuple[list[CellTable], list[str]]:
+def _of_places(found: list[_Table]) -> tuple[list[_Table], list[str]]:
     """Return the tables without those called after a statistic beside others of a position each."""
     named = [(table, table.sheet.position[1] or table.sheet.name) for table in found]
     kept = [table for table, name in named if statistic_of(name) is None]
-    if not any(any(_position(table.sheet)) for table in kept) or len(kept) == len(found):
+    if not any(any(table.position) for table in kept) or len(kept) == len(found):
         return found, []
     for table, name in named:
         if statistic_of(name) == DOUBTFUL:
@@ -331,136 +373,305 @@ def _of_places(found: list[CellTable]) -> tuple[list[CellTable], list[str]]:
                 f'{table.sheet.place}: "{shown(name)}" may be a statistic or a position: leave it out; '
                 "or, if it is a position, name its receiver, as R7"
             )
-    left_out = dict.fromkeys(f'"{shown(n)}"' for _, n in named if statistic_of(n) is not None)
-    which = first_of([*left_out], _MOST_STATISTICS)
-    return kept, [f"tables of means and deviations beside single positions are left out: {which}"]
-
-
-def _check_options(found: Sequence[CellTable], options: _Options) -> None:
-    """Raise DataError for an option that changes nothing in any table.
-
-    That is a parameter where the tables name those of all values, a column to ignore that is not there,
-    and a decay time where nothing is called RT60.
-    """
-    place, first = found[0].place, found[0].columns
-    if options.parameter is not None and all(map(_names_parameters, found)):
-        named = [c.header for c in first if c.parameter or c.kind == "parameter"]
-        raise DataError(
-            f'{place}: parameter="{options.parameter}" is not used, since the table names its own '
-            f"({_quoted(named)}); leave it out"
-        )
-    headers = {c.header for table in found for c in table.columns}
-    if missing := [name for name in options.ignore if name not in headers]:
-        raise DataError(
-            f'{place}: ignore="{shown(missing[0])}" is no column; they are '
-            f"{_quoted([c.header for c in first])}"
-        )
-    if options.decay_time is not None and not any(
-        any(c.is_open for c in table.columns)
-        or any(named.is_open for named, _ in _titles(table))
-        or any(parameter_of(cell) == OPEN for cell in table.cells("parameter"))
-        for table in found
-    ):
-        raise DataError(
-            f'{place}: decay_time="{options.decay_time}" is not used, since nothing in the table is '
-            "called RT60 or T60; leave it out"
-        )
-
-
-def _names_parameters(table: CellTable) -> bool:
-    """Return whether a table names the parameters of all its values."""
-    rows_name = any(c.kind == "parameter" for c in table.columns)
-    return rows_name or all(c.parameter for c in table.columns if c.has_values)
+    left_out = dict.fromkeys(name for _, name in named if statistic_of(name) is not None)
+    return kept, [
+        f"tables of means and deviations beside single positions are left out: {_quoted([*left_out])}"
+    ]
 
 
 def _quoted(names: Sequence[str]) -> str:
-    return ", ".join(f'"{shown(name)}"' for name in names[:_MOST_COLUMNS])
+    return first_of([f'"{shown(name)}"' for name in names], _MOST_NAMED)
 
 
-def _named(text: str) -> Column | None:
-    """Return the parameter that a sheet's name, a title or an entry is; None for another text."""
+def _tables_of(sheet: Sheet, options: _Options) -> list[_Table]:
+    """Return the tables of a sheet: one, or several below each other.
+
+    They are several if each names its parameter in its header's corner, or if the header is repeated.
+    """
+    rows = list(sheet.rows)
+    if options.columns:
+        return [_stated_table(sheet, options)]
+    starts = [i for i, (_, cells) in enumerate(rows) if _is_corner(cells)]
+    if not starts:
+        header = rows[_header(rows, options.extra)[0]][1]
+        for i in (i for i, (_, cells) in enumerate(rows) if cells == header):
+            while i and sum(map(bool, rows[i - 1][1])) == 1 and rows[i - 1][1] != header:  # a title
+                i -= 1
+            starts.append(i)
+    blocks = [rows[a:b] for a, b in pairwise([0, *starts[1:], len(rows)])]
+    tables = [_table(sheet, block, options) for block in blocks]
+    return [replace(tables[0], notes=(*tables[0].notes, *sheet.notes)), *tables[1:]]
+
+
+def _has_header(sheet: Sheet) -> bool:
+    """Return whether a row names a column by more than a number."""
+    return any(_named(cells)[0] > 1 for _, cells in sheet.rows[:MAX_LINES_BEFORE_HEADER])
+
+
+def _named(cells: Sequence[str], extra: Collection[str] = ()) -> tuple[int, bool]:
+    """Return the number of cells that name a column by more than a number, and whether all do."""
+    named = [pair for pair in zip(cells, columns_of(cells, extra), strict=True) if pair[0]]
+    count = sum(not _BARE_NUMBER.fullmatch(cell) for cell, column in named if column)
+    return count, all(column is not None and not column.wrong for _, column in named)
+
+
+def _header(rows: Sequence[Row], extra: Collection[str]) -> tuple[int, bool]:
+    """Return the header's row, and whether all of its cells name columns; else most do."""
+    counts: dict[int, int] = {}
+    several = []
+    complete = True
+    for i, (_, cells) in enumerate(rows[:MAX_LINES_BEFORE_HEADER]):
+        filled = sum(map(bool, cells))
+        if filled > 1:
+            several.append(i)
+        if len(cells) > MAX_COLUMNS or filled + (not cells[0]) < 2:
+            continue
+        count, all_named = _named(cells, extra)
+        if complete and all_named and count:
+            return i, True
+        complete &= count < 2
+        if filled > 1 and not frequency_of(cells[0]):  # a band begins a row of values
+            counts[i] = count
+    most = max(counts, key=lambda i: counts[i], default=None)
+    return (most if most is not None and counts[most] else (several or [0])[0]), False
+
+
+def _is_corner(cells: list[str]) -> bool:
+    """Return whether a row is a header whose first cell names the parameter of bands or positions."""
+    while cells and not cells[-1]:
+        cells = cells[:-1]
+    if not 1 < len(cells) <= MAX_COLUMNS or not _WORD.match(cells[0]):
+        return False
+    columns = [c for c in columns_of(cells) if c and not c.wrong]
+    return len(columns) == len(cells) and _has_corner(columns)
+
+
+def _has_corner(columns: Sequence[Column]) -> bool:
+    """Return whether the first column names the parameter of all others, which name none."""
+    first, others = columns[0], [c for c in columns[1:] if c.has_values]
+    return bool(
+        first.has_values
+        and first.parameter
+        and not first.has_band
+        and others
+        and not any(c.parameter for c in others)
+        and (all(c.has_band for c in others) or all(c.receiver for c in others))
+    )
+
+
+def _table(sheet: Sheet, rows: list[Row], options: _Options) -> _Table:
+    """Return a table with its header and what stands before it."""
+    at = _header(rows, options.extra)[0]
+    (line, header), body, notes = rows[at], rows[at + 1 :], [sheet.note]
+    if at:
+        notes.append(f"the header is line {line}; what stands before it is left out")
+    while header and not header[-1]:  # a separator at the end of every line
+        header = header[:-1]
+    if len(header) > MAX_COLUMNS:
+        place = f"{sheet.place}, line {line}"
+        raise DataError(f"{place}: {len(header)} columns; at most {MAX_COLUMNS}")
+    header = ["" if _INDEX.fullmatch(name) else name for name in header]
+    found: list[Column | None] = columns_of(header, options.extra)
+    if body and (both := joined(header, body[0][1])):
+        notes.append(f"lines {line} and {body[0][0]} are one header")
+        found, body = [*both], body[1:]
+    if found[0] is None and not header[0]:
+        found[0] = _unnamed(found[1:], [r[0] for _, r in body if r[0]])
+    of_bands = any(c.has_band for c in found if c)
+    for k, column in enumerate(found):
+        cells = [row[k] for _, row in body if len(row) > k and row[k]]
+        name = column.header if column else header[k]
+        found[k] = _by_its_cells(column, name, cells, of_bands, options)
+    first = body[0][0] if body else line + 1
+    _refuse_header(header, found, rows[at - 1] if at else (0, []), (sheet.place, line, first))
+    columns = [c for c in found if c]
+    if _has_corner(columns):
+        corner, across = columns[0], next(c for c in columns[1:] if c.has_values)
+        columns = [
+            replace(c, parameter=corner.parameter, unit=corner.unit) if c.has_values else c
+            for c in columns
+        ]
+        columns[0] = Column("receiver" if across.has_band else "band", corner.header)
+    if columns[0] == _ROW_NUMBERS:
+        notes.append("the first column has the rows' numbers, and is left out")
+    titles = tuple(next(filter(None, c)) for _, c in rows[:at] if sum(map(bool, c)) == 1)
+    return _with_rows(_Table(sheet, tuple(columns), line, first, tuple(body), tuple(notes), titles))
+
+
+def _by_its_cells(
+    column: Column | None, name: str, cells: Sequence[str], of_bands: bool, options: _Options
+) -> Column | None:
+    """Return a column's meaning, where its cells decide beside its header."""
+    left_out = name in options.ignore or not (column or name or cells)
+    if left_out or (column is None and of_bands and plain(name) in WHOLE_RANGES):
+        return Column("", name)
+    if column and cells:
+        # "Band (Hz)" is said of the header. Rows that are selected may be called D50, as a room.
+        entries = dict.fromkeys(cells)
+        named = [entry for entry in entries if _names_parameter(entry)]
+        are_named = len(named) > 1 or len(named) == len(entries)
+        selects = not column.kind and options.where.get(name) in named and are_named
+        if selects or (column.kind == "band" and of_bands and named):
+            return replace(column, kind="parameter")
+    return column
+
+
+def _stated_table(sheet: Sheet, options: _Options) -> _Table:
+    """Return the table whose columns are stated; its rows begin in the line that is stated."""
+    of_line = _FROM_LINE.fullmatch(options.columns)
+    texts = (of_line[2] if of_line else options.columns).split(";")
+    first = int(of_line[1]) if of_line else sheet.rows[min(1, len(sheet.rows) - 1)][0]
+    above = [row for row in sheet.rows if row[0] < first]
+    names = above[-1][1] if above else []
+    columns = []
+    for k, text in enumerate(texts):
+        try:
+            column = stated(text)
+        except DataError as error:
+            raise DataError(f"{sheet.place}: columns, {k + 1}: {error}") from error
+        name = names[k] if k < len(names) else ""
+        columns.append(replace(column, header=name or column.header))
+    titles = tuple(next(filter(None, c)) for _, c in above if sum(map(bool, c)) == 1)
+    notes = sheet.note, "columns are as stated", *sheet.notes
+    body = tuple(row for row in sheet.rows if row[0] >= first)
+    line = above[-1][0] if above else first
+    return _with_rows(_Table(sheet, tuple(columns), line, first, body, notes, titles))
+
+
+def _with_rows(table: _Table) -> _Table:
+    """Return a table whose rows have a cell per column, without what stands below it.
+
+    In a table of bands down that is all from the first word after the last band on, else a text alone.
+    Raises DataError for a row of another width, and for two columns of one meaning.
+    """
+    columns, body, notes = table.columns, list(table.rows), list(table.notes)
+    placed = {"source", "receiver"} & {c.kind for c in columns}
+    of_files = "" if placed else "receiver"
+    columns = tuple(replace(c, kind=of_files) if c.kind == "file" else c for c in columns)
+    for kind, times in Counter(c.kind for c in columns).items():
+        if kind not in ("value", "") and times > 1:
+            raise DataError(f"{table.place}: two columns are the {kind}")
+    for header, times in Counter(c.header for c in columns if c.receiver).items():
+        if times > 1 and len({c.meaning for c in columns if c.header == header}) == 1:
+            raise DataError(
+                f'{table.place}: column "{shown(header)}" is there {times} times; if they are repeats '
+                "of one place, state repeats=True; if tables stand beside each other, keep each on a "
+                "sheet or in a file of its own"
+            )
+    below: list[Row] = []
+    if columns[0].kind == "band":
+        of_bands = [
+            i for i, (_, c) in enumerate(body) if frequency_of(c[0]) or plain(c[0]) in WHOLE_RANGES
+        ]
+        below = body[of_bands[-1] + 1 :] if of_bands else []
+        below = below if below and _WORD.match(below[0][1][0]) else []
+    while len(body) > len(below) and len(columns) > 2 and _is_remark(body[-1 - len(below)][1]):
+        below = [body[-1 - len(below)], *below]
+    if below:
+        body = body[: -len(below)]
+        remark = shown(next(filter(None, below[0][1])), 60)
+        notes.append(f'from line {below[0][0]} on it is no table: "{remark}"; left out')
+    rows = []
+    for line, cells in body:
+        while len(cells) > len(columns) and not cells[-1]:
+            cells = cells[:-1]
+        if len(cells) != len(columns):
+            raise DataError(
+                f"{table.sheet.place}, line {line}: {len(cells)} cells; the header has {len(columns)}; "
+                "what stands below a table is to be deleted"
+            )
+        rows.append((line, cells))
+    return replace(table, columns=columns, rows=tuple(rows), notes=tuple(notes))
+
+
+def _is_remark(cells: Sequence[str]) -> bool:
+    """Return whether a row is a text alone."""
+    only = [cell for cell in cells if cell]
+    return only == [cells[0]] and " " in cells[0] and not position_of(cells[0])
+
+
+_ROW_NUMBERS = Column("", "")
+
+
+def _unnamed(others: Sequence[Column | None], cells: list[str]) -> Column:
+    """Return the meaning of a first column without header, which follows from its cells."""
+    named = [c for c in others if c]
+    numbers = [str(n) for n in range(len(cells))]
+    beside = {"band", "receiver", "source"} & {c.kind for c in named}
+    if not cells or (cells == numbers and len(cells) > 1 and beside):
+        return _ROW_NUMBERS
+    if any(c.parameter or c.receiver for c in named) and all(map(frequency_of, cells)):
+        return Column("band")
+    if any(c.has_band for c in named) and all(map(_names_parameter, cells)):
+        return Column("parameter")
+    return Column("receiver")
+
+
+def _names_parameter(cell: str) -> bool:
+    return bool(parameter_of(name_and_unit(cell)[0])) or is_unused(cell)
+
+
+def _proposal(columns: Sequence[Column | None], first: int) -> str:
+    """Return ``columns`` for a table whose values begin in the line ``first``."""
+    known = any(c and c.kind for c in columns)
+    meanings = [(c.meaning if c.kind else "-") if c else "-" if known else "?" for c in columns]
+    return f'columns="from line {first}: {"; ".join(meanings)}"'.replace('\\"', "'")
+
+
+def _refuse_header(
+    header: Sequence[str], columns: Sequence[Column | None], above: Row, at: tuple[str, int, int]
+) -> None:
+    """Raise DataError for a header that is not understood, with the columns that are.
+
+    ``above`` is the row above, ``at`` the sheet's place, the header's line and the first of values.
+    """
+    (path, line, first), proposed = at, [*columns]
+    unknown = [name for name, c in zip(header, columns, strict=False) if c is None and name]
+    placed = any(c.receiver or c.kind in ("source", "receiver") for c in columns if c)
+    position = next(filter(position_of, above[1]), "")
+    if wrong := next((c.wrong for c in columns if c and c.wrong), ""):
+        problem, proposed = wrong, [None if c and c.wrong else c for c in columns]
+    elif not any(c and c.kind for c in columns) and all(map(_BARE_NUMBER.fullmatch, unknown)):
+        problem = "no line names columns by a parameter, a band or a position"
+        first, proposed = line, [Column("band"), *columns[1:]]
+    elif unknown:
+        are = f"{_quoted(unknown)} {'is' if len(unknown) == 1 else 'are'}"
+        problem = f"column{'s' * (len(unknown) > 1)} {are} no parameter, band, source or receiver; "
+        if any(map(repeat_of, unknown)):
+            problem += "if they are repeats of one place, state repeats=True"
+        else:
+            selected = f'where={{"{shown(unknown[0])}": "..."}}'
+            problem += f"read the rows of one room or state only with {selected}"
+    elif None in columns:
+        problem = f"column {columns.index(None) + 1} has values and no name"
+    elif position and not placed and sum(map(bool, above[1][1:])) > 1:
+        line, over = above[0], [*above[1], *[""] * len(columns)][: len(columns)]
+        other = next((c for c in above[1] if c and not position_of(c)), position)
+        problem = f'"{shown(position)}" is a position, and "{shown(other)}" none'
+        for k, column in enumerate(columns):
+            over[k] = over[k] or over[max(k - 1, 0)]
+            if column and column.has_values and over[k]:
+                source, receiver = position_of(over[k]) or ("", over[k])
+                of_place = statistic_of(over[k]) is None
+                proposed[k] = (
+                    replace(column, source=source, receiver=receiver) if of_place else None
+                )
+    else:
+        return
+    raise DataError(
+        f"{path}, line {line}: {problem}; or state what each column holds, - for none, with "
+        f"{_proposal(proposed, first)}"
+    )
+
+
+# -- columns to values
+
+
+def _name_of(text: str) -> Column | None:
+    """Return the parameter that a sheet's name or a title is; None for another text."""
     column = column_of(text) if text else None
     alone = column is not None and column.parameter and not column.has_band and not column.wrong
     return column if alone else None
-
-
-def _titles(table: CellTable) -> list[tuple[Column, str]]:
-    """Return the parameters that a table is called after, and these names."""
-    texts = (table.sheet.name, *table.titles)
-    return [(column, text) for text in texts if (column := _named(text)) is not None]
-
-
-def _parameter(table: CellTable, options: _Options) -> Column | None:
-    """Return the parameter of a table's values that name none.
-
-    It is stated, or named by the sheet, by a title or by the rows that ``where`` selects; DataError
-    where two of them contradict each other.
-    """
-    place, stated = table.sheet.place, options.parameter
-    rows = _named_by_rows(table, options)
-    if _names_parameters(table):
-        for row, selection in rows:
-            other = next((c for c in table.columns if c.parameter not in ("", row.parameter)), None)
-            if other is not None:
-                raise DataError(
-                    f"{place}: {selection} selects rows of {parameter_label(row.parameter)}, and "
-                    f'the column "{shown(other.header)}" is {parameter_label(other.parameter)}'
-                )
-        return None
-    named = [*rows]
-    for column, text in _titles(table):
-        if column.is_open and stated is None and options.decay_time is None:
-            raise DataError(f"{place}: {open_decay_time(text)}")
-        if column.is_open:
-            column = replace(column, parameter=options.decay_time or TARGET.key)
-        named.append((column, f'the table\'s name "{shown(text)}"'))
-    if stated is not None:
-        for column, origin in named:
-            if column.parameter != stated:
-                raise DataError(
-                    f'{place}: parameter="{stated}" is stated, and {origin} says '
-                    f"{parameter_label(column.parameter)}; state only what is so"
-                )
-        return Column("data", stated, stated, unit=rows[0][0].unit if rows else "")
-    return named[0][0] if len({column.parameter for column, _ in named}) == 1 else None
-
-
-def _named_by_rows(table: CellTable, options: _Options) -> list[tuple[Column, str]]:
-    """Return the parameters that the entries of ``where`` are, and how each was stated.
-
-    An entry is one only if its column has several parameters, or nothing else: a room may be called
-    D50. Raises DataError for an entry that is a parameter without use.
-    """
-    found = []
-    for header, entry in options.where.items():
-        at = next((i for i, c in enumerate(table.columns) if c.header == header), None)
-        if at is None:
-            continue
-        entries = dict.fromkeys(cells[at] for _, cells in table.rows)
-        names = [e for e in entries if is_unused(e) or _named(e)]
-        if not names or (len(names) < 2 and len(names) < len(entries)) or entry not in names:
-            continue
-        selection = f'where={{"{shown(header)}": "{shown(entry)}"}}'
-        column = _named(entry)
-        if column is None:
-            used = ", ".join(f"{shown(n)!r}" for n in names if not is_unused(n))
-            raise DataError(
-                f"{table.sheet.place}: {selection} selects rows of a parameter that rtcal has no use "
-                f"for; select one of {used}"
-            )
-        if column.is_open:
-            if options.decay_time is None:
-                raise DataError(f"{table.sheet.place}: {selection}: {open_decay_time(entry)}")
-            column = replace(column, parameter=options.decay_time)
-        found.append((column, selection))
-    return found
-
-
-def _position(sheet: Sheet) -> tuple[str, str]:
-    """Return the source and receiver that a table is called after; a mean has none."""
-    if not sheet.position[0] and statistic_of(sheet.position[1]) not in (None, DOUBTFUL):
-        return "", ""
-    return sheet.position if any(sheet.position) else position_of(sheet.name) or ("", "")
 
 
 @dataclass
@@ -471,42 +682,47 @@ class _Value:
     key: Key
     numbers: dict[str, float]
     statistic: str | None
-    has_unit: bool
 
 
 class _Reader:
     """Reads the rows of a table.
 
     A row has a value for each column of values. It may also have an uncertainty, a statistic (mean or
-    standard deviation), and the number of positions of a mean. ``several_channels`` says whether titles
-    or positions name several channels, each a receiver.
+    standard deviation), and the number of positions of a mean.
     """
 
-    def __init__(self, table: CellTable, options: _Options, several_channels: bool) -> None:
-        self.table, self.options = table, options
-        self.path, self.columns = table.sheet.place, table.columns
-        self.parameter = _parameter(table, options)
-        self.channels = several_channels and not options.repeats
-        self.channel = next(filter(None, map(channel_in, reversed(table.titles))), None)
+    def __init__(self, table: _Table, options: _Options) -> None:
+        self.table, self.options, self.path = table, options, table.sheet.place
+        self.was_open = False  # whether a name such as RT60 was found
+        kinds = {c.kind for c in table.columns}
+        open_columns = (replace(c, parameter=self._closed(c, table.place)) for c in table.columns)
+        self.columns = tuple(open_columns)
+        self.parameter = None if "parameter" in kinds else self._of_table()
+        if self.parameter is not None:
+            key, unit = self.parameter.parameter, self.parameter.unit
+            self.columns = tuple(
+                replace(c, parameter=key, unit=c.unit or unit)
+                if c.has_values and not c.parameter
+                else c
+                for c in self.columns
+            )
         self.notes = list(table.notes)
         self.formula_errors: list[str] = []  # the places of values that are missing for it
         self.statistics: dict[str, None] = {}  # names of the rows of statistics over positions
-        self.unnamed_means = False  # whether a mean without a parameter or band was left out
-        kinds = [c.kind for c in self.columns]
         across = [c for c in self.columns if c.receiver]
-        placed = {"source", "receiver"} & {*kinds} or across
-        position = ("", "") if placed else _position(table.sheet)
+        placed = {"source", "receiver"} & kinds or across
+        position = ("", "") if placed else table.position
         self.has_positions = bool(placed or position[1])
         if options.counts and self.has_positions:
             raise DataError(
                 f"{table.place}: numbers of sources and receivers are stated for means, but the table "
                 "has single positions"
             )
-        is_summary = options.counts or {"sources", "receivers", "standard_deviation"} & {*kinds}
+        is_summary = options.counts or {"sources", "receivers", "standard_deviation"} & kinds
         self.pair = (position[0] or "S1", position[1] or "R1")
         if is_summary and not self.has_positions:
             self.pair = (SUMMARY, SUMMARY)
-        if {*_SPREADS} & {*kinds} and sum(c.has_values for c in self.columns) > 1:
+        if {*_SPREADS} & kinds and sum(c.has_values for c in self.columns) > 1:
             raise DataError(
                 f"{table.place}: a column of uncertainties needs one value per row; there are several"
             )
@@ -531,7 +747,51 @@ class _Reader:
                 of_positions.append(f"no source is named: {only}")
             if "receiver" not in kinds and not across:
                 of_positions.append("no receiver is named: taken as receiver R1 of each source")
+        if "channel" in kinds and not options.repeats:
+            of_positions.append(
+                "several channels: each is a receiver, named after it; if they are repeats of one "
+                "place, state repeats=True"
+            )
         self.of_positions = of_positions
+
+    def _closed(self, named: Column, place: str) -> str:
+        """Return the parameter of a name; the stated decay time of one that leaves it open."""
+        if named.parameter != OPEN:
+            return named.parameter
+        self.was_open = True
+        if self.options.decay_time is None:
+            raise DataError(
+                f'{place}: "{shown(name_and_unit(named.header)[0])}" does not say which decay time it '
+                'is; state decay_time="t20" or decay_time="t30"'
+            )
+        return self.options.decay_time
+
+    def _of_table(self) -> Column | None:
+        """Return the parameter of values that name none: it is stated, or the sheet's name or a title.
+
+        None if all name theirs; DataError where two contradict each other.
+        """
+        if all(c.parameter for c in self.columns if c.has_values):
+            return None
+        place, stated = self.path, self.options.parameter
+        named: dict[str, tuple[Column, str]] = {}
+        for text in (self.table.sheet.name, *self.table.titles):
+            column = _name_of(text)
+            if column is None:
+                continue
+            if column.parameter == OPEN and stated in DECAY_TIMES_OF_RT60:
+                column = replace(column, parameter=stated)
+            key = self._closed(column, place)
+            named[key] = replace(column, parameter=key), text
+        if stated is None:
+            return next(iter(named.values()))[0] if len(named) == 1 else None
+        for key, (_, text) in named.items():
+            if key != stated:
+                raise DataError(
+                    f'{place}: parameter="{stated}" is stated, and the table\'s name "{shown(text)}" '
+                    f"says {parameter_label(key)}; state only what is so"
+                )
+        return named[stated][0] if stated in named else Column("value", stated, stated)
 
     def _cells_of_values(self, cells: Sequence[str]) -> list[str]:
         """Return the cells of a row that have values."""
@@ -578,8 +838,8 @@ class _Reader:
             )
         return first
 
-    def values(self) -> list[_Value]:
-        """Return the values of the rows that ``where`` selects."""
+    def values(self) -> Iterator[_Value]:
+        """Yield the values of the rows that ``where`` selects."""
         headers, where = [c.header for c in self.columns], self.options.where
         for name in where:
             if headers.count(name) != 1:
@@ -592,42 +852,8 @@ class _Reader:
         if not chosen and where:
             selection = ", ".join(f"{name} = {entry}" for name, entry in where.items())
             raise DataError(f'{self.table.place}: no row has "{shown(selection)}"')
-        values = [
-            v for line, cells in chosen for v in self._of_row(cells, f"{self.path}, line {line}")
-        ]
-        other = self._other_units([value for value in values if not value.has_unit])
-        for value in values:
-            parameter = value.key[2]
-            if not value.has_unit:
-                for name in {*_SPREADS, "value"} & {*value.numbers}:
-                    value.numbers[name] *= other.get(parameter, 1.0)
-            if "value" in value.numbers:
-                self._check(parameter, value.numbers["value"], value.place)
-        return values
-
-    def _other_units(self, values: Sequence[_Value]) -> dict[str, float]:
-        """Return the factor of each parameter of which no value is possible but in another unit.
-
-        Programs write D50 in percent and Ts in ms without saying so. A few values may be errors of
-        typing, and are refused.
-        """
-        of_parameter: dict[str, list[float]] = {}
-        for value in values:
-            if "value" in value.numbers:
-                of_parameter.setdefault(value.key[2], []).append(value.numbers["value"])
-        factors = {}
-        for parameter, found in of_parameter.items():
-            unit = _OTHER_UNITS.get(OBSERVABLES[parameter].unit)
-            if unit is None or len(found) < _LEAST_VALUES:
-                continue
-            factor = scale_of(parameter, unit)
-            possible = [_is_accepted(parameter, value) for value in found]
-            if not any(possible) and all(_is_accepted(parameter, factor * v) for v in found):
-                factors[parameter] = factor
-                self.notes.append(
-                    f"{parameter_label(parameter)} has no unit, and is read in {unit}: no other fits"
-                )
-        return factors
+        for line, cells in chosen:
+            yield from self._of_row(cells, f"{self.path}, line {line}")
 
     def _of_row(self, cells: Sequence[str], place: str) -> Iterator[_Value]:
         """Yield the values of a row."""
@@ -636,18 +862,16 @@ class _Reader:
             for column, cell in zip(self.columns, cells, strict=True)
             if column.kind and not column.has_values
         }
-        statistic = self._statistic(entries, self._cells_of_values(cells), place)
-        if statistic == "" or self._is_unused(entries):
+        filled = self._cells_of_values(cells)
+        statistic = self._statistic(entries, filled, place)
+        if statistic == "" or self._is_unused(entries) or not (filled or self._has_errors(cells)):
             return
-        if (
-            statistic is not None
-            and self.has_positions
-            and not all(entries.get(name, "?") for name in ("parameter", "band"))
-        ):
-            self.unnamed_means = True
-            return
+        named = entries.get("parameter"), entries.get("band")
+        if statistic is not None and self.has_positions and "" in named:
+            return  # a mean over more than one parameter or band
         of_row = (SUMMARY, SUMMARY) if statistic is not None else self._pair_of(entries)
         row_band = self._row_band(entries, place)
+        row_parameter = self._row_parameter(entries, place)
         for column, cell in zip(self.columns, cells, strict=True):
             if column.has_values and cell.lower() in FORMULA_ERRORS:
                 self.formula_errors.append(f"{cell} in line {place.rpartition(' ')[2]}")
@@ -657,20 +881,9 @@ class _Reader:
             if column.receiver:
                 source, receiver = column.source or source, column.receiver
             text_name(f"{place}: a position", source + receiver)
-            parameter = column.parameter or self._row_parameter(entries, place)
-            if "parameter" in entries and parameter != (
-                self._row_parameter(entries, place) if column.is_open else parameter
-            ):
-                raise DataError(
-                    f'{place}: the row says "{shown(entries["parameter"])}", and "'
-                    f'{shown(column.header)}" is stated to be {parameter_label(column.parameter)}; '
-                    'name the column "value"'
-                )
+            parameter = column.parameter or row_parameter
             if not parameter:
-                raise DataError(
-                    f'{place}: no heading says which parameter the value "{shown(cell)}" is; '
-                    f"state it: {self._likely_parameter()}"
-                )
+                self._refuse_unnamed(entries, cell, place)
             band = column.band if column.has_band else row_band
             if band is None:
                 raise DataError(f'{place}: no band for the value "{shown(cell)}"')
@@ -678,8 +891,6 @@ class _Reader:
             if not column.parameter:  # its row may state one, by itself or as "TS/ms"
                 of_name = name_and_unit(entries.get("parameter", ""))[1]
                 unit = entries.get("unit", "") or of_name or unit
-                if self.parameter is not None and "parameter" not in entries:
-                    unit = unit or self.parameter.unit
             stated = {name: entries[name] for name in _SPREADS if name in entries}
             numbers = {
                 name: self._number(text, parameter, unit, place)
@@ -691,8 +902,12 @@ class _Reader:
                     numbers[name] = number(entries[name], place)
             if min(numbers.get(name, 0.0) for name in _SPREADS) < 0:
                 raise DataError(f"{place}: an uncertainty or standard deviation is below 0")
-            key = (source, receiver, parameter, band)
-            yield _Value(place, key, numbers, statistic, bool(unit or unit_of(cell)))
+            if "value" in numbers:
+                self._check(parameter, numbers["value"], place)
+            yield _Value(place, (source, receiver, parameter, band), numbers, statistic)
+
+    def _has_errors(self, cells: Sequence[str]) -> bool:
+        return any(cell.lower() in FORMULA_ERRORS for cell in cells)
 
     def _statistic(
         self, entries: Mapping[str, str], values: Sequence[str], place: str
@@ -732,7 +947,7 @@ class _Reader:
             note = f'a band: "{shown(band)}"'
         else:
             return False
-        self._note(f"left out, since rtcal has no use for it as {note}")
+        self._note(f"{_UNUSED} as {note}")
         return True
 
     def _note(self, note: str) -> None:
@@ -742,35 +957,42 @@ class _Reader:
     def _pair_of(self, entries: Mapping[str, str]) -> tuple[str, str]:
         """Return the source and the receiver of a row."""
         source, receiver = entries.get("source"), entries.get("receiver")
-        channel = self.channel
         if self.example_of_both and receiver:
-            channel = channel_in(receiver) or channel
             source, receiver = position_of(receiver) or position_in(receiver) or (source, receiver)
         receiver = receiver or self.pair[1]
-        if self.channels and channel:
+        if (channel := entries.get("channel")) and not self.options.repeats:
             place, mark, repeat = receiver.partition("#")
             receiver = f"{place}-{channel}{mark}{repeat}"
         return source or self.pair[0], receiver
 
-    def _likely_parameter(self) -> str:
-        """Return the option for a table whose title has other words beside its parameter."""
+    def _refuse_unnamed(self, entries: Mapping[str, str], cell: str, place: str) -> None:
+        """Raise DataError for a value of which nothing says the parameter."""
+        if "parameter" in entries:
+            raise DataError(f'{place}: parameter "{shown(entries["parameter"])}" is unknown')
         words = re.findall(r"[A-Za-z]+\d*", " ".join(self.table.titles))
         likely = {p for word in words if word.isupper() and (p := parameters().get(plain(word)))}
-        if len(likely) != 1:
-            return 'parameter="t20", for instance'
-        return f'parameter="{likely.pop()}", if the title means this table'
+        option = 'parameter="t20", for instance'
+        if len(likely) == 1:  # of a title that has other words, too
+            option = f'parameter="{likely.pop()}", if the title means this table'
+        raise DataError(
+            f'{place}: no heading says which parameter the value "{shown(cell)}" is; state it: {option}'
+        )
 
     def _row_parameter(self, entries: Mapping[str, str], place: str) -> str:
-        """Return the parameter of a row, else of the table; empty if neither names one."""
-        if "parameter" not in entries:
-            return "" if self.parameter is None else self.parameter.parameter
-        text = entries["parameter"]
-        parameter = parameter_of(text) or parameter_of(name_and_unit(text)[0])
-        if not parameter:
-            raise DataError(f'{place}: parameter "{shown(text)}" is unknown')
-        if parameter == OPEN and self.options.decay_time is None:
-            raise DataError(f"{place}: {open_decay_time(text)}")
-        return self.options.decay_time or "" if parameter == OPEN else parameter
+        """Return the parameter of a row; empty if it names none, or one that is not known.
+
+        Raises DataError for one that is not of the row's columns, where all of these name theirs.
+        """
+        text = entries.get("parameter", "")
+        name = text if parameter_of(text) else name_and_unit(text)[0]
+        parameter = self._closed(Column("parameter", text, parameter_of(name)), place)
+        own = [c.parameter for c in self.columns if c.has_values]
+        if parameter and "" not in own and parameter not in own:
+            named = " and ".join(map(parameter_label, dict.fromkeys(own)))
+            raise DataError(
+                f'{place}: the row says "{shown(text)}", and its columns are {named}: name one "value"'
+            )
+        return parameter
 
     def _row_band(self, entries: Mapping[str, str], place: str) -> float | None:
         if "band" not in entries:
@@ -807,32 +1029,28 @@ class _Reader:
             text = str(error) if str(error).endswith("?") else f"{error}."
             unit = _OTHER_UNITS.get(observed.unit)
             if unit and _is_accepted(parameter, value * scale_of(parameter, unit)):
-                raise DataError(
-                    f'{text} If so, write "{label} [{unit}]" as the name of the column, the row or '
-                    "the sheet"
-                ) from error
+                columns = [
+                    replace(c, unit=unit) if c.parameter == parameter and not c.unit else c
+                    for c in self.columns
+                ]
+                named = f'"{label} [{unit}]" as the name of the column, the row or the sheet'
+                cure = f" or state {_proposal(columns, self.table.first)}"
+                of_rows = any(c.kind == "parameter" for c in self.columns)
+                raise DataError(f"{text} If so, write {named}{'' if of_rows else cure}") from error
             raise DataError(f"{text} If it is no measurement, empty the cell") from error
 
     def report(self, of_means: bool) -> list[str]:
         """Return how each column was read; ``of_means`` says that the file has no positions."""
         mark = "comma" if self.comma else "point"
         report = [f"{self.notes[0]}, decimal {mark}", *self.notes[1:]]
-        stated = self.parameter.parameter if self.parameter is not None else None
-        report += [column.description(stated) for column in self.columns]
+        report += [f'"{column.header}": {column.meaning}' for column in self.columns]
         if errors := self.formula_errors:
             are = "value is" if len(errors) == 1 else "values are"
             report.append(
                 f"{len(errors)} {are} missing, since a formula has an error: {', '.join(errors[:3])}"
                 + (", ..." if len(errors) > 3 else "")
             )
-        if of_means:
-            return report
-        if self.channels:
-            report.append(
-                "several channels: each is a receiver, named after it; if they are repeats of one "
-                "place, state repeats=True"
-            )
-        return report + self.of_positions
+        return report if of_means else report + self.of_positions
 
 
 def _is_accepted(parameter: str, value: float) -> bool:
@@ -885,33 +1103,19 @@ def _measured(readers: Sequence[_Reader], notes: list[str], options: _Options) -
     single, of_several = _values(readers, options)
     values = single or of_several
     places = ", ".join(dict.fromkeys(r.table.place for r in readers))
-    if not values and any(reader.unnamed_means for reader in readers):
-        raise DataError(
-            f"{places}: no row of a position, and only of means: delete the column that names them, "
-            "and state n_sources and n_receivers"
-        )
     if not values:
-        raise DataError(f"{places}: no row with a value below the header")
+        unused = (note for r in readers for note in r.notes if note.startswith(_UNUSED))
+        raise DataError("; ".join([f"{places}: no row with a value below the header", *unused]))
     pairs = list(dict.fromkeys(key[:2] for key in values))
     if len(pairs) > MAX_PAIRS:
         raise DataError(f"{places}: {len(pairs)} positions; at most {MAX_PAIRS}")
-    try:
-        placed = places_of(pairs)
-    except DataError as error:
-        raise DataError(f"{places}: {error}") from error
-    if options.repeats:
-        require_repeats(placed, places)
-    for (_, _, parameter, band), numbers in values.items():
-        if "value" not in numbers:
-            raise DataError(
-                f"{places} on: {parameter_label(parameter)} at {bands.label(band)} has a standard "
-                "deviation and no mean"
-            )
-        if "standard_deviation" in numbers and not {"sources", "receivers"} <= {*numbers}:
-            raise DataError(
-                f"{places} on: a standard deviation over positions needs the numbers of sources and "
-                "receivers; state n_sources and n_receivers"
-            )
+    if any(
+        "standard_deviation" in v and not {"sources", "receivers"} <= {*v} for v in values.values()
+    ):
+        raise DataError(
+            f"{places} on: a standard deviation over positions needs the numbers of sources and "
+            "receivers; state n_sources and n_receivers"
+        )
     report: list[str] = []
     for reader in readers:
         if len(readers) > 1:
@@ -924,14 +1128,16 @@ def _measured(readers: Sequence[_Reader], notes: list[str], options: _Options) -
     elif named := [name for name in named if statistic_of(name) == ""]:
         left_out = "rows of other statistics are left out"
     if left_out and named:
-        quoted = [f'"{shown(name)}"' for name in named]
-        left_out += f": {first_of(quoted, _MOST_STATISTICS)}"
+        left_out += f": {_quoted(named)}"
     notes = [*filter(None, [left_out]), *notes]
     # What stands after the first line of a single table's report is about the columns.
     at = 1 if len(readers) == 1 else len(report)
     report[at:at] = notes
-    report += note_of_repeats(placed)
     try:
-        return MeasuredTable(Measurement(**of_single_values(values)), tuple(report))
+        measured = Measurement(**of_single_values(values))
     except DataError as error:
         raise DataError(f"{places} on: {error}") from error
+    placed = places_of(pairs)
+    if options.repeats:
+        require_repeats(placed, places)
+    return MeasuredTable(measured, (*report, *note_of_repeats(placed)))

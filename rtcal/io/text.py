@@ -1,8 +1,10 @@
-"""The text of another program's file: its encoding, lines and numbers."""
+"""The text of another program's file: its encoding, lines, numbers, and the cells of a table in it."""
 
 from __future__ import annotations
 
+import csv
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -140,3 +142,91 @@ def shown(text: str, length: int = 40) -> str:
     """Return text for a message: printable and at most ``length`` characters."""
     text = text if text.isprintable() else repr(text)[1:-1]
     return text if len(text) <= length else text[:length] + "..."
+
+
+Row = tuple[int, list[str]]
+"""The number of a line, and its cells."""
+
+SEPARATORS = (";", "\t", "|", ",")
+_GAP = re.compile(r"(?<=\S)(?: {2,}|\t[ \t]*)")
+"""What separates columns that are aligned by blanks."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """The cells of one table of a file.
+
+    Parameters
+    ----------
+    place : str
+        The table's name in messages: the file's, and the sheet's of a workbook.
+    rows : sequence of (line, cells)
+    note : str
+        How the cells were read, the first line of the report.
+    name : str
+        The table's own name, which may state a parameter or a position; empty without one.
+    position : (str, str)
+        Source and receiver of values whose rows and columns name none; empty if not known.
+    notes : sequence of str
+        Other lines of the report.
+    """
+
+    place: str
+    rows: tuple[Row, ...]
+    note: str
+    name: str = ""
+    position: tuple[str, str] = ("", "")
+    notes: tuple[str, ...] = ()
+
+
+def sheets_of_text(text: Text, path: str) -> list[Sheet]:
+    """Return the cells of a table's text by each separator that it may have, the likeliest first.
+
+    That is the one which divides most lines into equally many cells; a file without any is aligned by
+    blanks. Raises DataError for a text that is no table of cells.
+    """
+    head, _, tail = text.characters.partition("\n")
+    stated = head.strip().strip('"').lower()
+    characters, separators = text.characters, [s for s in SEPARATORS if s in text.characters]
+    aligned = not separators
+    if stated.startswith("sep=") and len(stated) <= 5:  # Excel's first line; a tab is stripped
+        characters, separators, aligned = "\n" + tail, [stated[4:] or "\t"], False
+    elif aligned:
+        characters, separators = _GAP.sub("\t", characters), ["\t"]
+    found: list[tuple[int, Sheet]] = []
+    errors = []
+    for separator in separators:
+        try:
+            rows = _rows(characters, separator, path)
+        except DataError as error:
+            errors.append(error)
+            continue
+        widths = Counter(len(cells) for _, cells in rows if len(cells) > 1)
+        by = "blanks" if aligned and widths else repr("," if aligned else separator)
+        note = f"text in {text.encoding}, columns separated by {by}"
+        found.append((max(widths.values(), default=0), Sheet(path, tuple(rows), note)))
+    if not found:
+        raise errors[0]
+    return [sheet for _, sheet in sorted(found, key=lambda item: -item[0])]
+
+
+def _rows(characters: str, separator: str, path: str) -> list[Row]:
+    """Return the rows with the number of their first line; comments and empty rows are left out."""
+    kept = [
+        raw if raw.strip(" \t;,") and not raw.lstrip().startswith("#") else ""
+        for _, _, raw in lines(characters)
+    ]
+    reader = csv.reader((f"{raw}\n" for raw in kept), delimiter=separator, strict=True)
+    rows: list[Row] = []
+    line = 1
+    try:
+        for cells in reader:
+            cells = [" ".join(part.strip() for part in c.strip().split("\n")) for c in cells]
+            if any(cells):
+                rows.append((line, cells))
+            line = reader.line_num + 1
+    except csv.Error as error:
+        raise DataError(f"{path}, line {line}: not a row of cells: {error}") from error
+    if len(rows) < 2:
+        raise DataError(f"{path}, line 1: a header and at least one row are needed")
+    return rows

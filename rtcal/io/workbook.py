@@ -21,8 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from rtcal.io import budget
-from rtcal.io.table_layout import Row, Sheet
-from rtcal.io.text import shown
+from rtcal.io.text import Row, Sheet, shown
 from rtcal.support import library
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of

@@ -32,8 +32,8 @@ from rtcal.io.table_columns import (
     name_and_unit,
     plain,
     statistic_of,
+    with_units,
 )
-from rtcal.io.table_layout import of_width, with_units
 from rtcal.io.tables import sheets_of
 from rtcal.io.text import MAX_TEXT, number, shown
 from rtcal.modes.room_modes import DECAY
@@ -216,10 +216,10 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         named = ", ".join(f'"{shown(sheet.name)}"' for sheet in sheets)
         raise DataError(f"{place}: the sheets are {named}; keep the one with the modes alone")
     sheet, place = sheets[0], sheets[0].place
-    (first, names), *below = sheet.rows
-    while names and not names[-1]:
-        names = names[:-1]
-    names, below, _ = with_units(names, below, _UNIT_WORDS)
+    width = max(len(cells) for _, cells in sheet.rows)
+    (first, names), *below = ((line, (cells + [""] * width)[:width]) for line, cells in sheet.rows)
+    if below and (in_units := with_units(names, below[0][1], _UNIT_WORDS)):
+        names, below = in_units, below[1:]
     columns = _columns(names, f"{place}, line {first}")
     of = "decay" if "decay" in columns else "T"
     if not {"frequency", of} <= columns.keys() or {"decay", "T"} <= columns.keys():
@@ -231,7 +231,6 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         raise DataError(f'{place}: the column "u_{of}" is missing: the standard uncertainty')
     rows, means = [], []
     for line, cells in below:
-        cells = of_width(cells, len(names), f"{place}, line {line}")
         called = cells[columns["frequency"][0]]
         if statistic_of(called) in (None, DOUBTFUL):
             rows.append((line, cells))
