@@ -43,10 +43,6 @@ SURVIVORS: dict[tuple[str, str], str] = {
         "rtcal.calibration.archive.x__named",
         "+ for room, of_room in zip((each.room for each in rooms), columns, strict=False):",
     ): "equivalent: each room has one row of names, and one of columns",
-    (
-        "rtcal.finder.means.problem.x_evaluate_beyond",
-        "+ weights = [grid_weights(e, grid, base) for e, grid in zip(effects, grids, )]",
-    ): "equivalent: every effect has one grid",
 }
 """Mutants that survive, by function and last changed line, and why that is right."""
 

@@ -21,7 +21,6 @@ from rtcal.finder import (
     Case,
     ChangedMaterial,
     Configuration,
-    Threshold,
     library,
     plan,
     recalibrate,
@@ -32,9 +31,8 @@ from rtcal.finder.means import problem as problem_of_means
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.engines import ControlRooms, recentred
 from rtcal.finder.means.problem import (
+    MeansHypotheses,
     MeansProblem,
-    ModelDiscrepancy,
-    alpha_covariance,
     distances,
     estimate_discrepancy,
     evaluate,
@@ -95,6 +93,15 @@ def controls_of(case: Case, spread: float = 0.02) -> list[ControlRooms]:
     shape = (40, len(case.configurations), 5, case.room.n_bands)
     scale = np.array([1, 1, 0.7, 20, 20])[:, None] * spread
     return [ControlRooms(name, scale * rng.standard_normal(shape)) for name in ("one", "other")]
+
+
+def alpha_covariance(predicted: MeansHypotheses, i: int) -> np.ndarray:
+    """J Sigma J' of one hypothesis, over all features raveled."""
+    slopes = predicted.slopes[i]
+    count, kinds, n = slopes.shape
+    variance = predicted.log_time_covariance(slice(i, i + 1)).reshape(count, n, count, n)
+    full = np.einsum("afk,akbl,bgl->afkbgl", slopes, variance, slopes)
+    return np.asarray(full.reshape(count * kinds * n, -1))
 
 
 def test_the_state_is_the_equation() -> None:
@@ -258,7 +265,7 @@ def test_evidence_is_the_normal_density() -> None:
         expected = power * multivariate_t(mean, 0.6 * covariance, df=5).logpdf(observed.values)
         assert got.stated[i] == pytest.approx(expected, rel=1e-6)
         # Off together: the error that the coefficients have in common is twice or four times as large.
-        common = predicted.alpha_covariance.off_together(slice(i, i + 1))[0]
+        common = predicted.in_common(slice(i, i + 1))[0]
         c, f, b = np.nonzero(observed.used)
         common = common[b] * predicted.slopes[i, c, f, b][:, None]
         both = [
@@ -273,8 +280,10 @@ def test_evidence_is_the_normal_density() -> None:
     np.testing.assert_allclose(several.stated[:, 2], got.stated, rtol=1e-9)
     np.testing.assert_allclose(several.off[:, 2], got.off, rtol=1e-9)
     each = 0.8 * np.exp(got.stated[1:]) + 0.2 * np.exp(got.off[1:])
-    assert got.by_effect()["opening"] == pytest.approx(np.log(predicted.weights[1:] @ each))
-    assert predicted.weights[1:].sum() == pytest.approx(1)
+    assert got.by_effect()["opening"] == pytest.approx(
+        np.log(np.exp(predicted.log_weights[1:]) @ each)
+    )
+    assert np.exp(predicted.log_weights[1:]).sum() == pytest.approx(1)
 
 
 def test_the_bias_is_the_mean_of_those_who_can_tell_it_and_of_the_model() -> None:
@@ -315,9 +324,9 @@ def test_the_prior_s_covariance_is_what_drawn_coefficients_give() -> None:
         ]
     )
     dry = replace(case, room=case.room.replace(air=None))
-    (variance,) = predict_hypotheses(dry, []).alpha_covariance.of(slice(0, 1))
+    (variance,) = predict_hypotheses(dry, []).log_time_covariance(slice(0, 1))
     # 4,000 draws: a variance is known to 2.2 %.
-    common = predict_hypotheses(dry, []).alpha_covariance.off_together(slice(0, 1))[0]
+    common = predict_hypotheses(dry, []).in_common(slice(0, 1))[0]
     np.testing.assert_allclose(np.cov(drawn.T) / small**2, variance - common @ common.T, rtol=0.12)
 
 
@@ -479,19 +488,6 @@ def test_the_plan_says_what_change_of_t_each_size_makes() -> None:
         assert 0.01 < planned.reached["opening"] < 1
 
 
-def test_a_threshold_may_be_given() -> None:
-    case = opened()
-    strict = find(case, effects=[Opening()], threshold=1e6, controls=controls_of(case))
-    assert strict.verdict in ("none", "hint")
-    error = ModelDiscrepancy(np.zeros(35), np.diag(np.full(35, 0.03**2)))
-    known = find(
-        case, effects=[Opening()], threshold=Threshold(np.array([2.3]), np.zeros((1, 1)), error)
-    )
-    assert known.verdict == "named"
-    with pytest.raises(DataError, match="nan nats is not finite"):
-        find(case, effects=[Opening()], threshold=float("nan"), controls=controls_of(case))
-
-
 def test_what_no_effect_explains_is_said_so() -> None:
     """The best effect of a gross mistake is still a best: the notes say what to look for."""
     case = opened()
@@ -648,8 +644,8 @@ def test_covariances_of_many_configurations_are_those_of_their_pairs() -> None:
     few = predict_hypotheses(replace(case, configurations=several[:3]), [Opening()])
     many = predict_hypotheses(replace(case, configurations=several), [Opening()])
     part = slice(1, 4)
-    wanted = few.alpha_covariance.of(part)
-    got = many.alpha_covariance.of(part)
+    wanted = few.log_time_covariance(part)
+    got = many.log_time_covariance(part)
     assert got.shape == (3, 43 * 7, 43 * 7)
     np.testing.assert_allclose(got[:, :21, :21], wanted, rtol=1e-9, atol=1e-15)
     # The changed material is independent of itself elsewhere.

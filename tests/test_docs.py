@@ -154,7 +154,6 @@ NEEDS_NO_EXAMPLE = {
     "Corrected": "what rt.finder.positions.verify compares",
     "Proposal": "part of a discrepancy.Plan",
     "Rule": "a type: one of three names",
-    "Threshold": "part of a Finding, never made by a user",
     "of_energy": "one response of impulse_responses.analyse",
     "page_of": "as page.page, from a folder",
 }

@@ -418,5 +418,4 @@ def test_the_discrepancy_of_another_case_is_refused() -> None:
     for shape in (6, 70):
         other = ModelDiscrepancy(np.zeros(shape), np.eye(shape))
         refused(lambda d=other: recalibrate(case, d), "another case")
-        refused(lambda d=other: plan(case, discrepancy=d), "another case")
-    assert np.isfinite(plan(case, discrepancy=finding.discrepancy).change)
+    assert np.isfinite(plan(case, finding=finding).change)

@@ -16,7 +16,7 @@ from rtcal.command.main import cli
 from rtcal.finder import Case, plan
 from rtcal.finder import evidence as densities
 from rtcal.finder.means.planning import COSTS, Information, extended, possible
-from rtcal.finder.means.sets import Moments
+from rtcal.finder.means.problem import Moments
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError
 from tests.test_several_effects import BOTH, FEW, case_with, compared, controls_of
@@ -29,7 +29,6 @@ def two(apart: float, correlation: float = 0.0) -> Moments:
         np.array([[0.0, 0.0], [0.0, apart]]),
         np.stack([covariance, covariance]),
         np.zeros((2, 0, 2)),
-        np.ones(2, dtype=bool),
     )
 
 

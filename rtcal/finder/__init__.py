@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from rtcal.finder.means.planning import Plan as Plan
     from rtcal.finder.means.planning import Proposal as Proposal
     from rtcal.finder.means.planning import plan as plan
-    from rtcal.finder.means.problem import Threshold as Threshold
     from rtcal.finder.means.recalibration import Recalibrated as Recalibrated
     from rtcal.finder.means.recalibration import recalibrate as recalibrate
     from rtcal.finder.search import verify as verify

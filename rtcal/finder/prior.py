@@ -232,12 +232,12 @@ def factors(d: Directions, slopes: Array) -> Array:
     ``slopes`` (n, n_configurations, n_materials, n_bands) are -d ln T20 / d alpha. The values are
     configurations and bands, raveled. Of more directions than values as many combinations are left.
     """
-    full = _by_direction(d, slopes)
+    full = by_direction(d, slopes)
     return full if full.shape[2] <= full.shape[1] else _root(full @ full.swapaxes(1, 2))
 
 
-def _by_direction(d: Directions, slopes: Array) -> Array:
-    """Return the change of ln T20 by each direction: the two common ones, factors, then tilts."""
+def by_direction(d: Directions, slopes: Array) -> Array:
+    """Return -ln T20's change by each direction: the two common ones, factors, then tilts."""
     n, count, _, bands = slopes.shape
     common = np.einsum("ncmb,ctmb->ncbt", slopes, d.common).reshape(n, count * bands, -1)
     own = np.einsum("ncmb,ctmb->ncbtm", slopes, d.own).reshape(n, count * bands, -1)
@@ -331,22 +331,15 @@ _ALIKE = 0.06
 
 
 def off_together(
-    case: Case,
-    slopes: Array,
-    spreading: Array,
-    residual: Array,
-    covariance: Array,
-    probability: float,
+    case: Case, changes: Array, residual: Array, covariance: Array, probability: float
 ) -> OffTogether:
     """Return the posterior of a common error of the coefficients.
 
     Parameters
     ----------
     case : Case
-    slopes : array (n_configurations, n_materials, n_bands)
-        -d ln T20 / d alpha.
-    spreading : array (n_used, n_values)
-        d feature / d ln T20, the values being configurations and bands, raveled.
+    changes : array (n_used, n_directions)
+        Of the features by each direction (`by_direction`).
     residual : array (n_used,)
         Measured less predicted with the coefficients as stated.
     covariance : array (n_used, n_used)
@@ -354,8 +347,7 @@ def off_together(
     probability : float
         That the coefficients are off together.
     """
-    d = directions(case)
-    f = -spreading @ _by_direction(d, slopes[None])[0]  # more absorption, shorter T
+    f = changes
     weights, means, variances = [], [], []
     for scale, share in SCALES:
         whole = covariance + (scale**2 - 1) * f @ f.T

@@ -137,7 +137,7 @@ def find(
     progress : callable, optional
         Called with what is computed, the number of finished steps and their total.
     **of_means
-        ``prior``, ``engines``, ``threshold``, ``most`` and ``expected``, as
+        ``prior``, ``engines``, ``most`` and ``expected``, as
         `rtcal.finder.means.search.find` takes them.
 
     Returns

@@ -42,7 +42,7 @@ from rtcal.finder.means.problem import (
     observe,
     predict_hypotheses,
 )
-from rtcal.finder.means.sets import Rows, acting_order, compare, moments, posterior_of_sets, shapes
+from rtcal.finder.means.sets import Rows, acting_order, compare, moments, posterior_of_sets
 from rtcal.finder.means.verdict import TWO
 from rtcal.finder.prior import UNKNOWN, Prior, prior_of
 from rtcal.support.errors import DataError
@@ -50,27 +50,24 @@ from rtcal.support.errors import DataError
 
 def drawn(compared: MeansProblem, prior: Prior, number: int, rng: np.random.Generator) -> Rows:
     """So many effects with their parameters, from the prior."""
-    names, order = (
-        np.array(compared.predicted.names),
-        acting_order(compared.case, compared.predicted),
-    )
+    predicted = compared.predicted
+    order, apart = acting_order(compared.case, predicted)
     odds = np.exp([prior.log_probability[n] for n in order])
-    apart = shapes(compared.case, compared.predicted)
     while True:
         kinds = np.sort(rng.choice(len(order), number, replace=False, p=odds / odds.sum()))
         if len({order[k] for k in kinds} & apart) < 2:
             break
     out = []
     for k in kinds:
-        rows = np.flatnonzero(names == order[k])
-        weights = compared.predicted.weights[rows]
+        rows = predicted.rows[order[k]]
+        weights = np.exp(predicted.log_weights[rows])
         out.append(int(rows[rng.choice(len(rows), p=weights / weights.sum())]))
     return tuple(out)
 
 
 def measured(compared: MeansProblem, rows: Rows, rng: np.random.Generator) -> MeansProblem:
     """The problem with features that are drawn from the likelihood of a set."""
-    of = moments(compared, [rows])
+    of, _ = moments(compared, [rows])
     factor = np.linalg.cholesky(of.covariance[0])
     features = compared.observed.features.copy()
     features[compared.observed.used] = of.mean[0] + factor @ rng.standard_normal(len(factor))
@@ -109,10 +106,10 @@ def examined(
 
 def one_effect(compared: MeansProblem, prior: Prior, hidden: str, rng: np.random.Generator) -> Rows:
     """A hidden effect with its parameters, or any effect of the library, from the prior."""
-    rows = np.flatnonzero(np.array(compared.predicted.names) == hidden)
-    if not len(rows):
+    if hidden not in compared.predicted.rows:
         return drawn(compared, prior, 1, rng)
-    weights = compared.predicted.weights[rows]
+    rows = compared.predicted.rows[hidden]
+    weights = np.exp(compared.predicted.log_weights[rows])
     return (int(rng.choice(rows, p=weights / weights.sum())),)
 
 

@@ -28,7 +28,6 @@ from rtcal.finder.evidence import DEGREES
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import (
     MeansProblem,
-    alpha_covariance,
     distances,
     estimate_discrepancy,
     evaluate,
@@ -82,10 +81,8 @@ def told(
     mask = observed.used.ravel()
     predicted = predict_hypotheses(case, library())
     error = estimate_discrepancy(case, controls)
-    open_ = (alpha_covariance(predicted, 0) + error.covariance)[np.ix_(mask, mask)]
-    inverse = np.linalg.inv(
-        open_ + predicted.applied.covariance[np.ix_(mask, mask)] + observed.covariance
-    )
+    problem = MeansProblem(case, observed, predicted, error)
+    inverse = np.linalg.inv(problem.of_alpha(slice(0, 1))[0] + problem.without_alpha)
     true = np.array(
         [
             predict([state(t, c)], distances(case, c)).features[0]
@@ -107,7 +104,6 @@ def told(
     nearest = int(np.argmin(apart))
     residual = observed.values - error.bias[mask]
     scale = np.linalg.cholesky(np.linalg.inv(inverse))
-    problem = MeansProblem(case, observed, predicted, error)
     scores = drawn_scores(problem, [true, table[0]], scale)
     return Told(
         far=float(np.sqrt(square(true - table[0]))),

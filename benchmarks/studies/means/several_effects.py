@@ -52,7 +52,6 @@ from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import (
     MeansProblem,
     ModelDiscrepancy,
-    alpha_covariance,
     estimate_discrepancy,
     observe,
     predict_hypotheses,
@@ -78,7 +77,8 @@ def distances_apart(
     mask = observed.used.ravel()
     effects = true_effects(case, truth)
     both = predict_hypotheses(replace(case, applied=effects), [])
-    own = alpha_covariance(both, 0)[np.ix_(mask, mask)] + observed.covariance
+    of_alpha = MeansProblem(case, observed, both, discrepancy).of_alpha(slice(0, 1))[0]
+    own = of_alpha + observed.covariance
     whole = own + discrepancy.covariance[np.ix_(mask, mask)]
     out = []
     for effect in effects:
@@ -134,9 +134,8 @@ def coefficients_left(
     compared = compare(MeansProblem(told, observed, predict_hypotheses(told, []), discrepancy))
     simple = rmse(plain(case).alpha, truth)
     across = covariance_with_alpha(compared, [()])[0]
-    mask = observed.used.ravel()
-    covariance = moments(compared, [()]).covariance[0]
-    perfect = alpha_covariance(compared.predicted, 0)[np.ix_(mask, mask)] + observed.covariance
+    covariance = moments(compared, [()])[0].covariance[0]
+    perfect = compared.of_alpha(slice(0, 1))[0] + observed.covariance
     area = np.array(truth["areas"])[:, None]
     out = [rmse(averaged_alpha(compared, [((), 1.0)]), truth)]
     for c in (covariance, perfect):

@@ -31,20 +31,13 @@ from rtcal.finder.means.problem import (
     MeansHypotheses,
     MeansProblem,
     ModelDiscrepancy,
+    Moments,
     ObservedFeatures,
-    checked_discrepancy,
     observe,
     predict_hypotheses,
 )
-from rtcal.finder.means.sets import Moments, compare, moments
-from rtcal.finder.means.verdict import (
-    _PARAMETERS,
-    USUAL,
-    _in_words,
-    covariance_of_all,
-    separation,
-    with_features,
-)
+from rtcal.finder.means.sets import compare, moments
+from rtcal.finder.means.verdict import FURTHER, USUAL, further_in_words, separations
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import NONE, prior_of
 from rtcal.support import blocks, checks
@@ -113,8 +106,6 @@ class Plan(Result):
     separations : mapping of (effect, effect) to float
         The evidence in nats to be expected for the first effect against the most similar size of the
         second.
-    gained : mapping of str to tuple of (effect, effect)
-        The pairs that further parameters, in words, would tell apart, and those measured do not.
     proposals : tuple of Proposal
         The measurements that could be made next, the most information per hour first.
     sequence : tuple of Proposal
@@ -129,7 +120,6 @@ class Plan(Result):
     change: float
     reached: Mapping[str, float]
     separations: Mapping[tuple[str, str], float]
-    gained: Mapping[str, tuple[tuple[str, str], ...]]
     proposals: tuple[Proposal, ...] = ()
     sequence: tuple[Proposal, ...] = ()
     uncertainty: float = 0.0
@@ -143,10 +133,6 @@ class Plan(Result):
             "separations": [
                 {"effect": a, "against": b, "nats": v} for (a, b), v in self.separations.items()
             ],
-            "gained": {
-                more: [{"effect": a, "against": b} for a, b in pairs]
-                for more, pairs in self.gained.items()
-            },
             "proposals": [p.to_dict() for p in self.proposals],
             "sequence": [p.to_dict() for p in self.sequence],
             "uncertainty_nats": self.uncertainty,
@@ -195,10 +181,6 @@ class Plan(Result):
             if len(alike) > len(apart):
                 said = f"all but {', '.join(apart)}" if apart else "all"
             out.append(Note(f"{name}: {said}", "  "))
-        for more, pairs in self.gained.items():
-            told = {a: ", ".join(b for first, b in pairs if first == a) for a, _ in pairs}
-            out.append(Note(f"With {more} also from: {'' if told else 'no other'}", hanging=""))
-            out += [Note(f"{a}: {of}", "  ") for a, of in told.items()]
         return out
 
     @property
@@ -238,7 +220,6 @@ def plan(
     case: Case,
     effects: Sequence[Effect] | None = None,
     change: float = 0.2,
-    discrepancy: ModelDiscrepancy | None = None,
     *,
     finding: MeansFinding | None = None,
     costs: Mapping[str, float] | None = None,
@@ -259,10 +240,9 @@ def plan(
     change : float
         Relative change of T20 in the band that the effect changes most, above 0 and at most 1. Each
         effect has the size that comes nearest to it.
-    discrepancy : ModelDiscrepancy, optional
-        From the case's control rooms; by default the finding's, or `GENERIC_UNCERTAINTY`.
     finding : MeansFinding, optional
-        Of this case, as `find` returns it.
+        Of this case, as `find` returns it; its control rooms say how far the model errs, which is
+        `GENERIC_UNCERTAINTY` without.
     costs : mapping of str to float, optional
         Hours that a measurement takes, in place of `rtcal.finder.means.planning.COSTS`:
         ``{"G": 0.5, "another climate": 40}``.
@@ -292,16 +272,14 @@ def plan(
     observed, _ = observe(case)
     tried, _ = judged_effects(checked_effects(effects), case.directions_known)
     predicted = predict_hypotheses(case, tried)
-    if discrepancy is None and finding is not None:
+    spread = np.broadcast_to(
+        np.array(GENERIC_UNCERTAINTY)[:, None] ** 2, observed.used.shape
+    ).ravel()
+    discrepancy = ModelDiscrepancy(np.zeros(spread.size), np.diag(spread))
+    if finding is not None:
         discrepancy = finding.discrepancy
-    if discrepancy is None:
-        shape = observed.used.shape
-        spread = np.broadcast_to(np.array(GENERIC_UNCERTAINTY)[None, :, None] ** 2, shape).ravel()
-        discrepancy = ModelDiscrepancy(np.zeros(spread.size), np.diag(spread))
-    else:
-        checked_discrepancy(case, discrepancy)
     problem = MeansProblem(case, observed, predicted, discrepancy)
-    reached, table, gained = separations(problem, change)
+    reached, table = _told_apart(problem, change)
     measured = tuple(
         p
         for p in ("t20", "edt", "t30", "c80", "g")
@@ -333,7 +311,7 @@ def plan(
         done = done | masks[best[0].measurement]
         best = ranked(done) if len(sequence) < STEPS else []
     return Plan(
-        measured, change, reached, table, gained, tuple(proposals), tuple(sequence), about.entropy()
+        measured, change, reached, table, tuple(proposals), tuple(sequence), about.entropy()
     )
 
 
@@ -356,8 +334,8 @@ def _before(case: Case, predicted: MeansHypotheses) -> Weighted:
     prior = prior_of(case.room, list(predicted.effects.values()), {}).log_probability
     out: list[tuple[tuple[AppliedEffect, ...], float]] = [((), float(np.exp(prior[NONE])))]
     for name, effect in predicted.effects.items():
-        rows = [i for i, n in enumerate(predicted.names) if n == name]
-        cumulated = np.cumsum(predicted.weights[rows])
+        rows = predicted.rows[name]
+        cumulated = np.cumsum(np.exp(predicted.log_weights[rows]))
         places = (np.arange(_OF_EACH) + 0.5) / _OF_EACH
         for i in np.minimum(np.searchsorted(cumulated, places), len(rows) - 1):
             added = AppliedEffect.of(effect, predicted.parameters[rows[i]])
@@ -386,8 +364,8 @@ def _information(
     ]
     names = [tuple(a.name for a in applied) for applied, _ in every]
     groups = {n: k for k, n in enumerate(dict.fromkeys(names))}
-    of = moments(compare(replace(whole, predicted=predicted)), rows)
-    weights = np.array([p for _, p in every]) * of.possible
+    of, possible = moments(compare(replace(whole, predicted=predicted)), rows)
+    weights = np.array([p for _, p in every]) * possible
     return Information(
         of,
         weights / weights.sum(),
@@ -486,41 +464,26 @@ def _entropy(probabilities: Array) -> Array:
         return np.asarray(-np.nansum(probabilities * np.log(probabilities), axis=1))
 
 
-def separations(
+def _told_apart(
     problem: MeansProblem, change: float
-) -> tuple[dict[str, float], dict[tuple[str, str], float], dict[str, tuple[tuple[str, str], ...]]]:
-    """Return each effect's change of T, the evidence in nats for each against each other, and `gained`.
+) -> tuple[dict[str, float], dict[tuple[str, str], float]]:
+    """Return each effect's change of T, and the evidence in nats for each against each other.
 
     Each effect has the size whose largest relative change of T, over configurations (it may be taken
     away in some) and bands, is nearest to ``change``.
     """
-    predicted, used = problem.predicted, problem.observed.used
-    more = {
-        label: mask
-        for label, features in (("EDT and T30", ("edt", "t30")), ("C80 and G", ("c80", "g")))
-        if (mask := with_features(used, features)).sum() > used.sum()
-    }
-    gained: dict[str, list[tuple[str, str]]] = {label: [] for label in more}
-    base = predicted.features[0]
-    names = [n for n in dict.fromkeys(predicted.names) if n != NONE]
+    predicted = problem.predicted
     table: dict[tuple[str, str], float] = {}
     reached: dict[str, float] = {}
-    for a in names:
-        rows = [i for i, n in enumerate(predicted.names) if n == a]
-        moved = np.abs(np.expm1(predicted.features[rows][:, :, 0] - base[:, 0])).max((1, 2))
+    log_t = predicted.features[:, :, 0]
+    for name in predicted.effects:
+        rows = predicted.rows[name]
+        moved = np.abs(np.expm1(log_t[rows] - log_t[0])).max((1, 2))
         nearest = int(np.argmin(np.abs(moved - change)))
-        first, reached[a] = rows[nearest], float(moved[nearest])
-        covariance = covariance_of_all(problem, first)
-        for b in (NONE, *names):
-            if a == b:
-                continue
-            table[a, b] = separation(predicted, covariance, used.ravel(), first, b)
-            if b == NONE or table[a, b] >= DISTINCT_NATS:
-                continue
-            for label, mask in more.items():
-                if separation(predicted, covariance, mask.ravel(), first, b) >= DISTINCT_NATS:
-                    gained[label].append((a, b))
-    return reached, table, {label: tuple(pairs) for label, pairs in gained.items()}
+        reached[name] = float(moved[nearest])
+        apart = separations(problem, int(rows[nearest]))
+        table |= {(name, other): nats for other, nats in apart.items() if other != name}
+    return reached, table
 
 
 COSTS: Mapping[str, float] = {
@@ -563,10 +526,10 @@ def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[FurtherM
     """Return the measurements that a user can make in a case's room."""
     first = case.configurations[0]
     out = []
-    for kind, parameters in _PARAMETERS.items():
+    for kind, parameters in FURTHER.items():
         lacking = [c for c in case.configurations if not set(parameters) <= set(c.measured.values)]
         if lacking:
-            out.append(FurtherMeasurement(kind, _in_words(kind), parameters))
+            out.append(FurtherMeasurement(kind, further_in_words(kind), parameters))
     again = replace(first, name="further", planned=True)
     pairs = max(len(next(iter(first.measured.values.values()))), 1)
     out.append(

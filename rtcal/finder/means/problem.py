@@ -33,7 +33,7 @@ divided.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
@@ -58,13 +58,14 @@ from rtcal.finder.effects import (
 )
 from rtcal.finder.evidence import Factorization, log_mixture, log_sums, student, with_columns
 from rtcal.finder.means.engines import ControlRooms, bias_estimates, draw_alpha, recentred
-from rtcal.finder.model import FEATURES, Predicted, RoomState, predict, sensitivities
+from rtcal.finder.model import FEATURES, RoomState, predict, sensitivities
 from rtcal.finder.prior import (
     COEFFICIENTS,
     NONE,
     NULL_POWER,
     SCALES,
     UNKNOWN,
+    Directions,
     Prior,
     directions,
     drawn,
@@ -75,6 +76,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
 
+Rows = slice | NDArray[np.intp]
 SHAPE_CHANGE = (("edt", 0.12), ("t30", 0.06))
 """Standard deviation of ln EDT/T20 and ln T30/T20 per unit of change of ln T20. An absorber stands
 somewhere, so that the field is less even than its formula assumes. Chosen on development rooms
@@ -86,21 +88,132 @@ LARGEST_HYPOTHESES = 5000
 
 
 @dataclass(frozen=True, eq=False)
-class MeansHypotheses:
-    """Every effect with every set of its parameters, and the predictions of the case's model.
+class Predictions:
+    """Features of n states of a case's room, and how they depend on alpha and on the climate.
+
+    Attributes
+    ----------
+    case : Case
+    features : array (n, n_configurations, n_features, n_bands)
+    slopes : array, same shape
+        d features / d ln T20.
+    jacobian : array (n, n_configurations, n_materials, n_bands)
+        -d ln T20 / d alpha.
+    climate : array (n, n_configurations, n_columns, n_bands)
+        Changes of ln T20 by one standard deviation of the climates' temperatures and humidities.
+    """
+
+    case: Case
+    features: Array
+    slopes: Array
+    jacobian: Array
+    climate: Array
+
+    def log_time_covariance(self, rows: Rows) -> Array:
+        """Return the prior's covariance of ln T20 over configurations and bands, (n, size, size).
+
+        A material that a configuration changed is independent of its coefficients elsewhere.
+        """
+        room, changed = self.case.room, self._changed
+        sigma = np.stack([c.coefficients(room)[1] for c in self.case.configurations])
+        rho = correlation(room.centre_frequencies, room.band_correlation)
+        factor = self.jacobian[rows] * sigma
+        n, count, _, n_bands = factor.shape
+        size = count * n_bands
+        common = np.where(changed, 0.0, factor).swapaxes(2, 3).reshape(n, size, -1)
+        full = (common @ common.swapaxes(1, 2)).reshape(n, count, n_bands, count, n_bands)
+        own = np.where(changed, factor, 0.0)
+        for c in np.flatnonzero(changed.any((1, 2))):
+            full[:, c, :, c] += own[:, c].swapaxes(1, 2) @ own[:, c]
+        alone = (full * rho[:, None, :]).reshape(n, size, size)
+        air = self.climate[rows].swapaxes(2, 3).reshape(n, size, -1)
+        parts = np.concatenate([air, self.in_common(rows)], axis=-1)
+        return np.asarray(alone + parts @ parts.swapaxes(1, 2))
+
+    def in_common(self, rows: Rows) -> Array:
+        """Return the usual changes of ln T20 by errors in common, (n, size, n_directions).
+
+        See `rtcal.finder.prior.factors`.
+        """
+        return factors(self._directions, self.jacobian[rows])
+
+    @cached_property
+    def _directions(self) -> Directions:
+        return directions(self.case)
+
+    @cached_property
+    def _changed(self) -> NDArray[np.bool_]:
+        """Which materials each configuration changed, (n_configurations, n_materials, 1)."""
+        materials = self.case.room.materials
+        changed = [[m in c.changes for m in materials] for c in self.case.configurations]
+        return np.array(changed)[:, :, None]
+
+
+def predict_states(case: Case, states: Sequence[Sequence[RoomState]]) -> Predictions:
+    """Return the predictions of states, a list for each configuration."""
+    with np.errstate(all="ignore"):  # who asks refuses, or leaves out, what is not finite
+        made = [
+            predict(column, distances(case, c))
+            for column, c in zip(states, case.configurations, strict=True)
+        ]
+        # d ln T20 = -(d k / d alpha) T20 / (6 ln 10) d alpha.
+        times = [p.reverberation_time[:, None, :] / (6 * np.log(10)) for p in made]
+        jacobian = [sensitivities(s) * time for s, time in zip(states, times, strict=True)]
+    return Predictions(
+        case,
+        np.stack([p.features for p in made], axis=1),
+        np.stack([p.slopes for p in made], axis=1),
+        np.stack(jacobian, axis=1),
+        _climate(case) * np.stack(times, axis=1),
+    )
+
+
+def _climate(case: Case) -> Array:
+    """Return the change of k in 1/s by one standard deviation of temperature and of humidity.
+
+    (n_configurations, n_columns, n_bands). Configurations without a climate of their own share the
+    columns of the room's; without any climate they are 0. What a temperature changes of the speed of
+    sound, 0.17 % per K, is left out.
+    """
+    room = case.room
+    climates = [c.air or room.air for c in case.configurations]
+    owners = [0 if c.air is None else i + 1 for i, c in enumerate(case.configurations)]
+    place = {owner: i for i, owner in enumerate(dict.fromkeys(owners))}
+    out = np.zeros((len(climates), 2 * len(place), room.n_bands))
+    for c, (air, owner) in enumerate(zip(climates, owners, strict=True)):
+        if air is not None:
+            first = 2 * place[owner]
+            out[c, first : first + 2] = air.speed_of_sound * _attenuation_changes(
+                air, case.climate_uncertainty, tuple(room.centre_frequencies.tolist())
+            )
+    return out
+
+
+@lru_cache(maxsize=64)
+def _attenuation_changes(
+    air: Air, by: tuple[float, float], frequencies: tuple[float, ...]
+) -> Array:
+    """Return the change of m in 1/m by so many K and by so many % of humidity, (2, n_bands)."""
+    warm = min(air.temperature, 50 - by[0])
+    damp = min(air.humidity, 100 - by[1])
+    pairs = [
+        (replace(air, temperature=warm), replace(air, temperature=warm + by[0])),
+        (replace(air, humidity=damp), replace(air, humidity=damp + by[1])),
+    ]
+    return read_only(
+        np.array([b.attenuation(frequencies) - a.attenuation(frequencies) for a, b in pairs])
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MeansHypotheses(Predictions):
+    """One table: every effect with every set of its parameters, and what the case's model predicts.
 
     Attributes
     ----------
     names : tuple of str (n,)
         The effects; the first hypothesis is "none".
     parameters : tuple of mappings (n,)
-    weights : array (n,)
-        Prior probability of the parameters, given the effect.
-    features : array (n, n_configurations, n_features, n_bands)
-    slopes : array, same shape
-        d features / d ln T20.
-    alpha_covariance : AlphaCovariance
-        The prior's covariance of ln T20.
     spectrum_errors : array (n, n_bands, n_errors)
         Relative errors of the effect's change over bands, one standard deviation each.
     formula_errors : array (n,)
@@ -113,14 +226,28 @@ class MeansHypotheses:
 
     names: tuple[str, ...]
     parameters: tuple[Parameters, ...]
-    weights: Array
-    features: Array
-    slopes: Array
-    alpha_covariance: AlphaCovariance
     spectrum_errors: Array
     formula_errors: Array
     applied: Array
     effects: Mapping[str, Effect] = field(default_factory=dict)
+
+    @cached_property
+    def rows(self) -> dict[str, NDArray[np.intp]]:
+        """The numbers of each effect's hypotheses, and of "none"."""
+        names = np.array(self.names)
+        return {name: np.flatnonzero(names == name) for name in dict.fromkeys(self.names)}
+
+    def grid(self, name: str) -> list[Parameters]:
+        """Return the sets of parameters of an effect."""
+        return [self.parameters[i] for i in self.rows[name]]
+
+    @cached_property
+    def log_weights(self) -> Array:
+        """Log prior probability of the parameters, given the effect, (n,)."""
+        base = state(self.case, self.case.configurations[0])
+        weights = [grid_weights(e, self.grid(name), base) for name, e in self.effects.items()]
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(np.concatenate([np.ones(1), *weights])))
 
 
 def predict_hypotheses(
@@ -138,9 +265,6 @@ def predict_hypotheses(
     base = [state(case, c) for c in case.configurations]
     if grids is None:
         grids = [_grid(effect, base, case) for effect in effects]
-        weights = [grid_weights(e, grid, base[0]) for e, grid in zip(effects, grids, strict=True)]
-    else:
-        weights = [np.full(len(grid), 1 / len(grid)) for grid in grids]
     check_size(case, 1 + sum(map(len, grids)))
     names, states = [NONE], [[b] for b in base]
     parameters: list[Parameters] = [{}]
@@ -154,30 +278,21 @@ def predict_hypotheses(
         for c, unchanged, column in zip(case.configurations, base, states, strict=True):
             absent = c.suspect_removed and effect.removable
             column += [unchanged] * len(grid) if absent else changed_states(effect, unchanged, grid)
-    with np.errstate(all="ignore"):  # values that are not finite get an error by name
-        predicted = [
-            predict(column, distances(case, c))
-            for c, column in zip(case.configurations, states, strict=True)
-        ]
-    features = np.stack([p.features for p in predicted], axis=1)
-    slopes = np.stack([p.slopes for p in predicted], axis=1)
-    finite = np.isfinite(features).all((1, 2, 3)) & np.isfinite(slopes).all((1, 2, 3))
+    predicted = predict_states(case, states)
+    finite = np.isfinite(predicted.features) & np.isfinite(predicted.slopes)
     if not finite.all():
-        i = int(np.argmin(finite))
+        i = int(np.argmin(finite.all((1, 2, 3))))
         culprit = "the case's model" if i == 0 else f'effect "{names[i]}" with {parameters[i]}'
         raise DataError(
             f"{culprit} has no finite T, C80 and G in a room of {case.room.volume:g} m³ with "
             f"{case.room.total_area:g} m² of walls"
         )
     return MeansHypotheses(
+        **vars(predicted),
         names=tuple(names),
         parameters=tuple(parameters),
-        weights=np.concatenate([np.ones(1), *weights]),
         spectrum_errors=np.concatenate(errors),
         formula_errors=np.array(alone),
-        features=features,
-        slopes=slopes,
-        alpha_covariance=AlphaCovariance(case, states, predicted),
         applied=_applied(case),
         effects={e.name: e for e in effects},
     )
@@ -213,74 +328,66 @@ def check_size(case: Case, n_hypotheses: int) -> None:
         )
 
 
+def features_of(
+    case: Case,
+    applied: Sequence[AppliedEffect] | None = None,
+    *,
+    changed: bool = True,
+    far: Array | float = 1.0,
+) -> Array:
+    """Return the features of a case's model, (n_configurations, n_features, n_bands).
+
+    With other effects ``applied``, without what the configurations ``changed``, or at distances that
+    are ``far`` times as large in each configuration.
+    """
+    case = case if applied is None else replace(case, applied=applied)
+    out = []
+    for c, factor in zip(
+        case.configurations, far + np.zeros(len(case.configurations)), strict=True
+    ):
+        made = state(case, c if changed else replace(c, changes={}))
+        out.append(predict([made], factor * distances(case, c)).features[0])
+    return np.array(out)
+
+
 def _applied(case: Case) -> Array:
     """Return the covariance over all features, raveled, (size, size).
 
     Of distances, of stated changes, and of applied sizes and misfits.
     """
-
-    def features(applied: Sequence[AppliedEffect]) -> Array:
-        changed = replace(case, applied=applied)
-        return np.array(
-            [
-                predict([state(changed, c)], distances(case, c)).features[0]
-                for c in case.configurations
-            ]
-        )
-
-    covariance = _distance_errors(case) + _change_errors(case)
-    if not case.applied:
-        return covariance
-    base = features(case.applied)
+    base = features_of(case)
+    count, n_bands = len(case.configurations), case.room.n_bands
+    # Positions may differ between configurations, so each has an error of its distance.
+    unknown = np.array([c.distances is None for c in case.configurations])
+    far = features_of(case, far=np.where(unknown, np.exp(DISTANCE_ERROR), 1.0)) - base
+    columns = (far[..., None] * np.eye(count)[:, None, None]).reshape(-1, count)
+    covariance = columns @ columns.T
+    # A changed material stands somewhere, as an effect does, and the formula errs in proportion to
+    # what it changes. Configurations with the same changes share the common part.
+    if any(c.changes for c in case.configurations):
+        moved = base - features_of(case, changed=False)
+        keys = [
+            tuple(sorted((m, change.alpha.tobytes()) for m, change in c.changes.items()))
+            for c in case.configurations
+        ]
+        errors = np.full((n_bands, 1), Effect.spectrum_error[0])
+        for key in dict.fromkeys(filter(None, keys)):
+            same = np.array([k == key for k in keys])[:, None, None]
+            covariance = covariance + _misfit_of_all(
+                np.where(same, moved, 0.0), errors, Effect.formula_error
+            )
     for i, a in enumerate(case.applied):
         if a.size_sigma > 0:
             most, larger = a.effect.size_limits(case.room)[1], a.size + a.size_sigma
             # Near the end of what is possible, the size by as much smaller: only the square counts.
             others = list(case.applied)
             others[i] = a.resized(larger if larger <= most else a.size - a.size_sigma)
-            moved = (features(others) - base).ravel()
-            covariance = covariance + np.outer(moved, moved)
-        change = base - features([other for other in case.applied if other is not a])
+            resized = (features_of(case, others) - base).ravel()
+            covariance = covariance + np.outer(resized, resized)
+        change = base - features_of(case, [other for other in case.applied if other is not a])
         errors = a.effect.errors_over_bands(case.room.centre_frequencies)
         covariance = covariance + _misfit_of_all(change, errors, a.effect.formula_error)
-    return covariance
-
-
-def _distance_errors(case: Case) -> Array:
-    """Return the covariance of all features, raveled, by errors of distances that are not stated.
-
-    Positions may differ between configurations, so each has its own.
-    """
-    count = len(case.configurations)
-    shift = np.zeros((count, len(FEATURES), case.room.n_bands, count))
-    for i, c in enumerate(case.configurations):
-        if c.distances is None:
-            at = distances(case, c)
-            s = [state(case, c)]
-            far = predict(s, at * np.exp(DISTANCE_ERROR)).features[0]
-            shift[i, ..., i] = far - predict(s, at).features[0]
-    columns = shift.reshape(-1, count)
-    return np.asarray(columns @ columns.T)
-
-
-def _change_errors(case: Case) -> Array:
-    """Return the covariance of all features, raveled, by what stated changes of materials cause.
-
-    A changed material stands somewhere, as an effect does, and the formula errs in proportion to what
-    it changes, as for any effect. Configurations with the same changes share the common part.
-    """
-    made: dict[tuple[tuple[str, bytes], ...], Array] = {}
-    shape = (len(case.configurations), len(FEATURES), case.room.n_bands)
-    for i, c in enumerate(case.configurations):
-        if c.changes:
-            both = [state(case, replace(c, changes=changes)) for changes in ({}, c.changes)]
-            before, after = predict(both, distances(case, c)).features
-            key = tuple(sorted((m, change.alpha.tobytes()) for m, change in c.changes.items()))
-            made.setdefault(key, np.zeros(shape))[i] = after - before
-    size = int(np.prod(shape))
-    errors = np.full((shape[2], 1), Effect.spectrum_error[0])
-    each = [_misfit_of_all(change, errors, Effect.formula_error) for change in made.values()]
-    return np.asarray(sum(each, np.zeros((size, size))))
+    return np.asarray(covariance)
 
 
 def _misfit_of_all(change: Array, errors: Array, alone: float) -> Array:
@@ -602,90 +709,16 @@ def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelD
     return ModelDiscrepancy(bias.ravel(), shrunk, tuple(c.engine for c in controls))
 
 
-class AlphaCovariance:
-    """The prior's covariance of ln T20 under each hypothesis.
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Mean (n, m) and covariance (n, m, m) of the features in use under each of n hypotheses.
 
-    d ln T20 = -(d k / d alpha) T20 / (6 ln 10) d alpha. A material that a configuration changed is
-    independent of its coefficients elsewhere.
+    ``common`` (n, r, m) are the changes by what the coefficients usually err by in common.
     """
 
-    def __init__(
-        self, case: Case, states: Sequence[Sequence[RoomState]], predicted: Sequence[Predicted]
-    ) -> None:
-        """Take the states and the predictions of hypotheses, by configuration."""
-        room = case.room
-        self._rho = correlation(room.centre_frequencies, room.band_correlation)
-        self._sigma = np.stack([c.coefficients(room)[1] for c in case.configurations])
-        changed = [[m in c.changes for m in room.materials] for c in case.configurations]
-        self._changed = np.array(changed)[:, :, None]
-        self._directions = directions(case)
-        times = [p.reverberation_time[:, None, :] / (6 * np.log(10)) for p in predicted]
-        slopes = [sensitivities(s) * time for s, time in zip(states, times, strict=True)]
-        self._slopes = np.stack(slopes, axis=1)
-        self._air = _climate(case) * np.stack(times, axis=1)
-
-    def of(self, part: slice | NDArray[np.intp]) -> Array:
-        """Return the covariance of some hypotheses over configurations and bands, (n, size, size)."""
-        factor = self._slopes[part] * self._sigma
-        n, count, _, n_bands = factor.shape
-        size = count * n_bands
-        common = np.where(self._changed, 0.0, factor).swapaxes(2, 3).reshape(n, size, -1)
-        full = (common @ common.swapaxes(1, 2)).reshape(n, count, n_bands, count, n_bands)
-        own = np.where(self._changed, factor, 0.0)
-        for c in np.flatnonzero(self._changed.any((1, 2))):
-            full[:, c, :, c] += own[:, c].swapaxes(1, 2) @ own[:, c]
-        alone = (full * self._rho[:, None, :]).reshape(n, size, size)
-        air = self._air[part].swapaxes(2, 3).reshape(n, size, -1)
-        parts = np.concatenate([air, self.off_together(part)], axis=-1)
-        return np.asarray(alone + parts @ parts.swapaxes(1, 2))
-
-    def slopes(self, i: int) -> Array:
-        """Return -d ln T20 / d alpha of a hypothesis, (n_configurations, n_materials, n_bands)."""
-        return np.asarray(self._slopes[i])
-
-    def off_together(self, part: slice | NDArray[np.intp]) -> Array:
-        """Return the usual changes of ln T20 in common, (n, size, n_directions).
-
-        See `rtcal.finder.prior.factors`.
-        """
-        return factors(self._directions, self._slopes[part])
-
-
-def _climate(case: Case) -> Array:
-    """Return the change of k in 1/s by one standard deviation of temperature and of humidity.
-
-    (n_configurations, n_columns, n_bands). Configurations without a climate of their own share the
-    columns of the room's; without any climate they are 0. What a temperature changes of the speed of
-    sound, 0.17 % per K, is left out.
-    """
-    room = case.room
-    climates = [c.air or room.air for c in case.configurations]
-    owners = [0 if c.air is None else i + 1 for i, c in enumerate(case.configurations)]
-    place = {owner: i for i, owner in enumerate(dict.fromkeys(owners))}
-    out = np.zeros((len(climates), 2 * len(place), room.n_bands))
-    for c, (air, owner) in enumerate(zip(climates, owners, strict=True)):
-        if air is not None:
-            first = 2 * place[owner]
-            out[c, first : first + 2] = air.speed_of_sound * _attenuation_changes(
-                air, case.climate_uncertainty, tuple(room.centre_frequencies.tolist())
-            )
-    return out
-
-
-@lru_cache(maxsize=64)
-def _attenuation_changes(
-    air: Air, by: tuple[float, float], frequencies: tuple[float, ...]
-) -> Array:
-    """Return the change of m in 1/m by so many K and by so many % of humidity, (2, n_bands)."""
-    warm = min(air.temperature, 50 - by[0])
-    damp = min(air.humidity, 100 - by[1])
-    pairs = [
-        (replace(air, temperature=warm), replace(air, temperature=warm + by[0])),
-        (replace(air, humidity=damp), replace(air, humidity=damp + by[1])),
-    ]
-    return read_only(
-        np.array([b.attenuation(frequencies) - a.attenuation(frequencies) for a, b in pairs])
-    )
+    mean: Array
+    covariance: Array
+    common: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -720,12 +753,6 @@ class MeansProblem:
         return np.nonzero(self.observed.used)
 
     @cached_property
-    def t20(self) -> NDArray[np.intp]:
-        """The row of each feature's ln T20 among configurations and bands, (n_used,)."""
-        c, _, b = self.places
-        return np.asarray(c * self.observed.used.shape[2] + b)
-
-    @cached_property
     def changes(self) -> Array:
         """Changes of the features in use by each hypothesis, (n_hypotheses, n_used)."""
         c, f, b = self.places
@@ -737,12 +764,6 @@ class MeansProblem:
         c, _, b = self.places
         return np.asarray((self.predicted.features - self.predicted.features[0])[:, c, 0, b])
 
-    @cached_property
-    def slopes(self) -> Array:
-        """The derivatives of the features in use by ln T20, (n_hypotheses, n_used)."""
-        c, f, b = self.places
-        return np.asarray(self.predicted.slopes[:, c, f, b])
-
     @property
     def bias(self) -> Array:
         """The model's bias of the features in use, (n_used,)."""
@@ -753,36 +774,41 @@ class MeansProblem:
         y = self.observed.values if values is None else values
         return np.asarray(y - self.predicted.features[i].ravel()[self.mask] - self.bias)
 
-    def log_likelihood(
-        self, values: Array, ends: Sequence[int], *, off: bool
-    ) -> tuple[Array, Array]:
-        """Return log N(y; y_k + bias, C) of the first so many of ``values`` (n_draws, n), by ``ends``.
+    def by_log_time(self, predicted: Predictions, rows: Rows, changes: Array) -> Array:
+        """Return the changes of the features in use, (n, n_used, n_columns).
 
-        Two arrays (n_ends, n_hypotheses, n_draws), in nats. The first with the coefficients as stated,
-        the second with coefficients that are off together; -inf without ``off``.
+        ``changes`` (n, size, n_columns) are those of ln T20 over configurations and bands.
         """
         c, f, b = self.places
-        centres = self.predicted.features[:, c, f, b] + self.bias
-        n, (draws, m) = len(centres), values.shape
-        stated, together = (np.full((len(ends), n, draws), -np.inf) for _ in range(2))
-        # A few hypotheses at a time, so that their covariances stay in the processor's cache.
-        step = max(1, min(_AT_ONCE, _ELEMENTS // (m + draws) ** 2))
-        for begin in range(0, n, step):
-            part = slice(begin, begin + step)
-            rows = values - centres[part, None]
-            if off:
-                common = self.predicted.alpha_covariance.off_together(part).take(self.t20, 1)
-                common = common * self.slopes[part, :, None]
-                rows = np.concatenate([rows, common.swapaxes(1, 2)], axis=1)
-            covariance = self._alpha(part)
-            covariance += self.without_alpha
-            covariance += self.error_of_change(part)
-            densities = log_densities(Factorization(covariance), rows, draws, ends)
-            for i, (as_stated, scaled) in enumerate(densities):
-                stated[i, part] = as_stated
-                if scaled is not None:
-                    together[i, part] = scaled
-        return stated, together
+        slopes = predicted.slopes[:, c, f, b][rows]
+        return np.asarray(changes.take(self._t20, 1) * slopes[:, :, None])
+
+    @cached_property
+    def _t20(self) -> NDArray[np.intp]:
+        """The row of each feature's ln T20 among configurations and bands, (n_used,)."""
+        c, _, b = self.places
+        return np.asarray(c * self.observed.used.shape[2] + b)
+
+    def moments(
+        self,
+        rows: Rows,
+        members: Sequence[Rows] | None = None,
+        predicted: Predictions | None = None,
+    ) -> Moments:
+        """Return the moments of some hypotheses: by default of these rows of the table.
+
+        Of sets, ``predicted`` has all effects of a set in the state, and ``members`` are the rows of
+        the table whose errors add up, (n,) each.
+        """
+        made, alone = predicted or self.predicted, [rows] if members is None else members
+        c, f, b = self.places
+        covariance = self.of_alpha(rows, made)
+        covariance += self.without_alpha
+        for member in alone:
+            covariance += self.error_of_change(member)
+        common = self.by_log_time(made, rows, made.in_common(rows))
+        mean = made.features[:, c, f, b][rows] + self.bias
+        return Moments(mean, covariance, common.swapaxes(1, 2))
 
     @cached_property
     def without_alpha(self) -> Array:
@@ -790,39 +816,45 @@ class MeansProblem:
         both = self.discrepancy.covariance + self.predicted.applied
         return np.asarray(self.observed.covariance + both[np.ix_(self.mask, self.mask)])
 
-    def _alpha(self, part: slice) -> Array:
+    def of_alpha(self, rows: Rows, predicted: Predictions | None = None) -> Array:
         """Return J Sigma J' of some hypotheses, (n, n_used, n_used)."""
-        out = self.predicted.alpha_covariance.of(part).take(self.t20, 2)
-        out *= self.slopes[part, None, :]
-        out = out.take(self.t20, 1)
-        return np.asarray(out * self.slopes[part, :, None])
+        made = predicted or self.predicted
+        half = self.by_log_time(made, rows, made.log_time_covariance(rows))
+        return self.by_log_time(made, rows, half.swapaxes(1, 2))
 
-    def error_of_change(self, part: slice | NDArray[np.intp]) -> Array:
+    def error_of_change(self, rows: Rows) -> Array:
         """Return the covariance of the error of some hypotheses' changes, (n, n_used, n_used)."""
         _, f, b = self.places
-        errors = self.predicted.spectrum_errors[part]
+        errors = self.predicted.spectrum_errors[rows]
         errors = errors[:, :, errors.any((0, 1))].take(b, 1)
-        alone = self.predicted.formula_errors[part]
-        return misfit(self.changes[part], self.amounts[part], f, errors, alone)
+        alone = self.predicted.formula_errors[rows]
+        out = misfit(self.changes[rows], self.amounts[rows], f, errors, alone)
+        if self.cells.size:
+            cells = self.cells[rows]
+            out += cells @ cells.swapaxes(1, 2)
+        return out
 
     def covariance_of(self, i: int, scale: float = 1.0) -> tuple[Array, Array]:
         """Return the covariance of hypothesis ``i`` from the coefficients, and that from all else.
 
         Both (n_used, n_used). ``scale`` multiplies the error that the coefficients have in common.
         """
-        part = slice(i, i + 1)
-        alpha = self._alpha(part)[0]
+        row = slice(i, i + 1)
+        alpha = self.of_alpha(row)[0]
         if scale != 1:
-            common = self.spreading(i) @ self.predicted.alpha_covariance.off_together(part)[0]
+            common = self.by_log_time(self.predicted, row, self.predicted.in_common(row))[0]
             alpha = alpha + (scale**2 - 1) * common @ common.T
-        return alpha, self.without_alpha + self.error_of_change(part)[0]
+        return alpha, self.without_alpha + self.error_of_change(row)[0]
 
-    def spreading(self, i: int) -> Array:
-        """Return d feature / d ln T20, (n_used, n_configurations * n_bands)."""
-        count, _, bands = self.observed.used.shape
-        out = np.zeros((len(self.t20), count * bands))
-        out[np.arange(len(self.t20)), self.t20] = self.slopes[i]
-        return out
+    def log_likelihood(
+        self, values: Array, ends: Sequence[int], *, off: bool
+    ) -> tuple[Array, Array]:
+        """Return `log_likelihoods` of all hypotheses for ``values`` (n_draws, n_used)."""
+        n, (draws, m) = len(self.predicted.names), values.shape
+        # A few hypotheses at a time, so that their covariances stay in the processor's cache.
+        step = max(1, min(_AT_ONCE, _ELEMENTS // (m + draws) ** 2))
+        parts = (self.moments(slice(begin, begin + step)) for begin in range(0, n, step))
+        return log_likelihoods(parts, values, ends, off=off)
 
     def goodness_of_fit(self, i: int, scale: float = 1.0) -> tuple[float, float]:
         """Return the distance of the measurement from hypothesis ``i``, and its probability.
@@ -838,61 +870,62 @@ class MeansProblem:
 
     def standardized_residuals(self) -> Array:
         """Return modelled less measured over its standard deviation, as `ObservedFeatures.features`."""
-        c = alpha_covariance(self.predicted, 0) + self.discrepancy.covariance
-        spread = np.sqrt(np.diag(c)[self.mask] + np.diag(self.observed.covariance))
-        out = np.full(self.mask.size, np.nan)
-        modelled = self.predicted.features[0].ravel()[self.mask] + self.bias
-        out[self.mask] = (modelled - self.observed.values) / spread
-        return out.reshape(self.observed.used.shape)
+        model = self.of_alpha(slice(0, 1))[0] + self.discrepancy.covariance[self.mask][:, self.mask]
+        out = np.full(self.observed.used.shape, np.nan)
+        spread = np.sqrt(np.diag(model) + np.diag(self.observed.covariance))
+        out[self.observed.used] = -self.residual(0) / spread
+        return out
 
 
 _AT_ONCE = 32  # hypotheses
 _ELEMENTS = 4_000_000  # numbers in an array of covariances: 32 MB
 
 
-def alpha_covariance(predicted: MeansHypotheses, i: int) -> Array:
-    """Return J Sigma J' of one hypothesis, over all features raveled."""
-    slopes = predicted.slopes[i]  # (configurations, features, bands)
-    count, kinds, bands = slopes.shape
-    variance = predicted.alpha_covariance.of(slice(i, i + 1)).reshape(count, bands, count, bands)
-    full = np.einsum("afk,akbl,bgl->afkbgl", slopes, variance, slopes)
-    return np.asarray(full.reshape(count * kinds * bands, -1))
-
-
-def log_density(residual: Array, covariance: Array) -> float:
-    """Return the log density of a residual (m,) under a covariance, in nats."""
-    factorization = Factorization(covariance[None].copy())
-    ((log, _),) = log_densities(factorization, residual[None, None].copy(), 1, [len(residual)])
-    return float(log[0, 0])
-
-
-def log_densities(
-    factorization: Factorization,
-    rows: Array,
-    draws: int,
+def log_likelihoods(
+    parts: Iterable[Moments],
+    values: Array,
     ends: Sequence[int],
     *,
+    off: bool,
     coarsened: bool = True,
-) -> Iterator[tuple[Array, Array | None]]:
-    """Yield log densities (n, draws) of residuals under C: as stated, and off together.
+) -> tuple[Array, Array]:
+    """Return log N(y; y_k + bias, C) of the first so many of ``values`` (n_draws, n), by ``ends``.
 
-    They are of the first so many values, for each of ``ends``. ``rows`` (n, draws + r, m) are the
-    residuals, then F'; without F' the second is None. It is the mean density over `SCALES` under
-    C + (s² - 1) F F'. ``coarsened`` as for `student`.
+    Two arrays (n_ends, n_hypotheses, n_draws), in nats. The first with the coefficients as stated, the
+    second with coefficients that are off together: the mean density over `SCALES` under C + (s² - 1)
+    F F'; -inf without ``off``. ``coarsened`` as for `rtcal.finder.evidence.student`.
     """
     scales = np.array(SCALES)
     more, log_probability = (scales[:, 0] ** 2 - 1)[:, None, None], np.log(scales[:, 1])
-    for m, products in zip(ends, factorization.leading(rows, draws, ends), strict=True):
-        half, square, across, inner = products
-        stated = student(square, half, m, coarsened=coarsened)
-        if rows.shape[1] == draws:
-            yield stated, None
-            continue
-        off = with_columns(
-            square[:, None], half[:, None], np.sqrt(more) * across[:, None], more * inner[:, None]
-        )
-        log = student(*off, m, coarsened=coarsened)
-        yield stated, logsumexp(log_probability[:, None] + log, axis=1)
+    stated, together = [], []
+    for of in parts:
+        rows = values - of.mean[:, None]
+        if off:
+            rows = np.concatenate([rows, of.common], axis=1)
+        leading = Factorization(of.covariance).leading(rows, len(values), ends)
+        as_stated, scaled = [], []
+        for m, (half, square, across, inner) in zip(ends, leading, strict=True):
+            as_stated.append(student(square, half, m, coarsened=coarsened))
+            if off:
+                wider = with_columns(
+                    square[:, None],
+                    half[:, None],
+                    np.sqrt(more) * across[:, None],
+                    more * inner[:, None],
+                )
+                log = student(*wider, m, coarsened=coarsened)
+                scaled.append(logsumexp(log_probability[:, None] + log, axis=1))
+        stated.append(np.array(as_stated))
+        together.append(np.array(scaled) if off else np.full_like(stated[-1], -np.inf))
+    return np.concatenate(stated, axis=1), np.concatenate(together, axis=1)
+
+
+def log_density(residual: Array, covariance: Array) -> Array:
+    """Return the log density of a residual (m,) under covariances (n, m, m), (n,), in nats."""
+    n = len(covariance)
+    of = Moments(np.zeros((n, len(residual))), covariance.copy(), np.zeros((n, 0, len(residual))))
+    (log,), _ = log_likelihoods([of], residual[None], [len(residual)], off=False)
+    return np.asarray(log[:, 0])
 
 
 # Numbers without a study of their own date from the first version of the finder. Others were tried
@@ -928,12 +961,6 @@ class MeansEvidence:
     unknown: Array
     prior_off: float
 
-    @cached_property
-    def rows(self) -> dict[str, NDArray[np.intp]]:
-        """The numbers of each effect's hypotheses, and of "none"."""
-        names = np.array(self.problem.predicted.names)
-        return {name: np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
-
     def by_effect(self) -> dict[str, Array]:
         """Return the log evidence of each effect, "none", "coefficients" and "unknown", in nats."""
         out = log_sums(self.problem.predicted.names, self._weighted(self.by_hypothesis()))
@@ -945,7 +972,7 @@ class MeansEvidence:
 
     def off_given(self, name: str) -> Array:
         """Return the probability of coefficients that are off together, given an effect or "none"."""
-        rows = self.rows[name]
+        rows = self.problem.predicted.rows[name]
         with np.errstate(divide="ignore"):
             off = self._weighted(self.off)[rows] + np.log(self.prior_off)
         both = self._weighted(self.by_hypothesis())[rows]
@@ -953,8 +980,7 @@ class MeansEvidence:
 
     def _weighted(self, log: Array) -> Array:
         """Return log likelihoods plus the log of the parameters' prior, given the effect."""
-        with np.errstate(divide="ignore"):
-            weights = np.log(self.problem.predicted.weights)
+        weights = self.problem.predicted.log_weights
         return np.asarray(weights.reshape(-1, *[1] * (log.ndim - 1)) + log)
 
     def nats(self, name: str) -> float:
@@ -962,10 +988,12 @@ class MeansEvidence:
         table = self.by_effect()
         return float(table[name] - table[NONE])
 
-    def under(self, effect: Effect, grid: Sequence[Parameters]) -> MeansEvidence:
-        """Return the evidence of "none", and of an effect with these sets of parameters."""
+    def under(self, effect: Effect, grid: Sequence[Parameters]) -> Array:
+        """Return the log likelihoods of an effect with these sets of parameters, (n,)."""
         predicted = predict_hypotheses(self.problem.case, [effect], [grid])
-        return evaluate(replace(self.problem, predicted=predicted), self.prior_off)
+        return evaluate(replace(self.problem, predicted=predicted), self.prior_off).by_hypothesis()[
+            1:
+        ]
 
     def beside(self, name: str, others: Sequence[AppliedEffect] = ()) -> MeansEvidence:
         """Return the evidence of one effect, with others in the model."""
@@ -990,15 +1018,12 @@ def evaluate_leading(
 ) -> list[MeansEvidence]:
     """Return the same of the first so many of the features in use, for each of ``ends``."""
     y = np.atleast_2d(problem.observed.values if values is None else values)
-    stated, off = problem.log_likelihood(y, ends, off=prior_off > 0)
     alpha, other = problem.covariance_of(0)
     unknown = unknown_evidence(problem.residual(0, y), alpha + other, problem.observed.used, ends)
+    parts = [*problem.log_likelihood(y, ends, off=prior_off > 0), unknown]
     if values is None:
-        stated, off, unknown = stated[..., 0], off[..., 0], unknown[..., 0]
-    return [
-        MeansEvidence(problem, *parts, prior_off)
-        for parts in zip(stated, off, unknown, strict=True)
-    ]
+        parts = [part[..., 0] for part in parts]
+    return [MeansEvidence(problem, *of_end, prior_off) for of_end in zip(*parts, strict=True)]
 
 
 def evaluate_beyond(
@@ -1014,15 +1039,13 @@ def evaluate_beyond(
     """
     case = problem.case
     ends = [*ends, len(problem.observed.values)]
-    evidence = evaluate_leading(problem, prior_off, ends)
-    base, reached = state(case, case.configurations[0]), dict[str, float]()
+    evidence, reached = evaluate_leading(problem, prior_off, ends), dict[str, float]()
     for _ in range(_ROUNDS):
         predicted, likelihood = problem.predicted, evidence[-1].by_hypothesis()
         least, grids = max(likelihood[0], likelihood.max() - NEGLIGIBLE), []
         for name, effect in predicted.effects.items():
-            rows = evidence[-1].rows[name]
+            rows, grid = predicted.rows[name], predicted.grid(name)
             likeliest = rows[np.argmax(likelihood[rows])]
-            grid = [predicted.parameters[i] for i in rows]
             rises = likelihood[likeliest] > reached.get(name, -np.inf) + _FLAT
             reached[name] = float(likelihood[likeliest])
             if rises and reached[name] > least:
@@ -1030,12 +1053,7 @@ def evaluate_beyond(
             grids.append(grid)
         if sum(map(len, grids)) == len(predicted.names) - 1:
             break
-        effects = list(predicted.effects.values())
-        weights = [grid_weights(e, grid, base) for e, grid in zip(effects, grids, strict=True)]
-        predicted = replace(
-            predict_hypotheses(case, effects, grids),
-            weights=np.concatenate([np.ones(1), *weights]),
-        )
+        predicted = predict_hypotheses(case, list(predicted.effects.values()), grids)
         problem = replace(problem, predicted=predicted)
         evidence = evaluate_leading(problem, prior_off, ends)
     return evidence
@@ -1060,21 +1078,21 @@ def unknown_evidence(
     (n_ends, n_draws), of the first so many features for each of ``ends``. ``coarsened`` as for
     `rtcal.finder.evidence.student`.
     """
-    count, kinds, bands = used.shape
-    scale = np.array(UNKNOWN_FEATURES)
-    lag = np.abs(np.subtract.outer(np.arange(bands), np.arange(bands)))
+    count, _, n_bands = used.shape
+    lag = np.abs(np.subtract.outer(np.arange(n_bands), np.arange(n_bands)))
     smooth = UNKNOWN_SMOOTH * UNKNOWN_CORRELATION**lag
-    over_bands = smooth + (1 - UNKNOWN_SMOOTH) * np.eye(bands)
+    over_bands = smooth + (1 - UNKNOWN_SMOOTH) * np.eye(n_bands)
     # Common to all configurations; independent between features.
-    full = np.einsum("ab,fg,kl->afkbgl", np.ones((count, count)), np.diag(scale**2), over_bands)
-    size = count * kinds * bands
+    of_one = np.kron(np.diag(np.square(UNKNOWN_FEATURES)), over_bands)
     mask = used.ravel()
-    extra = full.reshape(size, size)[np.ix_(mask, mask)]
-    factorization = Factorization(covariance + np.square(UNKNOWN_SIZES)[:, None, None] * extra)
-    rows = np.repeat(residual[None], len(UNKNOWN_SIZES), axis=0)
-    densities = log_densities(factorization, rows, len(residual), ends, coarsened=coarsened)
-    parts = [logsumexp(of_sizes, axis=0) for of_sizes, _ in densities]
-    return np.asarray(np.array(parts) - np.log(len(UNKNOWN_SIZES)))
+    extra = np.tile(of_one, (count, count))[np.ix_(mask, mask)]
+    of = Moments(
+        np.zeros((len(UNKNOWN_SIZES), residual.shape[1])),
+        covariance + np.square(UNKNOWN_SIZES)[:, None, None] * extra,
+        np.zeros(0),
+    )
+    log, _ = log_likelihoods([of], residual, ends, off=False, coarsened=coarsened)
+    return np.asarray(logsumexp(log, axis=1) - np.log(len(UNKNOWN_SIZES)))
 
 
 QUANTILE = 0.95
@@ -1083,35 +1101,16 @@ MINIMUM = 0.0
 """Smallest threshold in nats: below it, nothing missing explains the data better."""
 
 
-@dataclass(frozen=True, eq=False)
-class Threshold:
-    """The evidence in nats that a finding must exceed, and what it was estimated from.
-
-    ``values`` (n_steps,) are of ever more data, the last of all (`features.steps`). ``scores``
-    (n_draws, n_steps) are those of the null rooms; ``discrepancy`` is that of all control rooms.
-    """
-
-    values: Array
-    scores: Array
-    discrepancy: ModelDiscrepancy
-
-    @property
-    def engines(self) -> tuple[str, ...]:
-        """The simulators of the control rooms."""
-        return self.discrepancy.engines
-
-
-def bootstrap_threshold(
+def null_scores(
     case: Case,
     observed: ObservedFeatures,
     predicted: MeansHypotheses,
     controls: Sequence[ControlRooms],
     prior: Prior,
-    seed: int = 0,
     draws: int = 400,
-) -> Threshold:
-    """Return the thresholds for this case's data; ``seed`` is the sequence of the null rooms."""
-    rng = np.random.default_rng([seed, 3])
+) -> Array:
+    """Return the `score` of rooms that lack nothing, of ever more data (`steps`): (n_draws, n_steps)."""
+    rng = np.random.default_rng([0, 3])
     ends, scores = list(steps(case, observed.used)), []
     for fold in (0, 1):
         training = [_part(c, fold) for c in controls]
@@ -1120,8 +1119,7 @@ def bootstrap_threshold(
         learnt = MeansProblem(case, observed, predicted, estimate_discrepancy(case, training))
         parts = evaluate_leading(learnt, prior.off, ends, values)
         scores.append(np.stack([score(part, prior) for part in parts], axis=1))
-    table = np.concatenate(scores)
-    return Threshold(thresholds(table), table, estimate_discrepancy(case, controls))
+    return np.concatenate(scores)
 
 
 def thresholds(scores: Array) -> Array:

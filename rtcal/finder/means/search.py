@@ -25,12 +25,13 @@ from rtcal.finder.means.problem import (
     LEVELS,
     MeansHypotheses,
     MeansProblem,
-    Threshold,
-    bootstrap_threshold,
+    estimate_discrepancy,
     evaluate_beyond,
+    null_scores,
     observe,
     predict_hypotheses,
     steps,
+    thresholds,
 )
 from rtcal.finder.means.problem import score as evidence_of_something
 from rtcal.finder.means.sets import (
@@ -68,7 +69,6 @@ from rtcal.support.types import Array
 def find(
     case: Case,
     effects: Sequence[Effect] | None = None,
-    threshold: Threshold | float | None = None,
     *,
     most: int = 1,
     expected: float | None = None,
@@ -87,9 +87,6 @@ def find(
     case : Case
     effects : sequence of Effect, optional
         The effects to try; the whole library if not given.
-    threshold : Threshold or float, optional
-        Of an earlier bootstrap of the same case, or a number of nats; the model's discrepancy is then
-        estimated from ``controls``. Bootstrapped if not given.
     most : int
         Largest number of effects that may be missing at once, from 1 to 3.
     expected : float, optional
@@ -139,22 +136,12 @@ def find(
         notes = [*notes, CHOSEN]
     before = prior_of(case.room, effects, odds, left_out)
     predicted = predict_hypotheses(case, effects)
-    if not isinstance(threshold, Threshold):
-        if controls is None:
-            controls = control_rooms(case, 0, engines, progress, cache)
-        else:
-            controls = checked_controls(case, controls)
-        bootstrapped = bootstrap_threshold(case, observed, predicted, controls, before)
-        limits = bootstrapped.values
-        if threshold is not None:
-            limit = checks.number("threshold", threshold)
-            if not 0 <= limit < np.inf:
-                raise DataError(f"threshold = {limit:g} nats is not finite and 0 or more")
-            limits = np.array([limit])
-            notes.append("the threshold was given, not bootstrapped")
+    if controls is None:
+        controls = control_rooms(case, 0, engines, progress, cache)
     else:
-        bootstrapped, limits = threshold, threshold.values
-    problem = MeansProblem(case, observed, predicted, bootstrapped.discrepancy)
+        controls = checked_controls(case, controls)
+    limits = thresholds(null_scores(case, observed, predicted, controls, before))
+    problem = MeansProblem(case, observed, predicted, estimate_discrepancy(case, controls))
     found = _conclude(problem, limits, before, notes, most, number)
     return replace(found, not_judged=not_judged) if not_judged else found
 
@@ -207,7 +194,7 @@ def _conclude(
 ) -> MeansFinding:
     """Compare the hypotheses' evidence and return the finding."""
     case, observed = problem.case, problem.observed
-    parts = dict(list(steps(case, observed.used).items())[-len(limits) :])
+    parts = steps(case, observed.used)
     by_part = evaluate_beyond(problem, prior.off, list(parts)[:-1])
     evidence = by_part[-1]
     problem, effects = evidence.problem, evidence.problem.predicted.effects

@@ -18,7 +18,7 @@ its effects' odds. Coefficients that are off together stand beside any set, with
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import factorial
@@ -34,21 +34,22 @@ from rtcal.acoustics.bands import correlation
 from rtcal.finder.case import Case
 from rtcal.finder.claim import Names, families_of, family_of, most_probable_first
 from rtcal.finder.effects import AppliedEffect, Effect, added, changed_states
-from rtcal.finder.evidence import Factorization, student
+from rtcal.finder.evidence import student
 from rtcal.finder.means.problem import (
     COMMON_CORRELATION,
-    AlphaCovariance,
     MeansEvidence,
     MeansHypotheses,
     MeansProblem,
+    Moments,
     distances,
-    log_densities,
+    log_likelihoods,
     misfit_columns,
     predict_hypotheses,
+    predict_states,
     state,
     unknown_evidence,
 )
-from rtcal.finder.model import RoomState, predict, sensitivities
+from rtcal.finder.model import RoomState, predict
 from rtcal.finder.prior import COEFFICIENTS, EXPECTED, NONE, UNKNOWN, Prior
 from rtcal.support.types import Array
 
@@ -77,11 +78,9 @@ def _cells(problem: MeansProblem) -> Array:
     predicted = problem.predicted
     c, f, b = problem.places
     features = predicted.features[:, c, f, b]
-    names = np.array(predicted.names)
     steps: list[Array] = []
     for name, effect in predicted.effects.items():
-        rows = np.flatnonzero(names == name)
-        grid = [predicted.parameters[i] for i in rows]
+        rows, grid = predicted.rows[name], predicted.grid(name)
         for k, parameter in enumerate(p for p in grid[0] if p not in effect.discrete):
             if k == len(steps):
                 steps.append(np.zeros_like(features))
@@ -108,32 +107,25 @@ Rows = tuple[int, ...]
 _AT_ONCE = 256
 
 
-def acting_order(case: Case, predicted: MeansHypotheses) -> list[str]:
-    """Return the effects' names in the order in which they act on a state.
+def acting_order(case: Case, predicted: MeansHypotheses) -> tuple[list[str], frozenset[str]]:
+    """Return the effects' names in the order in which they act on a state, and those that bend it.
 
     Another equation comes first, since absorbers are added in its terms; then whatever contradicts
-    what the room states; then what is added to it.
+    what the room states; then what is added to it. A set holds one effect at most that replaces the
+    decay's shape.
     """
     base = state(case, case.configurations[0])
-    first = dict(zip(reversed(predicted.names), reversed(predicted.parameters), strict=True))
+    changed = {
+        name: changed_states(effect, base, predicted.grid(name)[:1])[0]
+        for name, effect in predicted.effects.items()
+    }
 
-    def rank(effect: Effect) -> tuple[bool, bool]:
-        changed = changed_states(effect, base, [first[effect.name]])[0]
-        return changed.equation == base.equation, not effect.contradicts(case.room)
+    def rank(name: str) -> tuple[bool, bool]:
+        contradicts = predicted.effects[name].contradicts(case.room)
+        return changed[name].equation == base.equation, not contradicts
 
-    return [e.name for e in sorted(predicted.effects.values(), key=rank)]
-
-
-def shapes(case: Case, predicted: MeansHypotheses) -> frozenset[str]:
-    """Return the effects that replace the decay's shape: a set holds one of them at most."""
-    base = state(case, case.configurations[0])
-    out = set()
-    for name, theta in zip(predicted.names[1:], predicted.parameters[1:], strict=True):
-        if name not in out:
-            changed = changed_states(predicted.effects[name], base, [theta])[0]
-            if changed.shape is not None:
-                out.add(name)
-    return frozenset(out)
+    bends = frozenset(name for name, made in changed.items() if made.shape is not None)
+    return sorted(changed, key=rank), bends
 
 
 class Screen:
@@ -153,7 +145,6 @@ class Screen:
         for i in base:
             residual = residual - change[i]
             other = other + compared.error_of_change(slice(i, i + 1))[0]
-            other = other + compared.cells[i] @ compared.cells[i].T
         factor = np.linalg.cholesky(alpha + other)
         self._half = float(np.log(np.diag(factor)).sum())
         self._m = len(factor)
@@ -192,108 +183,62 @@ class Screen:
         return student(square, self._half + half, self._m, coarsened=False)
 
 
-@dataclass(frozen=True, eq=False)
-class Moments:
-    """Mean (n, m) and covariance (n, m, m) of the features in use under each of n sets.
-
-    ``common`` (n, r, m) are the changes by what the coefficients usually err by in common. A set that
-    is not ``possible`` has no finite features; its moments are 0 and the unit matrix.
-    """
-
-    mean: Array
-    covariance: Array
-    common: Array
-    possible: NDArray[np.bool_]
-
-
 def evaluate_sets(compared: MeansProblem, sets: Sequence[Rows], *, off: bool) -> Array:
     """Return the log likelihoods of sets in nats, each with all of its effects in the state.
 
     (n_sets, 2): with the coefficients as stated, and off together; -inf without ``off``.
     """
-    out = np.full((len(sets), 2), -np.inf)
-    for begin in range(0, len(sets), _AT_ONCE):
-        part = slice(begin, begin + _AT_ONCE)
-        of = moments(compared, sets[part])
-        rows = (compared.observed.values - of.mean)[:, None, :]
-        if off:
-            rows = np.concatenate([rows, of.common], axis=1)
-        factorization, ends = Factorization(of.covariance), [rows.shape[2]]
-        ((one, scaled),) = log_densities(factorization, rows, 1, ends, coarsened=False)
-        out[part, 0] = np.where(of.possible, one[:, 0], -np.inf)
-        if scaled is not None:
-            out[part, 1] = np.where(of.possible, scaled[:, 0], -np.inf)
-    return out
+    begins, possible = range(0, len(sets), _AT_ONCE), list[NDArray[np.bool_]]()
+
+    def parts() -> Iterator[Moments]:
+        for begin in begins:
+            of, finite = moments(compared, sets[begin : begin + _AT_ONCE])
+            possible.append(finite)
+            yield of
+
+    values = compared.observed.values[None]
+    both = log_likelihoods(parts(), values, [values.shape[1]], off=off, coarsened=False)
+    log = np.stack([of_all[0, :, 0] for of_all in both], axis=1)
+    return np.where(np.concatenate(possible)[:, None], log, -np.inf)
 
 
-def moments(compared: MeansProblem, sets: Sequence[Rows]) -> Moments:
-    """Return mean and covariance of the features in use, with all effects of a set in the state."""
-    case, predicted, t20 = compared.case, compared.predicted, compared.t20
-    c, f, b = compared.places
-    if max(map(len, sets)) < 2:
+def moments(compared: MeansProblem, sets: Sequence[Rows]) -> tuple[Moments, NDArray[np.bool_]]:
+    """Return the moments with all effects of a set in the state, and which sets are possible, (n,).
+
+    A set that is not has no finite features; its moments are 0 and the unit matrix.
+    """
+    most = max(map(len, sets))
+    members = [np.array([rows[k] if k < len(rows) else 0 for rows in sets]) for k in range(most)]
+    if most < 2:
         # These are predicted already.
-        which = np.array([rows[0] if rows else 0 for rows in sets])
-        features, slopes = predicted.features[which], predicted.slopes[which]
-        alpha = predicted.alpha_covariance
+        of = compared.moments(members[0] if most else np.zeros(len(sets), dtype=int), members)
     else:
-        which = np.arange(len(sets))
-        states = states_of(compared, sets)
-        with np.errstate(all="ignore"):
-            made = [
-                predict(column, distances(case, where))
-                for column, where in zip(states, case.configurations, strict=True)
-            ]
-        features = np.stack([p.features for p in made], axis=1)
-        slopes = np.stack([p.slopes for p in made], axis=1)
-        alpha = AlphaCovariance(case, states, made)
-    features, slopes = features[:, c, f, b], slopes[:, c, f, b]
-    covariance = alpha.of(which).take(t20, 2) * slopes[:, None, :]
-    covariance = covariance.take(t20, 1) * slopes[:, :, None]
-    covariance += compared.without_alpha
-    for member in range(max(map(len, sets))):
-        at = np.array([rows[member] if member < len(rows) else 0 for rows in sets])
-        covariance += compared.error_of_change(at)
-        cells = compared.cells[at]
-        covariance += cells @ cells.swapaxes(1, 2)
-    common = alpha.off_together(which).take(t20, 1) * slopes[:, :, None]
-    mean = features + compared.bias
-    possible = np.isfinite(mean).all(1) & np.isfinite(covariance).all((1, 2))
-    mean[~possible], covariance[~possible], common[~possible] = 0.0, np.eye(len(f)), 0.0
-    return Moments(mean, covariance, common.swapaxes(1, 2), possible)
+        made = predict_states(compared.case, states_of(compared, sets))
+        of = compared.moments(np.arange(len(sets)), members, made)
+    possible = np.isfinite(of.mean).all(1) & np.isfinite(of.covariance).all((1, 2))
+    of.mean[~possible], of.covariance[~possible] = 0.0, np.eye(of.mean.shape[1])
+    of.common[~possible] = 0.0
+    return of, possible
 
 
 def states_of(compared: MeansProblem, sets: Sequence[Rows]) -> list[list[RoomState]]:
-    """Return the states of sets in each configuration."""
-    case, predicted = compared.case, compared.predicted
-    return [
-        _states(case, predicted, state(case, where), i, sets)
-        for i, where in enumerate(case.configurations)
-    ]
-
-
-def _states(
-    case: Case,
-    predicted: MeansHypotheses,
-    base: RoomState,
-    configuration: int,
-    sets: Sequence[Rows],
-) -> list[RoomState]:
-    """Return the state of each set in one configuration; what is removed there is left out."""
-    removed = case.configurations[configuration].suspect_removed
-    made: dict[Rows, RoomState] = {(): base}
-    for length in range(1, max(map(len, sets)) + 1):
-        groups: dict[tuple[Rows, str], list[int]] = {}
-        for rows in dict.fromkeys(s[:length] for s in sets if len(s) >= length):
-            groups.setdefault((rows[:-1], predicted.names[rows[-1]]), []).append(rows[-1])
-        for (before, name), last in groups.items():
-            effect = predicted.effects[name]
-            if removed and effect.removable:
-                made |= {(*before, i): made[before] for i in last}
-                continue
-            grid = [predicted.parameters[i] for i in last]
-            states = added(effect, made[before], grid)
-            made |= {(*before, i): s for i, s in zip(last, states, strict=True)}
-    return [made[rows] for rows in sets]
+    """Return the states of sets in each configuration; what is removed there is left out."""
+    predicted, out = compared.predicted, []
+    for where in compared.case.configurations:
+        made: dict[Rows, RoomState] = {(): state(compared.case, where)}
+        for length in range(1, max(map(len, sets)) + 1):
+            groups: dict[tuple[Rows, str], list[int]] = {}
+            for rows in dict.fromkeys(s[:length] for s in sets if len(s) >= length):
+                groups.setdefault((rows[:-1], predicted.names[rows[-1]]), []).append(rows[-1])
+            for (before, name), last in groups.items():
+                effect = predicted.effects[name]
+                states = [made[before]] * len(last)
+                if not (where.suspect_removed and effect.removable):
+                    grid = [predicted.parameters[i] for i in last]
+                    states = added(effect, made[before], grid)
+                made |= {(*before, i): s for i, s in zip(last, states, strict=True)}
+        out.append([made[rows] for rows in sets])
+    return out
 
 
 def unknown_beside(compared: MeansProblem, rows: Indices) -> Array:
@@ -301,7 +246,6 @@ def unknown_beside(compared: MeansProblem, rows: Indices) -> Array:
     used, out = compared.observed.used, []
     for i in rows.tolist():
         alpha, other = compared.covariance_of(i)
-        other = other + compared.cells[i] @ compared.cells[i].T
         residual = compared.residual(i)
         ends = [len(residual)]
         value = unknown_evidence(residual[None], alpha + other, used, ends, coarsened=False)
@@ -318,9 +262,9 @@ def averaged_alpha(compared: MeansProblem, likely: Sequence[tuple[Rows, float]])
     an effect nor the model's error explains it. Coefficients stay within 0 and 1.
     """
     sets = [rows for rows, _ in likely]
-    of = moments(compared, sets)
+    of, possible = moments(compared, sets)
     across = covariance_with_alpha(compared, sets)
-    weights = np.array([p for _, p in likely]) * of.possible
+    weights = np.array([p for _, p in likely]) * possible
     out = np.array(compared.case.room.alpha)
     for k in np.flatnonzero(weights):
         explained = np.linalg.solve(of.covariance[k], compared.observed.values - of.mean[k])
@@ -333,23 +277,16 @@ def covariance_with_alpha(compared: MeansProblem, sets: Sequence[Rows]) -> Array
 
     (n_sets, n_used, n_materials, n_bands).
     """
-    case, observed = compared.case, compared.observed
-    room = case.room
-    jacobian = np.zeros((*observed.used.shape, len(sets), *room.alpha.shape))
-    for i, (configuration, states) in enumerate(
-        zip(case.configurations, states_of(compared, sets), strict=True)
-    ):
-        with np.errstate(all="ignore"):  # sets that are not possible have no weight
-            made = predict(states, distances(case, configuration))
-            per_alpha = -sensitivities(states) * made.reverberation_time[:, None] / (6 * np.log(10))
-        changed = [m in configuration.changes for m in room.materials]
-        per_alpha[:, changed] = 0.0  # what stands there is another material
-        for band in range(room.n_bands):
-            slopes = made.slopes[:, :, band].T[..., None]
-            jacobian[i, :, band, :, :, band] = slopes * per_alpha[:, :, band]
+    room, (c, f, b) = compared.case.room, compared.places
+    made = predict_states(compared.case, states_of(compared, sets))
+    # What stands where a configuration changed a material is another one.
+    changed = [[m in at.changes for m in room.materials] for at in compared.case.configurations]
+    per_alpha = -np.where(np.array(changed)[:, :, None], 0.0, made.jacobian)
+    slopes = made.slopes[:, c, f, b][..., None] * per_alpha[:, c, :, b].swapaxes(0, 1)
+    jacobian = np.zeros((*slopes.shape, room.n_bands))
+    jacobian[:, np.arange(len(b)), :, b] = slopes.swapaxes(0, 1)
     rho = correlation(room.centre_frequencies, room.band_correlation)
-    across = (jacobian[observed.used] * room.sigma) @ rho * room.sigma
-    return np.asarray(across.swapaxes(0, 1))
+    return np.asarray((jacobian * room.sigma) @ rho * room.sigma)
 
 
 MOST = 3
@@ -470,9 +407,8 @@ def single_posterior(evidence: MeansEvidence, probabilities: Mapping[str, float]
         sets[name,] = p
         if name == UNKNOWN:
             continue
-        places = evidence.rows[name]
-        with np.errstate(divide="ignore"):
-            weighted = log[places] + np.log(predicted.weights[places])
+        places = predicted.rows[name]
+        weighted = log[places] + predicted.log_weights[places]
         share = p * np.exp(weighted - logsumexp(weighted))
         off[name,] = float(evidence.off_given(name))
         rows[name,] = (int(places[np.argmax(log[places])]),)
@@ -517,13 +453,11 @@ class _Tables:
     def __init__(self, compared: MeansProblem, prior: Prior) -> None:
         self._compared = compared
         predicted = compared.predicted
-        self.order = acting_order(compared.case, predicted)
-        names = np.array(predicted.names)
-        self._rows = {n: np.flatnonzero(names == n) for n in self.order}
+        self.order, self._apart = acting_order(compared.case, predicted)
+        self._rows = {n: predicted.rows[n] for n in self.order}
+        self._weights = predicted.log_weights
         with np.errstate(divide="ignore"):
-            self._weights = np.log(predicted.weights)
             self._prior_off = np.log([1 - prior.off, prior.off])
-        self._apart = shapes(compared.case, predicted)
         self._log_odds = prior.log_probability
         self._unknown = bool(np.isfinite(prior.log_probability[UNKNOWN]))
         self.log: dict[Names, float] = {}

@@ -35,16 +35,13 @@ from rtcal.finder.claim import (
     over_frequency,
 )
 from rtcal.finder.effects import AppliedEffect, Effect, Parameters, changed_states
-from rtcal.finder.evidence import Factorization
 from rtcal.finder.finding import End, Size
 from rtcal.finder.means.problem import (
     NEGLIGIBLE,
     MeansEvidence,
     MeansHypotheses,
     MeansProblem,
-    alpha_covariance,
     evaluate,
-    log_densities,
     log_density,
     predict_hypotheses,
     state,
@@ -109,22 +106,22 @@ def estimate_size(
     """
     problem = evidence.problem
     predicted, base = problem.predicted, state(problem.case, problem.case.configurations[0])
-    effect, rows = predicted.effects[name], evidence.rows[name]
+    effect, rows = predicted.effects[name], predicted.rows[name]
     likelihood = evidence.by_hypothesis()[rows]
-    grid = [predicted.parameters[i] for i in rows]
+    grid = predicted.grid(name)
 
     def log_density(thetas: Sequence[Parameters]) -> Array:
         return np.log(np.maximum(effect.densities(thetas, base), _LEAST_DENSITY))
 
     def evaluated(thetas: Sequence[Parameters]) -> Array:
-        return evidence.under(effect, thetas).by_hypothesis()[1:] + log_density(thetas)
+        return evidence.under(effect, thetas) + log_density(thetas)
 
     best = grid[int(np.argmax(likelihood + log_density(grid)))]
     if precise:
         best = _searched(grid, best, effect.discrete, evaluated)
     if not np.isfinite(effect.neutral):
         return best, None
-    weights = predicted.weights[rows] * np.exp(likelihood - likelihood.max())
+    weights = np.exp(predicted.log_weights[rows] + likelihood - likelihood.max())
     weights = weights / weights.sum()
     others = [name for name in grid[0] if name != effect.size]
     by_others: dict[tuple[float, ...], float] = {}
@@ -427,15 +424,10 @@ def fit(evidence: MeansEvidence, name: str, *, precise: bool) -> Fit:
     off, scale = None, 1.0
     if probability >= LIKELY:
         scale = _LARGER
-        alpha, other = alone.covariance_of(row)
-        off = prior.off_together(
-            case,
-            predicted.alpha_covariance.slopes(row),
-            alone.spreading(row),
-            alone.residual(row),
-            alpha + other,
-            probability,
-        )
+        by_time = prior.by_direction(prior.directions(case), predicted.jacobian[row][None])
+        changes = -alone.by_log_time(predicted, slice(row, row + 1), by_time)[0]
+        covariance = sum(alone.covariance_of(row))
+        off = prior.off_together(case, changes, alone.residual(row), covariance, probability)
     gap = gap_check(alone, row, scale)
     surprise = alone.goodness_of_fit(row, scale)
     return Fit(name, parameters, size, off, gap, likely, surprise, absorption)
@@ -625,14 +617,11 @@ def evidence_of_factors(problem: MeansProblem) -> tuple[float, float]:
     The first is a mistake in the units of T. The second is one in volume, areas or coefficients, and
     the other features follow T.
     """
-    _, f, _ = problem.places
+    c, f, b = problem.places
     alpha, other = problem.covariance_of(0)
-    directions = np.array([f == 0, problem.slopes[0]], dtype=float)
+    directions = np.array([f == 0, problem.predicted.slopes[0, c, f, b]], dtype=float)
     more = MISTAKE**2 * np.einsum("di,dj->dij", directions, directions)
-    rows = np.broadcast_to(problem.residual(0), (2, 1, len(f)))
-    factorization = Factorization(alpha + other + more)
-    ((densities, _),) = log_densities(factorization, rows, 1, [len(f)])
-    of_units, of_room = densities[:, 0].tolist()
+    of_units, of_room = log_density(problem.residual(0), alpha + other + more).tolist()
     return of_units, of_room
 
 
@@ -707,9 +696,11 @@ def gap_check(
         residual = problem.residual(row)
         gaps.append((residual[held] - gain @ residual[fitted]) / jnd)
         moves.append(np.concatenate([-gain, np.eye(int(held.sum()))], axis=1) / jnd[:, None])
-        density.append(
-            log_density(residual, whole) - log_density(residual[kept], whole[np.ix_(kept, kept)])
+        of_all, of_kept = (
+            float(log_density(residual[i], whole[None][:, i][:, :, i])[0])
+            for i in (slice(None), kept)
         )
+        density.append(of_all - of_kept)
         noise = other
     order = np.concatenate([np.flatnonzero(fitted), np.flatnonzero(held)])
     root = np.linalg.cholesky(_plus(noise[np.ix_(order, order)]))
@@ -731,43 +722,32 @@ def _plus(covariance: Array) -> Array:
 
 USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
 """Standard uncertainty of a mean over four positions that is not measured yet, by feature."""
+FURTHER = {"EDT and T30": ("edt", "t30"), "C80": ("c80",), "G": ("g",)}
+"""Parameters that may be measured further in the configurations that there are."""
 
 
-def separation(
-    predicted: MeansHypotheses, covariance: Array, mask: Array, first: int, second: str
-) -> float:
-    """Return the expected evidence in nats against effect ``second`` if ``first`` is true.
-
-    It is ½ min d' C⁻¹ d over the parameters of ``second``, with the masked features.
-    """
-    rows = [i for i, n in enumerate(predicted.names) if n == second]
-    inverse = np.linalg.inv(covariance[np.ix_(mask, mask)])
-    d = predicted.features[rows].reshape(len(rows), -1)[:, mask]
-    d = d - predicted.features[first].ravel()[mask]
-    return float(0.5 * np.einsum("ni,ij,nj->n", d, inverse, d).min())
-
-
-def covariance_of_all(problem: MeansProblem, i: int) -> Array:
-    """Return the covariance of all features under hypothesis ``i``, also of those not measured."""
-    observed = problem.observed
-    variances = np.broadcast_to(USUAL[None, :, None] ** 2, observed.used.shape).copy()
-    variances[observed.used] = np.diag(observed.covariance)
-    of_alpha = alpha_covariance(problem.predicted, i)
-    return np.asarray(of_alpha + problem.discrepancy.covariance + np.diag(variances.ravel()))
-
-
-def with_features(used: Array, features: Sequence[str]) -> Array:
-    """Return which features are in use, (n_configurations, n_features, n_bands), with further ones."""
-    more = used.copy()
-    more[:, [FEATURES.index(f) for f in features]] = True
-    return more
-
-
-_PARAMETERS = {"EDT and T30": ("edt", "t30"), "C80": ("c80",), "G": ("g",)}
-
-
-def _in_words(kind: str) -> str:
+def further_in_words(kind: str) -> str:
+    """Return what is measured for some parameters of `FURTHER`."""
     return "G, with a calibrated source" if kind == "G" else kind
+
+
+def separations(problem: MeansProblem, first: int, further: Sequence[str] = ()) -> dict[str, float]:
+    """Return the evidence in nats to be expected against each effect if hypothesis ``first`` is true.
+
+    It is ½ min d' C⁻¹ d over the effect's parameters, with the features in use and ``further`` ones.
+    """
+    predicted, observed = problem.predicted, problem.observed
+    used = observed.used.copy()
+    used[:, [FEATURES.index(f) for f in further]] = True
+    variances = np.broadcast_to(USUAL[None, :, None] ** 2, used.shape).copy()
+    variances[observed.used] = np.diag(observed.covariance)
+    mask = used.ravel()
+    whole = replace(problem, observed=replace(observed, used=used))
+    covariance = whole.of_alpha(slice(first, first + 1))[0] + np.diag(variances[used])
+    covariance += problem.discrepancy.covariance[np.ix_(mask, mask)]
+    d = (predicted.features - predicted.features[first]).reshape(len(predicted.names), -1)[:, mask]
+    nats = 0.5 * ((d @ np.linalg.inv(covariance)) * d).sum(1)
+    return {name: float(nats[rows].min()) for name, rows in predicted.rows.items()}
 
 
 NO_STEP = "none: these data do not show that anything is missing"
@@ -791,7 +771,7 @@ def next_measurement(evidence: MeansEvidence, candidates: Sequence[str]) -> str:
         )
     best = named[0]
     removed = any(c.suspect_removed for c in problem.case.configurations)
-    rows = evidence.rows[best]
+    rows = predicted.rows[best]
     first = int(rows[np.argmax(evidence.by_hypothesis()[rows])])
     if len(named) == 1:
         if not predicted.effects[best].removable:
@@ -800,15 +780,12 @@ def next_measurement(evidence: MeansEvidence, candidates: Sequence[str]) -> str:
             return f"nothing more to confirm it: it was measured with and without it ({best})"
         return f"confirm it: measure once without it ({best})"
     rival = named[1]
-    used = problem.observed.used
-    covariance = covariance_of_all(problem, first)
-    now = separation(predicted, covariance, used.ravel(), first, rival)
-    options = []
-    for kind, features in _PARAMETERS.items():
-        more = with_features(used, features)
-        if more.sum() > used.sum():
-            nats = separation(predicted, covariance, more.ravel(), first, rival)
-            options.append((nats, _in_words(kind)))
+    now, complete = separations(problem, first)[rival], problem.observed.used.all((0, 2))
+    options = [
+        (separations(problem, first, features)[rival], further_in_words(kind))
+        for kind, features in FURTHER.items()
+        if not complete[[FEATURES.index(f) for f in features]].all()
+    ]
     removable = {n: predicted.effects[n].removable and not removed for n in (best, rival)}
     if len(set(removable.values())) == 2:
         suspect = best if removable[best] else rival
