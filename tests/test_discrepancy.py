@@ -99,7 +99,7 @@ def alpha_covariance(predicted: MeansHypotheses, i: int) -> np.ndarray:
     """J Sigma J' of one hypothesis, over all features raveled."""
     slopes = predicted.slopes[i]
     count, kinds, n = slopes.shape
-    variance = predicted.log_time_covariance(slice(i, i + 1)).reshape(count, n, count, n)
+    variance = predicted.log_time_errors(slice(i, i + 1))[0].reshape(count, n, count, n)
     full = np.einsum("afk,akbl,bgl->afkbgl", slopes, variance, slopes)
     return np.asarray(full.reshape(count * kinds * n, -1))
 
@@ -265,7 +265,7 @@ def test_evidence_is_the_normal_density() -> None:
         expected = power * multivariate_t(mean, 0.6 * covariance, df=5).logpdf(observed.values)
         assert got.stated[i] == pytest.approx(expected, rel=1e-6)
         # Off together: the error that the coefficients have in common is twice or four times as large.
-        common = predicted.in_common(slice(i, i + 1))[0]
+        common = predicted.log_time_errors(slice(i, i + 1))[1][0]
         c, f, b = np.nonzero(observed.used)
         common = common[b] * predicted.slopes[i, c, f, b][:, None]
         both = [
@@ -324,9 +324,8 @@ def test_the_prior_s_covariance_is_what_drawn_coefficients_give() -> None:
         ]
     )
     dry = replace(case, room=case.room.replace(air=None))
-    (variance,) = predict_hypotheses(dry, []).log_time_covariance(slice(0, 1))
+    (variance,), (common,) = predict_hypotheses(dry, []).log_time_errors(slice(0, 1))
     # 4,000 draws: a variance is known to 2.2 %.
-    common = predict_hypotheses(dry, []).in_common(slice(0, 1))[0]
     np.testing.assert_allclose(np.cov(drawn.T) / small**2, variance - common @ common.T, rtol=0.12)
 
 
@@ -644,8 +643,8 @@ def test_covariances_of_many_configurations_are_those_of_their_pairs() -> None:
     few = predict_hypotheses(replace(case, configurations=several[:3]), [Opening()])
     many = predict_hypotheses(replace(case, configurations=several), [Opening()])
     part = slice(1, 4)
-    wanted = few.log_time_covariance(part)
-    got = many.log_time_covariance(part)
+    wanted = few.log_time_errors(part)[0]
+    got = many.log_time_errors(part)[0]
     assert got.shape == (3, 43 * 7, 43 * 7)
     np.testing.assert_allclose(got[:, :21, :21], wanted, rtol=1e-9, atol=1e-15)
     # The changed material is independent of itself elsewhere.

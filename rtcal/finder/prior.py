@@ -20,7 +20,7 @@ import numpy as np
 from rtcal.acoustics.bands import is_middle
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import HANDBOOK_SIGMA, POWER, common_error_columns
-from rtcal.finder.case import Case, ChangedMaterial
+from rtcal.finder.case import Case, ChangedMaterial, Configuration
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.model import RoomState
 from rtcal.support import checks
@@ -191,71 +191,60 @@ SCALES = ((2.0, 0.6), (4.0, 0.4))
 """Where coefficients are off together: factors on these standard deviations, with probabilities."""
 
 
-@dataclass(frozen=True, eq=False)
-class Directions:
-    """Changes of alpha by one standard deviation.
-
-    ``common`` (n_configurations, 2, n_materials, n_bands): factor and tilt of all materials. ``own``,
-    same shape: those of each material; 0 where a configuration changed it.
-    """
-
-    common: Array
-    own: Array
-
-
-def directions(case: Case, power: float = POWER) -> Directions:
+def directions(case: Case, power: float = POWER) -> Array:
     """Return the changes of alpha in which the coefficients of a case may be off together.
 
-    They fall with the ``power`` of the stated relative sigma, below a handbook's. What the room states
-    of its volume, its areas and its tables comes on top.
+    (n_configurations, n_directions, n_materials, n_bands), one standard deviation each: factor and tilt
+    of all materials, then each material's factor, then its tilt, which are 0 where a configuration
+    changed it. They fall with the ``power`` of the stated relative sigma, below a handbook's. What the
+    room states of its volume, its areas and its tables comes on top.
     """
-    room = case.room
+    return np.array([_directions(case.room, c, power) for c in case.configurations])
+
+
+def _directions(room: Room, c: Configuration | None = None, power: float = POWER) -> Array:
+    """Return the changes in one configuration, or in the room as stated."""
+    alpha, sigma = (room.alpha, room.sigma) if c is None else c.coefficients(room)
+    both, each = common_error_columns(alpha, sigma, room.centre_frequencies, power)
+    if c is not None:
+        each[:, [room.material_index(material) for material in c.changes]] = 0.0
+    # A factor of all coefficients, or of a material's: so errors of volume and areas act, too.
     stated = (room.volume_sigma, room.common_area_sigma, room.common_alpha_sigma)
-    together = float(np.linalg.norm(stated))
-    common, own = [], []
-    for c in case.configurations:
-        alpha, sigma = c.coefficients(room)
-        changed = np.array([[material in c.changes] for material in room.materials])
-        both, each = common_error_columns(alpha, sigma, room.centre_frequencies, power)
-        each = np.where(changed, 0.0, each)
-        # A factor of all coefficients, or of a material's: so errors of volume and areas act, too.
-        both[0] = np.hypot(both[0], together * alpha)
-        each[0] = np.hypot(each[0], room.area_sigma[:, np.newaxis] * alpha)
-        common.append(both)
-        own.append(each)
-    return Directions(np.array(common), np.array(own))
+    both[0] = np.hypot(both[0], float(np.linalg.norm(stated)) * alpha)
+    each[0] = np.hypot(each[0], room.area_sigma[:, np.newaxis] * alpha)
+    own = each[:, :, np.newaxis] * np.eye(room.n_materials)[:, :, np.newaxis]
+    return np.concatenate([both, own.reshape(-1, *alpha.shape)])
 
 
-def factors(d: Directions, slopes: Array) -> Array:
-    """Return changes of ln T20 by one standard deviation each, (n, n_values, n_directions).
+def by_direction(changes: Array, slopes: Array) -> Array:
+    """Return the fall of ln T20 by each of `directions`, (n, n_values, n_directions).
 
     ``slopes`` (n, n_configurations, n_materials, n_bands) are -d ln T20 / d alpha. The values are
-    configurations and bands, raveled. Of more directions than values as many combinations are left.
+    configurations and bands, raveled.
     """
-    full = by_direction(d, slopes)
-    return full if full.shape[2] <= full.shape[1] else _root(full @ full.swapaxes(1, 2))
-
-
-def by_direction(d: Directions, slopes: Array) -> Array:
-    """Return -ln T20's change by each direction: the two common ones, factors, then tilts."""
-    n, count, _, bands = slopes.shape
-    common = np.einsum("ncmb,ctmb->ncbt", slopes, d.common).reshape(n, count * bands, -1)
-    own = np.einsum("ncmb,ctmb->ncbtm", slopes, d.own).reshape(n, count * bands, -1)
+    n, count, materials, n_bands = slopes.shape
+    of_own = changes[:, 2:].reshape(count, 2, materials, materials, n_bands)
+    common = np.einsum("ncmb,ctmb->ncbt", slopes, changes[:, :2]).reshape(n, count * n_bands, -1)
+    # Each material's own directions move no other.
+    own = np.einsum("ncmb,ctmmb->ncbtm", slopes, of_own).reshape(n, count * n_bands, -1)
     return np.concatenate([common, own], axis=-1)
 
 
-def _root(covariance: Array) -> Array:
-    """Return F with F F' = covariance, (..., n, n)."""
-    values, vectors = np.linalg.eigh(covariance)
+def factors(changes: Array, slopes: Array) -> Array:
+    """Return `by_direction`; of more directions than values as many combinations are left."""
+    full = by_direction(changes, slopes)
+    if full.shape[2] <= full.shape[1]:
+        return full
+    values, vectors = np.linalg.eigh(full @ full.swapaxes(1, 2))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :])
 
 
-def drawn(d: Directions, materials: Sequence[str], rng: np.random.Generator, n: int) -> Array:
+def drawn(changes: Array, materials: Sequence[str], rng: np.random.Generator, n: int) -> Array:
     """Draw usual changes of alpha in common, (n, n_configurations, n_materials, n_bands)."""
-    together = np.einsum("nt,ctmb->ncmb", rng.standard_normal((n, 2)), d.common)
-    each = by_name(rng, materials)
-    z = np.stack([of_name.standard_normal((n, 2)) for of_name in each], axis=-1)
-    return np.asarray(together + np.einsum("ntm,ctmb->ncmb", z, d.own))
+    together = rng.standard_normal((n, 2))
+    own = [of_name.standard_normal((n, 2)) for of_name in by_name(rng, materials)]
+    z = np.concatenate([together, np.stack(own, axis=-1).reshape(n, -1)], axis=1)
+    return np.asarray(np.einsum("nd,cdmb->ncmb", z, changes))
 
 
 def by_name(rng: np.random.Generator, names: Sequence[str]) -> list[np.random.Generator]:
@@ -362,26 +351,10 @@ def off_together(
     apart = np.array(means) - mean
     variance = np.einsum("s,srq->rq", w, variances) + np.einsum("s,sr,sq->rq", w, apart, apart)
     room = case.room
-    base = directions(
-        replace(case, configurations=[replace(c, changes={}) for c in case.configurations])
-    )
-    by_alpha = _changes(base)[0]  # (n_directions, n_materials, n_bands)
     with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.nan_to_num(by_alpha / room.alpha)
+        relative = np.nan_to_num(_directions(room) / room.alpha)
     shift = np.einsum("r,rmb->mb", mean, relative)
     spread = np.sqrt(np.maximum(np.einsum("rmb,rq,qmb->mb", relative, variance, relative), 0.0))
     factor = np.exp(shift)
     ratio = (room.areas @ (room.alpha * factor)) / (room.areas @ room.alpha)
     return OffTogether(probability, factor, spread, ratio)
-
-
-def _changes(d: Directions) -> Array:
-    """Return the change of alpha by each direction.
-
-    (n_configurations, n_directions, n_materials, n_bands).
-    """
-    count, two, materials, bands = d.own.shape
-    own = np.zeros((count, two, materials, materials, bands))
-    rows = np.arange(materials)
-    own[:, :, rows, rows] = d.own
-    return np.concatenate([d.common, own.reshape(count, two * materials, materials, bands)], axis=1)

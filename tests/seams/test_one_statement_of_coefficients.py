@@ -17,9 +17,7 @@ def test_the_p_value_beside_the_first_has_the_errors_that_gap_find_assumes() -> 
     result = rt.calibrate(room, measured)
     case = Case(room=room, configurations=[Configuration(name="as built", measured=measured)])
     errors = directions(case)
-    both = np.einsum("m,tmb->tb", room.areas, errors.common[0])
-    own = (room.areas[:, None] * errors.own[0]).reshape(-1, room.n_bands)
-    together = np.concatenate([both, own])
+    together = np.einsum("m,dmb->db", room.areas, errors[0])
     covariance = np.diag((room.areas[:, None] * room.sigma).T @ (room.areas[:, None] * room.sigma))
     deviation, stated = result.joint.innovation
     assert (np.diag(stated) >= covariance).all()  # and the uncertainty of T

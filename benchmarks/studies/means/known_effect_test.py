@@ -82,7 +82,7 @@ def told(
     predicted = predict_hypotheses(case, library())
     error = estimate_discrepancy(case, controls)
     problem = MeansProblem(case, observed, predicted, error)
-    inverse = np.linalg.inv(problem.of_alpha(slice(0, 1))[0] + problem.without_alpha)
+    inverse = np.linalg.inv(problem.of_alpha(slice(0, 1))[0][0] + problem.without_alpha)
     true = np.array(
         [
             predict([state(t, c)], distances(case, c)).features[0]

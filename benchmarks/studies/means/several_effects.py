@@ -77,7 +77,7 @@ def distances_apart(
     mask = observed.used.ravel()
     effects = true_effects(case, truth)
     both = predict_hypotheses(replace(case, applied=effects), [])
-    of_alpha = MeansProblem(case, observed, both, discrepancy).of_alpha(slice(0, 1))[0]
+    of_alpha = MeansProblem(case, observed, both, discrepancy).of_alpha(slice(0, 1))[0][0]
     own = of_alpha + observed.covariance
     whole = own + discrepancy.covariance[np.ix_(mask, mask)]
     out = []
@@ -135,7 +135,7 @@ def coefficients_left(
     simple = rmse(plain(case).alpha, truth)
     across = covariance_with_alpha(compared, [()])[0]
     covariance = moments(compared, [()])[0].covariance[0]
-    perfect = compared.of_alpha(slice(0, 1))[0] + observed.covariance
+    perfect = compared.of_alpha(slice(0, 1))[0][0] + observed.covariance
     area = np.array(truth["areas"])[:, None]
     out = [rmse(averaged_alpha(compared, [((), 1.0)]), truth)]
     for c in (covariance, perfect):

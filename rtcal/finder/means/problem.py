@@ -65,7 +65,6 @@ from rtcal.finder.prior import (
     NULL_POWER,
     SCALES,
     UNKNOWN,
-    Directions,
     Prior,
     directions,
     drawn,
@@ -109,14 +108,14 @@ class Predictions:
     jacobian: Array
     climate: Array
 
-    def log_time_covariance(self, rows: Rows) -> Array:
-        """Return the prior's covariance of ln T20 over configurations and bands, (n, size, size).
+    def log_time_errors(self, rows: Rows) -> tuple[Array, Array]:
+        """Return the prior's covariance of ln T20, and what errors in common usually change of it.
 
-        A material that a configuration changed is independent of its coefficients elsewhere.
+        (n, size, size) and (n, size, n_directions), the size that of configurations and bands; see
+        `rtcal.finder.prior.factors`. A material that a configuration changed is independent of its
+        coefficients elsewhere.
         """
-        room, changed = self.case.room, self._changed
-        sigma = np.stack([c.coefficients(room)[1] for c in self.case.configurations])
-        rho = correlation(room.centre_frequencies, room.band_correlation)
+        sigma, changed, rho, of_alpha = self._prior
         factor = self.jacobian[rows] * sigma
         n, count, _, n_bands = factor.shape
         size = count * n_bands
@@ -126,27 +125,21 @@ class Predictions:
         for c in np.flatnonzero(changed.any((1, 2))):
             full[:, c, :, c] += own[:, c].swapaxes(1, 2) @ own[:, c]
         alone = (full * rho[:, None, :]).reshape(n, size, size)
+        together = factors(of_alpha, self.jacobian[rows])
         air = self.climate[rows].swapaxes(2, 3).reshape(n, size, -1)
-        parts = np.concatenate([air, self.in_common(rows)], axis=-1)
-        return np.asarray(alone + parts @ parts.swapaxes(1, 2))
-
-    def in_common(self, rows: Rows) -> Array:
-        """Return the usual changes of ln T20 by errors in common, (n, size, n_directions).
-
-        See `rtcal.finder.prior.factors`.
-        """
-        return factors(self._directions, self.jacobian[rows])
+        parts = np.concatenate([air, together], axis=-1)
+        return alone + parts @ parts.swapaxes(1, 2), together
 
     @cached_property
-    def _directions(self) -> Directions:
-        return directions(self.case)
-
-    @cached_property
-    def _changed(self) -> NDArray[np.bool_]:
-        """Which materials each configuration changed, (n_configurations, n_materials, 1)."""
-        materials = self.case.room.materials
-        changed = [[m in c.changes for m in materials] for c in self.case.configurations]
-        return np.array(changed)[:, :, None]
+    def _prior(self) -> tuple[Array, NDArray[np.bool_], Array, Array]:
+        """Sigma and which materials changed by configuration, bands' correlation and `directions`."""
+        room, configurations = self.case.room, self.case.configurations
+        return (
+            np.stack([c.coefficients(room)[1] for c in configurations]),
+            np.array([[m in c.changes for m in room.materials] for c in configurations])[:, :, None],
+            correlation(room.centre_frequencies, room.band_correlation),
+            directions(self.case),
+        )
 
 
 def predict_states(case: Case, states: Sequence[Sequence[RoomState]]) -> Predictions:
@@ -350,6 +343,7 @@ def features_of(
     return np.array(out)
 
 
+@lru_cache(maxsize=1)
 def _applied(case: Case) -> Array:
     """Return the covariance over all features, raveled, (size, size).
 
@@ -387,7 +381,7 @@ def _applied(case: Case) -> Array:
         change = base - features_of(case, [other for other in case.applied if other is not a])
         errors = a.effect.errors_over_bands(case.room.centre_frequencies)
         covariance = covariance + _misfit_of_all(change, errors, a.effect.formula_error)
-    return np.asarray(covariance)
+    return read_only(covariance)
 
 
 def _misfit_of_all(change: Array, errors: Array, alone: float) -> Array:
@@ -780,7 +774,7 @@ class MeansProblem:
         ``changes`` (n, size, n_columns) are those of ln T20 over configurations and bands.
         """
         c, f, b = self.places
-        slopes = predicted.slopes[:, c, f, b][rows]
+        slopes = predicted.slopes[rows][:, c, f, b]
         return np.asarray(changes.take(self._t20, 1) * slopes[:, :, None])
 
     @cached_property
@@ -802,13 +796,12 @@ class MeansProblem:
         """
         made, alone = predicted or self.predicted, [rows] if members is None else members
         c, f, b = self.places
-        covariance = self.of_alpha(rows, made)
+        covariance, together = self.of_alpha(rows, made)
         covariance += self.without_alpha
         for member in alone:
             covariance += self.error_of_change(member)
-        common = self.by_log_time(made, rows, made.in_common(rows))
-        mean = made.features[:, c, f, b][rows] + self.bias
-        return Moments(mean, covariance, common.swapaxes(1, 2))
+        mean = made.features[rows][:, c, f, b] + self.bias
+        return Moments(mean, covariance, together.swapaxes(1, 2))
 
     @cached_property
     def without_alpha(self) -> Array:
@@ -816,11 +809,15 @@ class MeansProblem:
         both = self.discrepancy.covariance + self.predicted.applied
         return np.asarray(self.observed.covariance + both[np.ix_(self.mask, self.mask)])
 
-    def of_alpha(self, rows: Rows, predicted: Predictions | None = None) -> Array:
-        """Return J Sigma J' of some hypotheses, (n, n_used, n_used)."""
+    def of_alpha(self, rows: Rows, predicted: Predictions | None = None) -> tuple[Array, Array]:
+        """Return J Sigma J' of some hypotheses, and their changes by errors in common.
+
+        (n, n_used, n_used) and (n, n_used, n_directions).
+        """
         made = predicted or self.predicted
-        half = self.by_log_time(made, rows, made.log_time_covariance(rows))
-        return self.by_log_time(made, rows, half.swapaxes(1, 2))
+        of_time, together = made.log_time_errors(rows)
+        half = self.by_log_time(made, rows, of_time).swapaxes(1, 2)
+        return self.by_log_time(made, rows, half), self.by_log_time(made, rows, together)
 
     def error_of_change(self, rows: Rows) -> Array:
         """Return the covariance of the error of some hypotheses' changes, (n, n_used, n_used)."""
@@ -840,9 +837,8 @@ class MeansProblem:
         Both (n_used, n_used). ``scale`` multiplies the error that the coefficients have in common.
         """
         row = slice(i, i + 1)
-        alpha = self.of_alpha(row)[0]
+        (alpha,), (common,) = self.of_alpha(row)
         if scale != 1:
-            common = self.by_log_time(self.predicted, row, self.predicted.in_common(row))[0]
             alpha = alpha + (scale**2 - 1) * common @ common.T
         return alpha, self.without_alpha + self.error_of_change(row)[0]
 
@@ -870,7 +866,7 @@ class MeansProblem:
 
     def standardized_residuals(self) -> Array:
         """Return modelled less measured over its standard deviation, as `ObservedFeatures.features`."""
-        model = self.of_alpha(slice(0, 1))[0] + self.discrepancy.covariance[self.mask][:, self.mask]
+        model = self.of_alpha(slice(0, 1))[0][0] + self.discrepancy.covariance[self.mask][:, self.mask]
         out = np.full(self.observed.used.shape, np.nan)
         spread = np.sqrt(np.diag(model) + np.diag(self.observed.covariance))
         out[self.observed.used] = -self.residual(0) / spread

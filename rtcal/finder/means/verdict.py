@@ -743,7 +743,7 @@ def separations(problem: MeansProblem, first: int, further: Sequence[str] = ()) 
     variances[observed.used] = np.diag(observed.covariance)
     mask = used.ravel()
     whole = replace(problem, observed=replace(observed, used=used))
-    covariance = whole.of_alpha(slice(first, first + 1))[0] + np.diag(variances[used])
+    covariance = whole.of_alpha(slice(first, first + 1))[0][0] + np.diag(variances[used])
     covariance += problem.discrepancy.covariance[np.ix_(mask, mask)]
     d = (predicted.features - predicted.features[first]).reshape(len(predicted.names), -1)[:, mask]
     nats = 0.5 * ((d @ np.linalg.inv(covariance)) * d).sum(1)
