@@ -136,7 +136,9 @@ class Predictions:
         room, configurations = self.case.room, self.case.configurations
         return (
             np.stack([c.coefficients(room)[1] for c in configurations]),
-            np.array([[m in c.changes for m in room.materials] for c in configurations])[:, :, None],
+            np.array([[m in c.changes for m in room.materials] for c in configurations])[
+                :, :, None
+            ],
             correlation(room.centre_frequencies, room.band_correlation),
             directions(self.case),
         )
@@ -866,7 +868,9 @@ class MeansProblem:
 
     def standardized_residuals(self) -> Array:
         """Return modelled less measured over its standard deviation, as `ObservedFeatures.features`."""
-        model = self.of_alpha(slice(0, 1))[0][0] + self.discrepancy.covariance[self.mask][:, self.mask]
+        model = (
+            self.of_alpha(slice(0, 1))[0][0] + self.discrepancy.covariance[self.mask][:, self.mask]
+        )
         out = np.full(self.observed.used.shape, np.nan)
         spread = np.sqrt(np.diag(model) + np.diag(self.observed.covariance))
         out[self.observed.used] = -self.residual(0) / spread
@@ -1105,7 +1109,7 @@ def null_scores(
     prior: Prior,
     draws: int = 400,
 ) -> Array:
-    """Return the `score` of rooms that lack nothing, of ever more data (`steps`): (n_draws, n_steps)."""
+    """Return the `score` of rooms that lack nothing, (n_draws, n_steps), of ever more data (`steps`)."""
     rng = np.random.default_rng([0, 3])
     ends, scores = list(steps(case, observed.used)), []
     for fold in (0, 1):
