@@ -11,10 +11,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from itertools import product
-from math import isfinite
-from operator import attrgetter, itemgetter
+from math import inf, isfinite
+from operator import itemgetter
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -44,12 +44,42 @@ Limits = Mapping[str, tuple[float, float]]
 """Least and largest possible value of each parameter."""
 
 
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of an effect.
+
+    Attributes
+    ----------
+    tried : sequence of float
+        The values that are tried; none where the effect's grid follows from the room.
+    within : (float, float)
+        Where its physics ends in any room.
+    unit : str
+        Text that follows the value.
+    words : sequence of str
+        Words for the values 0, 1, ....
+    discrete : bool
+        Whether there are no values between those of the grid.
+    """
+
+    tried: Sequence[float] = ()
+    within: tuple[float, float] = (-inf, inf)
+    unit: str = ""
+    words: Sequence[str] = ()
+    discrete: bool = False
+
+    def shown(self, name: str, value: float) -> str:
+        """Return the name and the value, or the value's word."""
+        if value in range(len(self.words)):
+            return self.words[int(value)]
+        return f"{name.replace('_', ' ')} {value:.3g}{' ' * bool(self.unit)}{self.unit}"
+
+
 class Effect(ABC):
     """Something that a model may lack.
 
-    An effect states its parameters (`grid`), how it changes a room's state (`change`), its words, its
-    form in a corrected room and its form in the QP. A new effect is a subclass in one file and one
-    line in `library`.
+    An effect states its parameters, how it changes a room's state (`change`), its words, its
+    form in a corrected room and its form in the QP. A new effect is a subclass in one file.
 
     Attributes
     ----------
@@ -58,21 +88,17 @@ class Effect(ABC):
         The parameter that says how much of the effect there is.
     unit : str
         The size's unit, as text that follows the value.
+    parameters : mapping of str to Parameter
+        Those that are listed are stated with every effect that is added.
     neutral : float
         The size that changes nothing. NaN where there is none: the effect then has no size interval.
     removable : bool
         Whether it can be taken out of the room.
-    discrete : sequence of str
-        Parameters without values between those of the grid.
     size_error : float
         Standard deviation of ln size that the effect's physics leaves open (of the size itself where
         it can be negative): where an opening is, how an object scatters. Chosen on the development
         rooms (benchmarks/studies/hidden_world, population 0), so that 90 % intervals hold the true
         size.
-    parameter_units : mapping of str to str
-        Units of the parameters, as text that follows the value.
-    parameter_values : mapping of str to sequence of str
-        Words for the values 0, 1, ... of a discrete parameter.
     family : str
         The effects that change the measurement alike; "added absorption, ..." names three of one kind.
     alone : bool
@@ -97,10 +123,6 @@ class Effect(ABC):
     needs_directions : bool
         Whether it acts by the directions in which surfaces face. In a room of which nothing says them
         it is not judged.
-    ranges : mapping of str to (float, float)
-        Where the physics of each parameter ends in any room.
-    tried : mapping of str to sequence of float
-        Values of the parameters that are tried.
     not_in_simulator : str or None
         Why a simulator of a room cannot have the effect; None where it can, or has it already. Asked
         only of effects that no material can represent.
@@ -109,31 +131,38 @@ class Effect(ABC):
     name: ClassVar[str]
     size: ClassVar[str]
     unit: ClassVar[str]
+    parameters: ClassVar[Mapping[str, Parameter]] = {}
     neutral: ClassVar[float] = 0.0
     removable: ClassVar[bool] = False
-    discrete: ClassVar[Sequence[str]] = ()
     size_error: ClassVar[float] = 0.25
-    parameter_units: ClassVar[Mapping[str, str]] = {}
-    parameter_values: ClassVar[Mapping[str, Sequence[str]]] = {}
     family: ClassVar[str] = "of your own"
     alone: ClassVar[bool] = True
     odds: ClassVar[float] = 1.0
+    spectrum_error: ClassVar[tuple[float, float, float]] = (0.106, 0.0, 0.0)
     formula_error: ClassVar[float] = 0.106
     largest_share: ClassVar[float] = 0.25
     stands_on: ClassVar[Sequence[str]] = ()
     shares: ClassVar[Sequence[float]] = ()
-    spectrum_error: ClassVar[tuple[float, float, float]] = (0.106, 0.0, 0.0)
     needs_directions: ClassVar[bool] = False
-    ranges: ClassVar[Limits] = {}
-    tried: ClassVar[Mapping[str, Sequence[float]]] = {}
     not_in_simulator: ClassVar[str | None] = (
         "it bends the decay, which no material of a simulator does; without make the case's own "
         "model is the simulator"
     )
 
+    @property
+    def discrete(self) -> list[str]:
+        """The parameters without values between those of the grid."""
+        return [name for name, of in self.parameters.items() if of.discrete]
+
+    @property
+    def kinds(self) -> list[Parameters]:
+        """Every combination of the values of parameters that are tried; a single set without any."""
+        tried = {name: of.tried for name, of in self.parameters.items() if len(of.tried)}
+        return [dict(zip(tried, values, strict=True)) for values in product(*tried.values())]
+
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return the parameters to try: every combination of `tried`, unless a subclass has others."""
-        return every(self.tried)
+        """Return the parameters to try: `kinds`, unless a subclass has others."""
+        return self.kinds
 
     @abstractmethod
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
@@ -147,31 +176,25 @@ class Effect(ABC):
         """Return what may stand on a surface: parameters without a size, and alpha, (n_bands,)."""
         return []
 
-    def density(self, parameters: Parameters, state: RoomState) -> float:
-        """Return the prior density of the parameters, but for a factor: 1 everywhere.
+    def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
+        """Return the prior density of parameters, each (n,), but for a factor: 1 everywhere.
 
         It is a density per unit of ln of each parameter that is above 0, and of any other parameter
         itself; of a discrete parameter, a probability.
         """
         return 1.0
 
-    def densities(self, grid: Sequence[Parameters], state: RoomState) -> Array:
-        """Return the `density` of each set of parameters, (n,)."""
-        if type(self).density is Effect.density:
-            return np.ones(len(grid))
-        return np.array([self.density(theta, state) for theta in grid], dtype=float)
-
     def limits(self, room: Room | None) -> Limits:
         """Return where the physics of the parameters ends, in this room; None: in any room.
 
         A size is sought and stated within them, and a case refuses parameters outside. A parameter
-        that is not among them may have any value. By default they are `ranges`.
+        that is not among them may have any value.
         """
-        return self.ranges
+        return {name: of.within for name, of in self.parameters.items()}
 
     def size_limits(self, room: Room) -> tuple[float, float]:
         """Return the least and the largest possible size in this room."""
-        return self.limits(room).get(self.size, (-np.inf, np.inf))
+        return self.limits(room).get(self.size, (-inf, inf))
 
     def prior_odds(self, room: Room) -> float:
         """Return the prior odds of the effect in this room, against the others: `odds`."""
@@ -182,24 +205,22 @@ class Effect(ABC):
         return 0.0
 
     def title(self, parameters: Parameters, room: Room) -> str:
-        """Return the effect's name in a sentence."""
-        return self.name
+        """Return the effect's name in a sentence: ``area of "plaster"``."""
+        material = self.material(parameters, room)
+        return self.name if material is None else f'{self.name} of "{material}"'
 
     def material(self, parameters: Parameters, room: Room) -> str | None:
         """Return the material that the parameters refer to, None without one."""
         return None
 
     def describe(self, parameters: Parameters, without: str = "") -> str:
-        """Return the parameters in words, except the one named ``without``."""
+        """Return the parameters in words, but for ``without`` and the material, which a title has."""
+        known = self.parameters
         return ", ".join(
-            self._described(name, value) for name, value in parameters.items() if name != without
+            known.get(name, Parameter()).shown(name, value)
+            for name, value in parameters.items()
+            if name not in (without, "material")
         )
-
-    def _described(self, name: str, value: float) -> str:
-        words = self.parameter_values.get(name, ())
-        if value in range(len(words)):
-            return words[int(value)]
-        return f"{name.replace('_', ' ')} {value:.3g}{self.parameter_units.get(name, '')}"
 
     def contradicts(self, room: Room) -> bool:
         """Return whether it replaces what the room states, as an area, instead of adding to it."""
@@ -234,16 +255,11 @@ class Effect(ABC):
         return None
 
 
-def every(tried: Mapping[str, Sequence[float]]) -> list[Parameters]:
-    """Return every combination of the values of parameters; a single set without any."""
-    return [dict(zip(tried, values, strict=True)) for values in product(*tried.values())]
-
-
 class AbsorbingObject(Effect):
     """An effect that adds absorption in proportion to its size, and can be taken out of the room.
 
     Sizes are tried that have from ``least`` to ``most`` times the room's absorption area at 500 to
-    2000 Hz, where one has ``of_one`` m².
+    2000 Hz, where one has ``of_one`` m². Objects need no wall, so that any size is possible.
     """
 
     removable: ClassVar[bool] = True
@@ -253,14 +269,14 @@ class AbsorbingObject(Effect):
     of_one: ClassVar[float] = 1.0
 
     def limits(self, room: Room | None) -> Limits:
-        """Return 0 or more: objects need no wall."""
-        return {self.size: (0.0, np.inf)}
+        """Return 0 or more, and the limits of the other parameters."""
+        return {self.size: (0.0, inf), **super().limits(room)}
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return every combination of `tried` with every size."""
+        """Return every one of `kinds` with every size."""
         sizes = np.geomspace(self.least, self.most, self.steps) * middle_absorption(state)
         sizes = (sizes / self.of_one).tolist()
-        return [{**kind, self.size: a} for kind, a in product(every(self.tried), sizes)]
+        return [{**kind, self.size: a} for kind, a in product(self.kinds, sizes)]
 
     def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
         """Return the difference of the absorption areas in m², (n_bands,)."""
@@ -273,7 +289,6 @@ class Absorber(AbsorbingObject):
 
     size: ClassVar[str] = "area"
     unit: ClassVar[str] = "m²"
-    parameter_units: ClassVar[Mapping[str, str]] = {"area": " m²"}
     stands_on: ClassVar[Sequence[str]] = ("wall", "ceiling")
 
     @abstractmethod
@@ -281,20 +296,37 @@ class Absorber(AbsorbingObject):
         """Return alpha, (n_bands,), which the size does not change."""
 
     def limits(self, room: Room | None) -> Limits:
-        """Return an area from 0 to that of all surfaces, and `ranges`."""
-        return {self.size: (0.0, all_surfaces(room)), **self.ranges}
+        """Return an area from 0 to that of all surfaces, and the limits of the other parameters."""
+        return {**super().limits(room), self.size: (0.0, all_surfaces(room))}
 
     def wall_area(self, parameters: Parameters) -> float:
         """Return the absorber's area."""
         return float(parameters[self.size])
 
+    def describe(self, parameters: Parameters, without: str = "") -> str:
+        """Return the parameters in words, the area last."""
+        said = super().describe(parameters, self.size)
+        area = Parameter(unit=self.unit).shown(self.size, parameters.get(self.size, np.nan))
+        shown = without != self.size and self.size in parameters
+        return ", ".join(filter(None, [said, area if shown else ""]))
+
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
-        """Return every combination of `tried` with its alpha."""
-        return [(kind, self._checked_alpha(frequencies, kind)) for kind in every(self.tried)]
+        """Return every one of `kinds` with its alpha."""
+        return [(kind, self._checked_alpha(frequencies, kind)) for kind in self.kinds]
 
     def _checked_alpha(self, frequencies: Array, parameters: Parameters) -> Array:
-        alpha = self.spectrum(frequencies, parameters)
-        return checked_spectrum(self.name, alpha, frequencies)
+        where = f'effect "{self.name}": spectrum'
+        alpha = checks.array(where, self.spectrum(frequencies, parameters))
+        if alpha.shape != frequencies.shape:
+            raise DataError(
+                f"{where} has shape {alpha.shape}; it is (n_bands,) = ({len(frequencies)},)"
+            )
+        within = (alpha >= 0) & (alpha <= 1)  # a comparison with NaN is false: NaN is refused, too
+        if not within.all():
+            k = int(np.argmin(within))
+            at = bands.label(frequencies[k])
+            raise DataError(f"{where} at {at} = {alpha[k]:g} is not in [0, 1]")
+        return alpha
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the absorber in place of wall."""
@@ -304,29 +336,13 @@ class Absorber(AbsorbingObject):
         """Return the room with the absorber in place of wall, for each set of parameters."""
         if type(self).change is not Absorber.change:
             return super().changes(state, grid)
-        others = [name for name in grid[0] if name != self.size]
-        kinds = list(map(itemgetter(*others), grid)) if others else [()] * len(grid)
+        kinds = [tuple(v for name, v in theta.items() if name != self.size) for theta in grid]
         spectra = {
             kind: self._checked_alpha(state.frequencies, theta)
             for kind, theta in dict(zip(kinds, grid, strict=True)).items()
         }
         areas = np.array([theta[self.size] for theta in grid])
         return covered([state] * len(grid), areas, np.array([spectra[kind] for kind in kinds]))
-
-
-def checked_spectrum(name: str, alpha: object, frequencies: Array) -> Array:
-    """Return an absorber's alpha, (n_bands,), in [0, 1]; DataError naming effect, place and rule."""
-    where = f'effect "{name}": spectrum'
-    array = checks.array(where, alpha)
-    if array.shape != frequencies.shape:
-        raise DataError(
-            f"{where} has shape {array.shape}; it is (n_bands,) = ({len(frequencies)},)"
-        )
-    # A comparison with NaN is false, so that NaN is refused too.
-    if not (array.min() >= 0 and array.max() <= 1):
-        k = int(np.argmin((array >= 0) & (array <= 1)))
-        raise DataError(f"{where} at {bands.label(frequencies[k])} = {array[k]:g} is not in [0, 1]")
-    return array
 
 
 def all_surfaces(room: Room | None) -> float:
@@ -347,6 +363,9 @@ def interpolate_octaves(frequencies: Array, octaves: Sequence[float]) -> Array:
     return np.asarray(np.interp(np.log(frequencies), centres, octaves))
 
 
+_SPEED = 343.2
+
+
 @dataclass(frozen=True)
 class Porous(Absorber):
     """A porous layer on a rigid wall, locally reacting, diffuse incidence up to 78° (Miki 1990).
@@ -361,37 +380,32 @@ class Porous(Absorber):
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.1, 0.12)
     least: ClassVar[float] = 0.1
     steps: ClassVar[int] = 7
-    parameter_units: ClassVar[Mapping[str, str]] = {
-        "area": " m²",
-        "thickness": " m",
-        "flow_resistivity": " Pa s/m²",
-    }
-    ranges: ClassVar[Limits] = {"thickness": (1e-4, 10.0), "flow_resistivity": (1.0, 1e9)}
-    tried: ClassVar[Mapping[str, Sequence[float]]] = {
-        "thickness": (0.01, 0.018, 0.033, 0.06, 0.11, 0.2),
-        "flow_resistivity": (4e3, 12e3, 40e3),
+    parameters: ClassVar[Mapping[str, Parameter]] = {
+        "thickness": Parameter((0.01, 0.018, 0.033, 0.06, 0.11, 0.2), (1e-4, 10.0), "m"),
+        "flow_resistivity": Parameter((4e3, 12e3, 40e3), (1.0, 1e9), "Pa s/m²"),
     }
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return the statistical alpha."""
-        thickness, resistivity = parameters["thickness"], parameters["flow_resistivity"]
-        return _alpha(tuple(frequencies), thickness, resistivity)
+        # Averaged over the octave, as a measurement averages the narrow resonance of a thin layer.
+        inside = frequencies[:, None] * 2.0 ** np.array([-0.33, 0.0, 0.33])
+        ratio = inside / parameters["flow_resistivity"]
+        k = 2 * np.pi * inside / _SPEED
+        impedance = 1 + 0.0699 * ratio**-0.632 - 1j * 0.1071 * ratio**-0.632
+        number = k * (1 + 0.1093 * ratio**-0.618 - 1j * 0.1597 * ratio**-0.618)
+        z = -1j * impedance / np.tan(number * parameters["thickness"])
+        angles = np.linspace(0, np.radians(78), 40)
+        return _statistical(z[..., None] * np.cos(angles), angles)
 
 
-@lru_cache(maxsize=256)
-def _alpha(frequencies: tuple[float, ...], thickness: float, flow_resistivity: float) -> Array:
-    """Return the statistical alpha of a layer, in m and Pa s/m², (n_bands,) (Miki 1990)."""
-    # Averaged over the octave, as a measurement averages the narrow resonance of a thin layer.
-    inside = np.array(frequencies)[:, None] * 2.0 ** np.array([-0.33, 0.0, 0.33])
-    ratio = inside / flow_resistivity
-    k = 2 * np.pi * inside / 343.2
-    impedance = 1 + 0.0699 * ratio**-0.632 - 1j * 0.1071 * ratio**-0.632
-    number = k * (1 + 0.1093 * ratio**-0.618 - 1j * 0.1597 * ratio**-0.618)
-    z = -1j * impedance / np.tan(number * thickness)
-    angles = np.linspace(0, np.radians(78), 40)
-    normal, weight = z[..., None] * np.cos(angles), np.sin(2 * angles)
+def _statistical(normal: Array, angles: Array) -> Array:
+    """Return alpha in diffuse sound, averaged over frequencies, (n_bands,).
+
+    ``normal`` (n_bands, n_frequencies, n_angles) is the impedance over that of air, times the cosine.
+    """
+    weight = np.sin(2 * angles)
     absorbed = 1 - np.abs((normal - 1) / (normal + 1)) ** 2
-    return read_only_view(np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1))
+    return np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1)
 
 
 _MASS = 0.4
@@ -415,38 +429,21 @@ class Curtain(Absorber):
     stands_on: ClassVar[Sequence[str]] = ("wall",)
     least: ClassVar[float] = 0.1
     steps: ClassVar[int] = 7
-    parameter_units: ClassVar[Mapping[str, str]] = {
-        "area": " m²",
-        "airspace": " m",
-        "flow_resistance": " ρc",
-    }
-    ranges: ClassVar[Limits] = {"airspace": (1e-3, 100.0), "flow_resistance": (1e-3, 1e3)}
-    tried: ClassVar[Mapping[str, Sequence[float]]] = {
-        "airspace": (0.05, 0.17, 0.6),
-        "flow_resistance": (0.4, 1.0, 2.5),
+    parameters: ClassVar[Mapping[str, Parameter]] = {
+        "airspace": Parameter((0.05, 0.17, 0.6), (1e-3, 100.0), "m"),
+        "flow_resistance": Parameter((0.4, 1.0, 2.5), (1e-3, 1e3), "ρc"),
     }
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
-        """Return the statistical alpha."""
-        return _curtain_alpha(
-            tuple(frequencies), parameters["airspace"], parameters["flow_resistance"]
-        )
-
-
-@lru_cache(maxsize=256)
-def _curtain_alpha(frequencies: tuple[float, ...], airspace: float, resistance: float) -> Array:
-    """Return the statistical alpha, averaged over each octave, (n_bands,)."""
-    inside = np.array(frequencies)[:, None, None] * 2.0 ** np.linspace(-0.45, 0.45, 9)[:, None]
-    omega = 2 * np.pi * inside
-    mass = 1j * omega * _MASS / _IMPEDANCE_OF_AIR
-    fabric = resistance * mass / (resistance + mass)
-    angles = np.radians(np.linspace(1, 78, 30))
-    cosine = np.cos(angles)
-    phase = omega / 343.2 * airspace * cosine
-    impedance = fabric - 1j / (np.tan(phase) * cosine)
-    absorbed = 1 - np.abs((impedance * cosine - 1) / (impedance * cosine + 1)) ** 2
-    weight = np.sin(2 * angles)
-    return read_only_view(np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1))
+        """Return the statistical alpha, averaged over each octave."""
+        inside = frequencies[:, None, None] * 2.0 ** np.linspace(-0.45, 0.45, 9)[:, None]
+        omega, resistance = 2 * np.pi * inside, parameters["flow_resistance"]
+        mass = 1j * omega * _MASS / _IMPEDANCE_OF_AIR
+        fabric = resistance * mass / (resistance + mass)
+        angles = np.radians(np.linspace(1, 78, 30))
+        cosine = np.cos(angles)
+        phase = omega / _SPEED * parameters["airspace"] * cosine
+        return _statistical((fabric - 1j / (np.tan(phase) * cosine)) * cosine, angles)
 
 
 @dataclass(frozen=True)
@@ -459,23 +456,20 @@ class Resonator(Absorber):
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.05, 0.15)
     least: ClassVar[float] = 0.1
     steps: ClassVar[int] = 6
-    parameter_units: ClassVar[Mapping[str, str]] = {"area": " m²", "resonance": " Hz"}
-    ranges: ClassVar[Limits] = {"resonance": (1.0, 1e5), "quality": (0.01, 1e3)}
-    tried: ClassVar[Mapping[str, Sequence[float]]] = {
-        "resonance": np.geomspace(60, 500, 8).tolist(),
-        "quality": (0.8, 1.6, 3.5),
+    parameters: ClassVar[Mapping[str, Parameter]] = {
+        "resonance": Parameter(np.geomspace(60, 500, 8).tolist(), (1.0, 1e5), "Hz"),
+        "quality": Parameter((0.8, 1.6, 3.5), (0.01, 1e3)),
     }
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return alpha, averaged over each octave."""
-        return resonance_alpha(tuple(frequencies), parameters["resonance"], parameters["quality"])
+        return _resonance(frequencies, parameters["resonance"], parameters["quality"], 0.8)
 
 
-@lru_cache(maxsize=256)
-def resonance_alpha(frequencies: tuple[float, ...], resonance: float, quality: float) -> Array:
-    """Return a resonator's alpha with a0 = 0.8, averaged over each octave, (n_bands,)."""
-    x = np.array(frequencies)[:, None] * 2.0 ** np.linspace(-0.45, 0.45, 9) / resonance
-    return read_only_view((0.8 / (1 + quality**2 * (x - 1 / x) ** 2)).mean(1))
+def _resonance(frequencies: Array, resonance: float, quality: float, peak: float) -> Array:
+    """Return a resonator's alpha, averaged over each octave, (n_bands,)."""
+    x = frequencies[:, None] * 2.0 ** np.linspace(-0.45, 0.45, 9) / resonance
+    return np.asarray((peak / (1 + quality**2 * (x - 1 / x) ** 2)).mean(1))
 
 
 _PEAK = 0.55
@@ -495,21 +489,15 @@ class Membrane(Absorber):
     largest_share: ClassVar[float] = 0.5
     least: ClassVar[float] = 0.1
     steps: ClassVar[int] = 6
-    parameter_units: ClassVar[Mapping[str, str]] = {
-        "area": " m²",
-        "mass": " kg/m²",
-        "airspace": " m",
-    }
-    ranges: ClassVar[Limits] = {"mass": (1e-3, 1e4), "airspace": (1e-4, 10.0)}
-    tried: ClassVar[Mapping[str, Sequence[float]]] = {
-        "mass": (5.0, 10.0),
-        "airspace": (0.02, 0.06, 0.2),
+    parameters: ClassVar[Mapping[str, Parameter]] = {
+        "mass": Parameter((5.0, 10.0), (1e-3, 1e4), "kg/m²"),
+        "airspace": Parameter((0.02, 0.06, 0.2), (1e-4, 10.0), "m"),
     }
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
         """Return alpha, averaged over each octave."""
         resonance = 60 / (parameters["mass"] * parameters["airspace"]) ** 0.5
-        return resonance_alpha(tuple(frequencies), resonance, _QUALITY) * (_PEAK / 0.8)
+        return _resonance(frequencies, resonance, _QUALITY, _PEAK)
 
 
 PER_PERSON = (0.08, 0.15, 0.29, 0.56, 0.85, 0.98, 0.95, 0.95)
@@ -533,7 +521,9 @@ class People(AbsorbingObject):
     size: ClassVar[str] = "persons"
     size_error: ClassVar[float] = 0.35  # tables differ by half: how they stand, what they wear
     unit: ClassVar[str] = "persons"
-    parameter_units: ClassVar[Mapping[str, str]] = {"persons": " persons"}
+    parameters: ClassVar[Mapping[str, Parameter]] = {
+        "persons": Parameter(within=(0.0, inf), unit="persons")
+    }
     least: ClassVar[float] = 0.08
     most: ClassVar[float] = 1.3
     of_one: ClassVar[float] = AT_1_KHZ
@@ -546,6 +536,7 @@ class People(AbsorbingObject):
 
 SEATED_ALPHA = 0.86
 """alpha of a seated audience at 1 kHz (Beranek 1996)."""
+_AREA_AT_1_KHZ = "m² of absorption area at 1 kHz"
 
 
 @dataclass(frozen=True)
@@ -557,12 +548,11 @@ class Audience(AbsorbingObject):
     odds: ClassVar[float] = 0.5  # the other half are `People`
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.12, 0.12)
     size: ClassVar[str] = "absorption_area"
-    unit: ClassVar[str] = "m² of absorption area at 1 kHz"
-    parameter_units: ClassVar[Mapping[str, str]] = {
-        "absorption_area": " m² of absorption area at 1 kHz"
+    unit: ClassVar[str] = _AREA_AT_1_KHZ
+    parameters: ClassVar[Mapping[str, Parameter]] = {
+        "absorption_area": Parameter(within=(0.0, inf), unit=_AREA_AT_1_KHZ)
     }
     stands_on: ClassVar[Sequence[str]] = ("floor",)
-
     # Relative to 1 kHz, 63 Hz to 8 kHz.
     SEATED: ClassVar[tuple[float, ...]] = (0.30, 0.42, 0.58, 0.80, 1.0, 1.07, 1.05, 0.97)
     least: ClassVar[float] = 0.08
@@ -574,16 +564,13 @@ class Audience(AbsorbingObject):
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the audience."""
-        return state.covered(
-            parameters["absorption_area"] / SEATED_ALPHA, self._alpha(state.frequencies)
-        )
+        ((_, alpha),) = self.on_surface(state.frequencies)
+        return state.covered(parameters["absorption_area"] / SEATED_ALPHA, alpha)
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
         """Return the audience's alpha."""
-        return [({}, self._alpha(frequencies))]
-
-    def _alpha(self, frequencies: Array) -> Array:
-        return np.minimum(SEATED_ALPHA * interpolate_octaves(frequencies, self.SEATED), 1.0)
+        seated = interpolate_octaves(frequencies, self.SEATED)
+        return [({}, np.minimum(SEATED_ALPHA * seated, 1.0))]
 
 
 @dataclass(frozen=True)
@@ -594,10 +581,8 @@ class Furniture(AbsorbingObject):
     family: ClassVar[str] = "added absorption, flat"
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.12, 0.12)
     size: ClassVar[str] = "absorption_area"
-    unit: ClassVar[str] = "m² of absorption area at 1 kHz"
-    parameter_units: ClassVar[Mapping[str, str]] = {
-        "absorption_area": " m² of absorption area at 1 kHz"
-    }
+    unit: ClassVar[str] = _AREA_AT_1_KHZ
+    parameters: ClassVar[Mapping[str, Parameter]] = Audience.parameters
     SPECTRUM: ClassVar[tuple[float, ...]] = (0.45, 0.6, 0.75, 0.88, 1.0, 1.08, 1.1, 1.1)
     most: ClassVar[float] = 1.1
     steps: ClassVar[int] = 12
@@ -626,10 +611,11 @@ _LAST = 500.0
 """Decay of the energy in nepers after which it is too little for a double number."""
 RATIOS = (5e-4, 2e3)
 """Ratios of a true area or volume to the stated one: a unit taken for another is a factor of 1000."""
+_MATERIAL = Parameter(within=(0.0, inf), discrete=True)
 
 
 class WrongStatement(Effect):
-    """An effect that contradicts what the room states."""
+    """An effect that contradicts what the room states; the parameter ``material`` says of which one."""
 
     family: ClassVar[str] = "scale"
 
@@ -637,42 +623,32 @@ class WrongStatement(Effect):
         """Return True."""
         return True
 
-
-class OfMaterial(WrongStatement):
-    """An effect that contradicts what the room states of one material: parameter ``material``."""
-
     def limits(self, room: Room | None) -> Limits:
-        """Return the rows of the room's materials, and `ranges`."""
-        last = np.inf if room is None else room.n_materials - 1.0
-        return {"material": (0.0, last), **self.ranges}
+        """Return those of the parameters; of a material, the rows of the room's materials."""
+        limits = super().limits(room)
+        if room is None or "material" not in limits:
+            return limits
+        return {**limits, "material": (0.0, room.n_materials - 1.0)}
 
     def material(self, parameters: Parameters, room: Room) -> str | None:
         """Return the name of the material."""
         number = int(parameters.get("material", -1))
         return room.materials[number] if 0 <= number < room.n_materials else None
 
-    def title(self, parameters: Parameters, room: Room) -> str:
-        """Return the name with the material: ``area of "plaster"``."""
-        material = self.material(parameters, room)
-        return self.name if material is None else f'{self.name} of "{material}"'
-
-    def describe(self, parameters: Parameters, without: str = "") -> str:
-        """Return the parameters other than the material, which is in the title."""
-        shown = {k: v for k, v in parameters.items() if k != "material"}
-        return super().describe(shown, without)
-
 
 @dataclass(frozen=True)
-class WrongArea(OfMaterial):
+class WrongArea(WrongStatement):
     """The true area of one material, as a ratio of the stated one."""
 
     name: ClassVar[str] = "area"
     size: ClassVar[str] = "ratio"
     unit: ClassVar[str] = "of the stated area"
+    parameters: ClassVar[Mapping[str, Parameter]] = {
+        "material": _MATERIAL,
+        "ratio": Parameter(within=RATIOS),
+    }
     neutral: ClassVar[float] = 1.0
-    discrete: ClassVar[Sequence[str]] = ("material",)
     size_error: ClassVar[float] = 0.0
-    ranges: ClassVar[Limits] = {"ratio": RATIOS}
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return each material with 0.35 to 2.9 times its area."""
@@ -680,9 +656,9 @@ class WrongArea(OfMaterial):
         both = product(range(len(state.areas)), ratios)
         return [{"material": float(j), "ratio": float(r)} for j, r in both]
 
-    def density(self, parameters: Parameters, state: RoomState) -> float:
+    def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
         """Return a normal density of ln ratio, of standard deviation 0.5."""
-        return float(np.exp(-0.5 * (np.log(parameters["ratio"]) / 0.5) ** 2))
+        return np.asarray(np.exp(-0.5 * (np.log(parameters["ratio"]) / 0.5) ** 2))
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with that area."""
@@ -722,9 +698,9 @@ class WrongVolume(WrongStatement):
     name: ClassVar[str] = "volume"
     size: ClassVar[str] = "ratio"
     unit: ClassVar[str] = "of the stated volume"
+    parameters: ClassVar[Mapping[str, Parameter]] = {"ratio": Parameter(within=RATIOS)}
     neutral: ClassVar[float] = 1.0
     size_error: ClassVar[float] = 0.04
-    ranges: ClassVar[Limits] = {"ratio": RATIOS}
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return ratios within four standard deviations, and those about the `FACTORS`.
@@ -750,13 +726,9 @@ class WrongVolume(WrongStatement):
         logs = np.log([*self.FACTORS])
         return np.concatenate([logs, -logs])
 
-    def density(self, parameters: Parameters, state: RoomState) -> float:
-        """Return the density of ln ratio; see `densities`."""
-        return float(self.densities([parameters], state)[0])
-
-    def densities(self, grid: Sequence[Parameters], state: RoomState) -> Array:
+    def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
         """Return the density of ln ratio: normal about 0, and with `GROSS` about ln of the factors."""
-        logs = np.log([theta["ratio"] for theta in grid])
+        logs = np.log(parameters["ratio"])
 
         def normal(about: Array | float, sigma: float) -> Array:
             return np.asarray(np.exp(-0.5 * ((logs - about) / sigma) ** 2) / sigma)
@@ -785,13 +757,15 @@ class WrongFormula(WrongStatement):
     # Kuttruff's is left out: it needs the variance of the path lengths, which no case states.
     EQUATIONS: ClassVar[Sequence[type[MeanEquation]]] = (Sabine, Eyring, Millington)
     unit: ClassVar[str] = ", ".join(f"{i} {e.name}" for i, e in enumerate(EQUATIONS))
-    neutral: ClassVar[float] = np.nan
-    discrete: ClassVar[Sequence[str]] = ("equation",)
-    size_error: ClassVar[float] = 0.0
-    parameter_values: ClassVar[Mapping[str, Sequence[str]]] = {
-        "equation": [f"{e.name}'s equation" for e in EQUATIONS]
+    parameters: ClassVar[Mapping[str, Parameter]] = {
+        "equation": Parameter(
+            within=(0.0, len(EQUATIONS) - 1.0),
+            words=[f"{e.name}'s equation" for e in EQUATIONS],
+            discrete=True,
+        )
     }
-    ranges: ClassVar[Limits] = {"equation": (0.0, len(EQUATIONS) - 1.0)}
+    neutral: ClassVar[float] = np.nan
+    size_error: ClassVar[float] = 0.0
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return the equations that the model does not use."""
@@ -809,7 +783,7 @@ HARD = 0.04
 
 
 @dataclass(frozen=True)
-class CoveredSurface(OfMaterial):
+class CoveredSurface(WrongStatement):
     """A share of one material that is covered by something hard: its absorption is not in the room."""
 
     name: ClassVar[str] = "covered surface"
@@ -818,16 +792,16 @@ class CoveredSurface(OfMaterial):
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.08, 0.1)
     size: ClassVar[str] = "share"
     unit: ClassVar[str] = "of its area covered"
-    neutral: ClassVar[float] = 0.0
+    parameters: ClassVar[Mapping[str, Parameter]] = {
+        "material": _MATERIAL,
+        "share": Parameter(within=(0.0, 1.0), unit="of its area covered"),
+    }
     removable: ClassVar[bool] = True
     # A cover has 0.02 to 0.1, not HARD: some 6 % of what a panel absorbs. Chosen on twelve rooms of
     # tests/seams/turned_panels.py, whose 90 % intervals hold all shares; with 0.25 T is 12 % off.
     size_error: ClassVar[float] = 0.1
-    discrete: ClassVar[Sequence[str]] = ("material",)
-    parameter_units: ClassVar[Mapping[str, str]] = {"share": " of its area covered"}
     stands_on: ClassVar[Sequence[str]] = ("floor", "wall", "ceiling")
     shares: ClassVar[Sequence[float]] = (0.12, 0.2, 0.33, 0.55, 0.9)
-    ranges: ClassVar[Limits] = {"share": (0.0, 1.0)}
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return each material that is softer than the cover, covered by 0.12 to 0.9."""
@@ -856,17 +830,15 @@ class NoiseFloor(Effect):
     family: ClassVar[str] = "measurement"
     size: ClassVar[str] = "level"
     unit: ClassVar[str] = "dB relative to the start of the decay"
+    parameters: ClassVar[Mapping[str, Parameter]] = {
+        "level": Parameter(np.linspace(-62, -30, 17).tolist(), (-200.0, 0.0), "dB"),
+        "record": Parameter((1.5, 2.5), (0.1, 100.0), "times T"),
+    }
     neutral: ClassVar[float] = -90.0
     size_error: ClassVar[float] = 1.2
-    parameter_units: ClassVar[Mapping[str, str]] = {"level": " dB", "record": " times T"}
     not_in_simulator: ClassVar[str | None] = (
         "a simulator's decay has no noise; take the noise off the measurement"
     )
-    ranges: ClassVar[Limits] = {"level": (-200.0, 0.0), "record": (0.1, 100.0)}
-    tried: ClassVar[Mapping[str, Sequence[float]]] = {
-        "level": np.linspace(-62, -30, 17).tolist(),
-        "record": (1.5, 2.5),
-    }
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with this noise in its decays."""
@@ -882,14 +854,13 @@ class DirectSound(Effect):
     odds: ClassVar[float] = 0.5
     size: ClassVar[str] = "gain"
     unit: ClassVar[str] = "dB"
+    parameters: ClassVar[Mapping[str, Parameter]] = {
+        # The limits are beyond any loudspeaker's directivity.
+        "gain": Parameter((-9.0, -6.0, -4.0, -2.0, 2.0, 4.0, 6.0, 9.0), (-40.0, 40.0), "dB")
+    }
     size_error: ClassVar[float] = 1.0
-    parameter_units: ClassVar[Mapping[str, str]] = {"gain": " dB"}
     # A simulator's source has a directivity of its own.
     not_in_simulator: ClassVar[str | None] = None
-    ranges: ClassVar[Limits] = {"gain": (-40.0, 40.0)}  # beyond any loudspeaker's directivity
-    tried: ClassVar[Mapping[str, Sequence[float]]] = {
-        "gain": (-9.0, -6.0, -4.0, -2.0, 2.0, 4.0, 6.0, 9.0)
-    }
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the direct sound so much stronger."""
@@ -905,26 +876,26 @@ class OmittedAir(Effect):
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.03, 0.0, 0.03)
     size: ClassVar[str] = "humidity"
     unit: ClassVar[str] = "% at the temperature"
+    parameters: ClassVar[Mapping[str, Parameter]] = {
+        "temperature": Parameter((10.0, 14.0, 18.0, 22.0, 26.0, 30.0, 35.0), (-20.0, 50.0), "°C"),
+        "humidity": Parameter(
+            (8.0, 13.0, 20.0, 27.0, 35.0, 45.0, 57.0, 70.0, 95.0), (1.01, 100.0), "%"
+        ),
+    }
     neutral: ClassVar[float] = np.nan
     size_error: ClassVar[float] = 0.0
-    parameter_units: ClassVar[Mapping[str, str]] = {"temperature": " °C", "humidity": " %"}
     INDOORS: ClassVar[Mapping[str, tuple[float, float, float]]] = {
         "temperature": (15.0, 30.0, 3.0),
         "humidity": (20.0, 70.0, 10.0),
     }
-    ranges: ClassVar[Limits] = {"temperature": (-20.0, 50.0), "humidity": (1.01, 100.0)}
-    tried: ClassVar[Mapping[str, Sequence[float]]] = {
-        "temperature": (10.0, 14.0, 18.0, 22.0, 26.0, 30.0, 35.0),
-        "humidity": (8.0, 13.0, 20.0, 27.0, 35.0, 45.0, 57.0, 70.0, 95.0),
-    }
 
-    def density(self, parameters: Parameters, state: RoomState) -> float:
+    def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
         """Return the density of an indoor climate: even over `INDOORS`, normal tails beyond it."""
-        out = 1.0
+        out: Array | float = 1.0
         for name, (low, high, tail) in self.INDOORS.items():
-            value = parameters[name]
-            beyond = max(low - value, value - high, 0.0) / tail
-            out *= float(np.exp(-0.5 * beyond**2)) * value  # per unit of ln
+            value = np.asarray(parameters[name])
+            beyond = np.maximum(np.maximum(low - value, value - high), 0.0) / tail
+            out = out * np.exp(-0.5 * beyond**2) * value  # per unit of ln
         return out
 
     def prior_odds(self, room: Room) -> float:
@@ -978,15 +949,14 @@ class NonDiffuse(Effect):
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.2, 0.1, 0.3)
     size: ClassVar[str] = "scattering"
     unit: ClassVar[str] = "as scattering coefficient"
+    parameters: ClassVar[Mapping[str, Parameter]] = {
+        "scattering": Parameter(np.geomspace(0.01, 0.3, 9).tolist(), (0.0, 1.0))
+    }
     neutral: ClassVar[float] = 1.0
     size_error: ClassVar[float] = 0.5
     needs_directions: ClassVar[bool] = True
     # A simulator with geometry has such a field by itself.
     not_in_simulator: ClassVar[str | None] = None
-    ranges: ClassVar[Limits] = {"scattering": (0.0, 1.0)}
-    tried: ClassVar[Mapping[str, Sequence[float]]] = {
-        "scattering": np.geomspace(0.01, 0.3, 9).tolist()
-    }
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with this scattering."""
@@ -1005,9 +975,14 @@ class CoupledRoom(Effect):
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.2, 0.1, 0.3)
     size: ClassVar[str] = "aperture"
     unit: ClassVar[str] = "m²"
+    # A room of 1 l or more that reflects something.
+    parameters: ClassVar[Mapping[str, Parameter]] = {
+        "aperture": Parameter(within=(0.0, LARGEST), unit="m²"),
+        "volume": Parameter(within=(1e-3, 1e8), unit="m³"),
+        "alpha": Parameter(within=(0.0, 0.999)),
+    }
     removable: ClassVar[bool] = True
     size_error: ClassVar[float] = 0.4
-    parameter_units: ClassVar[Mapping[str, str]] = {"aperture": " m²", "volume": " m³"}
     stands_on: ClassVar[Sequence[str]] = ("wall", "ceiling")
     not_in_simulator: ClassVar[str | None] = (
         "the simulator has no second room; draw it in its geometry"
@@ -1024,8 +999,8 @@ class CoupledRoom(Effect):
         ]
 
     def limits(self, room: Room | None) -> Limits:
-        """Return an aperture in the surfaces, and a room of 1 l or more that reflects something."""
-        return {"aperture": (0.0, all_surfaces(room)), "volume": (1e-3, 1e8), "alpha": (0.0, 0.999)}
+        """Return an aperture in the surfaces, and the limits of the second room."""
+        return {**super().limits(room), "aperture": (0.0, all_surfaces(room))}
 
     def wall_area(self, parameters: Parameters) -> float:
         """Return the aperture."""
@@ -1074,20 +1049,18 @@ class CoupledDecay:
 
 
 T = TypeVar("T")
-_TEXTS = ("name", "size", "unit")
-_RESERVED = ("none", "unknown")
 SURFACES = ("floor", "wall", "ceiling")
 _RULES = {
-    "areas": (0.0, np.inf),
+    "areas": (0.0, inf),
     "alpha": (0.0, 1.0),
-    "air": (0.0, np.inf),
-    "covering": (-np.inf, np.inf),
-    "objects": (-np.inf, np.inf),
-    "volume": (1e-6, np.inf),
-    "speed_of_sound": (1e-6, np.inf),
-    "record": (1e-6, np.inf),
-    "direct_db": (-np.inf, np.inf),
-    "floor_db": (-np.inf, np.inf),
+    "air": (0.0, inf),
+    "covering": (-inf, inf),
+    "objects": (-inf, inf),
+    "volume": (1e-6, inf),
+    "speed_of_sound": (1e-6, inf),
+    "record": (1e-6, inf),
+    "direct_db": (-inf, inf),
+    "floor_db": (-inf, inf),
 }
 """Least and largest values of the fields of a state that are numbers."""
 
@@ -1140,27 +1113,26 @@ def _check(place: str, effect: Any) -> None:
         )
     if not isinstance(effect, Effect):
         raise DataError(f"{place} = {effect!r} is no effect: not a rtcal.finder.Effect")
-    for name in _TEXTS:
-        if (text := getattr(effect, name, None)) is None:
-            raise DataError(f"{place} = {effect!r}: {name} is not stated; it is a text of one line")
+    for name in ("name", "size", "unit"):
+        text = getattr(effect, name, None)
         blank = name != "unit" and not str(text).strip()
         if not isinstance(text, str) or blank or not text.isprintable():
             raise DataError(f"{place} = {effect!r}: {name} = {text!r} is not a text of one line")
-    if effect.name in _RESERVED:
+    if effect.name in ("none", "unknown"):
         raise DataError(f'{place}: name = "{effect.name}" is a verdict\'s; an effect has another')
     where = f'effect "{effect.name}"'
-    checks.number(f"{where}: neutral", getattr(effect, "neutral", None))
-    error = checks.number(f"{where}: size_error", getattr(effect, "size_error", None))
-    if not 0 <= error < np.inf:
+    checks.number(f"{where}: neutral", effect.neutral)
+    if not 0 <= (error := checks.number(f"{where}: size_error", effect.size_error)) < inf:
         raise DataError(f"{where}: size_error = {error:g} is not finite and 0 or more")
-    checks.flag(f"{where}: removable", getattr(effect, "removable", None))
-    checks.listed(f"{where}: discrete", getattr(effect, "discrete", None))
-    for kind in checks.listed(f"{where}: stands_on", getattr(effect, "stands_on", None)):
+    checks.flag(f"{where}: removable", effect.removable)
+    for name, of in checks.mapped(f"{where}: parameters", effect.parameters).items():
+        checks.instance(f"{where}: parameters[{name!r}]", of, Parameter)
+    for kind in checks.listed(f"{where}: stands_on", effect.stands_on):
         if kind not in SURFACES:
             raise DataError(
                 f"{where}: stands_on has {kind!r}, which is not one of {', '.join(SURFACES)}"
             )
-    for share in checks.listed(f"{where}: shares", getattr(effect, "shares", None)):
+    for share in checks.listed(f"{where}: shares", effect.shares):
         if not 0 < checks.number(f"{where}: shares", share) <= 1:
             raise DataError(f"{where}: shares has {share:g}, which is not above 0 and at most 1")
 
@@ -1177,6 +1149,11 @@ def judged_effects(
     if not tried:
         raise DataError(f"{', '.join(lacking)} cannot be judged: {NOT_KNOWN}")
     return tried, lacking
+
+
+def columns(grid: Sequence[Parameters]) -> dict[str, Array]:
+    """Return the values of each parameter over a grid, (n,) each."""
+    return {name: np.array(list(map(itemgetter(name), grid))) for name in grid[0]}
 
 
 def checked_grid(
@@ -1198,14 +1175,14 @@ def checked_grid(
             raise DataError(f"{where} has {theta!r}; each of it has {', '.join(map(str, names))}")
     within = np.ones(len(grid), dtype=bool)
     limits = _limits(effect, room)
-    for name in names:
-        values = np.array(list(map(itemgetter(name), grid)))
-        if values.dtype.kind not in "fiu":
-            values = checks.array(f"{where}: {name}", values)
-        if not np.isfinite(values).all():
-            raise DataError(f"{where}: {name} = {values[~np.isfinite(values)][0]:g} is not finite")
-        least, most = limits.get(name, (-np.inf, np.inf))
-        within &= (values >= least) & (values <= most)
+    for name, values in columns(grid).items():
+        checked = checks.array(f"{where}: {name}", values)
+        if not np.isfinite(checked).all():
+            raise DataError(
+                f"{where}: {name} = {checked[~np.isfinite(checked)][0]:g} is not finite"
+            )
+        least, most = limits.get(name, (-inf, inf))
+        within &= (checked >= least) & (checked <= most)
     return [grid[i] for i in np.flatnonzero(within)] or grid
 
 
@@ -1220,7 +1197,7 @@ def beyond(
     sizes = np.unique([theta[effect.size] for theta in grid])
     if not isfinite(effect.neutral) or effect.size in effect.discrete or len(sizes) < 2:
         return every
-    limits = _limits(effect, room).get(effect.size, (-np.inf, np.inf))
+    limits = _limits(effect, room).get(effect.size, (-inf, inf))
     logs = sizes[0] > 0
     for end, inner in ((-1, -2), (0, 1)):
         away = (sizes[end] - effect.neutral) * (sizes[end] - sizes[inner]) > 0
@@ -1270,35 +1247,45 @@ def _limits(effect: Effect, room: Room | None) -> Limits:
 
 def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
     """Return the state with the effect in it, by parameters; DataError if a state is impossible."""
-    where = f'effect "{effect.name}": change'
-    state = state.locked()
+    where, state = f'effect "{effect.name}": change', state.locked()
     made = added(effect, state, grid)
     for after in made:
         if not isinstance(after, RoomState):
             raise DataError(f"{where} returns {type(after).__name__}; it returns a RoomState")
-    for name in _RULES:
-        before, values = getattr(state, name), list(map(attrgetter(name), made))
-        new = [i for i, value in enumerate(values) if value is not before and value is not None]
-        if new and not _obey(name, [values[i] for i in new], state):
-            for i in new:
-                with_what = ", ".join(f"{k} {v:.3g}" for k, v in grid[i].items())
-                _check_field(f"{where} with {with_what}: {name}", name, values[i], state)
-    for after in made:
         if after.equation is not state.equation:
             mean_equation(after.equation, f"{where}: equation")
         if after.shape is not state.shape and not hasattr(after.shape, "together"):
             _check_shape(effect.name, after)
+    for name in _RULES:
+        before = getattr(state, name)
+        new = [
+            i for i, s in enumerate(made) if (v := getattr(s, name)) is not before and v is not None
+        ]
+        if _obey(name, [getattr(made[i], name) for i in new], state):
+            continue
+        for i in new:
+            value = getattr(made[i], name)
+            if not _obey(name, [value], state):
+                with_what = ", ".join(f"{k} {v:.3g}" for k, v in grid[i].items())
+                field = f"{where} with {with_what}: {name}"
+                checks.array(field, value)
+                raise DataError(
+                    f"{field} is not {_rule(*_RULES[name])}, in the shape that it has without the "
+                    "effect"
+                )
     return made
 
 
 def added(effect: Effect, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
     """Return the state with the effect in it, by parameters, where `changed_states` passed it alone."""
-    where = f'effect "{effect.name}": change'
-    return _run(where, partial(effect.changes, state.locked(), grid), grid[0])
+    where, locked = f'effect "{effect.name}": change', state.locked()
+    return _run(where, lambda: effect.changes(locked, grid), grid[0])
 
 
 def _obey(name: str, values: Sequence[Any], state: RoomState) -> bool:
     """Return whether all values of a field have its shape and are within its ends."""
+    if not values:
+        return True
     try:
         together = np.array(values)
     except ValueError:  # of several shapes
@@ -1309,15 +1296,6 @@ def _obey(name: str, values: Sequence[Any], state: RoomState) -> bool:
     if together.dtype.kind not in "fiu" or together.shape[1:] not in shapes:
         return False
     return bool((np.isfinite(together) & (together >= least) & (together <= most)).all())
-
-
-def _check_field(where: str, name: str, value: Any, state: RoomState) -> None:
-    """Raise DataError for a value that does not `_obey`, by its kind, its shape or its size."""
-    if not _obey(name, [value], state):
-        checks.array(where, value)
-        raise DataError(
-            f"{where} is not {_rule(*_RULES[name])}, in the shape that it has without the effect"
-        )
 
 
 def _rule(least: float, most: float) -> str:
@@ -1439,6 +1417,6 @@ class AppliedEffect:
         return (self.size_interval[1] - self.size_interval[0]) / (2 * NORMAL_90)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON, as `from_dict` reads them."""
+        """Return plain values for JSON."""
         ends = None if self.size_interval is None else list(self.size_interval)
         return {"effect": self.name, "parameters": dict(self.parameters), "size_interval": ends}

@@ -21,7 +21,7 @@ from rtcal.acoustics.bands import is_middle
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import HANDBOOK_SIGMA, POWER, common_error_columns
 from rtcal.finder.case import Case, ChangedMaterial, Configuration
-from rtcal.finder.effects import Effect, Parameters
+from rtcal.finder.effects import Effect, Parameters, columns
 from rtcal.finder.model import RoomState
 from rtcal.support import checks
 from rtcal.support.errors import DataError
@@ -162,10 +162,11 @@ def grid_weights(effect: Effect, grid: Sequence[Parameters], state: RoomState) -
     neighbours on either side, in ln of a parameter that is above 0. So a grid twice as fine gives each
     point half of the weight, and the effect the same evidence.
     """
-    weights = effect.densities(grid, state)
-    for name in grid[0]:
+    values = columns(grid)
+    weights = np.ones(len(grid)) * effect.density(values, state)
+    for name, of_parameter in values.items():
         if name not in effect.discrete:
-            weights *= _cells(np.array([theta[name] for theta in grid]))
+            weights *= _cells(of_parameter)
     if not (np.isfinite(weights).all() and weights.min() >= 0 and weights.sum() > 0):
         raise DataError(f'effect "{effect.name}": density is not finite and 0 or more')
     return np.asarray(weights / weights.sum())

@@ -9,7 +9,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import AppliedEffect, Case
-from rtcal.finder.effects import Effect, checked_grid, library
+from rtcal.finder.effects import Effect, checked_grid, columns, library
 from rtcal.finder.means.problem import state
 from rtcal.finder.model import RoomState, covered
 from rtcal.support.errors import DataError
@@ -53,8 +53,10 @@ def test_a_grid_at_once_is_each_set_by_itself(effect: Effect, case: Case) -> Non
             one, other = getattr(after, f.name), getattr(alone, f.name)
             same = one == other if f.name == "shape" else np.array_equal(one, other)
             assert same, f"{effect.name}: {f.name}"
-    alone = [effect.density(theta, before) for theta in grid]
-    assert effect.densities(grid, before).tolist() == alone
+    one = [effect.density({k: np.array([v]) for k, v in theta.items()}, before) for theta in grid]
+    alone = [float(np.squeeze(density)) for density in one]
+    together = np.ones(len(grid)) * effect.density(columns(grid), before)
+    np.testing.assert_allclose(together, alone, rtol=1e-14)
 
 
 def test_many_states_are_covered_as_one_is(case: Case) -> None:

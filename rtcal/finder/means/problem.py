@@ -1109,7 +1109,7 @@ def null_scores(
     prior: Prior,
     draws: int = 400,
 ) -> Array:
-    """Return the `score` of rooms that lack nothing, (n_draws, n_steps), of ever more data (`steps`)."""
+    """Return the `score` of rooms that lack nothing, (n_draws, n_steps), by `steps` of the data."""
     rng = np.random.default_rng([0, 3])
     ends, scores = list(steps(case, observed.used)), []
     for fold in (0, 1):

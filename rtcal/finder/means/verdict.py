@@ -34,7 +34,7 @@ from rtcal.finder.claim import (
     numbers_of,
     over_frequency,
 )
-from rtcal.finder.effects import AppliedEffect, Effect, Parameters, changed_states
+from rtcal.finder.effects import AppliedEffect, Effect, Parameters, changed_states, columns
 from rtcal.finder.finding import End, Size
 from rtcal.finder.means.problem import (
     NEGLIGIBLE,
@@ -111,7 +111,7 @@ def estimate_size(
     grid = predicted.grid(name)
 
     def log_density(thetas: Sequence[Parameters]) -> Array:
-        return np.log(np.maximum(effect.densities(thetas, base), _LEAST_DENSITY))
+        return np.log(np.maximum(effect.density(columns(thetas), base), _LEAST_DENSITY))
 
     def evaluated(thetas: Sequence[Parameters]) -> Array:
         return evidence.under(effect, thetas) + log_density(thetas)
