@@ -18,6 +18,7 @@ from operator import itemgetter
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
@@ -398,14 +399,14 @@ class Porous(Absorber):
         return _statistical(z[..., None] * np.cos(angles), angles)
 
 
-def _statistical(normal: Array, angles: Array) -> Array:
+def _statistical(normal: NDArray[np.complex128], angles: Array) -> Array:
     """Return alpha in diffuse sound, averaged over frequencies, (n_bands,).
 
     ``normal`` (n_bands, n_frequencies, n_angles) is the impedance over that of air, times the cosine.
     """
     weight = np.sin(2 * angles)
     absorbed = 1 - np.abs((normal - 1) / (normal + 1)) ** 2
-    return np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1)
+    return np.asarray(np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1))
 
 
 _MASS = 0.4

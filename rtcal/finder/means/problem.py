@@ -87,7 +87,7 @@ LARGEST_HYPOTHESES = 5000
 
 
 @dataclass(frozen=True, eq=False)
-class Predictions:
+class PredictedFeatures:
     """Features of n states of a case's room, and how they depend on alpha and on the climate.
 
     Attributes
@@ -144,7 +144,7 @@ class Predictions:
         )
 
 
-def predict_states(case: Case, states: Sequence[Sequence[RoomState]]) -> Predictions:
+def predict_states(case: Case, states: Sequence[Sequence[RoomState]]) -> PredictedFeatures:
     """Return the predictions of states, a list for each configuration."""
     with np.errstate(all="ignore"):  # who asks refuses, or leaves out, what is not finite
         made = [
@@ -154,7 +154,7 @@ def predict_states(case: Case, states: Sequence[Sequence[RoomState]]) -> Predict
         # d ln T20 = -(d k / d alpha) T20 / (6 ln 10) d alpha.
         times = [p.reverberation_time[:, None, :] / (6 * np.log(10)) for p in made]
         jacobian = [sensitivities(s) * time for s, time in zip(states, times, strict=True)]
-    return Predictions(
+    return PredictedFeatures(
         case,
         np.stack([p.features for p in made], axis=1),
         np.stack([p.slopes for p in made], axis=1),
@@ -201,7 +201,7 @@ def _attenuation_changes(
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class MeansHypotheses(Predictions):
+class MeansHypotheses(PredictedFeatures):
     """One table: every effect with every set of its parameters, and what the case's model predicts.
 
     Attributes
@@ -770,7 +770,7 @@ class MeansProblem:
         y = self.observed.values if values is None else values
         return np.asarray(y - self.predicted.features[i].ravel()[self.mask] - self.bias)
 
-    def by_log_time(self, predicted: Predictions, rows: Rows, changes: Array) -> Array:
+    def by_log_time(self, predicted: PredictedFeatures, rows: Rows, changes: Array) -> Array:
         """Return the changes of the features in use, (n, n_used, n_columns).
 
         ``changes`` (n, size, n_columns) are those of ln T20 over configurations and bands.
@@ -789,7 +789,7 @@ class MeansProblem:
         self,
         rows: Rows,
         members: Sequence[Rows] | None = None,
-        predicted: Predictions | None = None,
+        predicted: PredictedFeatures | None = None,
     ) -> Moments:
         """Return the moments of some hypotheses: by default of these rows of the table.
 
@@ -811,7 +811,9 @@ class MeansProblem:
         both = self.discrepancy.covariance + self.predicted.applied
         return np.asarray(self.observed.covariance + both[np.ix_(self.mask, self.mask)])
 
-    def of_alpha(self, rows: Rows, predicted: Predictions | None = None) -> tuple[Array, Array]:
+    def of_alpha(
+        self, rows: Rows, predicted: PredictedFeatures | None = None
+    ) -> tuple[Array, Array]:
         """Return J Sigma J' of some hypotheses, and their changes by errors in common.
 
         (n, n_used, n_used) and (n, n_used, n_directions).
@@ -1023,7 +1025,10 @@ def evaluate_leading(
     parts = [*problem.log_likelihood(y, ends, off=prior_off > 0), unknown]
     if values is None:
         parts = [part[..., 0] for part in parts]
-    return [MeansEvidence(problem, *of_end, prior_off) for of_end in zip(*parts, strict=True)]
+    return [
+        MeansEvidence(problem, stated, off, unknown, prior_off)
+        for stated, off, unknown in zip(*parts, strict=True)
+    ]
 
 
 def evaluate_beyond(

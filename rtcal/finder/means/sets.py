@@ -215,7 +215,7 @@ def moments(compared: MeansProblem, sets: Sequence[Rows]) -> tuple[Moments, NDAr
     else:
         made = predict_states(compared.case, states_of(compared, sets))
         of = compared.moments(np.arange(len(sets)), members, made)
-    possible = np.isfinite(of.mean).all(1) & np.isfinite(of.covariance).all((1, 2))
+    possible = np.asarray(np.isfinite(of.mean).all(1) & np.isfinite(of.covariance).all((1, 2)))
     of.mean[~possible], of.covariance[~possible] = 0.0, np.eye(of.mean.shape[1])
     of.common[~possible] = 0.0
     return of, possible

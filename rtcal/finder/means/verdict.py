@@ -426,7 +426,7 @@ def fit(evidence: MeansEvidence, name: str, *, precise: bool) -> Fit:
         scale = _LARGER
         by_time = prior.by_direction(prior.directions(case), predicted.jacobian[row][None])
         changes = -alone.by_log_time(predicted, slice(row, row + 1), by_time)[0]
-        covariance = sum(alone.covariance_of(row))
+        covariance = np.add(*alone.covariance_of(row))
         off = prior.off_together(case, changes, alone.residual(row), covariance, probability)
     gap = gap_check(alone, row, scale)
     surprise = alone.goodness_of_fit(row, scale)
@@ -780,7 +780,7 @@ def next_measurement(evidence: MeansEvidence, candidates: Sequence[str]) -> str:
             return f"nothing more to confirm it: it was measured with and without it ({best})"
         return f"confirm it: measure once without it ({best})"
     rival = named[1]
-    now, complete = separations(problem, first)[rival], problem.observed.used.all((0, 2))
+    now, complete = separations(problem, first)[rival], np.all(problem.observed.used, axis=(0, 2))
     options = [
         (separations(problem, first, features)[rival], further_in_words(kind))
         for kind, features in FURTHER.items()
