@@ -102,7 +102,7 @@ def predict(
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.datasets import catalogue
-    from rtcal.loop.positions_result import predict_positions
+    from rtcal.loop.predicted import predict_positions
     from rtcal.prediction.predicted import compare
 
     # What the file of variants states is checked before anything is calibrated.

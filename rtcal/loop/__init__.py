@@ -10,10 +10,9 @@ if TYPE_CHECKING:
     from rtcal.loop.closed import Step as Step
     from rtcal.loop.closed import start as start
     from rtcal.loop.control_runs import ControlRuns as ControlRuns
-    from rtcal.loop.positions_result import PositionsPrediction as PositionsPrediction
-    from rtcal.loop.positions_result import PositionsPredictions as PositionsPredictions
     from rtcal.loop.positions_result import PositionsResult as PositionsResult
-    from rtcal.loop.positions_result import predict_positions as predict_positions
+    from rtcal.loop.predicted import PositionsPrediction as PositionsPrediction
+    from rtcal.loop.predicted import predict_positions as predict_positions
     from rtcal.loop.rules import Rule as Rule
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -13,7 +13,7 @@ a relaxation, so its first answer that keeps all margins is the cheapest.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar
@@ -31,7 +31,7 @@ from rtcal.acoustics.targets import Target
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.prediction import words
-from rtcal.prediction.predicted import Calibrated, Prediction, known_room, predict
+from rtcal.prediction.predicted import JND, Calibrated, Prediction, known_room, predict
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError, InfeasibleError, SolverError
@@ -525,66 +525,56 @@ class Design(Result):
 
     def blocks(self) -> list[Block]:
         """Return what the design says."""
-        return blocks_of(self.to_dict())
+        made, target = self.prediction, self.model.target
+        low, high = made.interval
+        treatments = [
+            Row(
+                t.name,
+                [
+                    t.covers or "free-standing",
+                    f"{area:.1f}",
+                    f"{t.largest:.1f}",
+                    "-" if t.unit is None else f"{area / t.unit:.0f}",
+                    f"{t.cost * area:.0f}",
+                ],
+            )
+            for t, area in zip(self.model.treatments, self.areas.tolist(), strict=True)
+        ]
+        columns = ["covers", "area / m²", "largest / m²", "panels", "cost"]
+        rows = [
+            Row("target from / s", target.low, ".2f"),
+            Row("       to / s", target.high, ".2f"),
+            Row("T before / s", made.time_before, ".2f"),
+            Row("T after / s", made.mean, ".2f"),
+            Row("change / s", made.mean - made.time_before, "+.2f"),
+            Row("change / %", 100 * JND * made.change, "+.0f"),
+            Row("90 %: from / s", low, ".2f"),
+            Row("      to / s", high, ".2f"),
+            Row("probability", self.probability, ".2f"),
+        ]
+        nothing = (
+            "Nothing is needed: T is in its range in every band with the probability asked for."
+        )
+        frontier = ", ".join(
+            f"{p:g}: {'not to be had' if np.isinf(cost) else f'{cost:.0f}'}"
+            for p, cost in self.frontier.items()
+        )
+        drawn = "" if made.known.n_measured > 1 else ", at most 0.01 off"
+        return [
+            Note(f"{self.model.before.name}: {target.source}"),
+            *([] if self.areas.any() else [Note(nothing)]),
+            Table(columns, treatments, corner="treatment"),
+            Table(bands.labels(made.after.centre_frequencies), rows),
+            Note(f"Cost {self.cost:.0f}. Cost by probability: {frontier}."),
+            Note(
+                f"Probability that all bands are in range at once: {self.probability_together:.2f}. "
+                f"The probabilities are means over draws{drawn}."
+            ),
+            *map(Note, made.sentences),
+        ]
 
     def __str__(self) -> str:
         return "\n".join(blocks.lines(self.blocks()))
-
-
-def treatments_of(record: Mapping[str, Any]) -> Table:
-    """Return the table of the treatments, from `Design.to_dict`."""
-    rows = [
-        Row(
-            t["name"],
-            [
-                t["covers"] or "free-standing",
-                f"{t['area']:.1f}",
-                f"{t['largest']:.1f}",
-                "-" if t["panels"] is None else f"{t['panels']:d}",
-                f"{t['cost']:.0f}",
-            ],
-        )
-        for t in record["treatments"]
-    ]
-    return Table(
-        ["covers", "area / m²", "largest / m²", "panels", "cost"], rows, corner="treatment"
-    )
-
-
-def blocks_of(record: Mapping[str, Any]) -> list[Block]:
-    """Return what a design says, from `Design.to_dict`."""
-    prediction, target = record["prediction"], record["target"]
-    low, high = prediction["interval_90"]
-    rows = [
-        Row("target from / s", target["low"], ".2f"),
-        Row("       to / s", target["high"], ".2f"),
-        Row("T before / s", prediction["reverberation_time_before"], ".2f"),
-        Row("T after / s", prediction["reverberation_time"], ".2f"),
-        Row("change / s", prediction["change_seconds"], "+.2f"),
-        Row("change / %", prediction["change_percent"], "+.0f"),
-        Row("90 %: from / s", low, ".2f"),
-        Row("      to / s", high, ".2f"),
-        Row("probability", record["probability"], ".2f"),
-    ]
-    nothing = "Nothing is needed: T is in its range in every band with the probability asked for."
-    frontier = ", ".join(
-        f"{p}: {'not to be had' if cost is None else f'{cost:.0f}'}"
-        for p, cost in record["frontier"].items()
-    )
-    together = (
-        f"Probability that all bands are in range at once: {record['probability_together']:.2f}. The "
-        "probabilities are means over draws"
-    )
-    drawn = "." if prediction["measured_states"] > 1 else ", at most 0.01 off."
-    return [
-        Note(f"{record['room']}: {target['source']}"),
-        *([] if any(t["area"] for t in record["treatments"]) else [Note(nothing)]),
-        treatments_of(record),
-        Table(bands.labels(prediction["centre_frequencies"]), rows),
-        Note(f"Cost {record['cost']:.0f}. Cost by probability: {frontier}."),
-        Note(together + drawn),
-        *map(Note, prediction["sentences"]),
-    ]
 
 
 def design(

@@ -336,9 +336,48 @@ class Prediction(Result):
             f"± {100 * JND * np.median(self.half_width):.0f} %>"
         )
 
+    @property
+    def rows(self) -> list[Row]:
+        """T before and after with its interval and change, by band."""
+        low, high = self.interval
+        return [
+            Row(f"T before ({self.before_is}) / s", self.time_before, ".2f"),
+            Row("its standard uncertainty / s", self.uncertainty_before, ".2f"),
+            Row("T after / s", self.mean, ".2f"),
+            Row("90 % interval: from / s", low, ".2f"),
+            Row("               to / s", high, ".2f"),
+            Row("change / s", self.mean - self.time_before, "+.2f"),
+            Row("change / %", 100 * JND * self.change, "+.1f"),
+            Row("change / JND", self.change, "+.1f"),
+            Row("half width / %", 100 * JND * self.half_width, ".1f"),
+            Row("half width / JND", self.half_width, ".1f"),
+        ]
+
     def blocks(self) -> list[Block]:
         """Return what the prediction says."""
-        return words.blocks_of(self.to_dict())
+        labels = bands.labels(self.after.centre_frequencies)
+        heads, parts = [f"{self.before.name}: {self.name}"], ("the interval", self.parts)
+        return words.blocks_of(heads, labels, self.rows, parts, self.sentences)
+
+    # What a table of variants and a page show
+
+    @property
+    def shown(self) -> words.Shown:
+        """T before and after, with its interval."""
+        return words.Shown("T / s", "ln T", self.time_before, self.mean, self.interval, self.parts)
+
+    @property
+    def assumed(self) -> list[Block | list[str]]:
+        """What the prediction assumes: sentences and a list."""
+        n = self.known.n_measured
+        return [
+            Note(
+                f"{self.equation.name}'s equation, {n} measured state{'s' * (n != 1)}. Standard "
+                "deviations, unless said otherwise:"
+            ),
+            [f"{words.ASSUMED[k]}: {v:g}" for k, v in asdict(self.assumptions).items()],
+            Note(words.REMARK.format(" and for the T before that is stated")),
+        ]
 
     def __str__(self) -> str:
         return "\n".join(blocks.lines(self.blocks()))
@@ -408,11 +447,11 @@ def predict(
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Predictions(Result):
-    """Predictions of several variants of one room; `compare` makes it.
+    """Predictions of several variants of one room, of T or at every position; `compare` makes it.
 
     Attributes
     ----------
-    predictions : tuple of Prediction
+    predictions : tuple of Prediction or rtcal.loop.PositionsPrediction
         One per variant.
     costs : tuple of float or None
         Of each variant.
@@ -420,9 +459,9 @@ class Predictions(Result):
         The range of T that they are compared with.
     """
 
-    record_kind: ClassVar[str] = "predictions 2"
+    record_kind: ClassVar[str] = "predictions 3"
 
-    predictions: tuple[Prediction, ...]
+    predictions: tuple[Any, ...]
     costs: tuple[float | None, ...]
     target: Target | None = None
 
@@ -451,25 +490,24 @@ class Predictions(Result):
         """Return a table of the variants' T, and of cost and probability where they are known."""
         if len(self.predictions) == 1 and self.target is None:
             return []
-        labels = bands.labels(self.predictions[0].after.centre_frequencies)
-        rows = [Row(p.name, p.mean, ".2f") for p in self.predictions]
-        target = [] if self.target is None else [Note(f"Target: {self.target.source}")]
-        costs = [] if (table := self.costs_and_chances) is None else [table]
-        return [Table(labels, rows, "side by side: T / s"), *target, *costs]
-
-    @property
-    def costs_and_chances(self) -> Table | None:
-        """The table of cost and probability of the target by variant; None if neither is known."""
+        labels = bands.labels(self.predictions[0].before.centre_frequencies)
+        shown = [p.shown for p in self.predictions]
+        rows = [Row(p.name, s.after, ".2f") for p, s in zip(self.predictions, shown, strict=True)]
+        found: list[Block] = [Table(labels, rows, f"side by side: {shown[0].name}")]
+        if self.target is not None:
+            found.append(Note(f"Target: {self.target.source}"))
+        elif all(cost is None for cost in self.costs):
+            return found
         costs = ["-" if c is None else f"{c:.0f}" for c in self.costs]
-        if self.target is None and all(cost is None for cost in self.costs):
-            return None
-        chances: list[tuple[float, ...]] = [*self.chances()] or [()] * len(costs)
+        chances = [[f"{chance:.2f}" for chance in each] for each in self.chances()]
         rows = [
-            Row(p.name, [cost, *(f"{chance:.2f}" for chance in each)])
-            for p, cost, each in zip(self.predictions, costs, chances, strict=True)
+            Row(p.name, [cost, *each])
+            for p, cost, each in zip(
+                self.predictions, costs, chances or [[]] * len(costs), strict=True
+            )
         ]
         columns = ["cost", "least band", "all bands"][: len(rows[0].values)]
-        return Table(columns, rows, corner="variant")
+        return [*found, Table(columns, rows, corner="variant")]
 
     def chances(self) -> list[tuple[float, float]]:
         """Return of each variant the least probability of a band of the target, and that of all.

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.acoustics import bands
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.types import Array
 
@@ -37,8 +36,6 @@ _ADVICE = {
     COVERS: "measure the areas that are covered",
     PLACES: "say where the cover lies: give its place a material of its own in mesh and room",
 }
-_MOST = 0.5
-"""Share of the variance from which one part is most of the interval."""
 
 
 def advice(part: str, n_states: int) -> str:
@@ -52,6 +49,25 @@ def advice(part: str, n_states: int) -> str:
     return _ADVICE.get(part, f"measure {part}, or T with the first square metres of the change")
 
 
+ASSUMED = {
+    "volume": "relative error of the volume",
+    "areas": "relative error of each area",
+    "common": "error of ln T before, where it was not measured",
+    "factor": "standard deviation of ln of what the equation errs by of each material's absorption",
+    "least": "the same, as an absorption coefficient",
+    "evenness": "mean of u, the way from the equation (0) to Arau-Puchades' (1) and Fitzroy's (2)",
+    "evenness_sigma": "standard deviation of u",
+    "one_surface": "probability that all that is exchanged faces one axis, where nothing says which",
+    "own": "relative error of a change between two measured states that no factor explains",
+    "changed": "least sigma of a new material, at positions",
+    "time": "relative uncertainty of a measured T that states none",
+    "band_correlation": "correlation of the errors an octave apart",
+}
+"""What the numbers of `rtcal.prediction.Assumptions` are."""
+REMARK = (
+    "The interval is for a measurement without error{}, and as good as these numbers and the stated "
+    "sigma. One JND of T is 5 % of it."
+)
 NOTHING_CHANGES = "Nothing changes: T stays as it was before, whatever is not known of the room."
 NOTHING_MEASURED = "Nothing was measured: the interval is that of the stated coefficients."
 GIVEN = "T before is given: its own uncertainty is stated apart and is no part of the interval."
@@ -102,29 +118,33 @@ def made_of(interval: str, parts: Mapping[str, Iterable[float]], labels: Sequenc
     return Table(labels, rows, f"what {interval} is made of / % of the variance")
 
 
-def rows_of(record: Mapping[str, Any]) -> list[Row]:
-    """Return T before and after with its interval and change, from `Prediction.to_dict`."""
-    low, high = record["interval_90"]
+def blocks_of(
+    heads: Sequence[str],
+    labels: Sequence[str],
+    rows: Sequence[Row],
+    parts: tuple[str, Mapping[str, Array]],
+    sentences: Sequence[str],
+) -> list[Block]:
+    """Return what a prediction says: values by band, what the interval is made of, and sentences."""
     return [
-        Row(f"T before ({record['before_is']}) / s", record["reverberation_time_before"], ".2f"),
-        Row("its standard uncertainty / s", record["uncertainty_before"], ".2f"),
-        Row("T after / s", record["reverberation_time"], ".2f"),
-        Row("90 % interval: from / s", low, ".2f"),
-        Row("               to / s", high, ".2f"),
-        Row("change / s", record["change_seconds"], "+.2f"),
-        Row("change / %", record["change_percent"], "+.1f"),
-        Row("change / JND", record["change_jnd"], "+.1f"),
-        Row("half width / %", record["half_width_percent"], ".1f"),
-        Row("half width / JND", record["half_width_jnd"], ".1f"),
+        *map(Note, heads),
+        Table(labels, rows),
+        made_of(*parts, labels),
+        *map(Note, sentences),
     ]
 
 
-def blocks_of(record: Mapping[str, Any]) -> list[Block]:
-    """Return what a prediction says, from `Prediction.to_dict`."""
-    labels = bands.labels(record["centre_frequencies"])
-    return [
-        Note(f"{record['room']}: {record['name']}"),
-        Table(labels, rows_of(record)),
-        made_of("the interval", record["parts"], labels),
-        *map(Note, record["sentences"]),
-    ]
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What a table of variants and a page show of a prediction: T, or the mean of a parameter.
+
+    ``name`` with its unit; ``before``, ``after`` and the ends of the 90 % ``interval`` (n_bands,); and
+    the ``parts`` of the variance of ``of``.
+    """
+
+    name: str
+    of: str
+    before: Array
+    after: Array
+    interval: tuple[Array, Array]
+    parts: Mapping[str, Array]

@@ -17,7 +17,8 @@ from rtcal.finder.states import StatesFinding
 from rtcal.finder.verification import Verification
 from rtcal.io import workbook
 from rtcal.loop.closed import Loop
-from rtcal.loop.positions_result import PositionsPrediction, PositionsPredictions, PositionsResult
+from rtcal.loop.positions_result import PositionsResult
+from rtcal.loop.predicted import PositionsPrediction
 from rtcal.modes.calibrate import ModesResult
 from rtcal.prediction.designed import Design
 from rtcal.prediction.predicted import Prediction, Predictions
@@ -34,8 +35,7 @@ _PAGES: dict[type, Callable[[Any], Page]] = {
     ModesResult: of_calibration.page_of_modes,
     Loop: of_loop.page,
     PositionsResult: of_positions.page,
-    **dict.fromkeys((Prediction, Predictions, Design), of_prediction.page),
-    **dict.fromkeys((PositionsPrediction, PositionsPredictions), of_prediction.page_at_positions),
+    **dict.fromkeys((Prediction, PositionsPrediction, Predictions, Design), of_prediction.page),
     **dict.fromkeys((MeansFinding, PositionsFinding, StatesFinding), of_finding.page),
     Verification: lambda verified: of_finding.page(verified.finding, verified),
 }

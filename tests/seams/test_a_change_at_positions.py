@@ -12,8 +12,8 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.acoustics.changes import Variant
 from rtcal.command.main import cli
-from rtcal.loop import ControlRuns, PositionsPredictions, PositionsResult, predict_positions
-from rtcal.prediction import Change
+from rtcal.loop import ControlRuns, PositionsResult, predict_positions
+from rtcal.prediction import Change, Predictions
 from rtcal.prediction.words import ALIKE, CHANGED_ALONE, PLACES, SIZES
 from rtcal.report import pages
 from rtcal.simulators import PathTracing, Polyhedron
@@ -77,7 +77,7 @@ HALF = Variant("half the tiles", (Change(cover="tiles", by=PANEL, area=SIZE[0] *
 
 
 @pytest.fixture(scope="module")
-def predicted(result) -> PositionsPredictions:
+def predicted(result) -> Predictions:
     variants = [
         HALF,
         Variant("window", (Change(open="plaster", area=3.0),)),
@@ -235,7 +235,7 @@ def test_the_command_takes_a_room_or_a_calibration(measured, result, tmp_path: P
     told = CliRunner().invoke(cli, [*arguments, "--paths", "800", "--out", str(out), "--json"])
     assert told.exit_code == 0, told.output
     found = rt.load(out)
-    assert isinstance(found, PositionsPredictions)
+    assert isinstance(found, Predictions)
     assert found.predictions[0].pairs == tuple(measured.pairs)
     calibrated = tmp_path / "fitted"
     result.save(calibrated)

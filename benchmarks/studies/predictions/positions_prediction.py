@@ -23,7 +23,7 @@ import rtcal as rt
 from benchmarks.studies.position_rooms import parameters, rooms, shapes
 from benchmarks.studies.position_rooms.tracer import Scene, trace
 from rtcal.acoustics.observables import observable
-from rtcal.loop.positions_result import PositionsPrediction, predict_positions
+from rtcal.loop.predicted import PositionsPrediction, predict_positions
 from rtcal.prediction import Change, Variant
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.base import observe
@@ -198,10 +198,9 @@ def scored(index: int, part: str) -> list[dict[str, Array]]:
 
 def stated_alone(tracer: PathTracing, prediction: PositionsPrediction) -> Array:
     """Return what the simulator hears after the change with the coefficients stated."""
-    from rtcal.loop.positions_result import ChangedRoom
-    from rtcal.prediction import Assumptions
+    from rtcal.loop.predicted import ChangedRoom
 
-    room = ChangedRoom(tracer.room, prediction.changes, Assumptions())
+    room = ChangedRoom(tracer.room, prediction.changes)
     walls = room.mixture @ room.all_alpha(tracer.room.alpha)
     values = observe(tracer, walls, MATCH, seed=5).values
     return np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)

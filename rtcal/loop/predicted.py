@@ -1,0 +1,898 @@
+"""Values of every position after a change, predicted by a calibrated simulator.
+
+With alpha the coefficients, f what the simulator gives before the change and h after it, e and e' its
+errors in the two states, u the errors of the room's volume, areas and climate, d what it does that a
+cover lies in one place, and r the errors of the measurement,
+
+    measured = f(alpha, u) + e + r,    predicted = h(alpha, u) + e' + d.
+
+Control runs are simulated in both states, so they tell the covariance of e and e' together: what is
+common to both states was measured, and what is each state's own was not. Given what was measured,
+alpha, u, e and e' are jointly normal. h is linear around the calibrated coefficients, but along the
+change of alpha that T20 depends on most: there it is a parabola through three evaluations of the same
+paths.
+
+What was covered is another mixture of materials on the same walls. Where the new material lies on a
+surface is not known to the room: it is spread evenly over all walls of the material that it covers, so
+every wall's coefficient is a mean by area, and a tracer re-evaluates the paths that it has. How the
+walls scatter stays.
+
+In truth the cover lies somewhere, most often in one piece. The places that are tried are the ends of
+the surface: the cover fills it from either side along each of its axes. A cover in the middle departs
+less from an even one, so these are the cautious ones. The surface is cut where the cover would end. Its
+pieces lie in the same planes and scatter alike. So the same paths are traced, and only the difference
+between a place and the even cover counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.changes import Change, Variant, changed, name_of
+from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET, observable, parameter_label
+from rtcal.acoustics.room import Room, refuse_repeats
+from rtcal.acoustics.room_errors import Assumptions, value_changes
+from rtcal.acoustics.scene import POSITION, checked_uncertainty
+from rtcal.files.disk import json_numbers
+from rtcal.files.saved import Result
+from rtcal.loop.control_runs import (
+    GROUPS,
+    ControlRuns,
+    MaterialScattering,
+    Simulated,
+    errors_by_scattering,
+    level,
+    material_scattering,
+    noise_of_a_run,
+    simulated_controls,
+)
+from rtcal.loop.measured_pairs import Linearisation, by_band, of_level
+from rtcal.prediction import words
+from rtcal.prediction.predicted import COVERAGE, Predictions
+from rtcal.simulators import facets
+from rtcal.simulators.base import Simulator, checked_parameters, complete, jacobian, observe
+from rtcal.simulators.facets import WELD
+from rtcal.simulators.geometry import Plane, Polyhedron, convex_parts
+from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support import checks, text
+from rtcal.support.blocks import Block, Note, Row, lines
+from rtcal.support.errors import DataError
+from rtcal.support.speed import Progress
+from rtcal.support.types import Array
+
+Z = float(ndtri((1 + COVERAGE) / 2))
+"""Half of a normal interval, in standard deviations."""
+_SAMPLES = 2000
+_BENT = 0.1
+"""Departure from a straight line at the interval's ends, in standard deviations, from which the
+interval is that of samples."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PositionsPrediction(Result):
+    """A prediction at every position after a change; `PositionsResult.predict` makes it.
+
+    Rows are the pairs in their order, and then their mean.
+
+    Attributes
+    ----------
+    name : str
+    changes : tuple of Change
+    before : Room
+        With the prior's coefficients.
+    simulator : str
+    parameters : tuple of str (n_parameters,)
+        Keys of `rtcal.acoustics.observables`.
+    pairs : tuple of (source, receiver) (n_pairs,)
+    simulated_before : array (n_parameters, n_pairs + 1, n_bands)
+        Before the change, predicted in the same way; as observed: times are logarithms.
+    middle, sigma : array (n_parameters, n_pairs + 1, n_bands)
+        Mean and standard deviation after the change, as observed.
+    uncalibrated_sigma : array (n_parameters, n_pairs + 1, n_bands)
+        Standard deviation of the same prediction without what was measured.
+    low, high : array (n_parameters, n_pairs + 1, n_bands)
+        Ends of the 90 % interval, as observed.
+    sampled : array of bool (n_parameters, n_pairs + 1, n_bands)
+        Where the interval is that of samples, since the simulator departs from its linear model.
+    shares : mapping of str to array (n_parameters, n_bands)
+        Of the variance of the mean over the pairs, by what it comes from.
+
+    Examples
+    --------
+    >>> from rtcal.prediction import Change
+    >>> room = Room(name="box", volume=60, materials=["plaster"], areas=[94], alpha=[[0.2]],
+    ...             sigma=[[0.04]], centre_frequencies=[1000])
+    >>> t = np.log([[[0.5], [0.5]]])  # one pair and the mean
+    >>> found = PositionsPrediction(
+    ...     name="window", changes=(Change(open="plaster", area=2.0),), before=room,
+    ...     simulator="a simulator",
+    ...     parameters=("t20",), pairs=(("S1", "R1"),), simulated_before=t + 0.1, middle=t,
+    ...     sigma=0 * t + 0.05, uncalibrated_sigma=0 * t + 0.2,
+    ...     low=t - 0.08, high=t + 0.08, sampled=t > 1,
+    ...     shares={"alpha of what stays": np.ones((1, 1))})
+    >>> found.mean("t20"), found.change("t20")[-1].round(2)
+    (array([0.5]), array([-1.9]))
+    """
+
+    record_kind: ClassVar[str] = "prediction at positions 1"
+
+    name: str
+    changes: tuple[Change, ...]
+    before: Room
+    simulator: str
+    parameters: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...]
+    simulated_before: Array
+    middle: Array
+    sigma: Array
+    uncalibrated_sigma: Array
+    low: Array
+    high: Array
+    sampled: NDArray[np.bool_]
+    shares: dict[str, Array]
+
+    def _natural(self, parameter: str, observed: Array) -> Array:
+        """Return a parameter's values in its unit, (n_pairs + 1, n_bands)."""
+        row = self.parameters.index(checks.choice("parameter", parameter, self.parameters))
+        return np.asarray(observable(parameter).natural(observed[row]))
+
+    def at_pairs(self, parameter: str) -> Array:
+        """Return each pair's value in its unit and then the mean, (n_pairs + 1, n_bands)."""
+        return self._natural(parameter, self.middle)
+
+    def interval_at_pairs(self, parameter: str) -> tuple[Array, Array]:
+        """Return the ends of the 90 % intervals, each (n_pairs + 1, n_bands)."""
+        return self._natural(parameter, self.low), self._natural(parameter, self.high)
+
+    def mean(self, parameter: str) -> Array:
+        """Return the mean over the pairs in its unit, (n_bands,): the geometric mean of times."""
+        return np.asarray(self.at_pairs(parameter)[-1])
+
+    def interval(self, parameter: str) -> tuple[Array, Array]:
+        """Return the ends of the 90 % interval of the mean over the pairs, each (n_bands,)."""
+        low, high = self.interval_at_pairs(parameter)
+        return low[-1], high[-1]
+
+    def before_change(self, parameter: str) -> Array:
+        """Return each pair's value before the change in its unit and then the mean."""
+        return self._natural(parameter, self.simulated_before)
+
+    def change(self, parameter: str) -> Array:
+        """Return the effect on each pair and on the mean in JND, (n_pairs + 1, n_bands).
+
+        One JND is that of the value before: 5 % of a time.
+        """
+        before = self.before_change(parameter)
+        return (self.at_pairs(parameter) - before) / observable(parameter).jnd_of(before)
+
+    def half_width(self, parameter: str) -> Array:
+        """Return half of the 90 % interval in JND of the value after, (n_pairs + 1, n_bands)."""
+        return self._half_in_jnd(parameter, self.low, self.high)
+
+    def _half_in_jnd(self, parameter: str, low: Array, high: Array) -> Array:
+        one = np.asarray(observable(parameter).jnd_of(self.at_pairs(parameter)))
+        ends = self._natural(parameter, high) - self._natural(parameter, low)
+        return np.asarray(ends / (2 * one))
+
+    def parts(self, parameter: str) -> dict[str, Array]:
+        """Return shares of the variance of the mean over the pairs, (n_bands,), the largest first."""
+        row = self.parameters.index(checks.choice("parameter", parameter, self.parameters))
+        found = {name: share[row] for name, share in self.shares.items()}
+        return dict(sorted(found.items(), key=lambda each: -float(each[1].mean())))
+
+    @property
+    def sentences(self) -> list[str]:
+        """The parts of the first parameter's interval, and what to measure next."""
+        first, half = self.parameters[0], Z * self.uncalibrated_sigma
+        without = self._half_in_jnd(first, self.middle - half, self.middle + half)[-1]
+        return [
+            words.gained(without, self.half_width(first)[-1]),
+            words.to_narrow(self.parts(first), 1),
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain numbers, lists and text."""
+        return {
+            "room": self.before.name,
+            "name": self.name,
+            "changes": [str(change) for change in self.changes],
+            "simulator": self.simulator,
+            "centre_frequencies": json_numbers(self.before.centre_frequencies),
+            "pairs": [list(pair) for pair in self.pairs],
+            "sentences": self.sentences,
+            "parameters": {
+                p: {
+                    "unit": observable(p).unit,
+                    "before": json_numbers(self.before_change(p)),
+                    "after": json_numbers(self.at_pairs(p)),
+                    "interval_90": [json_numbers(end) for end in self.interval_at_pairs(p)],
+                    "change_jnd": json_numbers(self.change(p)),
+                    "half_width_jnd": json_numbers(self.half_width(p)),
+                    "sampled": self.sampled[i].tolist(),
+                    "parts": {name: json_numbers(v) for name, v in self.parts(p).items()},
+                }
+                for i, p in enumerate(self.parameters)
+            },
+        }
+
+    def __repr__(self) -> str:
+        first = self.parameters[0]
+        return (
+            f'<PositionsPrediction "{text.shortened(self.name)}" of '
+            f'"{text.shortened(self.before.name)}": {len(self.pairs)} pairs, '
+            f"{parameter_label(first)} {self.change(first)[-1].mean():+.1f} "
+            f"JND, ± {np.median(self.half_width(first)[-1]):.1f} JND>"
+        )
+
+    def __str__(self) -> str:
+        return "\n".join(lines(self.blocks()))
+
+    def blocks(self) -> list[Block]:
+        """Return what the prediction says: means over the pairs by band."""
+        rows, first = [], self.parameters[0]
+        for p in self.parameters:
+            of, (low, high) = observable(p), self.interval(p)
+            unit, form = f" / {of.unit}" if of.unit else "", f".{of.decimals}f"
+            rows += [
+                Row(f"{of.label} before{unit}", self.before_change(p)[-1], form),
+                Row(f"{of.label} after{unit}", self.mean(p), form),
+                Row(f"{of.label} 90 %: from{unit}", low, form),
+                Row(f"{of.label} to{unit}", high, form),
+            ]
+        return words.blocks_of(
+            [
+                f"{self.before.name}: {self.name}",
+                f"Mean over {len(self.pairs)} pairs, by {self.simulator}",
+            ],
+            bands.labels(self.before.centre_frequencies),
+            rows,
+            (f"the interval of {parameter_label(first)}", self.parts(first)),
+            self.sentences,
+        )
+
+    # What a table of variants and a page show of the first parameter
+
+    @property
+    def shown(self) -> words.Shown:
+        """The mean over the pairs of the first parameter, before and after, with its interval."""
+        p, n = self.parameters[0], len(self.pairs)
+        return words.Shown(
+            f"{parameter_label(p)} / {observable(p).unit}",
+            f"the mean of {parameter_label(p)} over the {n} pairs",
+            self.before_change(p)[-1],
+            self.mean(p),
+            self.interval(p),
+            self.parts(p),
+        )
+
+    @property
+    def assumed(self) -> list[Block | list[str]]:
+        """What the prediction assumes."""
+        said = (
+            f"{self.simulator}, {len(self.pairs)} pairs of source and receiver. Its error is that of "
+            "its control runs, heard before and after the change."
+        )
+        return [Note(said), Note(words.REMARK.format(""))]
+
+
+def quantiles(
+    middle: Array, sigma: Array, slope: Array, bend: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return the ends of the 90 % intervals, and where they are those of samples."""
+    sampled = np.abs(bend) * Z**2 > _BENT * sigma
+    low, high = middle - Z * sigma, middle + Z * sigma
+    rest = np.sqrt(np.maximum(sigma**2 - slope**2, 0.0))
+    z = ndtri((np.arange(_SAMPLES) + 0.5) / _SAMPLES)
+    other = np.random.default_rng(0).permutation(z)
+    for at in map(tuple, np.argwhere(sampled)):
+        drawn = middle[at] + slope[at] * z + bend[at] * z**2 + rest[at] * other
+        low[at], high[at] = np.quantile(drawn, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
+    return low, high, sampled
+
+
+_FLAT = 0.05
+"""Extent of a surface along an axis, over its largest, below which it has no ends along it."""
+_TILT = (0.1, 0.03)
+"""By how much the axes of a surface of several planes are tilted towards each other."""
+_LEAST_AREA = 1e-5
+"""Least relative error of a covered area."""
+_HALVINGS = 40
+"""Of the interval that holds the edge of a cover: to the last digit."""
+
+Move = tuple[int, int, Array]
+"""What a partial cover moved: the numbers of the material below and of the new one, and the share
+that it takes of what was each of the room's materials, (n_before,)."""
+HalfSpace = tuple[Array, float]
+"""A direction and an offset in m: the points x with x @ direction at most the offset."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """A tracing whose surfaces are cut where covers may end, each piece with coefficients of its own.
+
+    Attributes
+    ----------
+    tracer : PathTracing
+    parent : int array (n_pieces,)
+        Number of the room's material of each piece.
+    moves : tuple of Move
+        The partial covers; where each lies has nothing to do with the others.
+    places : tuple of array (n_places, n_pieces)
+        Which pieces each of them covers, for every place.
+    """
+
+    tracer: PathTracing
+    parent: NDArray[np.int64]
+    moves: tuple[Move, ...]
+    places: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, tracer: PathTracing, moves: Sequence[Move]) -> Pieces:
+        """Return the tracing with the covered surfaces cut."""
+        geometry, room = tracer.geometry, tracer.room
+        owner = room.material_rows(geometry.materials)
+        ends = [_ends(geometry, owner, moved) for _, _, moved in moves]
+        cut: list[tuple[str, str, Array]] = []
+        parent: list[int] = []
+        for face, own in enumerate(owner.tolist()):
+            sides = [
+                s for of, (*_, moved) in zip(ends, moves, strict=True) if moved[own] for s in of
+            ]
+            for piece in _cut(geometry, face, sides):
+                cut.append((f"{len(cut)}", f"{room.materials[own]} ({len(cut)})", piece))
+                parent.append(own)
+        numbers = np.array(parent)
+        solid = Polyhedron.from_polygons(cut)
+        pieces = Room(
+            name=room.name,
+            volume=room.volume,
+            materials=solid.materials,
+            areas=solid.face_areas,
+            alpha=room.alpha[numbers],
+            sigma=room.sigma[numbers],
+            centre_frequencies=room.centre_frequencies,
+            air=room.air,
+        )
+        middles = np.array([solid.vertices[list(f)].mean(axis=0) for f in solid.faces])
+        places = tuple(
+            np.array([(middles @ along < offset) & (moved[numbers] > 0) for along, offset in of])
+            for of, (*_, moved) in zip(ends, moves, strict=True)
+        )
+        scattering = tracer.scattering[numbers]
+        by_piece = replace(tracer, geometry=solid, room=pieces, scattering=scattering)
+        return cls(by_piece, numbers, tuple(moves), places)
+
+    def differences(self, walls: Array, alpha: Array, match: Sequence[str], seed: int) -> Array:
+        """Return what places of covers change, (n_places, n_values): its square is their covariance.
+
+        Parameters
+        ----------
+        walls : array (n_before, n_bands)
+            Coefficients of the room's surfaces with the covers spread evenly.
+        alpha : array (n_materials, n_bands)
+            Of all materials.
+        match : sequence of str
+        seed : int
+        """
+
+        def simulated(alpha: Array) -> Array:
+            return observe(self.tracer, np.clip(alpha, 0.0, 1.0), match, seed=seed).values.ravel()
+
+        even = walls[self.parent]
+        middle = simulated(even)
+        rows = []
+        for (below, new, moved), places in zip(self.moves, self.places, strict=True):
+            for covered in places:
+                more = (covered - moved[self.parent])[:, np.newaxis] * (alpha[new] - alpha[below])
+                rows.append((simulated(even + more) - middle) / np.sqrt(len(places)))
+        return np.array(rows).reshape(-1, middle.size)
+
+
+def _ends(geometry: Polyhedron, owner: NDArray[np.int64], moved: Array) -> list[HalfSpace]:
+    """Return the half spaces that hold a cover at either end of its surface, along each axis.
+
+    ``moved`` (n_before,) is the share that is covered of each of the room's materials.
+    """
+    faces = np.flatnonzero(moved[owner] > 0)
+    faces = faces[np.argsort(-geometry.face_areas[faces], kind="stable")]
+    area = float(geometry.face_areas[faces] @ moved[owner[faces]])
+    parts = [part for i in faces.tolist() for part in convex_parts(geometry, i)]
+    corners = np.concatenate(parts)
+    plane = Plane.of(geometry, faces.tolist())
+    axes = [plane.along, plane.across, geometry.normals[faces[0]]]
+    size = [float(np.ptp(corners @ axis)) for axis in axes]
+    axes = [axis for axis, of in zip(axes, size, strict=True) if of > _FLAT * max(size)]
+    if len(axes) > 2:
+        # A wall across an axis is filled from one of its sides, not at once.
+        axes = [a + _TILT[0] * axes[i - 1] + _TILT[1] * axes[i - 2] for i, a in enumerate(axes)]
+    found = []
+    for axis in axes:
+        for along in (axis, -axis):
+            first, last = float((corners @ along).min()), float((corners @ along).max())
+            for _ in range(_HALVINGS):
+                edge = (first + last) / 2
+                within = sum(facets.area(facets.cut(p, along, edge)[0]) for p in parts)
+                first, last = (edge, last) if within < area else (first, edge)
+            found.append((along, (first + last) / 2))
+    return found
+
+
+def _cut(geometry: Polyhedron, face: int, sides: Sequence[HalfSpace]) -> list[Array]:
+    """Return the pieces of a face on either side of every edge; the face itself without any."""
+    if not sides:
+        return [geometry.vertices[list(geometry.faces[face])]]
+    pieces = convex_parts(geometry, face)
+    for along, offset in sides:
+        both = [
+            piece
+            for whole in pieces
+            # What lies in the edge's own plane is on one side of it.
+            for piece in (
+                facets.cut(whole, along, offset) if np.ptp(whole @ along) > WELD else [whole]
+            )
+        ]
+        pieces = [piece for piece in both if facets.is_face(piece)]
+    return pieces
+
+
+@dataclass(frozen=True, eq=False)
+class ChangedRoom:
+    """A room, what is changed in it, and which materials its walls then have.
+
+    Raises DataError for a change that a simulator does not know the place of.
+
+    Attributes
+    ----------
+    before : Room
+        With the prior's coefficients.
+    changes : tuple of Change
+    """
+
+    before: Room
+    changes: tuple[Change, ...]
+
+    def __post_init__(self) -> None:
+        for change in self.changes:
+            if change.kind not in ("cover", "open", "air"):
+                raise DataError(
+                    f"{change}: a simulator does not know where; state the changed room's own mesh, or "
+                    "predict T by an equation"
+                )
+        _ = self._mixed  # raises where the room does not allow a change
+
+    @cached_property
+    def after(self) -> Room:
+        """The changed room, with the prior's coefficients."""
+        return changed(self.before, self.changes)
+
+    @cached_property
+    def new(self) -> list[int]:
+        """Rows of the new materials in the changed room."""
+        return [i for i, m in enumerate(self.after.materials) if m not in self.before.materials]
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """The room's materials, and then the new ones."""
+        return (*self.before.materials, *(self.after.materials[i] for i in self.new))
+
+    @cached_property
+    def _mixed(self) -> tuple[Array, tuple[Move, ...]]:
+        """Shares of the materials in what each was, and what each partial cover moved of them."""
+        mixture = np.eye(self.before.n_materials, len(self.materials))
+        moves = []
+        for change in self.changes:
+            if change.surface is None:
+                continue
+            old, new = map(self.materials.index, (change.surface, name_of(change.material)))
+            has = float(self.before.areas @ mixture[:, old])
+            share = 1.0 if change.area is None else min(change.area / has, 1.0)
+            moved = share * mixture[:, old]
+            mixture[:, new] += moved
+            mixture[:, old] -= moved
+            if share < 1:
+                moves.append((old, new, moved))
+        return mixture, tuple(moves)
+
+    @property
+    def moves(self) -> tuple[Move, ...]:
+        """Each partial cover: from which material, to which, and its share of each wall."""
+        return self._mixed[1]
+
+    @property
+    def mixture(self) -> Array:
+        """Share of each material in what was each of the room's, (n_before, n_materials)."""
+        return self._mixed[0]
+
+    def all_alpha(self, alpha: Array) -> Array:
+        """Return coefficients of all materials for those of the room's, (n_materials, n_bands)."""
+        return np.vstack([alpha, self.after.alpha[self.new]])
+
+    def simulator(self, simulator: Any) -> Any:
+        """Return the simulator with the air after the change."""
+        if self.after.air is None or self.after.air == self.before.air:
+            return simulator
+        return complete(simulator).with_air(self.after.air)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A state of the room: the calibrated simulator's values there, and how they depend on the unknown.
+
+    Rows are values: ``match`` x pairs x bands.
+
+    Attributes
+    ----------
+    result : PositionsResult
+    room : ChangedRoom
+        Without changes it is the state that was measured.
+    match : tuple of str
+    assumptions : Assumptions
+    """
+
+    result: Any
+    room: ChangedRoom
+    match: tuple[str, ...]
+    assumptions: Assumptions
+
+    @cached_property
+    def simulator(self) -> Any:
+        """The simulator with the air of this state."""
+        return self.room.simulator(self.result.weighed)
+
+    @cached_property
+    def alpha(self) -> Array:
+        """The calibrated coefficients, and those stated of the new materials."""
+        return self.room.all_alpha(self.result.alpha)
+
+    @cached_property
+    def walls(self) -> Array:
+        """Coefficients of what was each of the room's materials, (n_before, n_bands)."""
+        return np.asarray(self.room.mixture @ self.alpha)
+
+    def simulated(self, alpha: Array) -> Any:
+        """Return the observations for coefficients of all materials."""
+        walls = self.room.mixture @ np.clip(alpha, 0.0, 1.0)
+        return observe(self.simulator, walls, self.match, seed=self.result.seed)
+
+    @cached_property
+    def by_wall(self) -> Array:
+        """Derivatives of all rows by the coefficients of the walls, (p, i, k, n_before)."""
+        return jacobian(self.simulator, self.walls, self.match, seed=self.result.seed)
+
+    @cached_property
+    def by_alpha(self) -> Array:
+        """Derivatives of all rows by alpha of all materials, (rows, n_materials * n_bands)."""
+        return by_band(np.einsum("pikm,me->pike", self.by_wall, self.room.mixture))
+
+    @cached_property
+    def by_room(self) -> Array:
+        """Change of all rows by errors of volume, areas and climate, (n_errors, rows)."""
+        room = self.room.before.replace(alpha=np.clip(self.walls, 0, 1), calibration=None)
+        levels = of_level(self.match, *self.by_wall.shape[1:3])
+        return value_changes(room, by_band(self.by_wall), levels)
+
+    @cached_property
+    def by_covers(self) -> Array:
+        """Change of all rows by the error of each partial cover's area, (n_covers, rows).
+
+        It is that of the surface below.
+        """
+        before, after, assumed = self.room.before, self.room.after, self.assumptions.areas
+        stated = [*before.area_sigma, *after.area_sigma[self.room.new]]
+        if not before.area_sigma.any() and not before.common_area_sigma:
+            stated = [assumed] * len(stated)
+        rows = [
+            max(stated[old], _LEAST_AREA)
+            * np.einsum("pikm,mk->pik", self.by_wall, moved[:, np.newaxis] * (a[new] - a[old]))
+            for a in (self.alpha,)
+            for old, new, moved in self.room.moves
+        ]
+        return np.reshape(rows, (-1, len(self.by_alpha)))
+
+    @cached_property
+    def by_places(self) -> Array:
+        """Change of all rows by the places of the covers, (n_places, rows)."""
+        if not self.room.moves or complete(self.simulator).tracing is not self.simulator:
+            return np.zeros((0, len(self.by_alpha)))
+        pieces = Pieces.of(self.simulator, self.room.moves)
+        return pieces.differences(self.walls, self.alpha, self.match, self.result.seed)
+
+    @cached_property
+    def groups(self) -> Array | None:
+        """The values of groups of paths, (n_groups, p, i, k); None without paths."""
+        able, seed = complete(self.simulator), self.result.seed
+        return able.observe_in_groups(self.walls, GROUPS, self.match, seed=seed)
+
+    @cached_property
+    def by_scattering(self) -> Array:
+        """Derivatives of all rows by each material's scattering, (rows, n_materials)."""
+        random = replace(self.simulator, scattering_model="random")
+        stated = np.zeros(self.room.before.n_materials)
+        return material_scattering(random, self.walls, self.match, stated, self.result.seed).slope
+
+    @cached_property
+    def new_prior(self) -> Array:
+        """Covariance of alpha of the new materials; sigma is 0, or at least the assumed one."""
+        room, sigma = self.room.before, self.room.after.sigma[self.room.new]
+        sigma = np.where(sigma > 0, np.maximum(sigma, self.assumptions.changed), sigma)
+        of_bands = bands.correlation(room.centre_frequencies, room.band_correlation)
+        blocks = np.kron(np.eye(len(sigma)), of_bands)
+        return np.asarray(blocks * np.outer(sigma.ravel(), sigma.ravel()))
+
+
+def _errors(before: State, after: State, controls: ControlRuns) -> Array:
+    """Return the covariance of the simulator's errors before and after, of all values, (n, n).
+
+    What control runs tell, what the materials' scattering does, and the noise of the paths that are
+    weighed: all control runs have the same, so they do not tell it.
+    """
+    tracer, of_states = before.simulator, [s.groups for s in (before, after)]
+    known = [groups for groups in of_states if groups is not None]
+    if not known:  # without paths there is no noise
+        return controls.covariance()
+    groups = np.concatenate(known, axis=1)
+    noise = noise_of_a_run(tracer, groups)
+    off = groups - groups.mean(axis=0)
+    own = replace(controls, errors=off / np.sqrt(GROUPS - 1), levels=None, models=()).covariance()
+    fitted = before.result.scattering is not None
+    by_scattering = errors_by_scattering(controls, noise) if fitted else None
+    if by_scattering is None:
+        return controls.without_noise(noise).covariance() + own
+    slope = np.vstack([before.by_scattering, after.by_scattering])
+    of_materials = MaterialScattering(slope=slope, traced=np.zeros(slope.shape[1])).covariance
+    at = level(tracer.scattering, tracer.room.areas)
+    return by_scattering.covariance(at, tracer.scattering_model) + of_materials + own
+
+
+def _unexplained(before: State, after: State, values: Any) -> Array:
+    """Return the covariance of the calibration's unexplained errors before and after, (n, n).
+
+    Such an error stays with its pair: that of a matched parameter is the same after the change.
+    """
+    rows = (*before.match, *after.match)
+    deviation = dict.fromkeys(rows, np.zeros(values.values[0].size))
+    for name, error in zip(before.match, before.result.unexplained, strict=True):
+        kind, own = observable(name), values.natural(name)
+        unit = np.broadcast_to(kind.jnd_of(own), own.shape)
+        deviation[name] = error * kind.of_observed(unit, own).ravel()
+    return np.block([[np.diag(deviation[p] * deviation[q] * (p == q)) for q in rows] for p in rows])
+
+
+def _predicted(
+    name: str, before: State, at: Linearisation, after: State, controls: ControlRuns
+) -> PositionsPrediction:
+    """Return the prediction, whose ``simulated_before`` is its own middle.
+
+    ``at`` is the calibrated simulator, against what was measured.
+    """
+    result, used, measured = before.result, at.used, at.data.covariance
+    matrix, by_room = before.by_alpha[used], before.by_room[:, used]
+    values = after.simulated(after.alpha).values
+    shape, first = values.shape, len(before.by_alpha)
+    whole = _errors(before, after, controls) + _unexplained(before, after, at.simulated)
+    own, across, of_used = whole[first:, first:], whole[first:][:, used], whole[np.ix_(used, used)]
+    prior, new_prior, n_old = result.prior_covariance, after.new_prior, matrix.shape[1]
+    old, new = after.by_alpha[:, :n_old], after.by_alpha[:, n_old:]
+    of_alpha = prior @ matrix.T
+    unknown = matrix @ of_alpha + by_room.T @ by_room + of_used + measured
+    shared = old @ of_alpha + after.by_room.T @ by_room + across
+    gain = np.asarray(np.linalg.solve(unknown, shared.T).T, dtype=np.float64)
+    moved = (result.alpha - result.prior.alpha).ravel()
+    innovation = at.residual() + matrix @ moved
+    middle = _with_mean(values + (gain @ innovation - old @ moved).reshape(shape))
+    alike = across @ np.linalg.pinv(of_used, hermitian=True)
+
+    def variances(covariance: Array) -> Array:
+        """Return the variances of values and of their mean, of the covariance of all values."""
+        of_mean = np.einsum("pikpjk->pk", covariance.reshape(*shape, *shape)) / shape[1] ** 2
+        alone = np.diag(covariance).reshape(shape)
+        return np.concatenate([alone, of_mean[:, np.newaxis]], axis=1)
+
+    def parts(gain: Array) -> dict[str, Array]:
+        """Return the variances that are left where the measurement counts with a gain."""
+        stays, kept = old - gain @ matrix, alike - gain
+        found = {words.STAYS: stays @ prior @ stays.T}
+        for i, material in enumerate(after.room.materials[result.prior.n_materials :]):
+            rows = slice(i * shape[2], (i + 1) * shape[2])
+            if new_prior[rows, rows].any():
+                of_new = new[:, rows] @ new_prior[rows, rows] @ new[:, rows].T
+                found[words.ALPHA.format(material)] = of_new
+        found |= {
+            words.COVERS: after.by_covers.T @ after.by_covers,
+            words.PLACES: after.by_places.T @ after.by_places,
+            words.ALIKE: kept @ of_used @ kept.T,
+            words.CHANGED_ALONE: own - alike @ across.T,
+            words.MEASUREMENT: gain @ measured @ gain.T,
+        }
+        if result.prior.is_uncertain:
+            of_room = after.by_room - by_room @ gain.T
+            found[words.SIZES] = of_room.T @ of_room
+        return {name: variances(each) for name, each in found.items()}
+
+    variance, without = parts(gain), parts(np.zeros(gain.shape))
+    total, uncalibrated = (
+        np.sqrt(np.maximum(np.sum([*each.values()], axis=0), 0.0)) for each in (variance, without)
+    )
+    posterior = np.zeros((n_old + len(new_prior),) * 2)
+    posterior[:n_old, :n_old] = prior - of_alpha @ np.linalg.solve(unknown, of_alpha.T)
+    posterior[n_old:, n_old:] = new_prior
+    bend, slope = map(_with_mean, _bend(after, values, posterior))
+    low, high, sampled = quantiles(middle, total, slope, bend)
+    means = np.where(total[:, -1] > 0, total[:, -1], 1.0) ** 2
+    return PositionsPrediction(
+        name=name,
+        changes=after.room.changes,
+        before=result.prior,
+        simulator=result.simulator,
+        parameters=after.match,
+        pairs=controls.pairs,
+        simulated_before=middle,
+        middle=np.where(sampled, middle + bend, middle),
+        sigma=total,
+        uncalibrated_sigma=uncalibrated,
+        low=low,
+        high=high,
+        sampled=sampled,
+        shares={name: each[:, -1] / means for name, each in variance.items()},
+    )
+
+
+def _with_mean(values: Array) -> Array:
+    """Return values with their mean over the pairs, (n_parameters, n_pairs + 1, n_bands)."""
+    return np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
+
+
+def _bend(after: State, values: Array, posterior: Array) -> tuple[Array, Array]:
+    """Return curvature and slope of all values along the direction of alpha that matters most.
+
+    Per band it is the one along which T20, as mean over the pairs, spreads most. Values are
+    middle + slope z + curvature z² for a standard normal z; (p, i, k) each.
+    """
+    n_bands, alpha = values.shape[2], after.alpha
+    row = after.by_alpha.reshape(*values.shape, -1, n_bands)[0].mean(axis=0)  # (k, e, l)
+    blocks = posterior.reshape(-1, n_bands, len(alpha), n_bands)
+    direction = np.zeros_like(alpha)
+    for k in range(n_bands):
+        spread = blocks[:, k, :, k] @ row[k, :, k]
+        size = float(np.sqrt(max(row[k, :, k] @ spread, 0.0)))
+        direction[:, k] = spread / size if size > 0 else 0.0
+    below, above = (after.simulated(alpha + z * direction).values for z in (-Z, Z))
+    return (above + below - 2 * values) / (2 * Z**2), (above - below) / (2 * Z)
+
+
+WANTED = (*MATCH, *(key for key, each in OBSERVABLES.items() if each.predicted))
+"""What is predicted where nothing else is asked for."""
+_BEFORE = "before the change"
+
+
+def predict_positions(
+    result: Any,
+    variants: Sequence[Variant],
+    *,
+    wanted: Sequence[str] = WANTED,
+    assumptions: Assumptions | None = None,
+    position_uncertainty: float = POSITION,
+    progress: Progress | None = None,
+) -> Predictions:
+    """Predict the values at every position after changes, which share the control runs.
+
+    Parameters
+    ----------
+    result : PositionsResult
+    variants : sequence of Variant
+        Covers, openings and another climate.
+    wanted : sequence of str
+        Keys of `rtcal.acoustics.observables`.
+    assumptions : Assumptions, optional
+        Its ``changed`` is the least sigma of a new material, ``areas`` the relative error of the area
+        of a partial cover. The others are the equation's.
+    position_uncertainty : float
+        As of `rtcal.calibrate_positions`.
+    progress : callable, optional
+        Called with the number of finished control runs and their total.
+
+    Raises
+    ------
+    DataError
+        For a change that the simulator does not know the place of, two variants of one name, or a
+        simulator whose error no control run tells.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> from rtcal.prediction import Change
+    >>> room = rt.Room(name="box", volume=60, materials=["plaster"], areas=[94], alpha=[[0.2]],
+    ...                sigma=[[0.04]], centre_frequencies=[1000], air=rt.Air(20, 50),
+    ...                scattering=[[0.5]])
+    >>> tracer = rt.simulators.PathTracing(
+    ...     room=room, geometry=rt.simulators.Polyhedron.shoebox((4, 5, 3), "plaster"),
+    ...     sources={"S1": (1, 1, 1.5)}, receivers={"R1": (3, 4, 1.2), "R2": (2.8, 1.3, 1.3)},
+    ...     n_paths=400)
+    >>> measured = tracer.simulate([[0.18]], seed=1)
+    >>> result = rt.calibrate_positions(tracer, room, measured, ("t20", "c80"), more_paths=1)
+    >>> panel = rt.Material("panel", [0.8], [0.1])
+    >>> after = predict_positions(
+    ...     result, [Variant("panels", (Change(cover="plaster", by=panel, area=15),)),
+    ...              Variant("window", (Change(open="plaster", area=2),))], wanted=("t20", "c80"))
+    >>> for prediction in after.predictions:
+    ...     low, high = prediction.interval("t20")
+    ...     print(prediction.name, bool((low < high).all()), bool((prediction.change("c80") > 0).all()))
+    panels True True
+    window True True
+    """
+    if not hasattr(result, "weighed"):
+        raise DataError(
+            f"result = {checks.shown(result)} is no result of rtcal.calibrate_positions"
+        )
+    variants = checks.listed("variants", variants)
+    for i, variant in enumerate(variants):
+        checks.instance(f"variants[{i}]", variant, Variant)
+    refuse_repeats("variants", variants)
+    assumed = Assumptions() if assumptions is None else assumptions
+    every = (Variant(_BEFORE, ()), *variants)
+    rooms = [ChangedRoom(result.prior, tuple(v.changes)) for v in every]
+    simulator, seed = result.weighed, result.seed
+    for room in rooms:
+        room.simulator(simulator)  # raises where it cannot take the change, before anything is run
+    match = tuple(dict.fromkeys([TARGET.key, *checked_parameters(wanted)]))
+    checked_uncertainty(position_uncertainty)
+    match = complete(simulator).trusted(match)
+
+    def after(room: ChangedRoom) -> Simulated:
+        at_alpha: dict[bytes, Array] = {}
+
+        def simulated(of: Simulator, alpha: Array, seed: int) -> Array:
+            walls = room.mixture @ room.all_alpha(alpha)
+            if of is not simulator:
+                return observe(room.simulator(of), walls, match, seed=seed).values
+            if walls.tobytes() not in at_alpha:
+                values = observe(room.simulator(of), walls, match, seed=seed).values
+                at_alpha[walls.tobytes()] = values
+            return at_alpha[walls.tobytes()]
+
+        return simulated
+
+    names = [tuple(f"{p}, variant {i + 1}" for p in match) for i in range(len(rooms))]
+    controls = None
+    if result.controls is not None:
+        # The runs stand at the calibrated coefficients: those are known far better than the prior.
+        controls = simulated_controls(
+            simulator,
+            result.room.replace(sigma=np.zeros_like(result.alpha), calibration=None),
+            result.parameters,
+            seed=seed,
+            position_uncertainty=position_uncertainty,
+            progress=progress,
+            after=[(own, after(room)) for own, room in zip(names, rooms, strict=True)],
+        )
+    if controls is None:
+        raise DataError(
+            f"no control run tells the error of {result.simulator}: predict with a simulator that "
+            "has a geometry, or T by an equation"
+        )
+    before = State(result, rooms[0], result.parameters, assumed)
+    at = Linearisation(
+        simulator, result.measured, before.simulated(result.alpha), result.alpha, seed
+    )
+    as_it_is, *after_each = (
+        _predicted(
+            variant.name,
+            before,
+            at,
+            State(result, room, match, assumed),
+            controls.at((*result.parameters, *own), controls.pairs),
+        )
+        for variant, room, own in zip(every, rooms, names, strict=True)
+    )
+    return Predictions(
+        predictions=tuple(replace(each, simulated_before=as_it_is.middle) for each in after_each),
+        costs=tuple(variant.cost for variant in variants),
+    )
