@@ -177,13 +177,14 @@ class PositionsResult(Result):
         """
         made = (changes,) if isinstance(changes, Change) else tuple(changes)
         variant = Variant(name or "; ".join(map(str, made)) or "no change", made)
-        return predict_positions(
+        predicted: PositionsPrediction = predict_positions(
             self,
             [variant],
             wanted=wanted,
             assumptions=assumptions,
             position_uncertainty=position_uncertainty,
         ).predictions[0]
+        return predicted
 
     @property
     def alpha(self) -> Array:

@@ -18,7 +18,7 @@ from rtcal.support.blocks import Note, Row, Table
 def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Page:
     """Return the page of predictions, by an equation or at every position, or of a design."""
     subject, target, beside = "what a change does to the reverberation time", None, list[Any]()
-    summary: list[Any] = []
+    summary, variants = list[Any](), tuple[Any, ...]()
     if isinstance(result, Design):
         subject = "the cheapest treatments that meet a target"
         variants, target = (result.prediction,), result.model.target
