@@ -63,7 +63,6 @@ from rtcal.io.material_list import (
     Format,
     ListedMaterial,
     MaterialList,
-    Span,
     Token,
     coefficients,
     numbers,
@@ -153,8 +152,7 @@ def _of_statement(match: re.Match[str], start: int, line: int, place: str) -> Li
     if not of_alpha:
         raise DataError(f'{place}: "{shown(value)}" lacks the closing >')
     row = _list_of_octaves(of_alpha, offset, place)
-    alpha, spans = coefficients(row, place, unit)
-    end, scattering, scattering_spans = of_alpha.end(), None, tuple[Span, ...]()
+    end, second = of_alpha.end(), None
     if letter := _SCATTERING.match(value, end):
         of_scattering = _LIST.match(value, letter.end())
         if not of_scattering:
@@ -166,7 +164,17 @@ def _of_statement(match: re.Match[str], start: int, line: int, place: str) -> Li
                 f"{place}: {len(row)} absorption and {len(second)} scattering values; the numbers must "
                 "be equal"
             )
-        scattering, scattering_spans = coefficients(second, place, unit, "scattering")
+    material = ListedMaterial.of(
+        name,
+        line,
+        place,
+        _OF_CATT[: len(row)],
+        row,
+        second,
+        unit,
+        decimals=_DECIMALS["catt"] + (0 if in_percent else 2),
+        scattering_place=offset + of_alpha.end(1) + 1,
+    )
     if value[end:] and not _COLOUR.fullmatch(value, end):
         raise DataError(f'{place}: "{shown(value[end:])}" after the values is no colour {{r g b}}')
     percents = numbers(row, place)
@@ -180,20 +188,8 @@ def _of_statement(match: re.Match[str], start: int, line: int, place: str) -> Li
             f'"{start_of_it} <{written}>" if the values are fractions, or '
             f'"{start_of_it} <{fractions}>" if they are percents'
         )
-    return ListedMaterial(
-        name=name,
-        line=line,
-        alpha=alpha,
-        centre_frequencies=_OF_CATT[: len(row)],
-        spans=spans,
-        unit=unit,
-        decimals=_DECIMALS["catt"] + (0 if in_percent else 2),
-        scattering=scattering,
-        scattering_spans=scattering_spans,
-        scattering_place=offset + of_alpha.end(1) + 1,
-        source=f"{place}: at most 1 %, since ABS is in percent" if at_most_one else "",
-        doubt=doubt,
-    )
+    source = f"{place}: at most 1 %, since ABS is in percent" if at_most_one else ""
+    return replace(material, source=source, doubt=doubt)
 
 
 def _list_of_octaves(match: re.Match[str], offset: int, place: str, which: str = "") -> list[Token]:
@@ -313,16 +309,10 @@ def _parse_odeon(content: bytes, path: str = "ODEON file") -> MaterialList:
                 raise DataError(
                     f"{place}: {len(row)} values; there are 8, for the octaves 63 Hz to 8 kHz"
                 )
-            alpha, spans = coefficients(row, place)
+            named = f"{int(head[1])} {head[2]}"
+            decimals = _DECIMALS["odeon"]
             materials.append(
-                ListedMaterial(
-                    name=f"{int(head[1])} {head[2]}",
-                    line=line - 1,
-                    alpha=alpha,
-                    centre_frequencies=_OF_ODEON,
-                    spans=spans,
-                    decimals=_DECIMALS["odeon"],
-                )
+                ListedMaterial.of(named, line - 1, place, _OF_ODEON, row, decimals=decimals)
             )
             head = None
     if head is not None:
@@ -360,7 +350,7 @@ def _parse_pyroomacoustics(content: bytes, path: str = "JSON file") -> MaterialL
     text = decode(content, path)
     whole = _located(text.characters, path)
     of_file = whole.get("center_freqs") if isinstance(whole, dict) else None
-    found: list[tuple[Token, bool, ListedMaterial]] = []
+    found: dict[bool, list[tuple[int, ListedMaterial, list[Token]]]] = {True: [], False: []}
     for keys, entry in _objects(whole, (), path):
         stated = entry.get("coeffs")
         if not isinstance(stated, list) or not stated:
@@ -368,38 +358,28 @@ def _parse_pyroomacoustics(content: bytes, path: str = "JSON file") -> MaterialL
         row = [_token(value, path, text.characters) for value in stated]
         line = line_of(text.characters, row[0][1])
         place, of_scattering = f"{path}, line {line}", keys[:1] == ("scattering",)
-        values, spans = coefficients(row, place, name="scattering" if of_scattering else "alpha")
+        coefficients(row, place, name="scattering" if of_scattering else "alpha")
         centres = entry.get("center_freqs", of_file)
         if not isinstance(centres, list) or not centres:
             raise DataError(f"{place}: these coefficients have no center_freqs")
         of_bands = numbers([_token(value, path, text.characters) for value in centres], place)
         frequencies = bands.as_bands(of_bands, f"{place}: center_freqs")
         # In pyroomacoustics, a shorter list begins at the lowest band of its data base.
-        shorter = "center_freqs" not in entry and len(values) < len(frequencies)
-        if len(values) != len(frequencies) and not shorter:
-            raise DataError(
-                f"{place}: {len(values)} coefficients for {len(frequencies)} center_freqs"
-            )
-        listed = ListedMaterial(
-            name=str(keys[-1]) if keys else "material",
-            line=line,
-            alpha=values,
-            centre_frequencies=tuple(float(f) for f in frequencies[: len(values)]),
-            spans=spans,
-        )
-        found.append((row[0], of_scattering, listed))
-    found.sort(key=lambda one: one[0][1])
-    scattering: dict[str, ListedMaterial] = {}
-    for _, of_scattering, listed in found:
-        if of_scattering:
-            scattering.setdefault(listed.name, listed)
+        shorter = "center_freqs" not in entry and len(row) < len(frequencies)
+        if len(row) != len(frequencies) and not shorter:
+            raise DataError(f"{place}: {len(row)} coefficients for {len(frequencies)} center_freqs")
+        name = str(keys[-1]) if keys else "material"
+        its = frequencies[: len(row)].tolist()
+        material = ListedMaterial.of(name, line, place, its, row)
+        found[of_scattering].append((row[0][1], material, row))
+    scattering: dict[tuple[str, tuple[float, ...]], ListedMaterial] = {}
+    for _, of, _ in sorted(found[True], key=lambda one: one[0]):
+        scattering.setdefault((of.name, of.centre_frequencies), of)
     materials = []
-    for _, of_scattering, listed in found:
-        own = scattering.get(listed.name)
-        if not of_scattering and own and own.centre_frequencies == listed.centre_frequencies:
-            listed = replace(listed, scattering=own.alpha, scattering_spans=own.spans)
-        if not of_scattering:
-            materials.append(listed)
+    for _, of, _ in sorted(found[False], key=lambda one: one[0]):
+        if own := scattering.get((of.name, of.centre_frequencies)):
+            of = replace(of, scattering=own.alpha, scattering_spans=own.spans)
+        materials.append(of)
     return MaterialList(path=path, text=text, materials=tuple(materials))
 
 
@@ -524,22 +504,13 @@ def _parse_bras(
             "scattering"
         )
     frequencies = _bands_of(header, place, "frequencies")
-    found = []
-    for (place, _, row), name in zip(rows[1:], ("alpha", "scattering"), strict=False):
+    for place, _, row in rows[1:]:
         if len(row) != len(frequencies):
             numbers(row, place)
             raise DataError(f"{place}: {len(row)} values for {len(frequencies)} frequencies")
-        found.append(coefficients(row, place, name=name))
-    scattering, scattering_spans = found[1] if len(found) > 1 else (None, ())
-    material = ListedMaterial(
-        name=Path(path).stem,
-        line=rows[1][1],
-        alpha=found[0][0],
-        centre_frequencies=frequencies,
-        spans=found[0][1],
-        decimals=_DECIMALS["bras"],
-        scattering=scattering,
-        scattering_spans=scattering_spans,
+    (place, line, row), scatters = rows[1], rows[2][2] if len(rows) > 2 else None
+    material = ListedMaterial.of(
+        Path(path).stem, line, place, frequencies, row, scatters, decimals=_DECIMALS["bras"]
     )
     return MaterialList(path=path, text=text, materials=(material,))
 
@@ -576,16 +547,9 @@ def _of_bras_table(
             raise DataError(f"{place}: {len(cells)} cells; the header has {len(header)}")
         if any(cells[names.index(column)][0] != entry for column, entry in where.items()):
             continue
-        alpha, spans = coefficients([cells[i] for i in columns], place)
+        row, name = [cells[i] for i in columns], cells[names.index("material")][0]
         materials.append(
-            ListedMaterial(
-                name=cells[names.index("material")][0],
-                line=line,
-                alpha=alpha,
-                centre_frequencies=frequencies,
-                spans=spans,
-                decimals=_DECIMALS["bras"],
-            )
+            ListedMaterial.of(name, line, place, frequencies, row, decimals=_DECIMALS["bras"])
         )
     if not materials:
         raise DataError(f"{rows[-1][0]}: no row is selected")

@@ -79,6 +79,38 @@ class ListedMaterial:
     source: str = ""
     doubt: str = ""
 
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        line: int,
+        place: str,
+        centre_frequencies: Sequence[float],
+        row: Sequence[Token],
+        scatters: Sequence[Token] | None = None,
+        unit: float = 1.0,
+        **more: Any,
+    ) -> ListedMaterial:
+        """Return the material of a row of coefficients and, if known, one of scattering.
+
+        Raises DataError unless every number is from 0 to 1 (0 to 100 in percent).
+        """
+        alpha, spans = coefficients(row, place, unit)
+        scattering, of_scattering = None, tuple[Span, ...]()
+        if scatters is not None:
+            scattering, of_scattering = coefficients(scatters, place, unit, "scattering")
+        return cls(
+            name=name,
+            line=line,
+            alpha=alpha,
+            centre_frequencies=tuple(centre_frequencies),
+            spans=spans,
+            unit=unit,
+            scattering=scattering,
+            scattering_spans=of_scattering,
+            **more,
+        )
+
     def in_bands(self, values: Sequence[float], wanted: Array, place: str) -> Array:
         """Return one value per band of this material in other bands; DataError names the place."""
         try:
@@ -130,7 +162,7 @@ class MaterialList:
     text: Text = field(repr=False)
     materials: tuple[ListedMaterial, ...]
     aliases: Mapping[str, str] = field(default_factory=dict)
-    scattering_text: Callable[[Sequence[str]], str] | None = None
+    scattering_text: Callable[[Sequence[str]], str] = " ".join
 
     def __post_init__(self) -> None:
         first: dict[str, int] = {}
@@ -279,13 +311,8 @@ class MaterialList:
                 aliases[name] = alike.pop()
         return replace(self, aliases=aliases)
 
-    def _common_bands(self, names: Iterable[str]) -> set[float]:
-        """Return the bands in Hz that all of these materials have."""
-        return set.intersection(*(set(self.listed(n).centre_frequencies) for n in names))
-
-    def _in_file_bands(self, room: Room) -> Room:
+    def _in_file_bands(self, room: Room, wanted: Sequence[float]) -> Room:
         """Return the room itself, or the room in the file's bands if they are of another width."""
-        wanted = sorted(self._common_bands(room.materials))
         if not wanted or not bands.rule(room.centre_frequencies, wanted, "alpha"):
             return room
         obtainable = bands.obtainable(room.centre_frequencies, wanted)
@@ -314,7 +341,8 @@ class MaterialList:
             For a material that the file lacks, for a material that has none of the room's bands,
             and for two aliases of one material with different coefficients.
         """
-        room = self._in_file_bands(room)
+        common = set.intersection(*(set(self.listed(n).centre_frequencies) for n in room.materials))
+        room = self._in_file_bands(room, sorted(common))
         asked: dict[Span, tuple[float | str, str]] = {}
         written: dict[Span, str] = {}
 
@@ -329,47 +357,45 @@ class MaterialList:
             if characters is not None:
                 written[span] = characters
 
-        alpha = np.array(room.alpha)
-        scattering = None if room.scattering is None else np.array(room.scattering)
+        tables = {"alpha": np.array(room.alpha)}
+        if room.scattering is not None:
+            tables["scattering"] = np.array(room.scattering)
         lacking = []
         for i, name in enumerate(room.materials):
             material = self.listed(name)
-            columns = [
-                bands.index(np.asarray(room.centre_frequencies), f)
-                for f in material.centre_frequencies
-            ]
+            frequencies = np.asarray(room.centre_frequencies)
+            columns = [bands.index(frequencies, f) for f in material.centre_frequencies]
             in_room = [k for k in columns if k is not None]
             if not in_room:
                 raise DataError(
                     f'{self.path}, line {material.line}: "{material.name}" has none of the '
                     "room's bands"
                 )
-            in_file = [("alpha", alpha, material.spans, material.alpha)]
+            in_file = {"alpha": (material.spans, material.alpha)}
             at = material.scattering_place
-            if scattering is None:
-                pass
-            elif material.scattering is not None and material.scattering_spans:
-                spans_of, stated = material.scattering_spans, material.scattering
-                in_file.append(("scattering", scattering, spans_of, stated))
-            elif at is not None and self.scattering_text and len(in_room) == len(columns):
-                rounded = [material.rounded(float(scattering[i, k])) for k in in_room]
+            if material.scattering is not None and material.scattering_spans:
+                in_file["scattering"] = material.scattering_spans, material.scattering
+            elif "scattering" in tables and at is not None and len(in_room) == len(columns):
+                row = tables["scattering"][i]
+                rounded = [material.rounded(float(row[k])) for k in in_room]
                 inserted = self.scattering_text([characters for characters, _ in rounded])
                 put((at, at), inserted, f'{self.path}: scattering["{name}"]', inserted)
-                scattering[i, in_room] = [value for _, value in rounded]
-            else:
+                row[in_room] = [value for _, value in rounded]
+            elif "scattering" in tables:
                 lacking.append(name)
-            for quantity, table, spans_of, stated in in_file:
-                for k, span, before in zip(columns, spans_of, stated, strict=True):
+            for quantity in [q for q in tables if q in in_file]:
+                spans, stated = in_file[quantity]
+                for k, span, before in zip(columns, spans, stated, strict=True):
                     if k is None:
                         continue
-                    value = float(table[i, k])
+                    value = float(tables[quantity][i, k])
                     characters, as_read = material.rounded(value)
                     same = before in (value, as_read)
                     place = f"{self.path}: {room.place(quantity, i, k)}"
                     put(span, value, place, None if same else characters)
-                    table[i, k] = before if same else as_read
-        room_as_read = room.replace(alpha=alpha, scattering=None if lacking else scattering)
-        common = self._common_bands(room.materials)
+                    tables[quantity][i, k] = before if same else as_read
+        scattering = None if lacking else tables.get("scattering")
+        room_as_read = room.replace(alpha=tables["alpha"], scattering=scattering)
         shared = [f for f in room.centre_frequencies if f in common]
         if not shared:
             raise DataError(f"{self.path}: its materials have none of the room's bands in common")
