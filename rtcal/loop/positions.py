@@ -70,7 +70,6 @@ from rtcal.loop.positions_result import PositionsResult
 from rtcal.modes.calibrate import ModesResult, above_schroeder
 from rtcal.simulators import base
 from rtcal.simulators.base import (
-    DifferentiableSimulator,
     Observations,
     Simulator,
     complete,
@@ -849,7 +848,7 @@ def _first(
     Those are also of what was measured and is not matched. Notes name what the simulator does not give.
     """
     more = [p for p in means(measured) if p not in match]
-    if isinstance(simulator, DifferentiableSimulator):
+    if base.derivatives(simulator) is not None:
         try:
             return match, observe(simulator, alpha, (*match, *more), seed=seed), ()
         except DataError:

@@ -2,8 +2,7 @@
 
 `PathTracing` and `RayTracing` take rooms with plane walls, a `Polyhedron`. `ScatteringDelayNetwork`
 and `ImageSource` take shoeboxes. `EquationSimulator` evaluates an equation. `External` calls a
-function, `command` another program. `Simulator` is the protocol that all of them follow,
-`DifferentiableSimulator` that of those which give the derivatives of their parameters.
+function, `command` another program. `Simulator` is the protocol that all of them follow.
 """
 
 from typing import TYPE_CHECKING
@@ -11,7 +10,6 @@ from typing import TYPE_CHECKING
 from rtcal import support
 
 if TYPE_CHECKING:
-    from rtcal.simulators.base import DifferentiableSimulator as DifferentiableSimulator
     from rtcal.simulators.base import Observations as Observations
     from rtcal.simulators.base import Simulator as Simulator
     from rtcal.simulators.external import EquationSimulator as EquationSimulator

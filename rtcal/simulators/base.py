@@ -10,7 +10,7 @@ T20 raises `TooShortError`, since the mean over pairs would ignore a NaN.
 
 An `Observations` holds numbers that are nearly linear in alpha: ln T20, ln T30, ln EDT and ln Ts, and
 C50, C80 and the level in dB. `observe` and `jacobian` give them for any simulator. A simulator that
-can weigh its paths anew has methods of its own (`DifferentiableSimulator`); others are differentiated
+can weigh its paths anew has methods of its own (`derivatives`); others are differentiated
 by central differences with the same seed, so that their random numbers cancel.
 """
 
@@ -357,22 +357,6 @@ class Observations:
         )
 
 
-@runtime_checkable
-class DifferentiableSimulator(Protocol):
-    """A `Simulator` that gives observations and their derivatives itself."""
-
-    def observe(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Observations:
-        """Return the observations for alpha (n_materials, n_bands)."""
-        ...
-
-    def jacobian(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Array:
-        """Return their derivatives, (n_parameters, n_pairs, n_bands, n_materials).
-
-        No observation depends on alpha of another band.
-        """
-        ...
-
-
 def given(measurement: Measurement) -> tuple[str, ...]:
     """Return the parameters that a measurement has; G is a level too."""
     stood_in = [k for k, o in OBSERVABLES.items() if o.stand_in in measurement.values]
@@ -392,6 +376,16 @@ def checked_parameters(match: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
+def derivatives(simulator: Simulator) -> Any:
+    """Return a simulator that has `observe` and `jacobian` of its own; None for others.
+
+    They are ``observe(alpha, match, *, seed)``, which returns `Observations`, and
+    ``jacobian(alpha, match, *, seed)``, which returns their derivatives, (n_parameters, n_pairs,
+    n_bands, n_materials). No observation depends on alpha of another band.
+    """
+    return simulator if hasattr(simulator, "observe") and hasattr(simulator, "jacobian") else None
+
+
 def observe(
     simulator: Simulator, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0
 ) -> Observations:
@@ -405,8 +399,9 @@ def observe(
         If the simulator raises it, or does not give a parameter. The message names it.
     """
     match = checked_parameters(match)
-    if isinstance(simulator, DifferentiableSimulator):
-        return simulator.observe(check_alpha(simulator, alpha), match, seed=seed)
+    if (own := derivatives(simulator)) is not None:
+        observations: Observations = own.observe(check_alpha(simulator, alpha), match, seed=seed)
+        return observations
     simulated = run(simulator, alpha, seed=seed)
     if lacking := [parameter_label(m) for m in match if m not in given(simulated)]:
         raise SimulatorError(
@@ -424,8 +419,8 @@ def jacobian(
     A simulator without a method of its own is differentiated by `differences`.
     """
     match = checked_parameters(match)
-    if isinstance(simulator, DifferentiableSimulator):
-        return simulator.jacobian(check_alpha(simulator, alpha), match, seed=seed)
+    if (own := derivatives(simulator)) is not None:
+        return np.asarray(own.jacobian(check_alpha(simulator, alpha), match, seed=seed))
     return differences(simulator, alpha, match, seed=seed)
 
 

@@ -92,11 +92,6 @@ class Tracer(RoomSimulator, ABC):
                 "batches, with one or more in each"
             )
 
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Name that calibrated coefficients belong to."""
-
     @cached_property
     def pairs(self) -> tuple[tuple[str, str], ...]:
         """Names of source and receiver of each pair, source by source."""
@@ -277,16 +272,14 @@ def decay_long_enough(
     room: Room,
     alpha: Array,
     parameter: DecaySlope = TARGET,
-    longest: float | None = None,
 ) -> Array:
     """Return ``trace(seconds)``, (n_batches, ...), with seconds doubled until it holds the parameter.
 
-    Starts with Eyring's T for alpha, and stops at ``longest``, by default `LONGEST`.
+    Starts with Eyring's T for alpha, and stops at `LONGEST`.
     """
-    longest = LONGEST if longest is None else longest
-    seconds = min(eyring_seconds(room, alpha), longest)
+    seconds = eyring_seconds(room, alpha)
     while True:
         energy = trace(seconds)
-        if seconds >= longest or not parameter.too_short(energy.mean(axis=0)).any():
+        if seconds >= LONGEST or not parameter.too_short(energy.mean(axis=0)).any():
             return energy
-        seconds = min(2 * seconds, longest)
+        seconds = min(2 * seconds, LONGEST)
