@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rtcal.io.mend import Faces, MeshError, mended
-from rtcal.simulators import facets
+from rtcal.simulators.geometry import triangulate, vector_area
 
 Array = np.ndarray
 MENDED = (
@@ -48,7 +48,7 @@ class Drawn:
 
 
 def size(polygon: Array) -> float:
-    return float(np.linalg.norm(facets.vector_area(polygon)))
+    return float(np.linalg.norm(vector_area(polygon)))
 
 
 def room(rng: np.random.Generator) -> Drawn:
@@ -68,7 +68,7 @@ def room(rng: np.random.Generator) -> Drawn:
         j = (i + 1) % n
         polygons.append(np.array([low[i], low[j], high[j], high[i]]))
         names.append("wall")
-    volume = sum(float(p[0] @ facets.vector_area(p)) for p in polygons) / 3
+    volume = sum(float(p[0] @ vector_area(p)) for p in polygons) / 3
     areas = Counter[str]()
     for polygon, name in zip(polygons, names, strict=True):
         areas[name] += size(polygon)
@@ -119,7 +119,7 @@ def place(drawn: Drawn, kind: str, rng: np.random.Generator) -> None:
         bottom = 0.0 if kind == "stage" or rng.random() < 0.5 else 0.8
         low, high = (0.15, 0.8) if kind == "stage" else (0.5, 1.2)
         i, base = on_wall(drawn, rng, bottom, (low, high), (0.35, 0.45), (0.1, 0.2))
-        normal = facets.vector_area(drawn.polygons[i])
+        normal = vector_area(drawn.polygons[i])
         inwards = -normal / np.linalg.norm(normal)
         depth = rng.uniform(0.15, 0.4)
         faces = prism(base + beside * inwards, inwards * depth)
@@ -157,7 +157,7 @@ def damage(drawn: Drawn, kind: str, rng: np.random.Generator) -> None:
         names += ["wall", "wall"]
     elif kind in ("overlay", "door"):
         i, window = on_wall(drawn, rng, 0.0 if kind == "door" else rng.uniform(0.5, 1.2))
-        normal = facets.vector_area(polygons[i])
+        normal = vector_area(polygons[i])
         polygons.append(window - normal / np.linalg.norm(normal) * rng.uniform(0, 0.03))
         names.append("glass" if kind == "overlay" else "door")
         drawn.areas[names[-1]] += size(window)
@@ -220,16 +220,14 @@ def damage(drawn: Drawn, kind: str, rng: np.random.Generator) -> None:
         drawn.areas["fin"] += 2 * size(fin)
     elif kind == "triangles":
         new = [
-            (p[list(t)], n)
-            for p, n in zip(polygons, names, strict=True)
-            for t in facets.triangulate(p)
+            (p[list(t)], n) for p, n in zip(polygons, names, strict=True) for t in triangulate(p)
         ]
         drawn.polygons, drawn.names = [p for p, _ in new], [n for _, n in new]
     elif kind == "missing wall":
         k = int(np.argmax([size(p) for p in polygons]))
         del polygons[k], names[k]
     elif kind == "wall beside":
-        normal = facets.vector_area(polygons[2])
+        normal = vector_area(polygons[2])
         polygons[2] = polygons[2] + 0.15 * normal / np.linalg.norm(normal)
     elif kind == "sheet":
         drawn.polygons, drawn.names = polygons[:1], names[:1]

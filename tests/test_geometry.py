@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtcal.acoustics.room import Room
-from rtcal.simulators.facets import triangulate, vector_area
-from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron, triangulate, vector_area
 from rtcal.support.errors import DataError
 
 OUTLINE = np.array([[0, 0], [4, 0], [4, 2], [2, 2], [2, 5], [0, 5.0]])  # an L of 14 m²

@@ -33,8 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.simulators.facets import WELD, distances
-from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.geometry import SHOEBOX_WALLS, WELD, Polyhedron, distances
 from rtcal.support import checks
 from rtcal.support.errors import DataError, MissingDependencyError, ModelError
 from rtcal.support.types import Array

@@ -28,8 +28,7 @@ from rtcal.acoustics.observables import MATCH, OBSERVABLES, longest
 from rtcal.acoustics.scene import Directivity, directivities
 from rtcal.simulators import base
 from rtcal.simulators.base import Observations, check_alpha
-from rtcal.simulators.facets import first_hit
-from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators.geometry import Polyhedron, first_hit
 from rtcal.simulators.tracer import (
     LONGEST,
     ScatteringModel,
@@ -809,12 +808,20 @@ class PathTracing(Tracer):
         ]
         return of_all_bands(groups, decays)
 
-    def observe(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Observations:
+    def observe(
+        self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0, again: bool = True
+    ) -> Observations:
         """Return what each position hears for alpha (n_materials, n_bands).
 
-        The level is G of a source whose power is known. Raises as `simulate` does.
+        The level is G of a source whose power is known. Raises as `simulate` does, and
+        `TooShortError` where paths that were traced end too early and are not to be traced ``again``.
         """
-        return self._observed(alpha, match, 1, seed)[0]
+        most = LONGEST
+        if not checks.flag("again", again):
+            lengths = [paths.longest for (of, *_), paths in self._traced.items() if of == seed]
+            # Rounded down, so that no path is too short for it.
+            most = min(lengths, default=np.inf) / self.room.speed_of_sound * (1 - 1e-9)
+        return self._observed(alpha, match, 1, seed, most)[0]
 
     def observe_in_groups(
         self, alpha: Array, number: int, match: Sequence[str] = MATCH, *, seed: int = 0
@@ -826,7 +833,12 @@ class PathTracing(Tracer):
         return np.array([of.values for of in self._observed(alpha, match, number, seed)])
 
     def _observed(
-        self, alpha: Array, match: Sequence[str], number: int, seed: int
+        self,
+        alpha: Array,
+        match: Sequence[str],
+        number: int,
+        seed: int,
+        most: float = LONGEST,
     ) -> list[Observations]:
         """Return the observations of groups of the paths, each long enough for ``match``."""
         alpha, match = check_alpha(self, alpha), base.checked_parameters(match)
@@ -836,6 +848,7 @@ class PathTracing(Tracer):
             self.room,
             alpha,
             longest(match),
+            most,
         )
         cause = "too little is reflected"
         if np.max(self.room.areas @ alpha) < _REFLECTING * self.room.areas.sum():

@@ -272,14 +272,16 @@ def decay_long_enough(
     room: Room,
     alpha: Array,
     parameter: DecaySlope = TARGET,
+    most: float = LONGEST,
 ) -> Array:
     """Return ``trace(seconds)``, (n_batches, ...), with seconds doubled until it holds the parameter.
 
-    Starts with Eyring's T for alpha, and stops at `LONGEST`.
+    Starts with Eyring's T for alpha, and stops at ``most``.
     """
-    seconds = eyring_seconds(room, alpha)
+    most = min(most, LONGEST)
+    seconds = min(eyring_seconds(room, alpha), most)
     while True:
         energy = trace(seconds)
-        if seconds >= LONGEST or not parameter.too_short(energy.mean(axis=0)).any():
+        if seconds >= most or not parameter.too_short(energy.mean(axis=0)).any():
             return energy
-        seconds = min(2 * seconds, LONGEST)
+        seconds = min(2 * seconds, most)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.simulators.facets import first_hit
+from rtcal.simulators.geometry import first_hit
 from rtcal.simulators.kernels import Batch, Weighing
 from rtcal.support.types import Array
 

@@ -66,6 +66,20 @@ def test_arguments_of_a_program() -> None:
         rt.simulators.command(np.ones((2, 2)), room)
 
 
+def test_a_flag_of_a_tracer() -> None:
+    hall = rt.datasets.halls.corridor()
+    tracer = rt.simulators.PathTracing(
+        geometry=hall.geometry,
+        room=hall.room,
+        sources=hall.sources,
+        receivers=hall.receivers,
+        n_paths=160,
+    )
+    tracer.observe(hall.room.alpha, ("edt",))
+    with pytest.raises(RtcalError, match="again"):
+        tracer.observe(hall.room.alpha, ("edt",), again=np.ones(3))
+
+
 @pytest.mark.parametrize("kind", [list, np.array, iter], ids=str)
 def test_effects_in_a_geometry_of_any_kind(kind: type) -> None:
     """A generator was read once and then ignored; an array raised a ValueError."""

@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.room import Surface
-from rtcal.simulators import facets
-from rtcal.simulators.facets import WELD
-from rtcal.simulators.geometry import Plane, Polyhedron, convex_parts
+from rtcal.simulators import geometry as facets
+from rtcal.simulators.geometry import WELD, Plane, Polyhedron, convex_parts
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array

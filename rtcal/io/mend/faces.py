@@ -14,9 +14,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from rtcal.simulators import facets
-from rtcal.simulators.facets import Edge, edge_owners
-from rtcal.simulators.geometry import PLANARITY, Polyhedron
+from rtcal.simulators.geometry import PLANARITY, Edge, Polyhedron, edge_owners, vector_area
 from rtcal.support import library
 from rtcal.support.errors import DataError
 from rtcal.support.text import rounded
@@ -445,12 +443,12 @@ def numbered(names: Sequence[str]) -> list[str]:
 
 def area_of(corners: Array) -> float:
     """Return the area of a plane polygon in m²."""
-    return float(np.linalg.norm(facets.vector_area(corners)))
+    return float(np.linalg.norm(vector_area(corners)))
 
 
 def normal_of(corners: Array) -> Array:
     """Return the unit normal of a polygon; that of a point is upward."""
-    area = facets.vector_area(corners)
+    area = vector_area(corners)
     size = float(np.linalg.norm(area))
     return np.asarray(area / size if size else np.array([0.0, 0.0, 1.0]))
 

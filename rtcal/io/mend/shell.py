@@ -29,7 +29,7 @@ from rtcal.io.mend.faces import (
     loops_of,
 )
 from rtcal.io.mend.welding import flattened
-from rtcal.simulators import facets
+from rtcal.simulators.geometry import triangulate
 from rtcal.support.errors import DataError
 from rtcal.support.text import rounded
 from rtcal.support.types import Array
@@ -182,7 +182,7 @@ def volume_by_rays(polygons: Sequence[Array]) -> tuple[float, float]:
     """
     corners = np.concatenate(
         [
-            polygon[np.array(facets.triangulate(polygon), dtype=int).reshape(-1, 3)]
+            polygon[np.array(triangulate(polygon), dtype=int).reshape(-1, 3)]
             for polygon in map(np.asarray, polygons)
         ]  # a polygon without area has no triangle
     )

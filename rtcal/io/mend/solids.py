@@ -22,8 +22,7 @@ from rtcal.io.mend.faces import (
     edges_of,
 )
 from rtcal.io.mend.welding import welded
-from rtcal.simulators import facets
-from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators.geometry import Polyhedron, winding_number
 from rtcal.support import library
 from rtcal.support.errors import DataError
 from rtcal.support.text import listed, rounded
@@ -138,8 +137,7 @@ def _cavities(solids: Sequence[Polyhedron], groups: Sequence[Sequence[int]]) -> 
         held = [
             s
             for s in surfaces
-            if s.volume < 0
-            and abs(facets.winding_number(s.triangles[0, :1], cavity.triangles)[0]) > 0.5
+            if s.volume < 0 and abs(winding_number(s.triangles[0, :1], cavity.triangles)[0]) > 0.5
         ]
         whole = [cavity, *held]
         triangles = np.concatenate([s.triangles for s in whole])

@@ -30,9 +30,7 @@ from rtcal.io.mend.faces import (
 )
 from rtcal.io.mend.shell import shell_of, volume_by_rays
 from rtcal.io.mend.welding import flattened, rejoined, settled
-from rtcal.simulators import facets
-from rtcal.simulators.facets import WELD, Edge
-from rtcal.simulators.geometry import PLANARITY, Polyhedron
+from rtcal.simulators.geometry import PLANARITY, WELD, Edge, Polyhedron, vector_area, winding_number
 from rtcal.support.errors import DataError
 from rtcal.support.text import rounded
 from rtcal.support.types import Array
@@ -569,7 +567,7 @@ def _move(part: FaceSet, contact: _Contact) -> float:
 
 def _without(part: FaceSet, cuts: Mapping[int, Sequence[Cut]]) -> Polyhedron:
     """Return the room without some shapes of its faces; its joints may be as rough as ``weld``."""
-    for weld in (2 * facets.WELD, part.mend.weld):
+    for weld in (2 * WELD, part.mend.weld):
         fine = Mending(part.mend.drawn, weld, points=part.mend.points)
         left = settled(cut(FaceSet(fine, *zip(*part.rows(), strict=True)), cuts))
         try:
@@ -584,7 +582,7 @@ def _by_size(part: FaceSet) -> list[list[int]]:
 
     def volume(members: Sequence[int]) -> float:
         polygons = [part.corners(i) - part.mend.points[0] for i in members]
-        return abs(sum(float(p[0] @ facets.vector_area(p)) for p in polygons))
+        return abs(sum(float(p[0] @ vector_area(p)) for p in polygons))
 
     return sorted(part.components(), key=lambda members: (-volume(members), members))
 
@@ -614,7 +612,7 @@ def _contacts(
             for j in np.flatnonzero(near).tolist():
                 wall, into, is_same = walls[j], -geometry.normals[j], rank[j] == k
                 away = (polygons[i] - polygons[j].mean(axis=0)) @ into
-                least, most = (-facets.WELD, facets.WELD) if is_same else limits
+                least, most = (-WELD, WELD) if is_same else limits
                 if not least <= away.min() <= away.max() <= most:
                     continue
                 pieces = polygons_of(wall.polygon(polygons[i]).intersection(wall.shape))
@@ -628,14 +626,14 @@ def _contacts(
                     before = inner - _BEFORE * geometry.normals[[i, j]]
                     if not geometry.contains(before).any():
                         yield _Contact(i, j, 0.0)
-                elif abs(float(facets.winding_number(behind, solid)[0])) > 0.5:
+                elif abs(float(winding_number(behind, solid)[0])) > 0.5:
                     yield _Contact(i, j, float(away.max()))
 
 
 def _shared(part: FaceSet, contact: _Contact) -> list[Any]:
     """Return the shapes, in the wall's axes, that both faces have; not those as narrow as a sliver."""
     wall = Polygon(part.corners(contact.wall))
-    shape = common(wall, part.corners(contact.face), facets.WELD)
+    shape = common(wall, part.corners(contact.face), WELD)
     return [p for p in polygons_of(shape) if p.area > part.mend.weld * extent_of(ring_of(p)) / 2]
 
 

@@ -27,9 +27,7 @@ from rtcal.io.mend.faces import (
     normal_of,
     simplified,
 )
-from rtcal.simulators import facets
-from rtcal.simulators.facets import WELD
-from rtcal.simulators.geometry import PLANARITY
+from rtcal.simulators.geometry import PLANARITY, WELD, triangulate
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -293,7 +291,7 @@ def flattened(part: FaceSet) -> FaceSet:
         if is_flat(corners):
             out.add(face, material, name)
             continue
-        pieces = [[face[k] for k in piece] for piece in facets.triangulate(corners)]
+        pieces = [[face[k] for k in piece] for piece in triangulate(corners)]
         for piece in pieces:
             out.add(piece, material, name)
         off = np.abs((corners - corners.mean(axis=0)) @ normal_of(corners)).max()
