@@ -21,10 +21,9 @@ import rtcal as rt
 from rtcal.acoustics.observables import TARGET
 from rtcal.datasets import halls
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.path_tracing import PathTracing, jackknife
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.simulators.shoebox import ImageSource
-from rtcal.simulators.tracer import jackknife
 
 SIDES = (5.0, 7.0, 3.0)
 ALPHAS = np.array([0.05, 0.1, 0.2, 0.3, 0.4])

@@ -9,7 +9,7 @@ from rtcal.acoustics.observables import TARGET
 from rtcal.datasets import halls
 from rtcal.simulators import kernels, path_tracing
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.tracer import jackknife
+from rtcal.simulators.path_tracing import jackknife
 from rtcal.support.errors import DataError
 from tests.reference import in_place_of
 from tests.reference import paths as reference

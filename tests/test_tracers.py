@@ -10,9 +10,8 @@ from rtcal.acoustics.observables import TARGET
 from rtcal.datasets import halls
 from rtcal.simulators import base
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.path_tracing import PathTracing, jackknife, measurement
 from rtcal.simulators.ray_tracing import RayTracing
-from rtcal.simulators.tracer import jackknife, measurement
 from rtcal.support.errors import DataError, MissingDependencyError, TooShortError
 
 pytest.importorskip("pyroomacoustics")
@@ -86,7 +85,7 @@ def test_a_longer_decay_gets_longer_paths():
 
 
 def test_a_decay_without_end_is_too_short(monkeypatch):
-    monkeypatch.setattr("rtcal.simulators.tracer.LONGEST", 0.5)
+    monkeypatch.setattr("rtcal.simulators.path_tracing.LONGEST", 0.5)
     room = HALL.room.replace(air=None)
     with pytest.raises(TooShortError, match="too short to hold T20"):
         path_tracer(room=room).simulate(np.zeros_like(room.alpha), seed=1)

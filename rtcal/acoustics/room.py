@@ -159,7 +159,7 @@ class Room:
     scattering : array (n_materials, n_bands), optional
         Scattering coefficients, 0 to 1, for simulators.
     scattering_model : {"random", "vector"}
-        What they mean; see `rtcal.simulators.tracer.ScatteringModel`.
+        What they mean; see `rtcal.simulators.path_tracing.ScatteringModel`.
     surfaces : sequence of Surface
         The single surfaces, if stated: the areas are their sums.
     dimensions : (x, y, z), optional

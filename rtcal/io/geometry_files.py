@@ -9,8 +9,7 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Directivity
 from rtcal.io import balloon, obj
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.path_tracing import PathTracing
-from rtcal.simulators.tracer import area_doubt, volume_doubt
+from rtcal.simulators.path_tracing import PathTracing, area_doubt, volume_doubt
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 

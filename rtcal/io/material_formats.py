@@ -309,10 +309,10 @@ def _parse_odeon(content: bytes, path: str = "ODEON file") -> MaterialList:
                 raise DataError(
                     f"{place}: {len(row)} values; there are 8, for the octaves 63 Hz to 8 kHz"
                 )
-            named = f"{int(head[1])} {head[2]}"
+            its_name = f"{int(head[1])} {head[2]}"
             decimals = _DECIMALS["odeon"]
             materials.append(
-                ListedMaterial.of(named, line - 1, place, _OF_ODEON, row, decimals=decimals)
+                ListedMaterial.of(its_name, line - 1, place, _OF_ODEON, row, decimals=decimals)
             )
             head = None
     if head is not None:

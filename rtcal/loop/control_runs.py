@@ -40,8 +40,7 @@ from rtcal.files import disk
 from rtcal.files.disk import json_numbers
 from rtcal.simulators.base import Observations, Simulator, complete, observe
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.path_tracing import DENSER, PathTracing
-from rtcal.simulators.tracer import ScatteringModel, eyring_seconds
+from rtcal.simulators.path_tracing import DENSER, PathTracing, ScatteringModel, eyring_seconds
 from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError, RtcalError, TooShortError
 from rtcal.support.speed import Progress
@@ -474,7 +473,7 @@ class Scattering:
     Attributes
     ----------
     model : {"random", "vector"}
-        Meaning of the coefficients; see `rtcal.simulators.tracer.ScatteringModel`.
+        Meaning of the coefficients; see `rtcal.simulators.path_tracing.ScatteringModel`.
     coefficients : array (n_materials, n_bands)
     sigma : array (n_materials, n_bands)
         Their posterior standard deviations, linear in the log odds; 0 where they are 0 or 1.

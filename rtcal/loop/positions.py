@@ -75,8 +75,7 @@ from rtcal.simulators.base import (
     complete,
     observe,
 )
-from rtcal.simulators.path_tracing import PathTracing
-from rtcal.simulators.tracer import ScatteringModel
+from rtcal.simulators.path_tracing import PathTracing, ScatteringModel
 from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError, FewPathsWarning, SimulatorError, TooShortError
 from rtcal.support.speed import Progress

@@ -57,10 +57,9 @@ from rtcal.loop.control_runs import (
 from rtcal.loop.measured_pairs import Linearisation, by_band, of_level
 from rtcal.prediction import words
 from rtcal.prediction.predicted import COVERAGE, Predictions
-from rtcal.simulators import facets
+from rtcal.simulators import geometry as facets
 from rtcal.simulators.base import Simulator, checked_parameters, complete, jacobian, observe
-from rtcal.simulators.facets import WELD
-from rtcal.simulators.geometry import Plane, Polyhedron, convex_parts
+from rtcal.simulators.geometry import WELD, Plane, Polyhedron, convex_parts
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks, text
 from rtcal.support.blocks import Block, Note, Row, lines

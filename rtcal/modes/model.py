@@ -34,7 +34,7 @@ from rtcal.acoustics.room import Room
 from rtcal.io import geometry_files
 from rtcal.modes.room_modes import Admittances, Complex, Integers, Poles, RoomModes, modes_of
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.tracer import area_doubt, check_walls
+from rtcal.simulators.path_tracing import area_doubt, check_walls
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array

@@ -9,8 +9,8 @@ module depends on:
 - ``energy_thres`` is 1e-16, since the default 1e-7 cuts the late decay off.
 - Ray directions are a fixed lattice. This module rotates the room at random for every batch of
   rays, so that batches are independent and their spread is the noise.
-- Scattering follows the model "vector" of `rtcal.simulators.tracer.ScatteringModel`, with the mean
-  coefficient over bands. Bands with other coefficients are therefore traced separately.
+- Scattering follows the model "vector" of `rtcal.simulators.path_tracing.ScatteringModel`, with the
+  mean coefficient over bands. Bands with other coefficients are therefore traced separately.
 - A receiver hears scattered energy twice: by a ray sent to it, and by the ray that continues. The
   measurement therefore has no level G.
 - A ray in an edge may be reflected to and fro without end. Only absorption ends it, so the engine
@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.geometry import convex_parts
-from rtcal.simulators.path_tracing import direct_lengths
-from rtcal.simulators.tracer import Tracer, check_seconds, of_all_bands
+from rtcal.simulators.path_tracing import Tracer, check_seconds, direct_lengths, of_all_bands
 from rtcal.support import checks, library
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array

@@ -55,7 +55,7 @@ from rtcal.loop.measured_pairs import Linearisation, pairs_to_match
 from rtcal.loop.positions import MORE_PATHS, precise
 from rtcal.simulators import PathTracing, path_tracing
 from rtcal.simulators.base import Observations
-from rtcal.simulators.tracer import ScatteringModel
+from rtcal.simulators.path_tracing import ScatteringModel
 
 MATCH = ("t20", "edt", "c80", "ts", "level")
 FITTED, HELD_OUT = ("R1", "R2", "R3"), ("R4", "R5", "R6")

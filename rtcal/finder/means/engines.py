@@ -25,10 +25,9 @@ from rtcal.finder.case import Case
 from rtcal.finder.model import FEATURES, RoomState, predict
 from rtcal.finder.prior import by_name
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.path_tracing import LONGEST, PathTracing, ScatteringModel, Tracer
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.simulators.shoebox import ImageSource, mean_energy
-from rtcal.simulators.tracer import LONGEST, ScatteringModel, Tracer
 from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress, single_threaded_blas

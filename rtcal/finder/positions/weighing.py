@@ -49,8 +49,15 @@ from rtcal.finder.positions.surfaces import Faces
 from rtcal.loop.control_runs import scattered, share_of_signal
 from rtcal.loop.measured_pairs import Pair
 from rtcal.simulators.base import LARGEST_ALPHA, Observations, observe, values_of_decays
-from rtcal.simulators.path_tracing import DENSER, LARGER, Paths, PathTracing
-from rtcal.simulators.tracer import LONGEST, eyring_seconds, of_all_bands
+from rtcal.simulators.path_tracing import (
+    DENSER,
+    LARGER,
+    LONGEST,
+    Paths,
+    PathTracing,
+    eyring_seconds,
+    of_all_bands,
+)
 from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError, TooShortError
 from rtcal.support.speed import Progress, TaskProgress
