@@ -31,12 +31,11 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import sosfilt
@@ -168,18 +167,10 @@ def _opened(path: str) -> Iterator[Any]:
         raise DataError(f"{path}: {error.strerror or error}") from error
 
 
-@dataclass(frozen=True)
-class _Response:
-    """A response that is loaded where it is needed, so that one at a time is in memory.
+class _Response(NamedTuple):
+    """A response of a ``place``: ``load`` returns its samples, (n_samples,), at the rate in Hz.
 
-    Parameters
-    ----------
-    place : str
-        Name in messages.
-    load : callable
-        Returns the samples, (n_samples,).
-    sampling_rate : float
-        Hz.
+    It is loaded where it is needed, so that one at a time is in memory.
     """
 
     place: str
@@ -236,10 +227,9 @@ def _samples(path: str, n: int, channel: int) -> Array:
 
 def _of_sofa(path: str | os.PathLike[str]) -> Iterator[tuple[str, str, list[_Response]]]:
     """Yield source, receiver and channels of each measurement in a SOFA file."""
-    file = sofa.read(path)
+    file, place = sofa.read(path), os.fspath(path)
     for (source, receiver), samples in zip(file.pairs, file.samples, strict=True):
         loads = [partial(np.asarray, channel, dtype=float) for channel in samples]
-        place = os.fspath(path)
         yield source, receiver, [_Response(place, load, file.sampling_rate) for load in loads]
 
 
@@ -325,90 +315,58 @@ def _analysis(
 ) -> Analysis:
     """Return the parameters of responses; ``doubts`` are notes on their files."""
     _libraries()
-    check_usable((response.place, response.load()) for response in responses.values())
     centres, fractions = _centres(bands, min(r.sampling_rate for r in responses.values()))
-    shape = len(responses), len(centres)
-    values = {p: np.full(shape, np.nan) for p in MINIMUM_RANGE}
-    ratios = np.full(shape, np.nan)
-    floors = np.full(shape, Floor.NOISE, dtype=object)
-    clipped, late, bare = list[str](), list[str](), list[str]()
-    silences: dict[tuple[str, str], float] = {}
-    short: dict[float, list[float]] = {}
-    for i, (pair, response) in enumerate(responses.items()):
-        rate = response.sampling_rate
-        samples = prepared(response.load(), rate)
-        onset = samples.onset
-        if samples.silence >= LEAST_SILENCE:
-            silences[pair] = samples.silence
-        if samples.clipped:
-            clipped.append(f"{response.place} ({samples.clipped} samples)")
-        found = list[_Parameters]()
-        for centre in centres:
-            bandwidth = _bandwidth(centre, fractions)
-            energy = _filtered(samples.time, rate, float(centre), fractions)
-            lead = min(onset, int(4 / bandwidth * rate))
-            before = float(energy[onset - lead : onset].sum())
-            # At the end, where it starts, the filter has not risen yet.
-            energy = energy[: max(len(energy) - int(rate / bandwidth), onset)]
-            found.append(_parameters(energy[onset:], rate, needed, centre, bandwidth, before, lead))
-        told = [of_band for of_band in found if of_band.values]
-        if 2 * sum(of_band.late for of_band in told) > len(told):
-            late.append(response.place)
-            found = [_Parameters(ratio=f.ratio, floor=Floor.LATE) for f in found]
-        elif 2 * len(told) < len(found):
-            bare.append(f"{response.place} ({len(found) - len(told)} of {len(found)} bands)")
-        for k, (centre, of_band) in enumerate(zip(centres, found, strict=True)):
-            for parameter, value in of_band.values.items():
-                values[parameter][i, k] = value
-            ratios[i, k], floors[i, k] = of_band.ratio, of_band.floor
-            slopes = of_kind(DecaySlope)
-            t = next((of_band.values[p] for p in slopes if p in of_band.values), np.inf)
-            if (product := _bandwidth(centre, fractions) * t) < LEAST_BT:
-                short.setdefault(centre, []).append(product)
+    found: list[list[OfEnergy]] = []
+    of_files: dict[str, list[str]] = {_BARE: [], _LATE: [], _CLIPPED: [], _SILENT: []}
+    for response in responses.values():
+        time, onset, silence, n_clipped = _prepared(response)
+        rate, place, n = response.sampling_rate, response.place, len(centres)
+        of_bands = [_of_band(time, onset, rate, float(f), fractions, needed) for f in centres]
+        known = [of_band for of_band in of_bands if of_band.values]
+        if 2 * sum(of_band.late for of_band in known) > len(known):
+            of_files[_LATE].append(place)
+            of_bands = [OfEnergy({}, of_band.ratio, Floor.LATE) for of_band in of_bands]
+        elif 2 * len(known) < n:
+            of_files[_BARE].append(f"{place} ({n - len(known)} of {n} bands)")
+        if n_clipped:
+            of_files[_CLIPPED].append(f"{place} ({n_clipped} samples)")
+        if silence >= LEAST_SILENCE:
+            of_files[_SILENT].append(f"{place} ({silence:.2f} s)")
+        found.append(of_bands)
         if progress is not None:
             progress()
+    values = {
+        p: np.array([[of_band.values.get(p, np.nan) for of_band in row] for row in found])
+        for p in MINIMUM_RANGE
+    }
     measurement = Measurement(centre_frequencies=centres, pairs=tuple(responses), values=values)
     placed = places_of([*responses])
     notes = [*note_of_repeats(placed), *doubts]
-    if bare:
-        notes.append(
-            f"hardly a decay: {first_of(bare, MOST_NAMED)} without any parameter. Look whether it is "
-            "an impulse response, and not noise or a recording of the excitation"
-        )
-    if late:
-        notes.append(
-            "no decay: the energy arrives late, as in a recording of a sweep, of interrupted noise or "
-            f"of two sounds: {first_of(late, MOST_NAMED)}. Nothing of it is evaluated; an impulse "
-            "response is needed"
-        )
-    if clipped:
-        notes.append(
-            f"clipped: {first_of(clipped, MOST_NAMED)}. Their largest value occurs "
-            f"{LEAST_CLIPPED} times or more, that of a decay once. All their values are in "
-            "doubt, and no table says so: measure again at a lower level, or without these files"
-        )
-    if silences:
-        seconds = spread([*silences.values()], ".2f")
-        named = first_of([" to ".join(pair) for pair in silences], MOST_NAMED)
-        notes.append(f"{named}: the last {seconds} s are digital silence, left out")
-    for centre, products in short.items():
-        count = "" if len(responses) == 1 else f" in {len(products)} of {len(responses)} pairs"
-        notes.append(
-            f"{_bands.label(centre)}: B T = {spread(products, '.1f')}{count} is below {LEAST_BT:g}: "
-            "the measured decay contains that of the band filter"
-        )
+    notes += [note.format(first_of(some, MOST_NAMED)) for note, some in of_files.items() if some]
+    times = np.full((len(found), len(centres)), np.inf)
+    for p in reversed(of_kind(DecaySlope)):  # the first replaces the others
+        times = np.where(np.isfinite(values[p]), values[p], times)
+    for centre, product in zip(centres, (_bandwidth(centres, fractions) * times).T, strict=True):
+        if (short := product[product < LEAST_BT]).size:
+            count = "" if len(found) == 1 else f" in {short.size} of {len(found)} pairs"
+            notes.append(
+                f"{_bands.label(centre)}: B T = {spread(short, '.1f')}{count} is below "
+                f"{LEAST_BT:g}: the measured decay contains that of the band filter"
+            )
     notes += [
         f"{band.frequency:g} Hz: {band.text}; one T does not describe it"
         for band in bent_decays(measurement)
     ]
-    # Of repeats, the one that reaches least deep.
-    repeats = [[i for i, at in enumerate(placed) if at == place] for place in dict.fromkeys(placed)]
-    least = [np.array(rows)[np.argmin(ratios[rows], axis=0)] for rows in repeats]
-    bands_of = np.arange(len(centres))
+    least: dict[tuple[str, str], list[OfEnergy]] = {}  # of repeats, that which reaches least deep
+    for place_of, row in zip(placed, found, strict=True):
+        others = least.get(place_of, row)
+        least[place_of] = [
+            min(both, key=lambda x: x.ratio) for both in zip(others, row, strict=True)
+        ]
     return Analysis(
         measurement=measurement,
-        impulse_to_noise_ratio=np.array([ratios[rows, bands_of] for rows in least]),
-        floors=tuple(tuple(floors[rows, bands_of]) for rows in least),
+        impulse_to_noise_ratio=np.array([[b.ratio for b in row] for row in least.values()]),
+        floors=tuple(tuple(b.floor for b in row) for row in least.values()),
         minimum_range=needed,
         notes=tuple(notes),
     )
@@ -422,6 +380,20 @@ LEAST_CLIPPED = 4
 A decay has one such sample, and by rounding a few at most. tests/test_impulse_responses.py
 tries both: decays of 10 to 24 bits, and the same clipped at half of the peak.
 """
+_BARE = (
+    "hardly a decay: {} without any parameter. Look whether it is an impulse response, and not noise "
+    "or a recording of the excitation"
+)
+_LATE = (
+    "no decay: the energy arrives late, as in a recording of a sweep, of interrupted noise or of two "
+    "sounds: {}. Nothing of it is evaluated; an impulse response is needed"
+)
+_CLIPPED = (
+    f"clipped: {{}}. Their largest value occurs {LEAST_CLIPPED} times or more, that of a decay once. "
+    "All their values are in doubt, and no table says so: measure again at a lower level, or without "
+    "these files"
+)
+_SILENT = "digital silence at the end is left out: {}"
 
 _SMOOTH = 5.0
 """Largest step beside a smooth maximum, in the file's smallest step.
@@ -435,53 +407,24 @@ _LARGEST = 1e150
 """Largest sample whose square is finite, with a margin for sums."""
 
 
-@dataclass(frozen=True)
-class ResponseSamples:
-    """A response with a peak of 1, without the silence at its end.
-
-    Parameters
-    ----------
-    time : array (n_samples,)
-    onset : int
-        The first sample within 20 dB of the peak (ISO 3382-1:2009, 5.3.2).
-    silence : float
-        Duration in s of the digital silence that was left out at the end.
-    clipped : int
-        Number of clipped samples; 0 for a response that is not clipped.
-    """
-
-    time: Array
-    onset: int
-    silence: float
-    clipped: int
-
-
-def check_usable(responses: Iterable[tuple[str, Array]]) -> None:
-    """Raise DataError for responses (n_samples,), with their names, that are silent or broken."""
-    silent = []
-    for place, time in responses:
-        budget.require(len(time), budget.MAX_CHANNEL_SAMPLES, "samples", place)
-        if (bad := ~(np.abs(time) < _LARGEST)).any():  # the square of a larger one may overflow
-            first = int(np.argmax(bad))
-            below = f" below {_LARGEST:g}" if np.isfinite(time[first]) else ""
-            raise DataError(
-                f"{place}: sample {first + 1} of {len(time)} is {time[first]:g}, not a finite "
-                f"number{below}"
-            )
-        if not np.any(time):
-            silent.append(place)
-    if silent:
-        them = "it" if len(silent) == 1 else "them"
-        raise DataError(f"{', '.join(silent)}: silent, every sample is 0; leave {them} out")
-
-
-def prepared(time: Array, sampling_rate: float) -> ResponseSamples:
-    """Return the samples of a usable response, (n_samples,).
+def _prepared(response: _Response) -> tuple[Array, int, float, int]:
+    """Return the samples with a peak of 1, the onset, the silence in s and the clipped samples.
 
     Digital silence at the end, a run of equal samples, is left out. It is no noise, and would
     mislead the search for the noise. A constant offset is taken off, since the band filters answer
-    the step at its end.
+    the step at its end. The onset is the first sample within 20 dB of the peak (ISO 3382-1:2009,
+    5.3.2). Raises DataError for a response that is silent or broken.
     """
+    time, place = response.load(), response.place
+    budget.require(len(time), budget.MAX_CHANNEL_SAMPLES, "samples", place)
+    if (bad := ~(np.abs(time) < _LARGEST)).any():  # the square of a larger one may overflow
+        first = int(np.argmax(bad))
+        below = f" below {_LARGEST:g}" if np.isfinite(time[first]) else ""
+        raise DataError(
+            f"{place}: sample {first + 1} of {len(time)} is {time[first]:g}, not a finite number{below}"
+        )
+    if not np.any(time):
+        raise DataError(f"{place}: silent, every sample is 0; leave it out")
     changes = np.flatnonzero(time != time[-1])
     n_silent = len(time) - 1 - int(changes[-1]) if changes.size else 0
     if n_silent > 1 and np.any(time[: len(time) - n_silent]):  # silence only after a sound
@@ -491,7 +434,7 @@ def prepared(time: Array, sampling_rate: float) -> ResponseSamples:
     peak = np.max(np.abs(time))
     time = time / (peak if peak > 0 else 1.0)
     onset = int(np.argmax(np.abs(time) >= 0.1))
-    return ResponseSamples(time, onset, n_silent / sampling_rate, clipped)
+    return time, onset, n_silent / response.sampling_rate, clipped
 
 
 def clipped_samples(time: Array) -> int:
@@ -524,84 +467,75 @@ def clipped_samples(time: Array) -> int:
     return count
 
 
-def _bandwidth(centre: float, fractions: int) -> float:
+def _bandwidth(centre: Any, fractions: int) -> Any:
     return centre * (2 ** (0.5 / fractions) - 2 ** (-0.5 / fractions))
 
 
-def of_energy(
-    energy: Array,
-    sampling_rate: float,
-    *,
-    minimum_range: Mapping[str, float] | None = None,
-    centre_frequency: float | None = None,
-    early: float = 0.0,
-    early_samples: int = 0,
-) -> tuple[dict[str, float], float, Floor]:
-    """Return the parameters, the INR in dB and what ends the range of levels, of one squared response.
+class OfEnergy(NamedTuple):
+    """The parameters of one squared response.
 
-    ``energy``, (n_samples,), begins with the direct sound. ``early`` is the energy that the filter has
-    moved before it, over ``early_samples``; it counts as early sound.
+    ``values`` are those that the range suffices for, by name, ``ratio`` the impulse-to-noise ratio in
+    dB (-inf without a decay of 10 dB), ``floor`` what ends the range of levels. ``late`` says that the
+    energy arrives later than that of a decay.
     """
-    needed = _ranges(minimum_range)
+
+    values: dict[str, float]
+    ratio: float
+    floor: Floor
+    late: bool = False
+
+
+def _of_band(
+    time: Array, onset: int, rate: float, centre: float, fractions: int, needed: Mapping[str, float]
+) -> OfEnergy:
+    """Return the parameters of a response, (n_samples,), in one band."""
+    bandwidth = _bandwidth(centre, fractions)
+    energy = _filtered(time, rate, centre, fractions)
+    lead = min(onset, int(4 / bandwidth * rate))
+    before = float(energy[onset - lead : onset].sum())
+    # At the end, where it starts, the filter has not risen yet.
+    energy = energy[: max(len(energy) - int(rate / bandwidth), onset)]
+    return _of_energy(energy[onset:], rate, needed, centre, bandwidth, before, lead)
+
+
+def of_energy(
+    energy: Array, sampling_rate: float, *, minimum_range: Mapping[str, float] | None = None
+) -> OfEnergy:
+    """Return the parameters of one squared response of all bands, (n_samples,).
+
+    It begins with the direct sound. Raises DataError for what is no number, or no such array.
+    """
     checks.positive("sampling_rate", sampling_rate, "Hz")
     energy = checks.array("energy", energy)
     if energy.ndim != 1:
         raise DataError(f"energy has shape {energy.shape}, not (n_samples,)")
-    early = checks.number("early", early)
-    checks.whole("early_samples", early_samples, 0)
-    bandwidth = sampling_rate / 2
-    if centre_frequency is not None:
-        centre_frequency = checks.positive("centre_frequency", centre_frequency, "Hz")
-        bandwidth = _bandwidth(centre_frequency, 1)
-    of_band = _parameters(
-        energy, sampling_rate, needed, centre_frequency, bandwidth, early, early_samples
-    )
-    return of_band.values, of_band.ratio, of_band.floor
+    return _of_energy(energy, sampling_rate, _ranges(minimum_range), None, sampling_rate / 2)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Parameters:
-    """The parameters of one response in one band.
-
-    Parameters
-    ----------
-    ratio : float
-        Impulse-to-noise ratio in dB; -inf without a decay of 10 dB.
-    floor : Floor
-        What ends the range of levels.
-    values : mapping of str to float
-        Those that the range suffices for.
-    late : bool
-        Whether the energy arrives later than that of a decay.
-    """
-
-    ratio: float
-    floor: Floor
-    values: dict[str, float] = field(default_factory=dict)
-    late: bool = False
-
-
-def _parameters(
+def _of_energy(
     energy: Array,
     rate: float,
     needed: Mapping[str, float],
     centre: float | None,
     bandwidth: float,
-    early: float,
-    early_samples: int,
-) -> _Parameters:
-    """Return the parameters of one squared response; see `of_energy`."""
+    early: float = 0.0,
+    early_samples: int = 0,
+) -> OfEnergy:
+    """Return the parameters of one squared response.
+
+    ``early`` is the energy that the filter has moved before the direct sound, over ``early_samples``;
+    it counts as early sound.
+    """
     total = float(np.sum(energy))
     if not (np.isfinite(total) and total > 0 and len(energy) >= rate / 20):
-        return _Parameters(ratio=-np.inf, floor=Floor.SHORT)
-    energy = np.asarray(energy, dtype=float) / energy.max()
+        return OfEnergy({}, -np.inf, Floor.SHORT)
+    energy = energy / energy.max()
     early = early * float(np.sum(energy)) / total
-    enough = max(needed.values())
     cut = _cut(energy, rate, centre)
     if cut == len(energy) and energy[cut * 9 // 10 :].mean() > _LOW:
         cut = _cut_into_noise(energy, rate, centre, bandwidth)
     done = _evaluated(_as_it_is(energy, cut), rate, needed, early, early_samples)
-    if done.ratio < enough:
+    if done.ratio < max(needed.values()):
         decay_on_line = _on_line(energy[:cut], rate, centre)
         if decay_on_line is not None:
             by_line = _evaluated(decay_on_line, rate, needed, early, early_samples)
@@ -611,7 +545,7 @@ def _parameters(
 
 def _evaluated(
     decayed: _Decay, rate: float, needed: Mapping[str, float], early: float, early_samples: int
-) -> _Parameters:
+) -> OfEnergy:
     """Return the parameters of a decay curve that its range suffices for."""
     curve = decayed.curve
     level = 10 * np.log10(curve / curve[0])
@@ -622,17 +556,17 @@ def _evaluated(
     times = {p: float(o.of_curve(in_range, 1 / rate)) for p, o in slopes.items()}
     times = {p: t for p, t in times.items() if np.isfinite(t) and level[-1] <= slopes[p].lower}
     if EARLY.key not in times or decayed.reach < -EARLY.lower:
-        return _Parameters(ratio=-np.inf, floor=Floor.FLAT)
+        return OfEnergy({}, -np.inf, Floor.FLAT)
     density = curve[0] * 6 * np.log(10) / (times[EARLY.key] * rate)
     ratio = float(10 * np.log10(density / decayed.end)) if decayed.end > 0 else np.inf
     reach = min(ratio - decayed.lost, decayed.reach)
     centre = float(curve.sum() / curve[0]) / rate  # of gravity, in s
     curve[0] += max(early - decayed.subtracted * early_samples, 0.0)
     values = {**_energy_ratios(curve, rate), **times}
-    return _Parameters(
+    return OfEnergy(
+        values={p: v for p, v in values.items() if reach >= needed[p]},
         ratio=ratio if reach >= max(needed.values()) else reach,
         floor=decayed.floor,
-        values={p: v for p, v in values.items() if reach >= needed[p]},
         late=_is_late(in_range, rate, centre, times),
     )
 
@@ -656,23 +590,12 @@ def _is_late(level: Array, rate: float, centre: float, times: Mapping[str, float
     return most < _STEADIEST * half and centre * 6 * np.log(10) > _LATEST * t
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Decay:
-    """A decay curve, and what ends it.
+class _Decay(NamedTuple):
+    """A decay curve (n,), the energy above 0 that is left at each sample, and what ends it.
 
-    Parameters
-    ----------
-    curve : array (n,)
-        Energy that is left at each sample, above 0.
-    end : float
-        Energy per sample at the end, of noise and decay.
-    floor : Floor
-    subtracted : float
-        Noise that was subtracted, energy per sample.
-    reach : float
-        Range in dB that noise, where it was not subtracted, leaves to the curve.
-    lost : float
-        Range in dB that a curve loses which lacks the energy beyond a cut.
+    ``end`` is the energy per sample at the end, of noise and decay, ``subtracted`` that of the noise
+    that was taken off. ``reach`` is the range in dB that noise leaves where it was not, ``lost`` that
+    which a curve loses without the energy beyond a cut.
     """
 
     curve: Array
@@ -856,25 +779,24 @@ def _filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:
 
 
 def _centres(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
+    """Return the centre frequencies, (n_bands,), and 1 for octaves or 3 for thirds of an octave."""
+    named = {"octave": _bands.octaves(63, 8000), "third-octave": _bands.third_octaves(50, 10000)}
+    if isinstance(bands, str) and bands not in named:
+        raise DataError(f'bands = "{bands}" is neither "octave" nor "third-octave"')
+    stated = _bands.as_bands(named[bands] if isinstance(bands, str) else bands, "bands")
+    fractions = 1 if _bands.bandwidth_factor(stated) > 0.5 else 3
+    nominal = _bands.OCTAVES if fractions == 1 else _bands.THIRD_OCTAVES
+    held = [f in nominal and f * 2 ** (0.5 / fractions) * 1.01 < rate / 2 for f in stated]
     if isinstance(bands, str):
-        if bands not in ("octave", "third-octave"):
-            raise DataError(f'bands = "{bands}" is neither "octave" nor "third-octave"')
-        fractions = 1 if bands == "octave" else 3
-        listed = _bands.octaves(63, 8000) if fractions == 1 else _bands.third_octaves(50, 10000)
-        listed = tuple(f for f in listed if f * 2 ** (0.5 / fractions) * 1.01 < rate / 2)
-        if not listed:
+        stated = stated[held]
+        if not stated.size:
             raise DataError(f"sampling rate {rate:g} Hz: no band lies below half of it")
-        return _bands.as_bands(listed), fractions
-    centres = _bands.as_bands(bands, "bands")
-    fractions = 1 if _bands.bandwidth_factor(centres) > 0.5 else 3
-    for f in centres:
-        nominal = _bands.OCTAVES if fractions == 1 else _bands.THIRD_OCTAVES
-        if f not in nominal or f * 2 ** (0.5 / fractions) * 1.01 >= rate / 2:
-            raise DataError(
-                f"bands has {_bands.label(f)}; it is no {'' if fractions == 1 else 'third-'}octave "
-                f"below half the sampling rate of {rate:g} Hz"
-            )
-    return centres, fractions
+    elif not all(held):
+        raise DataError(
+            f"bands has {_bands.label(stated[held.index(False)])}; it is no "
+            f"{'' if fractions == 1 else 'third-'}octave below half the sampling rate of {rate:g} Hz"
+        )
+    return stated, fractions
 
 
 def _ranges(minimum_range: Mapping[str, float] | None) -> dict[str, float]:

@@ -148,10 +148,6 @@ def _bent(columns: Sequence[str], rows: Sequence[Row]) -> list[str]:
 _XL2 = b"XL2 RT60 Reporting"
 _AVERAGES = "# rt60 average results"
 _HEADER = re.compile(r"Band\s+RT60\((T[23]0)\)\s+MeasUnct", re.I)
-_BANDS = re.compile(r"Band \[Hz\]:\s+(.*)")
-_DECAY = re.compile(r"\d+((?:\s+(?:-\.--|\d[\d.]*))+)")
-_ROUNDING = 0.0105
-"""Largest difference of an average and its decays' mean in s: both are rounded to a hundredth."""
 _ROW = re.compile(r"(\d[\d.]*)\s+(-\.--|\d[\d.]*)\s+(-\.--|\d[\d.]*)")
 
 
@@ -174,7 +170,6 @@ def _averages(numbered: Sequence[tuple[int, str]], path: str, text: Text) -> She
             rows.append((n, [m[1], *_with_uncertainty(m[2], m[3], f"{path}, line {n}")]))
     if len(rows) < 2:
         raise DataError(f"{path}, line {header[0]}: no row of a band below the header")
-    lines_after = [line for _, line in numbered[at + 1 :]]
     name = PureWindowsPath(numbered[0][1].partition(":")[2].strip()).stem
     return Sheet(
         place=path,
@@ -184,7 +179,6 @@ def _averages(numbered: Sequence[tuple[int, str]], path: str, text: Text) -> She
         notes=(
             f"{header[1].upper()} is the average over the report's decays; its uncertainty is "
             "MeasUnct (ISO 3382-2)",
-            *_contradictions(rows[1:], _decays(lines_after)),
         ),
     )
 
@@ -196,36 +190,6 @@ def _with_uncertainty(value: str, percent: str, place: str) -> tuple[str, str]:
     if percent.startswith("-"):
         return value, ""
     return value, repr(number(value, place) * number(percent, place) / 100)
-
-
-def _decays(after: list[str]) -> dict[str, list[float]]:
-    """Return the times in s of every decay by band; empty without the list of decays."""
-    bands = next((m[1].split() for line in after if (m := _BANDS.fullmatch(line))), [])
-    times: dict[str, list[float]] = {band: [] for band in bands}
-    for line in after:
-        m = _DECAY.fullmatch(line)
-        cells = m[1].split() if m else []
-        if len(cells) == 2 * len(bands):  # a time and its correlation for every band
-            for band, cell in zip(bands, cells[::2], strict=True):
-                if not cell.startswith("-"):
-                    times[band].append(number(cell, band))
-    return times
-
-
-def _contradictions(rows: list[Row], decays: dict[str, list[float]]) -> list[str]:
-    """Return a note on averages that are not the mean of their decays."""
-    off = []
-    for _, (band, value, _u) in rows:
-        times = decays.get(band, [])
-        if value and decays and not times:
-            off.append(f"{band} Hz (no decay)")
-        elif value and times and abs(sum(times) / len(times) - float(value)) > _ROUNDING:
-            off.append(
-                f"{band} Hz ({value} s, of decays with a mean of {sum(times) / len(times):.2f} s)"
-            )
-    if not off:
-        return []
-    return [f"averages that are not the mean of the report's decays: {', '.join(off)}"]
 
 
 _AURORA = b"ISO3382 Acoustical Parameter File"

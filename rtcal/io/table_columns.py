@@ -505,24 +505,6 @@ def repeat_of(text: str) -> str | None:
     return f"{match[1].strip()}#{match[2] or match[3] or match[4]}"
 
 
-def with_repeats(cells: Sequence[str]) -> list[str]:
-    """Return a row's cells with the names of repeats as ``S1R3#2``: numbered, where they are alike.
-
-    Examples
-    --------
-    >>> with_repeats(["Hz", "S1R1", "S1R3", "S1R3"]), with_repeats(["Hz", "S1R3 (1)", "S1R3 (2)"])
-    (['Hz', 'S1R1', 'S1R3', 'S1R3#2'], ['Hz', 'S1R3#1', 'S1R3#2'])
-    """
-    named = [repeat_of(cell) or cell for cell in cells]
-    of_place: dict[str, int] = {}
-    for i, name in enumerate(named):
-        if position_of(name):
-            of_place[name] = of_place.get(name, 0) + 1
-            if of_place[name] > 1:
-                named[i] = f"{name}#{of_place[name]}"
-    return named
-
-
 def position_in(text: str) -> tuple[str, str] | None:
     """Return source and receiver that stand within a text, such as a file's name.
 

@@ -59,7 +59,6 @@ from rtcal.io.table_columns import (
     nearest_band,
     no_band,
     parameter_of,
-    parameters,
     plain,
     position_in,
     position_of,
@@ -67,7 +66,6 @@ from rtcal.io.table_columns import (
     scale_of,
     stated,
     statistic_of,
-    with_repeats,
     wrong_unit,
 )
 from rtcal.io.text import Row, Sheet, decode, number, sheets_of_text, shown, unit_of
@@ -233,20 +231,19 @@ def parse(
         raise DataError(
             f'{place}: ignore="{shown(missing[0])}" is no column; they are {_quoted(headers)}'
         )
-    readers = [_Reader(table, stated) for table in found]
-    table = _measured(readers, notes, stated)
-    own = {*table.measurement.values} - {stated.parameter}
-    if stated.parameter is not None and own and not any(reader.parameter for reader in readers):
+    read = _measured(found, notes, stated)
+    own = {*read.measurement.values} - {stated.parameter}
+    if stated.parameter is not None and own and not any(table.parameter for table in found):
         raise DataError(
             f'{place}: parameter="{stated.parameter}" is not used, since the table names its own: '
             f"{', '.join(map(parameter_label, own))}; leave it out"
         )
-    if stated.decay_time is not None and not any(reader.was_open for reader in readers):
+    if stated.decay_time is not None and not any(table.was_open for table in found):
         raise DataError(
             f'{place}: decay_time="{stated.decay_time}" is not used, since nothing in the table is '
             "called RT60 or T60; leave it out"
         )
-    return table
+    return read
 
 
 def measurement(path: str | os.PathLike[str]) -> MeasuredTable:
@@ -291,38 +288,6 @@ def sheets_of(
 # -- cells to columns
 
 
-@dataclass(frozen=True)
-class _Table:
-    """The columns of a header, and the rows of values below it.
-
-    ``line`` is the first of the header, ``first`` that of the values; each of the ``rows`` has a cell
-    per column. ``titles`` stand alone in a row before the header.
-    """
-
-    sheet: Sheet
-    columns: tuple[Column, ...]
-    line: int
-    first: int
-    rows: tuple[Row, ...]
-    notes: tuple[str, ...]
-    titles: tuple[str, ...] = ()
-
-    @property
-    def place(self) -> str:
-        """The header's name in messages."""
-        return f"{self.sheet.place}, line {self.line}"
-
-    @property
-    def position(self) -> tuple[str, str]:
-        """The source and receiver that the sheet is called after; a mean has none."""
-        source, receiver = self.sheet.position
-        if not source and statistic_of(receiver) not in (None, DOUBTFUL):
-            return "", ""
-        return (
-            self.sheet.position if source or receiver else position_of(self.sheet.name) or ("", "")
-        )
-
-
 def _of_file(content: bytes, path: str, options: _Options) -> tuple[list[_Table], list[str]]:
     """Return the tables of a file that are to be read, and a note on sheets that are left out.
 
@@ -331,7 +296,7 @@ def _of_file(content: bytes, path: str, options: _Options) -> tuple[list[_Table]
     of_file = sheets_of(content, path, options.where, options.extra)
     if options.repeats:
         of_file = [
-            replace(s, rows=tuple((at, with_repeats(cells)) for at, cells in s.rows))
+            replace(s, rows=tuple((n, [repeat_of(c) or c for c in cells]) for n, cells in s.rows))
             for s in of_file
         ]
     there = [sheet.name for sheet in of_file]
@@ -400,7 +365,8 @@ def _tables_of(sheet: Sheet, options: _Options) -> list[_Table]:
             starts.append(i)
     blocks = [rows[a:b] for a, b in pairwise([0, *starts[1:], len(rows)])]
     tables = [_table(sheet, block, options) for block in blocks]
-    return [replace(tables[0], notes=(*tables[0].notes, *sheet.notes)), *tables[1:]]
+    tables[0].notes += sheet.notes
+    return tables
 
 
 def _has_header(sheet: Sheet) -> bool:
@@ -494,8 +460,12 @@ def _table(sheet: Sheet, rows: list[Row], options: _Options) -> _Table:
         columns[0] = Column("receiver" if across.has_band else "band", corner.header)
     if columns[0] == _ROW_NUMBERS:
         notes.append("the first column has the rows' numbers, and is left out")
-    titles = tuple(next(filter(None, c)) for _, c in rows[:at] if sum(map(bool, c)) == 1)
-    return _with_rows(_Table(sheet, tuple(columns), line, first, tuple(body), tuple(notes), titles))
+    return _Table(sheet, columns, line, body, _titles(rows[:at]), notes, options)
+
+
+def _titles(rows: Sequence[Row]) -> list[str]:
+    """Return the cells that stand alone in their row."""
+    return [next(filter(None, cells)) for _, cells in rows if sum(map(bool, cells)) == 1]
 
 
 def _by_its_cells(
@@ -531,57 +501,10 @@ def _stated_table(sheet: Sheet, options: _Options) -> _Table:
             raise DataError(f"{sheet.place}: columns, {k + 1}: {error}") from error
         name = names[k] if k < len(names) else ""
         columns.append(replace(column, header=name or column.header))
-    titles = tuple(next(filter(None, c)) for _, c in above if sum(map(bool, c)) == 1)
-    notes = sheet.note, "columns are as stated", *sheet.notes
-    body = tuple(row for row in sheet.rows if row[0] >= first)
+    body = [row for row in sheet.rows if row[0] >= first]
     line = above[-1][0] if above else first
-    return _with_rows(_Table(sheet, tuple(columns), line, first, body, notes, titles))
-
-
-def _with_rows(table: _Table) -> _Table:
-    """Return a table whose rows have a cell per column, without what stands below it.
-
-    In a table of bands down that is all from the first word after the last band on, else a text alone.
-    Raises DataError for a row of another width, and for two columns of one meaning.
-    """
-    columns, body, notes = table.columns, list(table.rows), list(table.notes)
-    placed = {"source", "receiver"} & {c.kind for c in columns}
-    of_files = "" if placed else "receiver"
-    columns = tuple(replace(c, kind=of_files) if c.kind == "file" else c for c in columns)
-    for kind, times in Counter(c.kind for c in columns).items():
-        if kind not in ("value", "") and times > 1:
-            raise DataError(f"{table.place}: two columns are the {kind}")
-    for header, times in Counter(c.header for c in columns if c.receiver).items():
-        if times > 1 and len({c.meaning for c in columns if c.header == header}) == 1:
-            raise DataError(
-                f'{table.place}: column "{shown(header)}" is there {times} times; if they are repeats '
-                "of one place, state repeats=True; if tables stand beside each other, keep each on a "
-                "sheet or in a file of its own"
-            )
-    below: list[Row] = []
-    if columns[0].kind == "band":
-        of_bands = [
-            i for i, (_, c) in enumerate(body) if frequency_of(c[0]) or plain(c[0]) in WHOLE_RANGES
-        ]
-        below = body[of_bands[-1] + 1 :] if of_bands else []
-        below = below if below and _WORD.match(below[0][1][0]) else []
-    while len(body) > len(below) and len(columns) > 2 and _is_remark(body[-1 - len(below)][1]):
-        below = [body[-1 - len(below)], *below]
-    if below:
-        body = body[: -len(below)]
-        remark = shown(next(filter(None, below[0][1])), 60)
-        notes.append(f'from line {below[0][0]} on it is no table: "{remark}"; left out')
-    rows = []
-    for line, cells in body:
-        while len(cells) > len(columns) and not cells[-1]:
-            cells = cells[:-1]
-        if len(cells) != len(columns):
-            raise DataError(
-                f"{table.sheet.place}, line {line}: {len(cells)} cells; the header has {len(columns)}; "
-                "what stands below a table is to be deleted"
-            )
-        rows.append((line, cells))
-    return replace(table, columns=columns, rows=tuple(rows), notes=tuple(notes))
+    notes = [sheet.note, "columns are as stated", *sheet.notes]
+    return _Table(sheet, columns, line, body, _titles(above), notes, options)
 
 
 def _is_remark(cells: Sequence[str]) -> bool:
@@ -684,75 +607,149 @@ class _Value:
     statistic: str | None
 
 
-class _Reader:
-    """Reads the rows of a table.
+class _Table:
+    """The columns of a header, and the values of the rows below it.
 
     A row has a value for each column of values. It may also have an uncertainty, a statistic (mean or
-    standard deviation), and the number of positions of a mean.
+    standard deviation), and the number of positions of a mean. ``line`` is that of the header, and
+    ``titles`` are alone in a row before it.
     """
 
-    def __init__(self, table: _Table, options: _Options) -> None:
-        self.table, self.options, self.path = table, options, table.sheet.place
+    def __init__(
+        self,
+        sheet: Sheet,
+        columns: Sequence[Column],
+        line: int,
+        body: Sequence[Row],
+        titles: Sequence[str],
+        notes: list[str],
+        options: _Options,
+    ) -> None:
+        self.sheet, self.titles, self.notes, self.options = sheet, titles, notes, options
+        self.place = f"{sheet.place}, line {line}"
+        self.first = body[0][0] if body else line + 1
         self.was_open = False  # whether a name such as RT60 was found
-        kinds = {c.kind for c in table.columns}
-        open_columns = (replace(c, parameter=self._closed(c, table.place)) for c in table.columns)
-        self.columns = tuple(open_columns)
+        self.formula_errors: list[str] = []  # the places of values that are missing for it
+        self.statistics: dict[str, None] = {}  # names of the rows of statistics over positions
+        kinds = {c.kind for c in columns}
+        of_files = "" if {"source", "receiver"} & kinds else "receiver"
+        self.columns = [
+            replace(
+                c,
+                kind=of_files if c.kind == "file" else c.kind,
+                parameter=self._closed(c, self.place),
+            )
+            for c in columns
+        ]
+        self._refuse_twice()
+        self.rows = self._rows(body)
         self.parameter = None if "parameter" in kinds else self._of_table()
         if self.parameter is not None:
             key, unit = self.parameter.parameter, self.parameter.unit
-            self.columns = tuple(
+            self.columns = [
                 replace(c, parameter=key, unit=c.unit or unit)
                 if c.has_values and not c.parameter
                 else c
                 for c in self.columns
-            )
-        self.notes = list(table.notes)
-        self.formula_errors: list[str] = []  # the places of values that are missing for it
-        self.statistics: dict[str, None] = {}  # names of the rows of statistics over positions
+            ]
+        self.comma = self._decimal_comma()
+        self._set_positions({c.kind for c in self.columns})
+
+    @property
+    def position(self) -> tuple[str, str]:
+        """The source and receiver that the sheet is called after; a mean has none."""
+        source, receiver = self.sheet.position
+        if not source and statistic_of(receiver) not in (None, DOUBTFUL):
+            return "", ""
+        return (
+            self.sheet.position if source or receiver else position_of(self.sheet.name) or ("", "")
+        )
+
+    def _refuse_twice(self) -> None:
+        """Raise DataError for two columns of one meaning."""
+        for kind, times in Counter(c.kind for c in self.columns).items():
+            if kind not in ("value", "") and times > 1:
+                raise DataError(f"{self.place}: two columns are the {kind}")
+        placed = Counter(c.meaning for c in self.columns if c.receiver)
+        for column in self.columns:
+            times = placed[column.meaning]
+            if times > 1 and not self.options.repeats:
+                raise DataError(
+                    f'{self.place}: column "{shown(column.header)}" is there {times} times; if they '
+                    "are repeats of one place, state repeats=True; if tables stand beside each other, "
+                    "keep each on a sheet or in a file of its own"
+                )
+
+    def _rows(self, body: Sequence[Row]) -> list[Row]:
+        """Return the rows with a cell per column, without what stands below a table.
+
+        Below bands down that is all from the first word after the last band on, else a text alone.
+        Raises DataError for a row of another width.
+        """
+        end, width = len(body), len(self.columns)
+        if self.columns[0].kind == "band":
+            of_bands = [bool(frequency_of(c[0])) or plain(c[0]) in WHOLE_RANGES for _, c in body]
+            last = max((i for i, is_band in enumerate(of_bands, 1) if is_band), default=end)
+            end = last if last < end and _WORD.match(body[last][1][0]) else end
+        while end and width > 2 and _is_remark(body[end - 1][1]):
+            end -= 1
+        if end < len(body):
+            line, cells = body[end]
+            remark = shown(next(filter(None, cells)), 60)
+            self.notes.append(f'from line {line} on it is no table: "{remark}"; left out')
+        rows = []
+        for line, cells in body[:end]:
+            while len(cells) > width and not cells[-1]:
+                cells = cells[:-1]
+            if len(cells) != width:
+                raise DataError(
+                    f"{self.sheet.place}, line {line}: {len(cells)} cells; the header has {width}; "
+                    "what stands below a table is to be deleted"
+                )
+            rows.append((line, cells))
+        return rows
+
+    def _set_positions(self, kinds: set[str]) -> None:
+        """Set the position of values whose rows name none, and the sentences on positions."""
         across = [c for c in self.columns if c.receiver]
         placed = {"source", "receiver"} & kinds or across
-        position = ("", "") if placed else table.position
+        position = ("", "") if placed else self.position
         self.has_positions = bool(placed or position[1])
-        if options.counts and self.has_positions:
+        if self.options.counts and self.has_positions:
             raise DataError(
-                f"{table.place}: numbers of sources and receivers are stated for means, but the table "
+                f"{self.place}: numbers of sources and receivers are stated for means, but the table "
                 "has single positions"
             )
-        is_summary = options.counts or {"sources", "receivers", "standard_deviation"} & kinds
         self.pair = (position[0] or "S1", position[1] or "R1")
+        is_summary = self.options.counts or {"sources", "receivers", "standard_deviation"} & kinds
         if is_summary and not self.has_positions:
             self.pair = (SUMMARY, SUMMARY)
         if {*_SPREADS} & kinds and sum(c.has_values for c in self.columns) > 1:
             raise DataError(
-                f"{table.place}: a column of uncertainties needs one value per row; there are several"
+                f"{self.place}: a column of uncertainties needs one value per row; there are several"
             )
-        self.comma = self._decimal_comma()
-        self.example_of_both = self._example_of_both() if "source" not in kinds else None
+        self.example_of_both = None if "source" in kinds else self._example_of_both()
+        says = self.of_positions = list[str]()
         if not self.has_positions:
-            of_positions = [
+            says.append(
                 "no positions: taken as source S1 and receiver R1; if the values are means, state "
                 "n_sources and n_receivers"
-            ]
+            )
         elif self.example_of_both:
             source, receiver = self._pair_of({"receiver": self.example_of_both})
-            of_positions = [
-                f'positions name both: "{self.example_of_both}" is source {source}, receiver {receiver}'
-            ]
+            both = f"source {source}, receiver {receiver}"
+            says.append(f'positions name both: "{self.example_of_both}" is {both}')
         elif position[1]:
-            of_positions = [f"all values are of {self.pair[0]} to {self.pair[1]}, the table's name"]
-        else:
-            of_positions = []
-            if "source" not in kinds and not (across and all(c.source for c in across)):
-                only = "all positions are taken as receivers of source S1"
-                of_positions.append(f"no source is named: {only}")
-            if "receiver" not in kinds and not across:
-                of_positions.append("no receiver is named: taken as receiver R1 of each source")
-        if "channel" in kinds and not options.repeats:
-            of_positions.append(
+            says.append(f"all values are of {self.pair[0]} to {self.pair[1]}, the table's name")
+        elif "source" not in kinds and not (across and all(c.source for c in across)):
+            says.append("no source is named: all positions are taken as receivers of source S1")
+        elif "receiver" not in kinds and not across:
+            says.append("no receiver is named: taken as receiver R1 of each source")
+        if "channel" in kinds and not self.options.repeats:
+            says.append(
                 "several channels: each is a receiver, named after it; if they are repeats of one "
                 "place, state repeats=True"
             )
-        self.of_positions = of_positions
 
     def _closed(self, named: Column, place: str) -> str:
         """Return the parameter of a name; the stated decay time of one that leaves it open."""
@@ -773,9 +770,9 @@ class _Reader:
         """
         if all(c.parameter for c in self.columns if c.has_values):
             return None
-        place, stated = self.path, self.options.parameter
+        place, stated = self.sheet.place, self.options.parameter
         named: dict[str, tuple[Column, str]] = {}
-        for text in (self.table.sheet.name, *self.table.titles):
+        for text in (self.sheet.name, *self.titles):
             column = _name_of(text)
             if column is None:
                 continue
@@ -801,7 +798,7 @@ class _Reader:
     def _decimal_comma(self) -> bool:
         """Return whether decimals have a comma; DataError if they have commas and points."""
         commas = points = False
-        for line, cells in self.table.rows:
+        for line, cells in self.rows:
             for cell in self._cells_of_values(cells):
                 digits = cell.removesuffix(unit_of(cell)).strip()
                 if _NUMBER.fullmatch(digits):
@@ -809,7 +806,7 @@ class _Reader:
                     points |= "." in digits
             if commas and points:
                 raise DataError(
-                    f"{self.path}, line {line}: decimal commas and decimal points in one table"
+                    f"{self.sheet.place}, line {line}: decimal commas and decimal points in one table"
                 )
         return commas
 
@@ -823,7 +820,7 @@ class _Reader:
             return None
         rows = [
             (line, cells[at])
-            for line, cells in self.table.rows
+            for line, cells in self.rows
             if statistic_of(cells[at]) in (None, DOUBTFUL) and self._cells_of_values(cells)
         ]
         both = [bool((p := position_of(name) or position_in(name)) and p[0]) for _, name in rows]
@@ -833,8 +830,8 @@ class _Reader:
         if not all(both):
             line, name = rows[both.index(False)]
             raise DataError(
-                f'{self.path}, line {line}: "{shown(name)}" is no position as "{shown(first)}" is; if '
-                "the row is no position, delete it; else name its source and receiver"
+                f'{self.sheet.place}, line {line}: "{shown(name)}" is no position as "{shown(first)}" '
+                "is; if the row is no position, delete it; else name its source and receiver"
             )
         return first
 
@@ -843,17 +840,17 @@ class _Reader:
         headers, where = [c.header for c in self.columns], self.options.where
         for name in where:
             if headers.count(name) != 1:
-                raise DataError(f'{self.table.place}: column "{shown(name)}" is not there once')
+                raise DataError(f'{self.place}: column "{shown(name)}" is not there once')
         chosen = [
             (line, cells)
-            for line, cells in self.table.rows
+            for line, cells in self.rows
             if all(cells[headers.index(name)] == entry for name, entry in where.items())
         ]
         if not chosen and where:
             selection = ", ".join(f"{name} = {entry}" for name, entry in where.items())
-            raise DataError(f'{self.table.place}: no row has "{shown(selection)}"')
+            raise DataError(f'{self.place}: no row has "{shown(selection)}"')
         for line, cells in chosen:
-            yield from self._of_row(cells, f"{self.path}, line {line}")
+            yield from self._of_row(cells, f"{self.sheet.place}, line {line}")
 
     def _of_row(self, cells: Sequence[str], place: str) -> Iterator[_Value]:
         """Yield the values of a row."""
@@ -969,13 +966,9 @@ class _Reader:
         """Raise DataError for a value of which nothing says the parameter."""
         if "parameter" in entries:
             raise DataError(f'{place}: parameter "{shown(entries["parameter"])}" is unknown')
-        words = re.findall(r"[A-Za-z]+\d*", " ".join(self.table.titles))
-        likely = {p for word in words if word.isupper() and (p := parameters().get(plain(word)))}
-        option = 'parameter="t20", for instance'
-        if len(likely) == 1:  # of a title that has other words, too
-            option = f'parameter="{likely.pop()}", if the title means this table'
         raise DataError(
-            f'{place}: no heading says which parameter the value "{shown(cell)}" is; state it: {option}'
+            f'{place}: no heading says which parameter the value "{shown(cell)}" is; state it: '
+            'parameter="t20", for instance'
         )
 
     def _row_parameter(self, entries: Mapping[str, str], place: str) -> str:
@@ -1034,7 +1027,7 @@ class _Reader:
                     for c in self.columns
                 ]
                 named = f'"{label} [{unit}]" as the name of the column, the row or the sheet'
-                cure = f" or state {_proposal(columns, self.table.first)}"
+                cure = f" or state {_proposal(columns, self.first)}"
                 of_rows = any(c.kind == "parameter" for c in self.columns)
                 raise DataError(f"{text} If so, write {named}{'' if of_rows else cure}") from error
             raise DataError(f"{text} If it is no measurement, empty the cell") from error
@@ -1045,11 +1038,7 @@ class _Reader:
         report = [f"{self.notes[0]}, decimal {mark}", *self.notes[1:]]
         report += [f'"{column.header}": {column.meaning}' for column in self.columns]
         if errors := self.formula_errors:
-            are = "value is" if len(errors) == 1 else "values are"
-            report.append(
-                f"{len(errors)} {are} missing, since a formula has an error: {', '.join(errors[:3])}"
-                + (", ..." if len(errors) > 3 else "")
-            )
+            report.append(f"missing, since a formula has an error: {first_of(errors, _MOST_NAMED)}")
         return report if of_means else report + self.of_positions
 
 
@@ -1061,7 +1050,7 @@ def _is_accepted(parameter: str, value: float) -> bool:
     return True
 
 
-def _values(readers: Sequence[_Reader], options: _Options) -> tuple[Values, Values]:
+def _values(tables: Sequence[_Table], options: _Options) -> tuple[Values, Values]:
     """Return the values of all tables: of single positions, and of several.
 
     Raises DataError for a value that another row, or another table, has given.
@@ -1069,10 +1058,10 @@ def _values(readers: Sequence[_Reader], options: _Options) -> tuple[Values, Valu
     single: Values = {}
     of_several: Values = {}
     given: dict[Key, list[Sheet]] = {}
-    for reader in readers:
-        sheet = reader.table.sheet
+    for table in tables:
+        sheet = table.sheet
         file = sheet.place.split(", sheet")[0]
-        for value in reader.values():
+        for value in table.values():
             key = value.key
             at = f"{key[0]}, {key[1]} at {bands.label(key[3])}"
             twice = f"{value.place}: {parameter_label(key[2])} of {at} is given twice"
@@ -1098,13 +1087,13 @@ def _values(readers: Sequence[_Reader], options: _Options) -> tuple[Values, Valu
     return single, of_several
 
 
-def _measured(readers: Sequence[_Reader], notes: list[str], options: _Options) -> MeasuredTable:
+def _measured(tables: Sequence[_Table], notes: list[str], options: _Options) -> MeasuredTable:
     """Return the measurement of all tables' values, and the reports of how they were read."""
-    single, of_several = _values(readers, options)
+    single, of_several = _values(tables, options)
     values = single or of_several
-    places = ", ".join(dict.fromkeys(r.table.place for r in readers))
+    places = ", ".join(dict.fromkeys(t.place for t in tables))
     if not values:
-        unused = (note for r in readers for note in r.notes if note.startswith(_UNUSED))
+        unused = (note for t in tables for note in t.notes if note.startswith(_UNUSED))
         raise DataError("; ".join([f"{places}: no row with a value below the header", *unused]))
     pairs = list(dict.fromkeys(key[:2] for key in values))
     if len(pairs) > MAX_PAIRS:
@@ -1117,11 +1106,11 @@ def _measured(readers: Sequence[_Reader], notes: list[str], options: _Options) -
             "receivers; state n_sources and n_receivers"
         )
     report: list[str] = []
-    for reader in readers:
-        if len(readers) > 1:
-            report.append(f"{reader.table.place}:")
-        report += reader.report((SUMMARY, SUMMARY) in pairs)
-    named = [*dict.fromkeys(name for reader in readers for name in reader.statistics)]
+    for table in tables:
+        if len(tables) > 1:
+            report.append(f"{table.place}:")
+        report += table.report((SUMMARY, SUMMARY) in pairs)
+    named = [*dict.fromkeys(name for table in tables for name in table.statistics)]
     left_out = ""
     if single and (of_several or named):
         left_out = "rows of means and deviations beside single positions are left out"
@@ -1131,7 +1120,7 @@ def _measured(readers: Sequence[_Reader], notes: list[str], options: _Options) -
         left_out += f": {_quoted(named)}"
     notes = [*filter(None, [left_out]), *notes]
     # What stands after the first line of a single table's report is about the columns.
-    at = 1 if len(readers) == 1 else len(report)
+    at = 1 if len(tables) == 1 else len(report)
     report[at:at] = notes
     try:
         measured = Measurement(**of_single_values(values))
