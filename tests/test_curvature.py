@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import rtcal as rt
-from rtcal.acoustics import decay
+from rtcal.acoustics import observables
 from rtcal.acoustics.marks import bent_decays
 
 
@@ -33,7 +33,7 @@ def test_straight_decays_are_seldom_flagged() -> None:
     time, width, n_rooms = 1.0, 88, 1500  # the octave of 125 Hz, one position
     t = np.arange(int(1.6 * width)) / width
     energy = rng.exponential(1, (n_rooms, len(t))) * 10 ** (-6 * t / time)
-    times = decay.parameters(energy, 1 / width, ("edt", "t20", "t30"))
+    times = observables.parameters(energy, 1 / width, ("edt", "t20", "t30"))
     n_bent = sum(
         bool(
             bent_decays(rt.Measurement.from_values([125], **{p: [v[i]] for p, v in times.items()}))

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtcal.acoustics import decay
+import rtcal as rt
+from rtcal.acoustics import observables
 from rtcal.acoustics.observables import observable
 from rtcal.support.errors import DataError, TooShortError
 
@@ -32,7 +33,7 @@ def test_exponentials_are_exact(t: float) -> None:
 def test_clarity_and_definition_of_an_exponential(t: float) -> None:
     energy = np.stack([exponential(t, 1e-4, 2.0)] * 2)
     rate = 6 * np.log(10) / t
-    found = decay.parameters(energy, 1e-4)
+    found = observables.parameters(energy, 1e-4)
     assert found["c50"] == pytest.approx(10 * np.log10(np.expm1(0.05 * rate)), abs=1e-6)
     assert found["c80"] == pytest.approx(10 * np.log10(np.expm1(0.08 * rate)), abs=1e-6)
     assert found["d50"] == pytest.approx(-np.expm1(-0.05 * rate), rel=1e-6)
@@ -50,7 +51,7 @@ def test_pyrato_agrees_on_a_noisy_decay() -> None:
     time = np.arange(2 * rate) / rate
     noise = np.random.default_rng(3).standard_normal(time.size)
     energy = noise**2 * 10 ** (-6 * time / t)
-    level = decay.decay_curve_db(energy)
+    level = observables.decay_curve_db(energy)
     curve = pyfar.TimeData(10 ** (level / 10), time)
     for name, label in (("edt", "EDT"), ("t20", "T20"), ("t30", "T30")):
         expected = float(
@@ -60,20 +61,20 @@ def test_pyrato_agrees_on_a_noisy_decay() -> None:
         assert observable(name).value(energy, 1 / rate) == pytest.approx(expected, rel=1e-3)
     for name, limit in (("c50", 50), ("c80", 80)):
         expected = float(np.squeeze(pyrato.parameters.clarity(curve, limit)))
-        assert decay.parameters(energy, 1 / rate)[name] == pytest.approx(expected, abs=0.02)
+        assert observables.parameters(energy, 1 / rate)[name] == pytest.approx(expected, abs=0.02)
 
 
 def test_batches_are_taken_one_by_one() -> None:
     rng = np.random.default_rng(0)
     energy = rng.random((3, 2, 4000)) * exponential(0.25, 1e-4, 1.6)
-    together = decay.parameters(energy, 1e-4)
+    together = observables.parameters(energy, 1e-4)
     for name, value in together.items():
         assert value.shape == (3, 2)
-        assert value[2, 1] == pytest.approx(float(decay.parameters(energy[2, 1], 1e-4)[name]))
+        assert value[2, 1] == pytest.approx(float(observables.parameters(energy[2, 1], 1e-4)[name]))
 
 
 def test_the_level_of_what_is_cut_off() -> None:
-    assert decay.cut_off_db(exponential(1.0, 1e-4, 0.7)) == pytest.approx(-42, abs=0.01)
+    assert observables.cut_off_db(exponential(1.0, 1e-4, 0.7)) == pytest.approx(-42, abs=0.01)
 
 
 @pytest.mark.parametrize(("length", "short"), [(0.3, True), (0.6, True), (0.7, False)])
@@ -83,7 +84,7 @@ def test_too_short_is_said(length: float, short: bool) -> None:
     assert bool(np.isnan(observable("t20").value(energy, 1e-4))) is short
     if short:
         with pytest.raises(TooShortError, match=r"S to R, 1000 Hz is too short to hold T20"):
-            decay.measurement(
+            rt.Measurement.from_decays(
                 energy[np.newaxis, np.newaxis], 1e-4, np.array([1000.0]), [("S", "R")]
             )
     else:  # what the margin lets pass
@@ -100,14 +101,14 @@ def test_a_slow_late_part_is_seen() -> None:
 def test_one_short_pair_is_not_averaged_away() -> None:
     energy = np.stack([exponential(0.5, 1e-4, 1.6), exponential(4.0, 1e-4, 0.2)])[:, np.newaxis]
     with pytest.raises(TooShortError, match="S to B"):
-        decay.measurement(energy, 1e-4, np.array([500.0]), [("S", "A"), ("S", "B")])
+        rt.Measurement.from_decays(energy, 1e-4, np.array([500.0]), [("S", "A"), ("S", "B")])
 
 
 def test_nothing_reflected_is_no_decay() -> None:
     energy = np.zeros((1, 1, 100))
     energy[..., 0] = 1
     with pytest.raises(DataError, match="too little is reflected"):
-        decay.measurement(energy, 1e-3, np.array([500.0]), [("S", "R")])
+        rt.Measurement.from_decays(energy, 1e-3, np.array([500.0]), [("S", "R")])
 
 
 def test_a_late_part_lost_in_rounding_is_still_a_late_part() -> None:
@@ -132,4 +133,4 @@ def test_a_late_part_lost_in_rounding_is_still_a_late_part() -> None:
 )
 def test_bad_input(energy: list[float], width: float, name: str, message: str) -> None:
     with pytest.raises(DataError, match=message):
-        decay.parameters(np.array(energy), width, [name])
+        observables.parameters(np.array(energy), width, [name])

@@ -275,7 +275,7 @@ def test_a_measured_second_state_makes_the_design_cheaper() -> None:
         (lambda: Treatment("x", PANEL, 4, cost=-1), "cost = -1"),
         (lambda: Target([0.8], [0.4]), "not below"),
         (lambda: Target([np.nan], [np.nan]), "no band has a range"),
-        (lambda: Target([0.4], [100.5]), "high = 100.5 s is above 100 s"),
+        (lambda: Target([0.4], [100.5]), "high = 100.5 s is not above 0 and at most 100 s"),
         (
             lambda: design(known(), [Treatment("x", PANEL, 2201, cost=1)], TARGET),
             'treatment "x": largest: area = 2201 m² is more than 2200 m²',

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.decay import gradients
-from rtcal.acoustics.observables import MATCH, OBSERVABLES, observable, register
+from rtcal.acoustics.observables import MATCH, OBSERVABLES, gradients, observable, register
 from rtcal.datasets import halls
 from rtcal.io import tables
 from rtcal.simulators import (

@@ -6,7 +6,6 @@ from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.acoustics import bands as bands
-    from rtcal.acoustics import decay as decay
     from rtcal.acoustics import marks as marks
     from rtcal.acoustics import observables as observables
 else:

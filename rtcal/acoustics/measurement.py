@@ -21,7 +21,7 @@ import io
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -30,19 +30,22 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import (
+    MARGIN_DB,
     OBSERVABLES,
     REVERBERATION,
     SUMMARY,
     TARGET,
+    cut_off_db,
     observable,
     parameter_label,
+    parameters,
 )
 from rtcal.files.disk import json_numbers, read_text, write_text
 from rtcal.files.schema import FileTable, Number, read
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import text_name
-from rtcal.support.errors import DataError
+from rtcal.support.errors import DataError, TooShortError, of_bands
 from rtcal.support.text import LOOKS, first_of, look_alike
 from rtcal.support.types import Array, read_only
 
@@ -210,20 +213,11 @@ class Measurement:
         frequencies.setflags(write=False)
         put("centre_frequencies", frequencies)
         put("pairs", self._checked_pairs())
-        for name in ("values", "uncertainty", "common_uncertainty", "standard_deviation"):
-            if not isinstance(getattr(self, name), Mapping):
-                raise DataError(f"measurement {name} is not a mapping of parameter to array")
+        for name in _TABLES:
+            tables = checks.mapped(f"measurement {name}", getattr(self, name))
+            put(name, {p: self._checked(name, p, table) for p, table in tables.items()})
         if not self.values:
             raise DataError("measurement: no values; at least one parameter is needed")
-        n, k = len(self.pairs), len(self.centre_frequencies)
-        for name, shape in (
-            ("values", (n, k)),
-            ("uncertainty", (n, k)),
-            ("common_uncertainty", (k,)),
-            ("standard_deviation", (k,)),
-        ):
-            checked = {p: self._checked(name, p, v, shape) for p, v in getattr(self, name).items()}
-            put(name, checked)
         for name, value in self._averaged(places_of(self.pairs)).items():
             put(name, value)
         self._check_summary()
@@ -281,10 +275,10 @@ class Measurement:
         for pair in checks.listed("pairs", self.pairs):
             if len(checks.listed("pairs has a pair that", pair)) != 2:
                 raise DataError(f"pairs has {pair!r}; a pair is (source, receiver)")
-            names = tuple(text_name("pairs", name) for name in pair)
-            if names[0].startswith("#"):
-                raise DataError(f'pairs has "{names[0]}"; # begins a note in a file')
-            checked_pairs.append((names[0], names[1]))
+            source, receiver = (text_name("pairs", name) for name in pair)
+            if source.startswith("#"):
+                raise DataError(f'pairs has "{source}"; # begins a note in a file')
+            checked_pairs.append((source, receiver))
         if repeated := next((p for p in checked_pairs if checked_pairs.count(p) > 1), None):
             again = f"{repeated[1]}#2"
             raise DataError(f'pairs has {repeated} twice; a repeat at one place is named "{again}"')
@@ -311,11 +305,10 @@ class Measurement:
                 if parameter not in self.values:
                     raise DataError(f"measurement {name}[{parameter}] has no values beside it")
 
-    def _checked(self, name: str, parameter: str, value: Any, shape: tuple[int, ...]) -> Array:
-        kind = observable(parameter)
-        array = checks.array(f"measurement {name}[{parameter}]", value).copy()
-        if array.shape != shape:
-            raise DataError(f"measurement {name}[{parameter}] has shape {array.shape}, not {shape}")
+    def _checked(self, name: str, parameter: str, value: Any) -> Array:
+        kind, n_bands = observable(parameter), len(self.centre_frequencies)
+        shape = (len(self.pairs), n_bands) if name in _OF_PAIRS else (n_bands,)
+        array = checks.shaped(f"measurement {name}[{parameter}]", value, *shape)
         wrong, rule = array < 0, "finite and 0 or more"
         if name == "values":
             wrong, rule = kind.broken(array), kind.rule
@@ -327,7 +320,6 @@ class Measurement:
             raise DataError(
                 f"measurement {name}[{parameter}, {band}] = {array[where]:g} is not {rule}"
             )
-        array.setflags(write=False)
         return array
 
     def __repr__(self) -> str:
@@ -390,6 +382,57 @@ class Measurement:
                 p: checks.array(f"measurement values[{p}]", v)[np.newaxis]
                 for p, v in parameters.items()
             },
+        )
+
+    @classmethod
+    def from_decays(
+        cls,
+        energy: Array,
+        bin_width: float,
+        centre_frequencies: Array,
+        pairs: Sequence[tuple[str, str]],
+        uncertainty: Mapping[str, Array] | None = None,
+    ) -> Measurement:
+        """Return the measurement of energy decays (n_pairs, n_bands, n_bins).
+
+        ``uncertainty`` states the standard uncertainty of parameters, by name, (n_pairs, n_bands).
+
+        Raises
+        ------
+        TooShortError
+            If a decay is cut off before it holds T20: a mean over the other pairs would hide it.
+        DataError
+            If a decay has no T20 at all, since nothing is reflected.
+        """
+        energy = checks.array("energy", energy)
+        if energy.ndim != 3:
+            raise DataError(f"energy has shape {energy.shape}, not (n_pairs, n_bands, n_bins)")
+        values = parameters(energy, bin_width)
+        lost = np.isnan(values[TARGET.key])
+        if lost.any():
+            short = TARGET.too_short(energy)
+            bad = lost & short if (lost & short).any() else lost
+            pair, band = (int(i) for i in np.argwhere(bad)[0])
+            where = (
+                f"{' to '.join(pairs[pair])}, {bands.label(np.asarray(centre_frequencies)[band])}"
+            )
+            if short[pair, band]:
+                down = max(0.0, -float(cut_off_db(energy)[pair, band]))
+                raise TooShortError(
+                    f"the decay from {where} is too short to hold {TARGET.label}: "
+                    f"{energy.shape[-1] * bin_width:.3g} s end {down:.0f} dB down, "
+                    f"{MARGIN_DB - TARGET.lower:.0f} dB are needed. The room is more reverberant "
+                    "than the decay is long: simulate longer"
+                )
+            error = DataError(
+                f"the decay from {where} has no {TARGET.label}: too little is reflected"
+            )
+            raise of_bands(error, np.flatnonzero(lost.any(axis=0)))
+        return cls(
+            centre_frequencies=np.asarray(centre_frequencies, dtype=float),
+            values=values,
+            pairs=pairs,
+            uncertainty=uncertainty or {},
         )
 
     def mean(self, parameter: str) -> Array:
@@ -472,7 +515,10 @@ class Measurement:
                 np.full(k, float(sources * receivers)),
             )
         measured = np.isfinite(values)
-        effective = np.array([self._effective(measured[:, band]) for band in range(k)])
+        names = [np.array(each) for each in zip(*self.pairs, strict=True)]
+        effective = np.array(
+            [max(len({*each[used]}) for each in names) for used in measured.T], dtype=float
+        )
         count = np.sum(measured, axis=0)
         deviation = np.where(measured, values - self.mean(parameter), 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -480,10 +526,6 @@ class Measurement:
                 count > 1, np.sqrt(np.sum(deviation**2, axis=0) / (count - 1)), np.nan
             )
         return spread, effective, count.astype(float)
-
-    def _effective(self, has_value: np.ndarray[Any, np.dtype[np.bool_]]) -> float:
-        used = [pair for pair, used in zip(self.pairs, has_value, strict=True) if used]
-        return float(max(len({s for s, _ in used}), len({r for _, r in used}), 0))
 
     def select(self, pairs: Iterable[tuple[str, str]]) -> Measurement:
         """Return the measurement at these pairs alone, in their order.
@@ -530,21 +572,16 @@ class Measurement:
                 f"the measurement ({bands.listed(conversion.old)}) and the room "
                 f"({bands.listed(conversion.new)}) have no band in common"
             )
-        of: dict[str, Callable[[str], Array]] = {
-            "uncertainty": lambda p: self.values[p],
-            "common_uncertainty": self.mean,
-            "standard_deviation": lambda p: self.values[p][0],
-        }
-        tables: dict[str, Any] = {
-            name: {
-                p: conversion.uncertainty(u, centre(p), observable(p).averaging)
-                for p, u in getattr(self, name).items()
-            }
-            for name, centre in of.items()
-        }
-        tables["values"] = {
-            p: conversion.mean(v, observable(p).averaging) for p, v in self.values.items()
-        }
+        # The values beside which an uncertainty stands; those of all pairs of a band have the mean's.
+        tables: dict[str, Any] = {name: {} for name in _TABLES}
+        for name, p in [(each, p) for each in _TABLES for p in getattr(self, each)]:
+            table, scale = getattr(self, name)[p], observable(p).averaging
+            beside = self.values[p] if name in _OF_PAIRS else self.mean(p)
+            tables[name][p] = (
+                conversion.mean(table, scale)
+                if name == "values"
+                else conversion.uncertainty(table, beside, scale)
+            )
         return replace(self, centre_frequencies=conversion.new, **tables)
 
     def decay_time(self) -> DecayTime:
@@ -568,7 +605,18 @@ class Measurement:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the measurement as plain values, None where one is missing; see `from_dict`."""
-        return _plain(self)
+        tables = {name: getattr(self, name) for name in _TABLES}
+        return {
+            "centre_frequencies": json_numbers(self.centre_frequencies),
+            "pairs": [list(pair) for pair in self.pairs],
+            **{
+                name: {p: json_numbers(values) for p, values in table.items()}
+                for name, table in tables.items()
+                if name != "common_uncertainty" or table
+            },
+            "n_sources": self.n_sources,
+            "n_receivers": self.n_receivers,
+        }
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Measurement:
@@ -589,7 +637,30 @@ class Measurement:
 
     def to_text(self) -> str:
         """Return the measurement as the text of its CSV file; reading it gives the same numbers."""
-        return _csv_text(self.to_dict())
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        for row in self.rows():
+            writer.writerow([_cell_text(value) for value in row])
+        return stream.getvalue()
+
+    def rows(self) -> list[list[Any]]:
+        """Return the table of its CSV file: the header, and a row per value."""
+        data = self.to_dict()
+        counts = {name: data[f"n_{name}"] for name in ("sources", "receivers")}
+        used = [c for c in _OPTIONAL_COLUMNS if data.get(c) or counts.get(c) is not None]
+        table: list[list[Any]] = [[*_COLUMNS, *used]]
+        for parameter, values in data["values"].items():
+            for i, (source, receiver) in enumerate(data["pairs"]):
+                for k, band in enumerate(data["centre_frequencies"]):
+                    cells = [source, receiver, parameter.upper(), band, values[i][k]]
+                    for column in used:
+                        of = data.get(column, {}).get(parameter)
+                        per_pair = of[i] if of and column == "uncertainty" else of
+                        cells.append(
+                            counts[column] if column in counts else per_pair and per_pair[k]
+                        )
+                    table.append(cells)
+        return table
 
     def save(self, path: str) -> None:
         """Write the measurement to CSV, whole or not at all."""
@@ -623,6 +694,8 @@ class MeasurementData(FileTable):
     n_receivers: int | None = None
 
 
+_OF_PAIRS = ("values", "uncertainty")
+_TABLES = (*_OF_PAIRS, "common_uncertainty", "standard_deviation")
 MAX_BYTES = 2**21
 MAX_CELLS = 2**20
 """Largest number of values in a file, pairs times bands times parameters; most may be empty."""
@@ -771,48 +844,6 @@ def of_single_values(
         **of_bands,
         **counts,
     }
-
-
-def _plain(measurement: Measurement) -> dict[str, Any]:
-    """Return a `Measurement` as plain values for JSON, None where one is missing."""
-    tables = ("values", "uncertainty", "common_uncertainty", "standard_deviation")
-    return {
-        "centre_frequencies": json_numbers(measurement.centre_frequencies),
-        "pairs": [list(pair) for pair in measurement.pairs],
-        **{
-            name: {p: json_numbers(values) for p, values in getattr(measurement, name).items()}
-            for name in tables
-            if name != "common_uncertainty" or measurement.common_uncertainty
-        },
-        "n_sources": measurement.n_sources,
-        "n_receivers": measurement.n_receivers,
-    }
-
-
-def csv_rows(data: Mapping[str, Any]) -> list[list[Any]]:
-    """Return the table of `Measurement.to_dict`'s dict: the header, and a row per value."""
-    counts = {name: data[f"n_{name}"] for name in ("sources", "receivers")}
-    used = [c for c in _OPTIONAL_COLUMNS if data.get(c) or counts.get(c) is not None]
-    table: list[list[Any]] = [[*_COLUMNS, *used]]
-    for parameter, values in data["values"].items():
-        for i, (source, receiver) in enumerate(data["pairs"]):
-            for k, band in enumerate(data["centre_frequencies"]):
-                cells = [source, receiver, parameter.upper(), band, values[i][k]]
-                for column in used:
-                    of = data.get(column, {}).get(parameter)
-                    per_pair = of[i] if of and column == "uncertainty" else of
-                    cells.append(counts[column] if column in counts else per_pair and per_pair[k])
-                table.append(cells)
-    return table
-
-
-def _csv_text(data: Mapping[str, Any]) -> str:
-    """Return `Measurement.to_dict`'s dict as the text of its CSV file."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    for row in csv_rows(data):
-        writer.writerow([_cell_text(value) for value in row])
-    return stream.getvalue()
 
 
 def _cell_text(value: Any) -> Any:

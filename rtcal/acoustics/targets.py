@@ -25,31 +25,18 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
-
-@dataclass(frozen=True)
-class _Use:
-    """A use of DIN 18041: T = slope lg V + offset in s, for volumes in m³."""
-
-    name: str
-    slope: float
-    offset: float
-    volumes: tuple[float, float]
-
-
 DIN_18041 = {
-    "A1": _Use("music", 0.45, 0.07, (30, 1000)),
-    "A2": _Use("speech and lectures", 0.37, -0.14, (50, 5000)),
-    "A3": _Use("teaching and communication", 0.32, -0.17, (30, 5000)),
-    "A4": _Use("teaching and communication, inclusive", 0.26, -0.14, (30, 500)),
-    "A5": _Use("sports", 0.75, -1.00, (200, 10_000)),
+    "A1": ("music", 0.45, 0.07, 30, 1000),
+    "A2": ("speech and lectures", 0.37, -0.14, 50, 5000),
+    "A3": ("teaching and communication", 0.32, -0.17, 30, 5000),
+    "A4": ("teaching and communication, inclusive", 0.26, -0.14, 30, 500),
+    "A5": ("sports", 0.75, -1.00, 200, 10_000),
 }
-"""Uses of group A of DIN 18041:2016-03, occupied rooms (A5: unoccupied)."""
+"""Uses of group A of DIN 18041:2016-03, occupied rooms (A5: unoccupied): a and b of T = a lg V + b in
+s, least and largest volume in m³."""
 DIN_18041_TOLERANCE = {
     125.0: (0.65, 1.45),
-    250.0: (0.8, 1.2),
-    500.0: (0.8, 1.2),
-    1000.0: (0.8, 1.2),
-    2000.0: (0.8, 1.2),
+    **dict.fromkeys((250.0, 500.0, 1000.0, 2000.0), (0.8, 1.2)),
     4000.0: (0.65, 1.2),
 }
 """Range of T over the value at middle frequencies; A5 states only 250 to 2000 Hz."""
@@ -95,19 +82,18 @@ class Target:
         if low.shape != high.shape or low.ndim != 1:
             raise DataError(f"low has shape {low.shape} and high {high.shape}; both are (n_bands,)")
         for name, ends in (("low", low), ("high", high)):
-            if (bad := np.isinf(ends) | (ends <= 0)).any():
-                raise DataError(f"{name} = {ends[np.argmax(bad)]:g} s is not finite and above 0")
-            if (bad := ends > LONGEST).any():
+            if (bad := (ends <= 0) | (ends > LONGEST)).any():
                 raise DataError(
-                    f"{name} = {ends[np.argmax(bad)]:g} s is above {LONGEST:g} s, which no room has"
+                    f"{name} = {ends[np.argmax(bad)]:g} s is not above 0 and at most {LONGEST:g} s, as "
+                    "the T of a room is"
                 )
         if (bad := low >= high).any():
             k = int(np.argmax(bad))
             raise DataError(f"low = {low[k]:g} s is not below high = {high[k]:g} s")
-        if not (np.isfinite(low) | np.isfinite(high)).any():
-            raise DataError("no band has a range: every low and high is missing")
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
+        if not self.bounded.any():
+            raise DataError("no band has a range: every low and high is missing")
 
     @property
     def bounded(self) -> NDArray[np.bool_]:
@@ -152,19 +138,16 @@ def din_18041(group: str, volume: float, centre_frequencies: Sequence[float] | A
     """
     if group not in DIN_18041:
         raise DataError(f'group = "{group}" is not one of {", ".join(DIN_18041)}')
-    use = DIN_18041[group]
-    least, most = use.volumes
+    use, slope, offset, least, most = DIN_18041[group]
     checks.between("volume", volume, least, most, "m³", f", for which DIN 18041 states {group}")
-    t = use.slope * np.log10(volume) + use.offset
-    nothing = (np.nan, np.nan)
-    ends = np.array(
+    t = slope * np.log10(volume) + offset
+    low, high = np.array(
         [
-            DIN_18041_TOLERANCE.get(f, nothing) if group != "A5" or 250 <= f <= 2000 else nothing
+            DIN_18041_TOLERANCE.get(f if group != "A5" or 250 <= f <= 2000 else 0, [np.nan] * 2)
             for f in bands.as_bands(centre_frequencies).tolist()
         ]
-    )
-    source = _DIN_SOURCE.format(group, use.name, t)
-    return Target(t * ends[:, 0], t * ends[:, 1], source)
+    ).T
+    return Target(t * low, t * high, _DIN_SOURCE.format(group, use, t))
 
 
 def ansi_s12_60(volume: float, centre_frequencies: Sequence[float] | Array) -> Target:

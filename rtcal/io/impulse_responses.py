@@ -41,8 +41,7 @@ import numpy as np
 from scipy.signal import sosfilt
 
 from rtcal.acoustics import bands as _bands
-from rtcal.acoustics import decay
-from rtcal.acoustics.decay import MARGIN_DB
+from rtcal.acoustics import observables
 from rtcal.acoustics.marks import bent_decays
 from rtcal.acoustics.measurement import (
     Measurement,
@@ -53,6 +52,7 @@ from rtcal.acoustics.measurement import (
 )
 from rtcal.acoustics.observables import (
     EARLY,
+    MARGIN_DB,
     OBSERVABLES,
     TARGET,
     DecaySlope,
@@ -755,7 +755,7 @@ def _energy_ratios(curve: Array, rate: float) -> dict[str, float]:
     """
     energy = np.maximum(-np.diff(curve, append=0.0), 0.0)
     others = [p for p in MINIMUM_RANGE if p not in of_kind(DecaySlope)]
-    values = decay.parameters(energy, 1 / rate, others)
+    values = observables.parameters(energy, 1 / rate, others)
     return {
         name: float(value)
         for name, value in values.items()

@@ -30,7 +30,6 @@ from typing import Any
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import (
     Measurement,
-    csv_rows,
     names_of_repeats,
     note_of_repeats,
     of_single_values,
@@ -262,7 +261,7 @@ def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
     """Write the native table, one value per row: CSV, or a workbook if the name ends in .xlsx."""
     checks.instance("measurement", measurement, Measurement)
     if checks.path("path", path).suffix.lower() == workbook.ENDING:
-        write_bytes(path, workbook.content({"measurement": csv_rows(measurement.to_dict())}))
+        write_bytes(path, workbook.content({"measurement": measurement.rows()}))
     else:
         measurement.save(os.fspath(path))
 

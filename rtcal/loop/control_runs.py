@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
-from rtcal.acoustics import bands, decay
+from rtcal.acoustics import bands, observables
 from rtcal.acoustics.observables import REVERBERATION
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION, checked_uncertainty, plain_directivities
@@ -348,7 +348,7 @@ def noise_of_a_run(simulator: Any, groups: Array | None) -> Array:
 def ahead_factor(found: Observations, tracer: PathTracing, alpha: Array) -> float:
     """Return how many times Eyring's T the decays are followed, so that they hold T20 or T30."""
     times = [
-        found.natural(o.key).max() * (decay.MARGIN_DB - o.lower) / 60
+        found.natural(o.key).max() * (observables.MARGIN_DB - o.lower) / 60
         for o in REVERBERATION
         if o.key in found.parameters
     ]

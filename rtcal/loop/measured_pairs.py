@@ -18,7 +18,6 @@ from scipy.stats import norm
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.bands import label
-from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.marks import gap_jnd, rms
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import (
@@ -27,6 +26,7 @@ from rtcal.acoustics.observables import (
     OBSERVABLES,
     REVERBERATION,
     TARGET,
+    gradients,
     observable,
     parameter_label,
 )

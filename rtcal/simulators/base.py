@@ -25,9 +25,15 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.decay import checked_decay
 from rtcal.acoustics.measurement import SAME_PLACE, Measurement, note_of_repeats
-from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET, observable, parameter_label
+from rtcal.acoustics.observables import (
+    MATCH,
+    OBSERVABLES,
+    TARGET,
+    checked_decay,
+    observable,
+    parameter_label,
+)
 from rtcal.acoustics.room import Room, in_order
 from rtcal.support import checks
 from rtcal.support.errors import DataError, RtcalError, SimulatorError, TooShortError, of_bands

@@ -26,13 +26,12 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import decay
+from rtcal.acoustics import observables
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.marks import OFF_VOLUME
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET, DecaySlope, longest
+from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET, DecaySlope, gradients, longest
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Directivity, directivities
 from rtcal.simulators import base
@@ -90,7 +89,7 @@ class Tracer(RoomSimulator, ABC):
             places = {str(name): tuple(map(float, point)) for name, point in points.items()}
             object.__setattr__(self, kind, places)
         checks.whole("n_batches", self.n_batches, 1)
-        decay.bins(self.bin_width)
+        observables.bins(self.bin_width)
         if self.radius is not None:
             checks.positive("radius", self.radius, "m")
         check_walls(self.geometry, self.room)
@@ -282,7 +281,7 @@ def measurement(
         for key, o in OBSERVABLES.items()
         if o.shown
     }
-    return decay.measurement(
+    return Measurement.from_decays(
         energy.mean(axis=0), bin_width, centre_frequencies, pairs, uncertainty=noise
     )
 

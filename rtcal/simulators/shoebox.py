@@ -24,10 +24,9 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import decay
-from rtcal.acoustics.decay import gradients
+from rtcal.acoustics import observables
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import MATCH
+from rtcal.acoustics.observables import MATCH, gradients
 from rtcal.acoustics.room import Room
 from rtcal.simulators import base
 from rtcal.simulators.base import Observations, RoomSimulator, check_alpha
@@ -134,7 +133,7 @@ class ShoeboxSimulator(RoomSimulator, ABC):
         The seed has no effect. Raises `TooShortError` if a decay does not hold T20.
         """
         checks.whole("seed", seed, 0)
-        return decay.measurement(
+        return Measurement.from_decays(
             *self.decays(check_alpha(self, alpha)), self.centre_frequencies, self.box.pairs
         )
 
@@ -253,7 +252,7 @@ class ImageSource(ShoeboxSimulator):
 
     def __post_init__(self) -> None:
         checks.positive("duration", self.duration, "s")
-        decay.bins(self.bin_width)
+        observables.bins(self.bin_width)
         super().__post_init__()
         radius = self.duration * self.room.speed_of_sound
         with np.errstate(over="ignore"):

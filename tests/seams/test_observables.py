@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics import decay
+from rtcal.acoustics import observables
 from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.observables import MODULATIONS, OBSERVABLES, Observable, observable, register
 from rtcal.io import impulse_responses, tables
@@ -176,7 +176,7 @@ def test_an_observable_from_outside_is_heard() -> None:
         )
         assert repr(measured).startswith("<Measurement of L80")
         energy = exponential(10.0)
-        by_bin = decay.gradients(energy, WIDTH, ["l80"])[0]
+        by_bin = observables.gradients(energy, WIDTH, ["l80"])[0]
         assert by_bin @ energy == pytest.approx(10 / np.log(10))
     finally:
         OBSERVABLES.clear()

@@ -23,7 +23,7 @@ import numpy as np
 from scipy import optimize
 
 import rtcal as rt
-from rtcal.acoustics.decay import parameters
+from rtcal.acoustics.observables import parameters
 from rtcal.datasets import halls
 from rtcal.simulators.external import External
 from rtcal.simulators.path_tracing import PathTracing

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import bands, decay
+from rtcal.acoustics import bands, observables
 from rtcal.acoustics.equations import Eyring, mean_equation
 from rtcal.acoustics.room import Room, Surface
 from rtcal.files import disk
@@ -260,7 +260,7 @@ def _features(energy: Array, width: float) -> Array:
 
     The source has unit energy: its level at 10 m is 1 / (400 pi), the reference of G.
     """
-    values = decay.parameters(energy, width, ("t20", "edt", "t30", "c80"))
+    values = observables.parameters(energy, width, ("t20", "edt", "t30", "c80"))
     t20, edt, t30 = (values[p].mean(0) for p in ("t20", "edt", "t30"))
     g = 10 * np.log10(400 * np.pi * energy.sum(-1)).mean(0)
     return np.stack([np.log(t20), np.log(edt / t20), np.log(t30 / t20), values["c80"].mean(0), g])

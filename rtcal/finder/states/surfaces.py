@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import DB, EARLY, LEVEL, OBSERVABLES, TARGET
+from rtcal.acoustics.observables import DB, EARLY, LEVEL, OBSERVABLES, TARGET, gradients
 from rtcal.finder.claim import most_probable_first
 from rtcal.finder.evidence import log_mixture, with_columns
 from rtcal.finder.positions import surfaces as of_room
