@@ -204,7 +204,6 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "Millington": rt.Millington(),
         "Fitzroy": rt.Fitzroy(),
         "ArauPuchades": rt.ArauPuchades(),
-        "TruncatedNormal": rt.priors.TruncatedNormal(np.array([0.2]), np.array([0.1])),
         "AppliedEffect": AppliedEffect("opening", {"area": 2.0}),
         "Plan": plan(case),
         "Recalibrated": rt.finder.recalibrate(case),

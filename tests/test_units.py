@@ -10,7 +10,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.marks import agreement, plausibility
-from rtcal.acoustics.priors import SigmaRule, TruncatedNormal, sigma_iso_12999_2
+from rtcal.acoustics.priors import SigmaRule, sigma_iso_12999_2
 from rtcal.calibration.terms import SoftMatch
 from rtcal.finder import ChangedMaterial, Configuration
 from rtcal.loop.closed import start
@@ -118,16 +118,14 @@ def test_dimensions_of_another_volume_are_marked() -> None:
 
 
 def test_what_was_checked_cannot_be_altered() -> None:
-    alpha, distances, sigma = np.array([0.1, 0.2]), np.array([3.0]), np.array([0.1])
+    alpha, distances = np.array([0.1, 0.2]), np.array([3.0])
     change = ChangedMaterial(alpha, alpha)
     configuration = Configuration(
         name="c", measured=measured(t20=[1, 1]), changes={"a": change}, distances=distances
     )
-    prior = TruncatedNormal(np.array([0.2]), sigma)
     for source, kept in (
         (alpha, change.alpha),
         (distances, configuration.distances),
-        (sigma, prior.sigma),
     ):
         before = kept.copy()
         source[:] = -1

@@ -1,4 +1,4 @@
-"""The prior of alpha: the truncated normal, and the sources of its sigma.
+"""The prior of alpha: where its sigma comes from.
 
 Which sigma to state:
 
@@ -14,20 +14,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.normal import FINE, truncated_moments, truncated_normal
-from rtcal.support.types import Array, read_only
+from rtcal.support.types import Array
 
 __all__ = [
     "TIERS",
     "SigmaRule",
-    "TruncatedNormal",
     "sigma_iso_12999_2",
 ]
 __dir__ = __all__.copy
@@ -62,83 +59,6 @@ _ISO_12999_2: dict[float, tuple[float, float]] = {
     4000: (0.030, 0.040),
     5000: (0.026, 0.060),
 }
-
-
-@dataclass(frozen=True, eq=False)
-class TruncatedNormal:
-    """The normal distribution of mean mu and standard deviation sigma, cut to [lower, upper].
-
-    Arrays of any common shape. ``mu`` may lie at or beyond the ends. Moments are integrated
-    numerically from the mode, since in the tails the closed forms (Bellows & Katz 2025, Eqs. 14 and
-    31) lose all digits to cancellation.
-
-    Parameters
-    ----------
-    mu : array
-        Mean of the untruncated distribution.
-    sigma : array
-        Its standard deviation, above 0.
-    lower, upper : float or array
-        Ends of the support.
-
-    Raises
-    ------
-    DataError
-        If a value is not finite, sigma is not above 0, or lower is not below upper.
-
-    References
-    ----------
-    Bellows & Katz (2025), Eqs. 13, 14 and 31.
-
-    Examples
-    --------
-    >>> prior = TruncatedNormal(mu=0.05, sigma=0.05)
-    >>> print(prior.mean().round(4), prior.variance().round(6))
-    0.0644 0.001574
-    """
-
-    mu: Array
-    sigma: Array
-    lower: Array | float = 0.0
-    upper: Array | float = 1.0
-
-    def __post_init__(self) -> None:
-        arguments = {"mu": self.mu, "sigma": self.sigma, "lower": self.lower, "upper": self.upper}
-        values = [checks.array(f"truncated normal: {name}", v) for name, v in arguments.items()]
-        try:
-            values = list(np.broadcast_arrays(*values))
-        except ValueError as error:
-            raise DataError(f"truncated normal: shapes do not fit: {error}") from error
-        for name, value in zip(("mu", "sigma", "lower", "upper"), values, strict=True):
-            if not np.isfinite(value).all():
-                raise DataError(f"truncated normal: {name} has a value that is not finite")
-            object.__setattr__(self, name, read_only(value))
-        if not np.all(self.sigma > 0):
-            raise DataError(f"truncated normal: sigma = {np.min(self.sigma):g} is not above 0")
-        if not np.all(np.asarray(self.lower) < np.asarray(self.upper)):
-            raise DataError("truncated normal: lower must be below upper")
-
-    def mean(self) -> Array:
-        """Return the mean of the truncated distribution."""
-        return self._moments[0]
-
-    def variance(self) -> Array:
-        """Return the variance of the truncated distribution (Eq. 31)."""
-        return self._moments[1]
-
-    def sample(self, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
-        """Return draws of shape ``size`` + the parameters' shape, by inversion of the distribution."""
-        shape = tuple(checks.whole("size", n, 0) for n in checks.listed("size", size))
-        u = rng.random(shape + np.shape(self.mu))
-        low, high = ((end - self.mu) / self.sigma for end in (self.lower, self.upper))
-        ends = np.broadcast_to(low, u.shape), np.broadcast_to(high, u.shape)
-        drawn = self.mu + self.sigma * truncated_normal(*ends, u)
-        return np.asarray(np.clip(drawn, self.lower, self.upper))
-
-    @cached_property
-    def _moments(self) -> tuple[Array, Array]:
-        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
-        return truncated_moments(self.mu, self.sigma**2, lower, upper, FINE)
 
 
 def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array) -> Array:

@@ -50,8 +50,8 @@ def quantile_and_mass(lower: Array, upper: Array, uniform: Array) -> tuple[Array
 def truncated_moments(
     mean: Array,
     variance: Array,
-    lower: Array,
-    upper: Array,
+    lower: Array | float,
+    upper: Array | float,
     rule: tuple[Array, Array] = _COARSE,
 ) -> tuple[Array, Array]:
     """Return mean and variance of a normal distribution cut to bounds, however far in its tail.
