@@ -147,7 +147,7 @@ def read_study(path: str) -> _Store:
     return _open(Path(path).parent, _IDENTITY)
 
 
-RECORD = (b'{"sets": [{"command": "x", "whole": true, "files": {"a": ["0", null]}}]}',)
+RECORD = (b'{"sets": [{"command": "x", "whole": true, "files": {"a": "0"}}]}',)
 
 
 def read_record(path: str) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -14,25 +14,6 @@ from rtcal.support.types import Array
 
 __all__ = ["enough_known", "facing", "kind_of"]
 __dir__ = __all__.copy
-
-
-class FacesOfMaterials(Protocol):
-    """The part of a geometry that says where its materials face: one entry of each per face."""
-
-    @property
-    def materials(self) -> Sequence[str]:
-        """Name of the material of each face."""
-        ...
-
-    @property
-    def face_areas(self) -> Array:
-        """Area of each face in m², (n_faces,)."""
-        ...
-
-    @property
-    def normals(self) -> Array:
-        """Normal of each face, of length 1, (n_faces, 3)."""
-        ...
 
 
 UNKNOWN_SHARE = 0.2
@@ -46,7 +27,7 @@ NOT_KNOWN = (
 """Why an effect is not judged in a room whose directions are not known."""
 
 
-def facing(room: Room, geometry: FacesOfMaterials | None = None) -> Array:
+def facing(room: Room, geometry: Any = None) -> Array:
     """Return each material's shares of area across x, y and z, (n_materials, 3); NaN where unknown.
 
     In this order: the faces of a geometry (an oblique one counts by the squares of its normal), the
@@ -58,7 +39,7 @@ def facing(room: Room, geometry: FacesOfMaterials | None = None) -> Array:
     Parameters
     ----------
     room : Room
-    geometry : FacesOfMaterials, optional
+    geometry : rtcal.simulators.Polyhedron, optional
         Its faces take the place of the room's surfaces. Its materials are named as the room's; one
         that it lacks is unknown.
 
@@ -255,22 +236,23 @@ def _ways(areas: Array, face: Array, left: Array) -> Iterator[tuple[float, Array
     walls = (z == 0) & ((x != 1) | (y != 1))
     combinations = every[(x + y == 0) | (x + y == 4) | walls]
 
-    def further(place: int, left: Array, counts: list[Array]) -> Iterator[list[Array]]:
-        if place == len(areas):
-            yield counts
-            return
-        yield from further(place + 1, left, [*counts, np.zeros(3)])
-        for of_faces in combinations:
-            fits = (of_faces <= left + _NEAR).all()
-            if fits and abs(areas[place] / (of_faces @ face) - 1) <= _NEAR:
-                yield from further(place + 1, left - of_faces, [*counts, of_faces])
-
-    for counts in further(0, left, []):
+    options = [
+        [np.zeros(3)]
+        + [n for n in combinations if (n <= left + _NEAR).all() and _is_near(area, n @ face)]
+        for area in areas
+    ]
+    for counts in product(*options):
         table = np.array(counts)
+        if (table.sum(axis=0) > left + _NEAR).any():
+            continue
         remaining = float(np.maximum(left - table.sum(axis=0), 0) @ face)
         rest = float(areas[(table == 0).all(axis=1)].sum())
         if remaining <= _NEAR * face.sum() or abs(rest / remaining - 1) <= _OF_REST:
             yield rest, table
+
+
+def _is_near(area: float, of_faces: float) -> bool:
+    return bool(abs(area / of_faces - 1) <= _NEAR)
 
 
 _OF_REST = 0.1

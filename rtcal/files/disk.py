@@ -21,8 +21,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -147,7 +148,7 @@ def _write_set(contents: Mapping[Path, bytes], command: str) -> None:
     """
     folders = list(dict.fromkeys(path.parent for path in contents))
     news = {path: path.with_name(f".{path.name}{NEW}") for path in contents}
-    digests = {p: [hashlib.sha256(c).hexdigest(), _digest_of(p)] for p, c in contents.items()}
+    digests = {path: hashlib.sha256(content).hexdigest() for path, content in contents.items()}
     begun.extend(contents)
     try:
         for path, content in contents.items():
@@ -167,12 +168,10 @@ def _write_set(contents: Mapping[Path, bytes], command: str) -> None:
         _put(folder, command, digests, whole=True)
 
 
-def _put(
-    folder: Path, command: str, digests: Mapping[Path, list[str | None]], *, whole: bool
-) -> None:
+def _put(folder: Path, command: str, digests: Mapping[Path, str], *, whole: bool) -> None:
     """Add a set to a folder's record, in place of what it says of the set's files."""
-    written = {os.path.relpath(path, folder): each for path, each in digests.items()}
-    sets = [{"command": command, "whole": whole, "files": written}]
+    written = {os.path.relpath(path, folder): digest for path, digest in digests.items()}
+    sets: list[_Written] = [{"command": command, "whole": whole, "files": written}]
     for known in reversed(_sets(folder)):
         if kept := {n: d for n, d in known["files"].items() if n not in written}:
             sets.insert(0, {**known, "files": kept})
@@ -180,55 +179,53 @@ def _put(
     with _naming(folder, _UNWRITTEN):
         if whole:
             _sync_folder(folder)
-        _write_file(new, json.dumps({"rtcal": "files 1", "sets": sets}, indent=1).encode())
+        _write_file(new, json.dumps({"rtcal": "files 2", "sets": sets}, indent=1).encode())
         os.replace(new, folder / RECORD)
         _sync_folder(folder)
 
 
-def _sets(folder: Path) -> list[dict[str, Any]]:
+class _Written(TypedDict):
+    """A set of files: what wrote it, whether it was written whole, and the digest of each file."""
+
+    command: str
+    whole: bool
+    files: dict[str, str]
+
+
+class _Record(TypedDict):
+    sets: list[_Written]
+
+
+def _sets(folder: Path) -> list[_Written]:
     """Return the sets of a folder's record; none if there is no record that can be read."""
     try:
         with open(folder / RECORD, "rb") as stream:
-            record = json.loads(stream.read(_MOST_RECORD))
-        found: list[dict[str, Any]] = [
-            {
-                "command": str(one["command"]),
-                "whole": bool(one["whole"]),
-                "files": dict(one["files"]),
-            }
-            for one in record["sets"]
-        ]
-    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+            return msgspec.json.decode(stream.read(_MOST_RECORD), type=_Record)["sets"]
+    except (OSError, msgspec.MsgspecError, RecursionError):
         return []
-    whole = all(isinstance(d, list) and len(d) == 2 for one in found for d in one["files"].values())
-    return found if whole else []
 
 
 def _require_whole(path: Path) -> None:
     """Raise DataError if a file is of a set that was written in part, with how to make it anew."""
-    folder = path.parent
-    for written in _sets(folder):
-        if written["whole"] or path.name not in written["files"]:
+    for written in _sets(path.parent):
+        files = written["files"]
+        if written["whole"] or path.name not in files:
             continue
-        now = {name: _digest_of(folder / name) for name in written["files"]}
-        states = [[d[i] for d in written["files"].values()] for i in (0, 1)]
-        if list(now.values()) in states:
-            return
+        new = [name for name, digest in files.items() if _digest_of(path.parent / name) == digest]
         repeated = _current is not None and _current.command == written["command"]
-        if repeated and now[path.name] == written["files"][path.name][1]:
-            return  # an old file, from which the command makes the set anew
-        new = [name for name, d in written["files"].items() if now[name] == d[0]]
+        # Nothing was replaced, or all; or an old file, from which the command makes the set anew.
+        if len(new) in (0, len(files)) or (repeated and path.name not in new):
+            return
         raise DataError(
-            f"{path}: was not written whole: {', '.join(new) or 'none'} of {', '.join(now)} "
-            f"is new, since `{written['command']}` was interrupted. Repeat that command"
+            f"{path}: was not written whole: {', '.join(new)} of {', '.join(files)} is new, since "
+            f"`{written['command']}` was interrupted. Repeat that command"
         )
 
 
 def is_own(path: Path) -> bool:
-    """Return whether rtcal wrote a file, and it is as it was written."""
-    now = _digest_of(path)
-    known = (one["files"].get(path.name, ()) for one in _sets(path.parent))
-    return now is not None and any(now in digests for digests in known)
+    """Return whether rtcal wrote a file, and it is as it was written, or of a set in part."""
+    known = [one for one in _sets(path.parent) if path.name in one["files"]]
+    return any(not one["whole"] or one["files"][path.name] == _digest_of(path) for one in known)
 
 
 def refuse_foreign(path: str | os.PathLike[str]) -> None:
