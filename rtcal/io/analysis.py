@@ -105,8 +105,10 @@ class Analysis:
             lacking: dict[tuple[int, ...], list[str]] = {}
             for parameter, values in self.measurement.values.items():
                 rows = tuple(np.flatnonzero(np.isnan(values[:, k])).tolist())
-                if rows:
-                    lacking.setdefault(rows, []).append(parameter_label(parameter))
+                lacking.setdefault(rows, []).append(parameter_label(parameter))
+            lacking.pop((), None)
+            if not lacking:
+                continue
             where = "; ".join(
                 ", ".join(names) + (f" in {self._pairs(rows)}" if n > 1 else "")
                 for rows, names in sorted(lacking.items(), key=lambda item: -len(item[0]))
@@ -114,47 +116,36 @@ class Analysis:
             of_floor: dict[Floor, list[int]] = {}
             for i in sorted({i for rows in lacking for i in rows}):
                 of_floor.setdefault(self.floors[i][k], []).append(i)
-            ranges = []
+            why = []
             for floor, some in of_floor.items():
                 sentence = floor.value.format(spread(self.impulse_to_noise_ratio[some, k], ".1f"))
-                ranges.append(
+                why.append(
                     sentence if len(of_floor) == 1 else f"In {self._pairs(some)}: {sentence}"
                 )
-            if where:
-                sentences.append(f"{bands.label(frequency)}: no {where}. {' '.join(ranges)}")
+            sentences.append(f"{bands.label(frequency)}: no {where}. {' '.join(why)}")
         return tuple(sentences)
 
     def _pairs(self, rows: Sequence[int]) -> str:
         """Return how many pairs these are, and which, up to `MOST_NAMED`."""
         n = len(self.measurement.pairs)
-        if len(rows) == n:
-            return f"{n} of {n} pairs"
         named = [" to ".join(self.measurement.pairs[i]) for i in rows]
-        return f"{len(rows)} of {n} pairs ({text.first_of(named, MOST_NAMED)})"
+        which = f" ({text.first_of(named, MOST_NAMED)})" if len(rows) < n else ""
+        return f"{len(rows)} of {n} pairs{which}"
 
 
 def means(measurement: Measurement) -> list[str]:
     """Return the means over the pairs as the lines of a table, one row per parameter."""
-    n = len(measurement.pairs)
-    title = f"Means over {n} pairs of source and receiver:" if n > 1 else "Values:"
-    rows = [
-        (
-            f"{parameter_label(parameter)} / {observable(parameter).unit}".removesuffix(" / "),
-            [
-                format(value, f".{observable(parameter).decimals}f") if np.isfinite(value) else "-"
-                for value in measurement.mean(parameter)
-            ],
-        )
-        for parameter in measurement.values
-    ]
-    header = ("", bands.labels(measurement.centre_frequencies))
-    lines = [title, *text.table(rows, header=header)]
+    n, rows, of_all = len(measurement.pairs), [], []
     for parameter in measurement.values:
-        kind = observable(parameter)
-        of_all = kind.overall(measurement.mean(parameter), measurement.centre_frequencies)
-        if np.isfinite(of_all):
-            lines.append(f"{kind.label} of all bands: {of_all:.{kind.decimals}f}")
-    return lines
+        kind, mean = observable(parameter), measurement.mean(parameter)
+        cells = [format(v, f".{kind.decimals}f") if np.isfinite(v) else "-" for v in mean]
+        rows.append((f"{kind.label} / {kind.unit}".removesuffix(" / "), cells))
+        overall = kind.overall(mean, measurement.centre_frequencies)
+        if np.isfinite(overall):
+            of_all.append(f"{kind.label} of all bands: {overall:.{kind.decimals}f}")
+    title = f"Means over {n} pairs of source and receiver:" if n > 1 else "Values:"
+    header = ("", bands.labels(measurement.centre_frequencies))
+    return [title, *text.table(rows, header=header), *of_all]
 
 
 def spread(values: Sequence[float] | Array, form: str) -> str:
@@ -172,20 +163,20 @@ def spread(values: Sequence[float] | Array, form: str) -> str:
 def unusual(measurement: Measurement) -> tuple[str, ...]:
     """Return notes on likely typing errors, and on values that hardly any room or no other pair has."""
     notes = [error.sentence for error in in_measurement(measurement)]
+    pairs, frequencies = measurement.pairs, measurement.centre_frequencies
     for parameter, table in measurement.values.items():
         kind = observable(parameter)
-        least, most = kind.usual
-        odd = np.argwhere((table < least) | (table > most))
+        odd = np.argwhere((table < kind.usual[0]) | (table > kind.usual[1]))
         if not odd.size:
             notes += _far_from_others(measurement, parameter) if kind.unit == "s" else []
             continue
         i, k = odd[0]
-        place = "" if measurement.is_summary else f"{' to '.join(measurement.pairs[i])} "
+        place = "" if measurement.is_summary else f"{' to '.join(pairs[i])} "
         more = f", and {len(odd) - 1} more" if len(odd) > 1 else ""
         notes.append(
-            f"hardly any room has {kind.label} of {table[i, k]:g} {kind.unit} "
-            f"({place}at {bands.label(measurement.centre_frequencies[k])}{more}): look whether the "
-            "column, the unit or the decimal is another"
+            f"hardly any room has {kind.label} of {table[i, k]:g} {kind.unit} ({place}at "
+            f"{bands.label(frequencies[k])}{more}): look whether the column, the unit or the decimal "
+            "is another"
         )
     return tuple(notes)
 

@@ -15,8 +15,9 @@ import io
 import re
 import warnings
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import reduce
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,9 @@ _MOST_NAMED = 6
 MAX_NAME = 31
 """Largest length of a sheet's name in Excel."""
 
-_ZIP, _OLE = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
+_ZIP = b"PK\x03\x04"
 _OTHERS = {
+    b"\xd0\xcf\x11\xe0": "Excel's old format (xls); save it as xlsx",
     b"\x89HDF": "a SOFA (HDF5) file: `rtcal measure` reads its responses",
     b"%PDF": "a PDF; copy its table into a workbook (xlsx) or a CSV",
     b"\x89PNG": "a picture; type its table into a workbook (xlsx) or a CSV",
@@ -44,7 +46,7 @@ _NOT_IN_NAMES = dict.fromkeys(map(ord, "[]:*?/\\"), " ")
 
 def claims(content: bytes) -> bool:
     """Return whether a file is a workbook, or another format that is no text."""
-    return content.startswith((_ZIP, _OLE, *_OTHERS))
+    return content.startswith((_ZIP, *_OTHERS))
 
 
 def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
@@ -55,25 +57,21 @@ def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
     for start, is_format in _OTHERS.items():
         if content.startswith(start):
             raise DataError(f"{path}: {is_format}")
-    if content.startswith(_OLE):
-        raise DataError(f"{path}: Excel's old format (xls); save it as xlsx")
     _check_size(content, path)
     values, formulas = (_workbook(content, path, stored) for stored in (True, False))
-    names = [s.title for s in values.worksheets if s.sheet_state == "visible"]
-    if len(names) > MAX_SHEETS:
-        raise DataError(f"{path}: {len(names)} sheets; at most {MAX_SHEETS}")
-    found = []
+    visible = [s for s in values.worksheets if s.sheet_state == "visible"]
+    if len(visible) > MAX_SHEETS:
+        raise DataError(f"{path}: {len(visible)} sheets; at most {MAX_SHEETS}")
     hidden = [f'"{shown(s.title)}"' for s in values.worksheets if s.sheet_state != "visible"]
-    notes = (f"left out, hidden: {', '.join(hidden)}",) if hidden else ()
-    for name in names:
-        place = f'{path}, sheet "{shown(name)}"'
-        hidden_in = _hidden(values[name])
-        rows = _rows(values[name], formulas[name], hidden_in, place)
+    notes = [f"left out, hidden: {', '.join(hidden)}"] if hidden else []
+    found = []
+    for sheet in visible:
+        name, place = sheet.title, f'{path}, sheet "{shown(sheet.title)}"'
+        rows, of_sheet = _rows(sheet, formulas[name], place)
         if rows:
             note = f'workbook, sheet "{shown(name)}"'
-            notes = (*notes, *_notes(values[name], *hidden_in))
-            found.append(Sheet(place, tuple(rows), note, name, notes=notes))
-            notes = ()
+            found.append(Sheet(place, tuple(rows), note, name, notes=(*notes, *of_sheet)))
+            notes = []
     if not found:
         raise DataError(f"{path}: no visible sheet has a cell")
     return found
@@ -130,59 +128,47 @@ def _workbook(content: bytes, path: str, stored: bool) -> Any:
         ) from error
 
 
-def _rows(values: Any, formulas: Any, hidden: tuple[set[int], set[int]], place: str) -> list[Row]:
-    """Return the rows of a sheet that have a cell, as text, without the hidden rows and columns."""
-    if values.max_row > MAX_ROWS or values.max_column > MAX_COLUMNS:
+def _rows(values: Any, formulas: Any, place: str) -> tuple[list[Row], list[str]]:
+    """Return the rows of a sheet that have a cell, as text, and notes.
+
+    Hidden rows and columns are left out, and noted; what is struck through is read, and noted.
+    """
+    n_rows, n_columns = values.max_row, values.max_column
+    if n_rows > MAX_ROWS or n_columns > MAX_COLUMNS:
         raise DataError(
-            f"{place}: {values.max_row} rows and {values.max_column} columns; at most {MAX_ROWS} "
-            f"and {MAX_COLUMNS}"
+            f"{place}: {n_rows} rows and {n_columns} columns; at most {MAX_ROWS} and {MAX_COLUMNS}"
         )
-    budget.require(values.max_row * values.max_column, budget.MAX_CELLS, "cells", place)
+    budget.require(n_rows * n_columns, budget.MAX_CELLS, "cells", place)
     filled = {
         (row, merged.min_col): (merged.min_row, merged.min_col)
         for merged in values.merged_cells.ranges
         for row in range(merged.min_row + 1, merged.max_row + 1)
     }
-    hidden_rows, hidden_columns = hidden
+    hidden_rows = [n for n, row in values.row_dimensions.items() if row.hidden and n <= n_rows]
+    of_groups = [c for c in values.column_dimensions.values() if c.hidden]
+    hidden_columns = {n for c in of_groups for n in range(c.min, min(c.max, n_columns) + 1)}
     rows: list[Row] = []
+    struck = []
     for n, cells in enumerate(values.iter_rows(), start=1):
+        struck += [cell.coordinate for cell in cells if cell.font.strike]
+        at = [filled.get((n, c.column), (n, c.column)) for c in cells]
+        seen = [place_of for place_of in at if place_of[1] not in hidden_columns]
         if n in hidden_rows:
             continue
-        texts = []
-        for cell in cells:
-            if cell.column in hidden_columns:
-                continue
-            at = filled.get((cell.row, cell.column), (cell.row, cell.column))
-            texts.append(_text(values.cell(*at), formulas.cell(*at), place))
-        while texts and not texts[-1]:
-            texts.pop()
-        if texts:
+        texts = [_text(values.cell(*of), formulas.cell(*of), place) for of in seen]
+        if any(texts):
             rows.append((n, texts))
-    width = max((len(texts) for _, texts in rows), default=0)
-    return [(n, texts + [""] * (width - len(texts))) for n, texts in rows]
-
-
-def _hidden(sheet: Any) -> tuple[set[int], set[int]]:
-    """Return the numbers of the hidden rows and columns."""
-    rows = {n for n, row in sheet.row_dimensions.items() if row.hidden and n <= sheet.max_row}
-    of_groups = [c for c in sheet.column_dimensions.values() if c.hidden]
-    columns = {n for c in of_groups for n in range(c.min, c.max + 1) if n <= sheet.max_column}
-    return rows, columns
-
-
-def _notes(sheet: Any, rows: set[int], columns: set[int]) -> list[str]:
-    """Return what is hidden and left out, and what is struck through and read."""
+    width = max((i + 1 for _, texts in rows for i, text in enumerate(texts) if text), default=0)
     letter = _library().utils.get_column_letter
-    of_columns = [letter(n) for n in sorted(columns)]
+    names = [str(n) for n in sorted(hidden_rows)], [letter(n) for n in sorted(hidden_columns)]
     notes = [
         f"left out, hidden: {what}{'s' * (len(some) > 1)} {first_of(some, _MOST_NAMED)}"
-        for what, some in (("row", [str(n) for n in sorted(rows)]), ("column", of_columns))
+        for what, some in zip(("row", "column"), names, strict=True)
         if some
     ]
-    struck = [c.coordinate for row in sheet.iter_rows() for c in row if c.font.strike]
     if struck:
         notes.append(f"struck through, and read: {first_of(struck, 1)}; empty what is withdrawn")
-    return notes
+    return [(n, texts[:width]) for n, texts in rows], notes
 
 
 def _text(cell: Any, formula: Any, place: str) -> str:
@@ -244,8 +230,10 @@ def content(
                 if i == 1:
                     cell.font = openpyxl.styles.Font(bold=True)
         sheet.freeze_panes = "A2"
-        for k, width in enumerate(_widths(rows), start=1):
-            sheet.column_dimensions[openpyxl.utils.get_column_letter(k)].width = width
+        for k, cells in enumerate(zip_longest(*rows, fillvalue=""), start=1):
+            longest = max(len(value) + 2 if isinstance(value, str) else 8 for value in cells)
+            letter = openpyxl.utils.get_column_letter(k)
+            sheet.column_dimensions[letter].width = min(max(longest, 8), 60)
     stream = io.BytesIO()
     with _Undated(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         openpyxl.writer.excel.ExcelWriter(book, archive).save()
@@ -272,18 +260,6 @@ def _plain(value: Any) -> Any:
         return value
     number = float(value)
     return number if abs(number) < float("inf") else None
-
-
-def _widths(rows: Iterable[Sequence[Any]]) -> list[int]:
-    """Return the width of each column in characters, for reading without dragging."""
-    widths: list[int] = []
-    for row in rows:
-        for k, value in enumerate(row):
-            length = len(value) if isinstance(value, str) else 8
-            if k == len(widths):
-                widths.append(8)
-            widths[k] = min(max(widths[k], length + 2), 60)
-    return widths
 
 
 def _library() -> Any:
