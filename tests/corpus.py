@@ -65,5 +65,16 @@ LONG = (
     Case("nested without end", "pyroomacoustics", "[" * 100_000, error="deeper than 32 levels"),
 )
 STORED = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))["case"]
-CASES = [*(Case(**case) for case in STORED), *LONG]
+
+
+def _each(stored: dict[str, Any]) -> list[Case]:
+    """Return the files of a stored case: one, or one for each of its ``each``."""
+    if "each" not in stored:
+        return [Case(**stored)]
+    each, text, name = (stored.pop(key) for key in ("each", "text", "name"))
+    texts = [text.replace("@@", one) for one in each]
+    return [Case(name=f"{name} {i}", text=one, **stored) for i, one in enumerate(texts, 1)]
+
+
+CASES = [*(case for stored in STORED for case in _each(stored)), *LONG]
 NAMED = {case.name: case for case in CASES}
