@@ -29,7 +29,6 @@ import numpy as np
 import rtcal as rt
 from rtcal.calibration.posterior import distribution
 from rtcal.calibration.problem import CalibrationProblem
-from rtcal.calibration.qp import SolveOptions
 from rtcal.finder import (
     AppliedEffect,
     Case,
@@ -338,6 +337,10 @@ def call(
         signal.setitimer(signal.ITIMER_PROF, 0)
 
 
+OPTIONS = ("solver", "unreachable", "warm_start", "settings")
+"""The options of a solve."""
+
+
 def arguments(
     name: str, function: Callable[..., Any], by_class: dict[str, Any], by_name: dict[str, Any]
 ) -> dict[str, Any]:
@@ -392,7 +395,7 @@ def wrong_calls(
         if p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL):
             module = function.__module__.removeprefix("rtcal.calibration.")
             solves = module in ("methods", "problem")
-            names = [*SolveOptions.__annotations__, "unknown"] * (solves and p.name == "options")
+            names = [*OPTIONS, "unknown"] * (solves and p.name == "options")
         for name in names:
             for wrong in (*WRONG, (member for member in ("a", "b"))):
                 if p.default is not wrong or isinstance(wrong, float):

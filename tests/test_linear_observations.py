@@ -104,7 +104,7 @@ def test_shared_materials_add_their_columns_up():
 
 def test_it_is_compiled_once_for_any_number_of_observations():
     problem = rt.Calibration(terms.PriorDeviation() + TERM, []).build(ROOM)
-    compiled = problem.composition.compiled
+    compiled = problem.compiled
     for n in (3, 12, 50):
         joint = problem.solve(None, observed={TERM: draw(n, n)}).joint
         assert joint.qp.compiled is compiled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -69,9 +69,10 @@ class Case(qpbenchmark.Problem):
         alone = isinstance(built.room, rt.Room)
         rooms = Configurations([room]) if alone else room
         times = measured_times(rooms, [measured] if alone else measured)
-        numbers = built.composition.numbers(rooms, times)
+        composed = replace(built, room=rooms)
+        numbers = composed.numbers(times)
         self.centre, self.scale, self.layout = numbers.mu, numbers.sigma, numbers.layout
-        qp = built.composition.qp(numbers)
+        qp = composed.qp(numbers)
         order = np.concatenate(
             [qp.compiled.places, np.setdiff1d(np.arange(len(qp.c)), qp.compiled.places)]
         )

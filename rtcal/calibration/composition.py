@@ -1,7 +1,7 @@
-"""A calibration composed for the rooms of one layout: its order of unknowns, its numbers, its QP.
+"""A calibration composed for rooms: its terms, the order of its unknowns, its numbers, its QP.
 
-`Composition.of` lays out the unknowns, `numbers` brings a room and its T into that order, and `qp` puts
-them into the compiled problem.
+`numbers` brings the room and its T into the order of the unknowns, `qp` puts them into the compiled
+problem, which rooms of one layout share.
 """
 
 from __future__ import annotations
@@ -18,83 +18,97 @@ from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import MeasuredTimes
 from rtcal.calibration.qp import QP, Active, CompiledProblem, closed_form, compile_once
 from rtcal.calibration.terms import (
-    BoundConstraint,
+    AddedAbsorption,
+    Bounds,
     ExactMatch,
+    Fixed,
     LinearObservations,
     Objective,
     Observed,
-    SharedMaterials,
+    Shared,
     SoftMatch,
 )
-from rtcal.calibration.unknowns import Configurations, Integers, Layout, Numbers
+from rtcal.calibration.unknowns import Configurations, Layout, Numbers
 from rtcal.support import checks
-from rtcal.support.errors import DataError, ModelError, SolverError
+from rtcal.support.errors import DataError, SolverError
 from rtcal.support.types import Array
 
 _KEPT = 1e-9
 """By how much coefficients may miss a constraint that they keep, over the size of its row."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Composition:
-    """An objective and constraints for the rooms of one layout.
+    """An objective and constraints for a room, or for several configurations of one.
 
     Attributes
     ----------
-    layout : Layout
-    equation : LinearEquation
-        It turns T into b.
     objective : Objective
     constraints : tuple
-        All but those that share materials, which the layout has taken in.
+    room : Room or Configurations
+    equation : LinearEquation
+        It turns T into b.
     """
 
-    layout: Layout
-    equation: LinearEquation
     objective: Objective
     constraints: tuple[Any, ...]
+    room: Room | Configurations
+    equation: LinearEquation
 
-    @classmethod
-    def of(
-        cls,
-        configurations: Configurations,
-        equation: LinearEquation,
-        objective: Objective,
-        constraints: Sequence[Any],
-    ) -> Composition:
-        """Return the composition for some rooms; ModelError or DataError for terms that do not fit."""
-        materials = configurations.materials
-        further = tuple(t.name for t in objective.further)
-        if len(set(further)) < len(further):
-            raise ModelError(f"two further unknowns have one name: {', '.join(further)}")
-        layout = Layout(
-            materials=materials,
-            alpha_rows=tuple(range(len(materials))),
-            centre_frequencies=tuple(float(f) for f in configurations.union.centre_frequencies),
-            n_configurations=len(configurations.rooms),
-            further=further,
+    @cached_property
+    def configurations(self) -> Configurations:
+        """The rooms: one is one of several."""
+        return Configurations([self.room]) if isinstance(self.room, Room) else self.room
+
+    @cached_property
+    def compiled(self) -> CompiledProblem:
+        """The compiled problem, which compositions of equal terms and layout share.
+
+        DataError or ModelError for terms that do not fit the rooms.
+        """
+        rooms = self.configurations
+        frequencies = tuple(rooms.rooms[0].centre_frequencies.tolist())
+        return compile_once(
+            (rooms.materials, frequencies, len(rooms.rooms)),
+            self.objective.terms,
+            self.weights,
+            [c for c in self.constraints if c not in self.boxes],
         )
-        for constraint in constraints:
-            if isinstance(constraint, SharedMaterials):
-                for group in constraint.groups(materials):
-                    layout = layout.sharing(group)
-        left = tuple(c for c in constraints if not isinstance(c, SharedMaterials))
-        return cls(layout, equation, objective, left)
+
+    @property
+    def layout(self) -> Layout:
+        """The order of the unknowns."""
+        return self.compiled.layout
+
+    @property
+    def boxes(self) -> list[Bounds | Fixed]:
+        """The constraints that narrow the box; the others, but `Shared`, are rows of the QP."""
+        return [c for c in self.constraints if isinstance(c, Bounds | Fixed)]
 
     @property
     def row_constraints(self) -> list[Any]:
-        """The constraints that are rows of the QP, functions of a model; the others narrow the box."""
-        return [c for c in self.constraints if not isinstance(c, BoundConstraint)]
-
-    @property
-    def boxes(self) -> list[BoundConstraint]:
-        """The constraints that narrow the box."""
-        return [c for c in self.constraints if isinstance(c, BoundConstraint)]
+        """The constraints that are rows of the QP."""
+        return [c for c in self.constraints if not isinstance(c, Bounds | Fixed | Shared)]
 
     @property
     def matches(self) -> list[ExactMatch]:
         """The constraints that hold S'alpha to the measured T."""
         return [c for c in self.constraints if isinstance(c, ExactMatch)]
+
+    @cached_property
+    def soft_match(self) -> SoftMatch | None:
+        """The term that weighs the misfit of T; None without one."""
+        return next((t for t in self.objective.terms if isinstance(t, SoftMatch)), None)
+
+    @cached_property
+    def observations(self) -> list[LinearObservations]:
+        """The terms of linear observations."""
+        return [t for t in self.objective.terms if isinstance(t, LinearObservations)]
+
+    @cached_property
+    def effects(self) -> list[AddedAbsorption]:
+        """The terms that bring an unknown of their own."""
+        return [t for t in self.objective.terms if isinstance(t, AddedAbsorption)]
 
     @cached_property
     def prior(self) -> Any:
@@ -107,16 +121,6 @@ class Composition:
         every = self.objective.weights
         prior = every[self.objective.terms.index(self.prior)]
         return tuple(w / prior for w in every)
-
-    @cached_property
-    def compiled(self) -> CompiledProblem:
-        """The compiled problem, which compositions of equal terms and layout share."""
-        return compile_once(self.layout, self.objective.terms, self.weights, self.row_constraints)
-
-    @property
-    def rows_of(self) -> list[tuple[Any, list[Integers]]]:
-        """Each constraint with the rows of the QP that it states; -1 for one that became a bound."""
-        return list(zip(self.row_constraints, self.compiled.rows_of, strict=True))
 
     def qp(self, numbers: Numbers) -> QP:
         """Return the QP of some numbers."""
@@ -152,7 +156,7 @@ class Composition:
         if point is None:
             raise SolverError("the objective has no value at these coefficients")
         left = program.b - program.row_sums(point.v)
-        slack = _KEPT * (1 + program.magnitudes.row_sums(np.abs(point.v)))
+        slack = _KEPT * (1 + program.absolute.row_sums(np.abs(point.v)))
         if (left < -slack).any() or (left > slack)[program.equal].any():
             return np.inf
         return float(point.v @ (program.gradient(point.v) + program.c)) / 2
@@ -160,23 +164,20 @@ class Composition:
     def convexity(self, numbers: Numbers) -> float:
         """Return m with f - m |x|² / 2 convex, x the deviations of all unknowns; 0 claims nothing."""
         of_prior = getattr(self.prior, "convexity", None)
-        weights = [
-            w
-            for t, w in zip(self.objective.terms, self.weights, strict=True)
-            if t in self.objective.further
-        ]
+        pairs = zip(self.objective.terms, self.weights, strict=True)
+        weights = [w for t, w in pairs if isinstance(t, AddedAbsorption)]
         return min([of_prior(numbers) if of_prior else 0.0, *weights])
 
     def numbers(
         self,
-        configurations: Configurations,
         measured: Sequence[MeasuredTimes],
         observed: Mapping[LinearObservations, Observed] | None = None,
     ) -> Numbers:
         """Return the numbers of a solve; DataError where priors, bounds or data break a rule."""
-        room, layout, equation = configurations.union, self.layout, self.equation
+        configurations, layout, equation = self.configurations, self.layout, self.equation
+        room = configurations.union
         alpha, sigma = room.alpha, room.sigma
-        # The sigma of a `PriorDeviation` or `HuberDeviation` acts here: it is in x, not in the term.
+        # The sigma of a `PriorDeviation` acts here: it is in x, not in the term.
         stated: float | None = getattr(self.prior, "sigma", None)
         if stated is not None:  # a coefficient with sigma = 0 stays fixed
             sigma = np.where(sigma > 0, stated, 0.0)
@@ -191,12 +192,15 @@ class Composition:
             ]
             floors = np.array([floors[r].max(axis=0) for r in rows])
             areas = np.stack([areas[:, r].sum(axis=1) for r in rows], axis=1)
-        mu, lower = alpha.ravel(), floors.ravel()
+        mu, lower = alpha.ravel(), floors.ravel().copy()
         upper = np.ones(mu.shape)
         for box in self.boxes:
-            lower, upper = box.narrow(layout, mu, lower, upper)
+            where = layout.index(box.material, box.band)
+            low, high = box.of(mu[where])
+            lower[where] = np.maximum(lower[where], low)
+            upper[where] = np.minimum(upper[where], high)
         self._check_box(mu, sigma.ravel(), lower, upper, floors.ravel())
-        further = self.objective.further
+        further = self.effects
         times = np.array([d.reverberation_time for d in measured])
         c, k = times.shape
         gains = np.zeros((c, k, len(further)))
@@ -224,27 +228,26 @@ class Composition:
             target_sensitivity=sensitivity,
             equation=equation,
             rooms=tuple(configurations.rooms),
-            observed=self._observed(observed or {}),
+            observed=self._observed(observed or {}, mu, sigma.ravel()),
             room_changes=configurations.target_changes(equation, times),
             common=room.common_alpha_sigma,
         )
-        for match in self.objective.terms:
-            if isinstance(match, SoftMatch):
-                numbers = replace(numbers, target_uncertainty=match.uncertainty(numbers))
-        return numbers
+        if self.soft_match is None:
+            return numbers
+        return replace(numbers, target_uncertainty=self.soft_match.uncertainty(numbers))
 
     def _observed(
-        self, observed: Mapping[LinearObservations, Observed]
-    ) -> dict[object, tuple[Array, Array]]:
+        self, observed: Mapping[LinearObservations, Observed], mu: Array, sigma: Array
+    ) -> dict[object, Array]:
         """Return the numbers of each term of linear observations; DataError unless each has some."""
-        terms = [t for t in self.objective.terms if isinstance(t, LinearObservations)]
+        terms = self.observations
         for term, given in checks.mapped("observed", observed).items():
             if term not in terms:
                 raise DataError(f"observed has {term!r}, which is no term of the objective")
             checks.instance(f"observed[{term!r}]", given, Observed)
         if missing := [t for t in terms if t not in observed]:
             raise DataError(f"observed lacks {missing[0]!r}: it needs its numbers to be solved")
-        return {term: observed[term].over(self.layout) for term in terms}
+        return {term: observed[term].over(self.layout, mu, sigma) for term in terms}
 
     def _check_shared(self, room: Room) -> None:
         for material, row in enumerate(self.layout.alpha_rows):
@@ -272,8 +275,10 @@ class Composition:
             u = int(np.argmax(bad))
             names = ["the room's alpha_min"] if floors[u] == lower[u] > 0 else []
             for box in self.boxes:
-                low, high = box.narrow(self.layout, mu, np.zeros_like(mu), np.ones_like(mu))
-                if low[u] == lower[u] > 0 or high[u] == upper[u] < 1:
+                low, high = box.of(mu[u])
+                if u in self.layout.index(box.material, box.band) and (
+                    low == lower[u] > 0 or high == upper[u] < 1
+                ):
                     names.append(repr(box))
             raise DataError(
                 f"{self.layout.place(u)} = {mu[u]:g}, bounds {lower[u]:g} to {upper[u]:g}: {rule}; "

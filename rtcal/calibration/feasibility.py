@@ -256,9 +256,9 @@ def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
     with COMPILING:  # the problem has one value of each parameter
         for parameter, compute in m.parameters:
             parameter.save_value(np.reshape(compute(numbers), parameter.shape))
-        for (term, stated), rows_of in zip(compiled.stated, compiled.rows_of, strict=True):
+        for term, stated in compiled.rows_of:
             label = getattr(term, "label", lambda row, _, term=term: f"{term!r}, row {row + 1}")
-            for constraint, places in zip(stated, rows_of, strict=True):
+            for constraint, places in stated:
                 left, right = constraint.args
                 flipped = not right.is_constant()
                 limit = left.value if flipped and left.is_constant() else right.value

@@ -20,7 +20,6 @@ from rtcal.calibration.terms import (
     ExactMatch,
     HuberDeviation,
     PriorDeviation,
-    RoomMatch,
     SoftMatch,
 )
 from rtcal.calibration.unknowns import Configurations
@@ -35,27 +34,25 @@ bands (notebooks/studies/smoothing.ipynb)."""
 _NEARLY_EXACT = 1e-4
 """u_T / T where T is matched exactly but the room is uncertain: a hundredth of what is measured."""
 
-Match = Callable[[float], SoftMatch]
-"""The class `SoftMatch`, or `RoomMatch` in a room whose volume, areas or climate are uncertain."""
+
+def _soft(prior: Any, uncertain: bool, relative: float = _TIME_UNCERTAINTY) -> Any:
+    """A prior and the soft match of T, in an uncertain room with the room's own errors."""
+    return prior + SoftMatch(relative, room=uncertain)
 
 
-def _soft(prior: PriorDeviation, match: Match) -> Calibration:
-    return Calibration(prior + match(_TIME_UNCERTAINTY), [])
-
-
-METHODS: dict[str, Callable[[PriorDeviation, Match], Calibration]] = {
-    "mle": lambda prior, match: (
-        Calibration(prior, [ExactMatch()])
-        if match is SoftMatch
-        else Calibration(prior + match(_NEARLY_EXACT), [])
+METHODS: dict[str, Callable[[PriorDeviation, bool], Calibration]] = {
+    "mle": lambda prior, uncertain: (
+        Calibration(_soft(prior, uncertain, _NEARLY_EXACT))
+        if uncertain
+        else Calibration(prior, [ExactMatch()])
     ),
-    "lse": lambda prior, match: Calibration(PriorDeviation(sigma=1.0), [ExactMatch()]),
-    "soft": _soft,
-    "smooth": lambda prior, match: Calibration(
-        prior + match(_TIME_UNCERTAINTY) + _SMOOTHING * BandSmoothness(), []
+    "lse": lambda prior, uncertain: Calibration(PriorDeviation(sigma=1.0), [ExactMatch()]),
+    "soft": lambda prior, uncertain: Calibration(_soft(prior, uncertain)),
+    "smooth": lambda prior, uncertain: Calibration(
+        _soft(prior, uncertain) + _SMOOTHING * BandSmoothness()
     ),
-    "robust": lambda prior, match: Calibration(HuberDeviation() + match(_TIME_UNCERTAINTY), []),
-    "joint": _soft,
+    "robust": lambda prior, uncertain: Calibration(_soft(HuberDeviation(), uncertain)),
+    "joint": lambda prior, uncertain: Calibration(_soft(prior, uncertain)),
 }
 """The calibration methods by name.
 
@@ -67,7 +64,8 @@ METHODS: dict[str, Callable[[PriorDeviation, Match], Calibration]] = {
 ``joint``: soft, for several configurations of one room.
 
 In a room that states an uncertainty of its volume, areas or climate, every method but ``lse`` matches T
-within it (`rtcal.terms.RoomMatch`). ``mle`` then counts the uncertainty of T where one is stated.
+within it (``rtcal.terms.SoftMatch(room=True)``). ``mle`` then counts the uncertainty of T where one is
+stated.
 """
 
 
@@ -79,29 +77,29 @@ def preset(method: str, room: Room | None = None) -> Calibration:
     """
     if not isinstance(method, str) or method not in METHODS:
         raise ModelError(f'method "{method}" is unknown; known are {", ".join(METHODS)}')
-    prior = PriorDeviation()
-    match: Match = SoftMatch
-    if room is not None:
-        common = room.common_alpha_sigma > 0
-        if room.band_correlation or room.material_correlation or common:
-            if method == "robust":
-                raise ModelError(
-                    'method "robust" treats every coefficient apart, but the room states correlations '
-                    "or a common_alpha_sigma"
-                )
-            prior = PriorDeviation(
-                band_correlation=room.band_correlation,
-                material_correlation=room.material_correlation,
-                common=common,
-            )
-        match = RoomMatch if room.is_uncertain else SoftMatch
-    return _cached_calibration(method, prior, match)
+    if room is None:
+        return _calibration(method)
+    correlated = bool(room.band_correlation or room.material_correlation)
+    if method == "robust" and (correlated or room.common_alpha_sigma):
+        raise ModelError(
+            'method "robust" treats every coefficient apart, but the room states correlations '
+            "or a common_alpha_sigma"
+        )
+    pairs = tuple(room.material_correlation.items())
+    common, uncertain = room.common_alpha_sigma > 0, room.is_uncertain
+    return _calibration(method, room.band_correlation, pairs, common, uncertain)
 
 
 @functools.lru_cache(maxsize=16)
-def _cached_calibration(method: str, prior: PriorDeviation, match: Match) -> Calibration:
+def _calibration(
+    method: str,
+    band_correlation: float = 0.0,
+    pairs: tuple[Any, ...] = (),
+    common: bool = False,
+    uncertain: bool = False,
+) -> Calibration:
     """Return a method's calibration, kept so that its terms are checked once."""
-    return METHODS[method](prior, match)
+    return METHODS[method](PriorDeviation(None, band_correlation, pairs, common), uncertain)
 
 
 @overload
@@ -153,8 +151,9 @@ def calibrate(
         ``solver``: ``"clarabel"`` (the default), ``"osqp"``, or another solver of cvxpy's.
         ``unreachable``: ``"raise"`` (the default), or ``"nearest"`` to take the nearest T within
         reach and list the band in the result. ``warm_start``: whether OSQP starts from the closed
-        form; see `rtcal.calibration.qp.SolveOptions`. ``settings``: a mapping of the solver's own
-        settings. (No method has `rtcal.terms.LinearObservations`, so ``observed`` is refused.)
+        form. ``settings``: a mapping of the solver's own settings. See
+        `CalibrationProblem.solve`. (No method has `rtcal.terms.LinearObservations`, so ``observed`` is
+        refused.)
 
     Returns
     -------

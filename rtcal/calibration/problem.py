@@ -1,7 +1,6 @@
 """`Calibration` states a problem, `build` compiles it once, `solve` solves it for a measurement.
 
-`CalibrationProblem.solve` brings T into the room's bands (`measured_times`). `certified_answer` makes
-the numbers of the solve (`Composition.numbers`) and of them the result.
+`CalibrationProblem.solve` has the whole path from a measurement to a certified answer in one function.
 """
 
 from __future__ import annotations
@@ -20,16 +19,17 @@ from rtcal.acoustics.room import Room, refuse_repeated_data
 from rtcal.calibration import feasibility, qp
 from rtcal.calibration.composition import Composition
 from rtcal.calibration.measured import MeasuredTimes, no_times, times_in_room
-from rtcal.calibration.qp import Iterate, SolveOptions
+from rtcal.calibration.qp import Active, Iterate
 from rtcal.calibration.result import CalibrationResult, JointResult
 from rtcal.calibration.terms import (
     AddedAbsorption,
-    BoundConstraint,
+    Bounds,
     ExactMatch,
+    Fixed,
     LinearObservations,
     Objective,
     Observed,
-    SharedMaterials,
+    Shared,
     SoftMatch,
     Term,
     as_objective,
@@ -47,6 +47,7 @@ from rtcal.support.types import Array
 
 Times = Measurement | Sequence[float] | Array
 R = TypeVar("R", CalibrationResult, JointResult)
+_EYRING = Eyring()
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,41 +76,46 @@ class Calibration:
 
     def __post_init__(self) -> None:
         objective = as_objective(self.objective)
-        priors = [t for t in objective.terms if getattr(t, "is_prior", False)]
+        terms, constraints = objective.terms, self.constraints
+        priors = [t for t in terms if getattr(t, "is_prior", False)]
         if len(priors) != 1:
             raise ModelError(
                 f"the objective has {len(priors)} prior deviations; it needs one: without it the "
                 "answer is not unique"
             )
-        _refuse_repeated(objective.terms, "objective")
-        if sum(isinstance(t, SoftMatch) for t in objective.terms) > 1:
+        soft = sum(isinstance(t, SoftMatch) for t in terms)
+        if constraints is None:
+            constraints = () if soft else (ExactMatch(),)
+        if not isinstance(constraints, Iterable):
+            raise ModelError(f"constraints = {constraints!r} is not a list of constraints")
+        constraints = tuple(constraints)
+        for place, parts in (("objective", terms), ("constraints", constraints)):
+            for i, term in enumerate(parts):
+                if any(term == other for other in parts[:i]):
+                    raise ModelError(f"{place}: {term!r} stands there twice; give it once")
+        if soft > 1:
             raise ModelError("the objective has two soft matches; T has one uncertainty per band")
-        for term, weight in zip(objective.terms, objective.weights, strict=True):
+        further = [t.name for t in terms if isinstance(t, AddedAbsorption)]
+        if len(set(further)) < len(further):
+            raise ModelError(f"two further unknowns have one name: {', '.join(further)}")
+        for term, weight in zip(terms, objective.weights, strict=True):
             if weight == 0 and (term is priors[0] or isinstance(term, AddedAbsorption)):
                 raise ModelError(
                     f"{term!r} has weight 0; without it the answer is not unique. Leave the term out "
                     "instead"
                 )
-        constraints = self.constraints
-        if constraints is None:
-            soft = any(isinstance(t, SoftMatch) for t in objective.terms)
-            constraints = () if soft else (ExactMatch(),)
-        if not isinstance(constraints, Iterable):
-            raise ModelError(f"constraints = {constraints!r} is not a list of constraints")
         for constraint in constraints:
             if isinstance(constraint, type):
                 name = constraint.__name__
                 raise ModelError(f"{name} is a class and no term: write {name}()")
-            if isinstance(constraint, (BoundConstraint, SharedMaterials)):
-                continue
-            if not callable(constraint) or isinstance(constraint, Term | Objective):
+            narrows = isinstance(constraint, Bounds | Fixed | Shared)
+            if not (narrows or callable(constraint)) or isinstance(constraint, Term | Objective):
                 raise ModelError(
                     f"{constraint!r} is no constraint of rtcal.terms, and no function of a "
                     "rtcal.terms.Model that returns one"
                 )
-        _refuse_repeated(tuple(constraints), "constraints")
         object.__setattr__(self, "objective", objective)
-        object.__setattr__(self, "constraints", tuple(constraints))
+        object.__setattr__(self, "constraints", constraints)
 
     @overload
     def build(
@@ -139,36 +145,9 @@ class Calibration:
         MissingAirWarning
             If a room states no air.
         """
-        for one in _configurations(room).rooms:
-            if one.air is None:
-                warnings.warn(
-                    f'room "{one.name}" states no air: its surfaces are made to absorb what the air '
-                    "does. Give it air=rtcal.Air(temperature, humidity)",
-                    MissingAirWarning,
-                    stacklevel=checks.stack_level(),
-                )
-                break
-        return CalibrationProblem(self, room, Eyring() if equation is None else equation)
-
-
-def _refuse_repeated(terms: Sequence[object], place: str) -> None:
-    """Raise ModelError for a term that occurs twice."""
-    for i, term in enumerate(terms):
-        if any(term == other for other in terms[:i]):
-            raise ModelError(f"{place}: {term!r} stands there twice; give it once")
-
-
-class CalibrationProblem(Generic[R]):
-    """A calibration that is compiled for rooms of one shape: solve it for many measurements.
-
-    Built for a room it returns a `CalibrationResult`, built for `Configurations` of one a
-    `JointResult`. One room is one of several: only the arguments of `solve` differ.
-    """
-
-    def __init__(
-        self, calibration: Calibration, room: Room | Configurations, equation: Equation
-    ) -> None:
-        checks.instance("calibration", calibration, Calibration)
+        if not isinstance(room, Room | Configurations):
+            raise DataError(f"room = {room!r} is not a rtcal.Room, nor Configurations of one")
+        equation = _EYRING if equation is None else equation
         if not isinstance(equation, LinearEquation):
             if not isinstance(equation, Equation) or isinstance(equation, type):
                 raise ModelError(
@@ -178,12 +157,26 @@ class CalibrationProblem(Generic[R]):
                 f"{equation.name} is not a function of the mean absorption coefficient, so it gives "
                 "no linear target; calibrate it in the closed loop with calibrate_simulator"
             )
-        self.room = room
-        self.equation = equation
-        self.composition = Composition.of(
-            _configurations(room), equation, calibration.objective, calibration.constraints or ()
-        )
-        _ = self.composition.compiled  # here, so that terms that make no QP are refused at once
+        constraints = cast(tuple[Any, ...], self.constraints)
+        problem = CalibrationProblem[Any](self.objective, constraints, room, equation)
+        if without := [one.name for one in problem.configurations.rooms if one.air is None]:
+            warnings.warn(
+                f'room "{without[0]}" states no air: its surfaces are made to absorb what the air '
+                "does. Give it air=rtcal.Air(temperature, humidity)",
+                MissingAirWarning,
+                stacklevel=checks.stack_level(),
+            )
+        _ = problem.compiled  # here, so that terms that make no QP are refused at once
+        return problem
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibrationProblem(Composition, Generic[R]):
+    """A calibration that is compiled for rooms of one shape: solve it for many measurements.
+
+    Built for a room it returns a `CalibrationResult`, built for `Configurations` of one a
+    `JointResult`. One room is one of several: only the arguments of `solve` differ.
+    """
 
     def __repr__(self) -> str:
         return f"<CalibrationProblem with {self.equation.name}'s equation for {self.room!r}>"
@@ -195,9 +188,17 @@ class CalibrationProblem(Generic[R]):
         *,
         observed: Mapping[LinearObservations, Observed] | None = None,
         method: str = "composed",
-        **options: Any,
+        solver: str = "clarabel",
+        unreachable: str = "raise",
+        warm_start: bool = True,
+        settings: Mapping[str, Any] | None = None,
     ) -> R:
         """Solve for one measurement, without compiling again.
+
+        1. T in the bands of each room (`measured_times`), and of it and the rooms the numbers.
+        2. `feasibility.restrict_to_reach`: is T within reach, and which unknowns holds a T at an end?
+        3. `qp` fills the compiled matrices; `rtcal.calibration.qp.solve` asks the solver.
+        4. The first of `_candidates` that `rtcal.calibration.qp.certify` accepts is the answer.
 
         Parameters
         ----------
@@ -210,61 +211,109 @@ class CalibrationProblem(Generic[R]):
             The numbers of each such term.
         method : str
             The name that the result carries.
-        **options
-            ``solver``, ``unreachable``, ``warm_start`` and ``settings``; see
-            `rtcal.calibration.qp.SolveOptions`.
+        solver : str
+            ``"clarabel"``, ``"osqp"``, or another solver of cvxpy's.
+        unreachable : {"raise", "nearest"}
+            What to do where no coefficients within the bounds give the measured T. ``"raise"`` raises
+            InfeasibleError; ``"nearest"`` takes the nearest T within reach and lists the band in the
+            result.
+        warm_start : bool
+            Whether OSQP starts from the closed form. No other solver takes a start.
+        settings : mapping, optional
+            The solver's own settings by name, beside `rtcal.calibration.qp.SETTINGS`.
 
         Raises
         ------
-        DataError
-            If the measurement or the room does not fit.
+        DataError, ModelError
+            If the measurement, the room or an option does not fit.
         InfeasibleError
             If a band cannot be reached, with ``unreachable="raise"``, or the constraints contradict
             each other: then the message names the smallest relaxation that removes it.
         SolverError
             If no answer passes the certificate.
         """
-        chosen = SolveOptions(**options)
-        alone = isinstance(self.room, Room)
-        used = built = _configurations(self.room)
-        if room is not None:
-            checks.instance("room", room, Room if alone else Configurations)
-            used = _configurations(room)
-            _require_same_shape(built, used)
-        times = measured_times(used, [measured] if alone else measured)
-        for one, measured_there in zip(used.rooms, times, strict=True):
+        if not isinstance(solver, str):
+            raise ModelError(f'solver = {solver!r} is not a name such as "clarabel"')
+        checks.choice("unreachable", unreachable, ("raise", "nearest"))
+        checks.flag("warm_start", warm_start)
+        if settings is not None and not (
+            isinstance(settings, Mapping) and all(isinstance(key, str) for key in settings)
+        ):
+            raise ModelError(f"settings = {settings!r} is not a mapping of name to value")
+        problem, alone = self._for(room), isinstance(self.room, Room)
+        rooms = problem.configurations
+        times = measured_times(rooms, [measured] if alone else measured)
+        for one, measured_there in zip(rooms.rooms, times, strict=True):
             if one.calibration is not None:
                 refuse_repeated_data(one, measured_there.fingerprint)
+        numbers = problem.numbers(times, observed)
         try:
-            joint = certified_answer(self.composition, used, times, observed, chosen, method)
+            limits = [match.target_limits(numbers) for match in problem.matches]
+            numbers, held_at, beyond = feasibility.restrict_to_reach(numbers, limits, unreachable)
+            program = problem.qp(numbers)
+            at = np.zeros(len(program.c), dtype=np.int8)
+            at[problem.compiled.places] = held_at
+            try:
+                raw = qp.solve(program, at, solver, settings, warm_start)
+            except SolverError as error:
+                # It was asked for a guess of the active set alone; polishing begins at the prior.
+                none = np.zeros(len(program.b)), np.zeros(len(at))
+                raw = Iterate(program.at_bounds(at), *none, at, status=str(error))
+            convexity = problem.convexity(numbers)
+            for point in _candidates(program, at, raw):
+                certificate = qp.certify(program, point, convexity)
+                if certificate.accepted:
+                    break
+            else:
+                feasibility.explain(problem, numbers, program)
+                raise SolverError(
+                    f'solver "{solver}" says {raw.status}, but its answer does not pass: primal '
+                    f"residual {certificate.primal_residual:.1e}, dual residual "
+                    f"{certificate.dual_residual:.1e}, gap {certificate.duality_gap:.1e}"
+                )
         except InfeasibleError as error:
-            doubted = [doubt for measured_there in times for doubt in measured_there.mistyped]
-            if doubted:
+            if doubted := [doubt for there in times for doubt in there.mistyped]:
                 error.args = (f"{doubted[0].sentence}. {error}",)
             raise
+        u = program.unknowns(numbers, point.v)
+        active = problem.unknowns_at(numbers, point.at)
+        # Exactly at its bound, and within it in spite of the rounding of mu + sigma x.
+        u = np.where(active < 0, numbers.lower, np.where(active > 0, numbers.upper, u))
+        joint = JointResult(
+            composition=problem,
+            unknowns=np.clip(u, *numbers.box),
+            target=numbers.target,
+            point=replace(point, system=None),
+            certificate=certificate,
+            raw=raw,
+            polished=point is not raw,
+            unreachable=beyond,
+            method=method,
+            solver=solver,
+            measured_times=tuple(times),
+            observed=observed,
+        )
         return cast(R, joint.results[0] if alone else joint)
 
-
-def _configurations(room: Room | Configurations) -> Configurations:
-    """Return a room as one of several; DataError for anything else."""
-    if isinstance(room, Room):
-        return Configurations([room])
-    if not isinstance(room, Configurations):
-        raise DataError(f"room = {room!r} is not a rtcal.Room, nor Configurations of one")
-    return room
-
-
-def _require_same_shape(built: Configurations, asked: Configurations) -> None:
-    """Raise DataError unless ``asked`` has the shape that the problem was built with."""
-    old, new = built.rooms, asked.rooms
-    if len(old) != len(new):
-        raise DataError(f"{len(new)} configurations; the problem was built with {len(old)}")
-    for before, after in zip(old, new, strict=True):
-        if after.materials != before.materials:
-            raise DataError(f"room has materials {after.materials}; built with {before.materials}")
-        if not np.array_equal(after.centre_frequencies, before.centre_frequencies):
-            has = ", ".join(bands.labels(after.centre_frequencies))
-            raise DataError(f"room has other bands than the one built with: {has}")
+    def _for(self, room: Room | Configurations | None) -> CalibrationProblem[R]:
+        """Return the problem for other numbers of a room; DataError unless it has the same shape."""
+        if room is None:
+            return self
+        checks.instance("room", room, Room if isinstance(self.room, Room) else Configurations)
+        asked = replace(self, room=room)
+        old, new = self.configurations.rooms, asked.configurations.rooms
+        if len(old) != len(new):
+            raise DataError(f"{len(new)} configurations; the problem was built with {len(old)}")
+        for before, after in zip(old, new, strict=True):
+            if after.materials != before.materials:
+                raise DataError(
+                    f"room has materials {after.materials}; built with {before.materials}"
+                )
+            if not np.array_equal(after.centre_frequencies, before.centre_frequencies):
+                has = ", ".join(bands.labels(after.centre_frequencies))
+                raise DataError(f"room has other bands than the one built with: {has}")
+        vars(asked)["compiled"] = self.compiled
+        return asked
 
 
 def measured_times(
@@ -287,72 +336,7 @@ def measured_times(
     ]
 
 
-def certified_answer(
-    composition: Composition,
-    configurations: Configurations,
-    times: Sequence[MeasuredTimes],
-    observed: Mapping[LinearObservations, Observed] | None,
-    options: SolveOptions,
-    method: str,
-) -> JointResult:
-    """Return the certified answer for some rooms and what was measured in them.
-
-    1. `feasibility.restrict_to_reach`: is T within reach, and which unknowns does a T at an end hold?
-    2. `Composition.qp` fills the compiled matrices; `qp.solve` asks the solver.
-    3. The first of `_candidates` that `qp.certify` accepts is the answer.
-
-    Raises
-    ------
-    InfeasibleError
-        If a band cannot be reached, or the constraints contradict each other.
-    SolverError
-        If no answer passes the certificate.
-    """
-    numbers = composition.numbers(configurations, times, observed)
-    matches = [match.target_limits(numbers) for match in composition.matches]
-    numbers, held_at, beyond = feasibility.restrict_to_reach(numbers, matches, options.unreachable)
-    program = composition.qp(numbers)
-    at = np.zeros(len(program.c), dtype=np.int8)
-    at[composition.compiled.places] = held_at
-    try:
-        raw = qp.solve(program, at, options)
-    except SolverError as error:
-        # It was asked for a guess of the active set alone; without one, polishing begins at the prior.
-        raw = replace(Iterate.of(program, at), status=str(error))
-    convexity = composition.convexity(numbers)
-    for point in _candidates(program, at, raw):
-        certificate = qp.certify(program, point, convexity)
-        if certificate.accepted:
-            break
-    else:
-        feasibility.explain(composition, numbers, program)
-        raise SolverError(
-            f'solver "{options.solver}" says {raw.status}, but its answer does not pass: primal '
-            f"residual {np.max(certificate.primal_residual):.1e}, dual residual "
-            f"{np.max(certificate.dual_residual):.1e}, gap {np.max(certificate.duality_gap):.1e}"
-        )
-    u = program.unknowns(numbers, point.v)
-    active = composition.unknowns_at(numbers, point.at)
-    # Exactly at its bound, and within it in spite of the rounding of mu + sigma x.
-    u = np.where(active < 0, numbers.lower, np.where(active > 0, numbers.upper, u))
-    return JointResult(
-        configurations=configurations,
-        composition=composition,
-        unknowns=np.clip(u, *numbers.box),
-        target=numbers.target,
-        point=replace(point, system=None),
-        certificate=certificate,
-        raw=raw,
-        polished=point is not raw,
-        unreachable=beyond,
-        method=method,
-        solver=options.solver,
-        measured_times=tuple(times),
-        observed=observed,
-    )
-
-
-def _candidates(program: qp.QP, at: qp.Active, raw: Iterate) -> Iterator[Iterate]:
+def _candidates(program: qp.QP, at: Active, raw: Iterate) -> Iterator[Iterate]:
     """Yield the polished answer of the solver, that of the closed form, and the solver's own."""
     guessed, tight = raw.active(program)
     polished = qp.polish(program, np.where(at != 0, at, guessed).astype(np.int8), tight)

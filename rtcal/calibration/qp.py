@@ -4,8 +4,8 @@
 
 v has the deviations x = (alpha - mu) / sigma of the unknowns, and what terms define beside them.
 
-1. `compile_once` has cvxpy compile the terms once per structure; `CompiledProblem.filled` puts numbers
-   into the matrices: cvxpy's maps are affine in the parameters.
+1. `compile_once` has cvxpy compile the terms once per structure; `CompiledProblem.filled` has it put
+   numbers into the matrices.
 2. `solve` asks a solver which bounds and inequalities are active. OSQP starts at `closed_form`, which
    is step 3 from the guess that none is: its first round is the paper's closed form.
 3. `polish` solves the optimality (KKT) conditions on the active set, one sparse linear system, by
@@ -21,11 +21,10 @@ import functools
 import threading
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -33,56 +32,14 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from rtcal.calibration.terms import AnyTerm, Model, Term
-from rtcal.calibration.unknowns import Flags, Integers, Layout, Numbers
-from rtcal.support import checks
+from rtcal.calibration.terms import AddedAbsorption, AnyTerm, Model, Shared, Term
+from rtcal.calibration.unknowns import Flags, Layout, Numbers
 from rtcal.support.errors import MissingDependencyError, ModelError, SolverError
 from rtcal.support.types import Array
 
 _EPS = np.finfo(float).eps
 Active = NDArray[np.int8]
 """The active bounds: -1 at the lower bound, 1 at the upper, 0 between them. In this module ``at``."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SolveOptions:
-    """The options of one solve; DataError or ModelError for a value that is not allowed.
-
-    Parameters
-    ----------
-    solver : str
-        ``"clarabel"``, ``"osqp"``, or another solver of cvxpy's.
-    unreachable : {"raise", "nearest"}
-        What to do where no coefficients within the bounds give the measured T. ``"raise"`` raises
-        InfeasibleError; ``"nearest"`` takes the nearest T within reach and lists the band in the
-        result.
-    warm_start : bool
-        Whether OSQP starts from the closed form. No other solver takes a start.
-    settings : mapping, optional
-        The solver's own settings by name, beside `SETTINGS`.
-    """
-
-    solver: str = "clarabel"
-    unreachable: str = "raise"
-    warm_start: bool = True
-    settings: Mapping[str, Any] | None = None
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.solver, str):
-            raise ModelError(f'solver = {self.solver!r} is not a name such as "clarabel"')
-        checks.choice("unreachable", self.unreachable, ("raise", "nearest"))
-        checks.flag("warm_start", self.warm_start)
-        if not isinstance(self.settings, Mapping | None):
-            raise ModelError(f"settings = {self.settings!r} is not a mapping of name to value")
-        for key in self.settings or {}:
-            if not isinstance(key, str):
-                raise ModelError(f"settings has {key!r}, which is no setting's name")
-
-    @property
-    def all_settings(self) -> dict[str, Any]:
-        """The settings that a solve runs with: these override those of `SETTINGS`."""
-        return {**SETTINGS.get(self.solver.lower(), {}), **(self.settings or {})}
-
 
 SETTINGS: dict[str, dict[str, Any]] = {
     # Polishing asks for the active set alone, to which Clarabel's own tolerance of 1e-8 suffices. The
@@ -104,61 +61,37 @@ SETTINGS: dict[str, dict[str, Any]] = {
 """Settings by solver, beside its own defaults."""
 
 
-class _Pattern:
-    """A sparse matrix by columns whose entries are given anew; entries of one place are added up."""
-
-    def __init__(self, rows: Integers, columns: Integers, shape: tuple[int, int]) -> None:
-        self.rows, self.columns = rows, columns
-        key, self._place = np.unique(columns * shape[0] + rows, return_inverse=True)
-        starts = np.searchsorted(key // shape[0], np.arange(shape[1] + 1))
-        # scipy copies indices of any other kind.
-        self._indices, self._starts = (key % shape[0]).astype(np.int32), starts.astype(np.int32)
-        self._shape = shape
-
-    def filled(self, entries: Array) -> Any:
-        """Return the matrix with these entries."""
-        data = np.bincount(self._place, entries, minlength=len(self._indices))
-        return sp.csc_matrix((data, self._indices, self._starts), shape=self._shape)
-
-
 class CompiledProblem:
     """A calibration that cvxpy has compiled for rooms of one layout: `filled` makes a `QP` of it.
 
-    It keeps cvxpy's affine map from the parameters to P, c, A and b, and where their entries stand.
     Callers share it through `compile_once`: its terms are those of `Term.structure`, equal to the
     caller's but for the numbers that enter through the parameters.
 
     Parameters
     ----------
-    layout : Layout
-    terms : sequence of functions of a `Model`
-        The objective.
+    shape : tuple
+        Materials, centre frequencies in Hz and the number of configurations.
+    terms, constraints : sequence of functions of a `Model`, and `Shared` among the constraints
     weights : sequence of float
-    constraints : sequence of functions of a `Model`
 
     Attributes
     ----------
+    layout : Layout
     model : Model
-    stated : list
-        Each constraint with the cvxpy constraints that it states.
     rows_of : list
-        For each of them the rows of A, one array per cvxpy constraint; -1 for one that became a bound.
-    size, n_rows : int
-        Number of variables v, and of rows of A.
+        Each constraint but `Shared`, with the cvxpy constraints that it states and for each of these
+        its rows of A; -1 for one that became a bound.
+    size : int
+        Number of variables v.
     equal : array (n_rows,) of bool
-        Which rows are equalities.
-    places : array (layout.size,)
-        Where the unknowns u stand among the variables.
-    band, row_band : array (size,), (n_rows,)
-        The band of a variable and of a row; -1 for what belongs to none, or to several.
+        Which rows of A are equalities.
     P_rows, P_columns, A_rows, A_columns : array
         The place of each entry of P and A.
-    limited : tuple of two arrays
-        The variables that have a lower and those that have an upper bound.
-    triangle : array
-        Which entries of P are in its upper triangle, which is what solvers take.
-    kkt, solver_P, solver_A : _Pattern
-        The optimality conditions of a `System`, and the matrices of `solve`.
+    kkt : tuple
+        Rows and columns of the entries of [[P, A'], [A, 0]] and its diagonal, the place of each among
+        the matrix's own, and these by columns: rows, and where columns begin.
+    places : array (layout.size,)
+        Where the unknowns u stand among the variables.
 
     Raises
     ------
@@ -169,18 +102,23 @@ class CompiledProblem:
 
     def __init__(
         self,
-        layout: Layout,
+        shape: tuple[tuple[str, ...], tuple[float, ...], int],
         terms: Sequence[AnyTerm],
         weights: Sequence[float],
-        constraints: Sequence[AnyTerm],
+        constraints: Sequence[Any],
     ) -> None:
-        self.layout, self._arguments = layout, (layout, terms, weights, constraints)
-        m = self.model = Model(layout)
+        self._arguments = shape, terms, weights, constraints
+        effects = tuple(t.name for t in terms if isinstance(t, AddedAbsorption))
+        layout = Layout(shape[0], tuple(range(len(shape[0]))), *shape[1:], effects)
+        for constraint in constraints:
+            if isinstance(constraint, Shared):
+                layout = layout.sharing(constraint.materials)
+        self.layout, m = layout, Model(layout)
+        self.model = m
         pairs = zip(terms, weights, strict=True)
         objective = sum(weight * _expression(term, m) for term, weight in pairs)
-        stated = [_constraints(term, m) for term in constraints]
-        self.stated = list(zip(constraints, stated, strict=True))
-        rows = [constraint for of_term in stated for constraint in of_term]
+        stated = [(t, _constraints(t, m)) for t in constraints if not isinstance(t, Shared)]
+        rows = [constraint for _, of_term in stated for constraint in of_term]
         problem = cp.Problem(cp.Minimize(objective), [*rows, *m.definitions, *m.box()])
         if not problem.is_dcp(dpp=True):
             raise ModelError(
@@ -195,133 +133,86 @@ class CompiledProblem:
             raise ModelError(
                 "the composed problem is no QP: a term is neither linear nor quadratic"
             )
-        self._keep_maps(data["param_prob"], int(data["dims"].zero), len(data["b"]))
-        self._keep_places(data["param_prob"].var_id_to_col)
-        self._keep_patterns()
+        self._program = data["param_prob"]
+        self._keep_structure(int(data["dims"].zero), len(data["b"]))
         # cvxpy unpacks the numbers of the rows once: where it puts them is where the multipliers go.
         numbered = np.arange(len(self._row_of), dtype=float)
-        answer = SimpleNamespace(x=np.zeros(self.size), z=numbered, s=numbered, status="Solved")
-        answer.obj_val, answer.solve_time, answer.iterations = 0.0, 0.0, 0
+        answer = SimpleNamespace(x=np.zeros(self.size), z=numbered, s=numbered)
+        answer.status, answer.obj_val, answer.solve_time, answer.iterations = "Solved", 0.0, 0.0, 0
         problem.unpack_results(answer, chain, inverse)
         self.rows_of = [
-            [self._row_of[np.abs(np.ravel(c.dual_value)).astype(int)] for c in of_term]
-            for of_term in stated
+            (t, [(c, self._row_of[np.abs(np.ravel(c.dual_value)).astype(int)]) for c in of_term])
+            for t, of_term in stated
         ]
 
     def __reduce__(self) -> Any:
         """Pickle what it is compiled of."""
         return compile_once, self._arguments
 
-    def _keep_maps(self, compiled: Any, n_equal: int, n_rows: int) -> None:
-        """Keep cvxpy's maps from the parameters to P, c, A and b, and the places of their entries.
+    def _entries(self, values: Iterable[tuple[int, Array]]) -> tuple[Array, Array, Array, Array]:
+        """P, c, A with the bounds' rows, and b, by the values of the parameters: P and A as entries."""
+        program, theta = self._program, self._theta.copy()
+        for place, value in values:
+            flat = np.ravel(value, order="F")
+            theta[place : place + len(flat)] = flat
+        b, of_A = np.zeros(len(self._row_of)), program.reduced_A.reduced_mat @ theta
+        b[self._rows[len(self._columns) :]] = of_A[len(self._columns) :]  # its last column is b
+        P, c = program.reduced_P.reduced_mat @ theta, program.q @ theta
+        # cvxpy's rows are A v + b = 0 and A v + b >= 0; here they are A v = b and A v <= b.
+        return P, c[: self.size], -of_A[: len(self._columns)], b
 
-        Of its ``n_rows`` rows the first ``n_equal`` are equalities. An inequality of one variable with
-        a constant factor is a bound of it and no row of A.
+    def _keep_structure(self, n_equal: int, n_rows: int) -> None:
+        """Keep the places of entries, and which variables have bounds.
+
+        Of cvxpy's ``n_rows`` rows the first ``n_equal`` are equalities. An inequality of one variable
+        with a constant factor is a bound of it and no row of A: two draws of the parameters tell which
+        factors are constant.
         """
-        compiled.reduced_A.cache()
-        compiled.reduced_P.cache()
-        linear = compiled.q if hasattr(compiled, "q") else compiled.c  # c in cvxpy 1.7
-        start = compiled.param_id_to_col
-        self._filled = [
-            (start[p.id], compute) for p, compute in self.model.parameters if p.id in start
-        ]
-        # The last entry of theta is the maps' constant.
-        self._theta = np.ones(compiled.total_param_size + 1)
-        rows, starts, _ = compiled.reduced_A.problem_data_index
-        size = self.size = len(starts) - 2  # its last column is b
-        columns = np.repeat(np.arange(size + 1), np.diff(starts))
-        # cvxpy's rows are -A x + b = 0 and -A x + b >= 0; here they are A x = b and A x <= b.
-        sign = np.where(columns < size, -1.0, 1.0)
-        every = sp.csr_array(sp.diags_array(sign) @ compiled.reduced_A.reduced_mat)
-        is_A = columns < size
-        b = sp.csr_array(
-            (np.ones((~is_A).sum()), (rows[~is_A], np.flatnonzero(~is_A))), (n_rows, len(rows))
-        )
-        constant = np.diff(sp.csr_array(every[:, :-1]).indptr) == 0
-        alone = (np.bincount(rows[is_A], minlength=n_rows) == 1) & (np.arange(n_rows) >= n_equal)
-        single = is_A & constant & alone[rows]
-        factor = every[:, [-1]].toarray().ravel()
-        lower, upper = (np.flatnonzero(single & (side * factor > 0)) for side in (-1, 1))
-        self._bounds = [(rows[e], columns[e], factor[e]) for e in (lower, upper)]
-        self.limited = columns[lower], columns[upper]
-        self._general = np.setdiff1d(np.arange(n_rows), rows[single])
-        self.n_rows, self.equal = len(self._general), self._general < n_equal
-        self._row_of = np.full(n_rows, -1)
-        self._row_of[self._general] = np.arange(self.n_rows)
-        entries = np.flatnonzero(is_A & ~single)
-        self.A_rows, self.A_columns = self._row_of[rows[entries]], columns[entries]
-        self.P_rows, starts, _ = compiled.reduced_P.problem_data_index
+        program, m, rng = self._program, self.model, np.random.default_rng(0)
+        program.reduced_A.cache()
+        program.reduced_P.cache()
+        start = program.param_id_to_col
+        self._parameters = [(start[p.id], f) for p, f in m.parameters if p.id in start]
+        drawn = [(start[p.id], rng.random((2, p.size))) for p, _ in m.parameters if p.id in start]
+        self._theta = np.ones(program.total_param_size + 1)  # its last entry is what is constant
+        self._rows, starts, _ = program.reduced_A.problem_data_index
+        size = self.size = len(starts) - 2
+        columns = self._columns = np.repeat(np.arange(size), np.diff(starts[:-1]))
+        rows, self._row_of = self._rows[: len(columns)], np.full(n_rows, -1)
+        A, other = (self._entries((at, values[i]) for at, values in drawn)[2] for i in range(2))
+        alone = (np.bincount(rows, minlength=n_rows) == 1) & (np.arange(n_rows) >= n_equal)
+        single = alone[rows] & (other == A) & (A != 0)
+        self._bounds = rows[single], columns[single], A[single]
+        self._general, self._kept = np.setdiff1d(np.arange(n_rows), rows[single]), ~single
+        self._row_of[self._general] = np.arange(len(self._general))
+        self.equal = self._general < n_equal
+        self.A_rows, self.A_columns = self._row_of[rows[~single]], columns[~single]
+        self.P_rows, starts, _ = program.reduced_P.problem_data_index
         self.P_columns = np.repeat(np.arange(size), np.diff(starts))
-        parts = [
-            compiled.reduced_P.reduced_mat,
-            sp.csr_array(linear)[:size],
-            every[entries],
-            b @ every,
-        ]
-        self._map = sp.csr_array(sp.vstack([sp.csr_array(part) for part in parts]))
-        self._map.eliminate_zeros()
-        self._parts = np.cumsum([0, *(part.shape[0] for part in parts)]).tolist()
-
-    def _keep_places(self, first: Mapping[int, int]) -> None:
-        """Keep where the unknowns stand, and bands; ``first`` is where a cvxpy variable begins."""
-        m, n = self.model, self.layout.n_alpha
-        self.places = first[m.x.id] + np.arange(n)
-        if m.effects is not None:
-            sizes = first[m.effects.id] + np.arange(m.effects.size)
-            self.places = np.concatenate([self.places, sizes])
-        self.band = np.full(self.size, -1)
-        self.band[self.places[:n]] = np.arange(n) % self.layout.n_bands
-        known = self.band[self.A_columns] >= 0
-        of_row, band = self.A_rows[known], self.band[self.A_columns[known]]
-        lowest, highest = np.full(self.n_rows, self.layout.n_bands), np.full(self.n_rows, -1)
-        np.minimum.at(lowest, of_row, band)
-        np.maximum.at(highest, of_row, band)
-        self.row_band = np.where(lowest == highest, highest, -1)
-
-    def _keep_patterns(self) -> None:
-        """Keep the places of the optimality conditions, and of the matrices that solvers take."""
-        size, n = self.size, self.size + self.n_rows
-        P, A, variables = (
-            (self.P_rows, self.P_columns),
-            (self.A_rows, self.A_columns),
-            np.arange(size),
+        first = program.var_id_to_col
+        self.places = np.concatenate(
+            [first[v.id] + np.arange(v.size) for v in (m.x, m.effects) if v is not None]
         )
-        self.kkt = _Pattern(
-            np.concatenate([P[0], size + A[0], A[1], np.arange(n)]),
-            np.concatenate([P[1], A[1], size + A[0], np.arange(n)]),
-            (n, n),
-        )
-        bounds = np.concatenate(self.limited)
-        self.solver_A = _Pattern(
-            np.concatenate([A[0], self.n_rows + np.arange(len(bounds))]),
-            np.concatenate([A[1], bounds]),
-            (self.n_rows + len(bounds), size),
-        )
-        self.triangle = np.flatnonzero(P[0] <= P[1])
-        self.solver_P = _Pattern(
-            np.concatenate([P[0][self.triangle], variables]),
-            np.concatenate([P[1][self.triangle], variables]),
-            (size, size),
-        )
+        every = np.arange(size + len(self.equal))
+        below = size + self.A_rows
+        kkt = np.concatenate([self.P_rows, below, self.A_columns, every])
+        across = np.concatenate([self.P_columns, self.A_columns, below, every])
+        key, place = np.unique(across * len(every) + kkt, return_inverse=True)
+        starts = np.searchsorted(key // len(every), np.append(every, len(every)))
+        self.kkt = (kkt, across, place), key % len(every), starts
 
     def filled(self, numbers: Numbers) -> QP:
         """Return the QP of a set of numbers."""
-        theta = self._theta.copy()
-        for place, compute in self._filled:
-            value = np.ravel(compute(numbers), order="F")
-            theta[place : place + len(value)] = value
-        values = self._map @ theta
-        P, c, A, b = (values[start:stop] for start, stop in pairwise(self._parts))
-        bounds = np.full(self.size, -np.inf), np.full(self.size, np.inf)
-        tighter = np.maximum, np.minimum
-        for bound, (rows, columns, factor), narrow in zip(
-            bounds, self._bounds, tighter, strict=True
-        ):
-            narrow.at(bound, columns, b[rows] / factor)
+        P, c, A, b = self._entries((at, compute(numbers)) for at, compute in self._parameters)
+        rows, columns, factor = self._bounds
+        lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+        limit, above = b[rows] / factor, factor > 0
+        np.maximum.at(lower, columns[~above], limit[~above])
+        np.minimum.at(upper, columns[above], limit[above])
         scale = np.ones(self.size)
         scale[self.places] = numbers.sigma
         held = float(numbers.areas.max(axis=0).sum()) if (numbers.sigma == 0).any() else 0.0
-        return QP(self, P, c, A, b[self._general], *bounds, scale, held)
+        return QP(self, P, c, A[self._kept], b[self._general], lower, upper, scale, held)
 
 
 def _expression(term: AnyTerm, m: Model) -> Any:
@@ -350,10 +241,10 @@ COMPILING = threading.RLock()
 
 
 def compile_once(
-    layout: Layout,
+    shape: tuple[tuple[str, ...], tuple[float, ...], int],
     terms: Sequence[AnyTerm],
     weights: Sequence[float],
-    constraints: Sequence[AnyTerm],
+    constraints: Sequence[Any],
 ) -> CompiledProblem:
     """Return the compiled problem of these terms, an earlier one if nothing it depends on differs.
 
@@ -361,7 +252,7 @@ def compile_once(
     must not change: its numbers are constants of the compiled problem.
     """
     structure = tuple(t.structure() if isinstance(t, Term) else t for t in terms)
-    key = layout, structure, tuple(weights), tuple(constraints)
+    key = shape, structure, tuple(weights), tuple(constraints)
     with COMPILING:  # two threads that ask at once share one
         try:
             hash(key)
@@ -388,9 +279,9 @@ class QP:
     Attributes
     ----------
     compiled : CompiledProblem
-        It has the places of the entries of P and A, and which rows are equalities.
+        It also says which rows are equalities.
     P, A : array
-        The entries.
+        The entries, at the places that ``compiled`` has.
     c, b : array (size,), (n_rows,)
     lower, upper : array (size,)
     scale : array (size,)
@@ -432,48 +323,35 @@ class QP:
     def row_size(self) -> Array:
         """Sum of each row's coefficients by the unknowns: for the match of a band the area."""
         unit = np.divide(1.0, self.scale, out=np.zeros_like(self.scale), where=self.scale > 0)
-        return self.row_sums(unit, np.abs(self.A))
+        return self.absolute.row_sums(unit)
 
     @functools.cached_property
     def matrices(self) -> tuple[Any, Any]:
         """P and A as sparse arrays."""
-        compiled = self.compiled
+        of, n, m = self.compiled, len(self.c), len(self.b)
         return (
-            sp.csc_array(
-                (self.P, (compiled.P_rows, compiled.P_columns)), (len(self.c), len(self.c))
-            ),
-            sp.csr_array(
-                (self.A, (compiled.A_rows, compiled.A_columns)), (len(self.b), len(self.c))
-            ),
+            sp.csc_array((self.P, (of.P_rows, of.P_columns)), (n, n)),
+            sp.csr_array((self.A, (of.A_rows, of.A_columns)), (m, n)),
         )
 
     def row_sums(self, v: Array, entries: Array | None = None) -> Array:
         """Return A v, (n_rows,), of A or of other entries at its places."""
-        compiled, entries = self.compiled, self.A if entries is None else entries
-        products = entries * v[compiled.A_columns]
-        return np.asarray(np.bincount(compiled.A_rows, products, minlength=len(self.b)), float)
-
-    def line(self, row: int) -> Array:
-        """Return the coefficients of one row, (size,)."""
-        compiled, line = self.compiled, np.zeros(len(self.c))
-        line[compiled.A_columns[compiled.A_rows == row]] = self.A[compiled.A_rows == row]
-        return line
+        of, entries = self.compiled, self.A if entries is None else entries
+        products = entries * v[of.A_columns]
+        return np.asarray(np.bincount(of.A_rows, products, minlength=len(self.b)), float)
 
     def gradient(self, v: Array) -> Array:
         """Return P v + c, (size,)."""
-        compiled = self.compiled
-        return self.c + np.bincount(
-            compiled.P_rows, self.P * v[compiled.P_columns], minlength=len(self.c)
-        )
+        products = self.P * v[self.compiled.P_columns]
+        return self.c + np.bincount(self.compiled.P_rows, products, minlength=len(self.c))
 
     def force(self, v: Array, y: Array) -> Array:
         """Return P v + c + A'y, which the multipliers of the bounds balance, (size,)."""
-        compiled = self.compiled
-        pull = np.bincount(compiled.A_columns, self.A * y[compiled.A_rows], minlength=len(self.c))
-        return self.gradient(v) + pull
+        pull = self.A * y[self.compiled.A_rows]
+        return self.gradient(v) + np.bincount(self.compiled.A_columns, pull, minlength=len(self.c))
 
     @functools.cached_property
-    def magnitudes(self) -> QP:
+    def absolute(self) -> QP:
         """The QP of the absolute values of P, c, A and b: its sums bound the rounding of this one's."""
         return replace(self, **{name: np.abs(getattr(self, name)) for name in "PcAb"})
 
@@ -496,22 +374,23 @@ class System:
     _REFINEMENTS = 4
 
     def __init__(self, program: QP, free: Flags, active: Flags) -> None:
-        compiled = program.compiled
-        norm = np.sqrt(program.row_sums(free.astype(float), program.A**2))
+        norm = np.sqrt(program.row_sums(1.0 * free, program.A**2))
         self.used = active & (norm > 0)
         self._unit = np.divide(1.0, norm, out=np.zeros_like(norm), where=self.used)
-        self._on = np.concatenate([free, self.used])
-        scaled = program.A * self._unit[compiled.A_rows]
-        entries = np.concatenate([program.P, scaled, scaled, np.zeros(len(self._on))])
-        entries[~(self._on[compiled.kkt.rows] & self._on[compiled.kkt.columns])] = 0.0
-        self._matrix = compiled.kkt.filled(entries)
-        shift = np.where(np.arange(len(self._on)) < len(free), self._SHIFT, -self._SHIFT)
-        entries[-len(shift) :] = np.where(self._on, shift, 1.0)
+        self._on, n = np.concatenate([free, self.used]), len(free) + len(active)
+        (rows, columns, place), *structure = program.compiled.kkt
+        scale = np.concatenate([free, self._unit])
+        entries = np.concatenate([program.P, program.A, program.A, np.zeros(n)])
+        entries *= scale[rows] * scale[columns]
+        data = np.bincount(place, entries)
+        self._matrix = sp.csc_matrix((data, *structure), (n, n))
+        shift = np.where(np.arange(n) < len(free), self._SHIFT, -self._SHIFT)
+        data = data.copy()
+        data[place[-n:]] += np.where(self._on, shift, 1.0)
+        shifted = sp.csc_matrix((data, *structure), (n, n))
         try:
             self._factors = splu(
-                compiled.kkt.filled(entries),
-                permc_spec="MMD_AT_PLUS_A",
-                options={"SymmetricMode": True},
+                shifted, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}
             )
         except RuntimeError as error:
             raise SolverError("the optimality conditions are singular") from error
@@ -545,10 +424,10 @@ class Iterate:
         The variables.
     y : array (n_rows,)
         The rows' multipliers.
+    z : array (size,)
+        The bounds' multipliers: above 0 at the upper bound, below 0 at the lower.
     at : array (size,)
         -1 at the lower bound, 1 at the upper, 0 between them.
-    lower_multipliers, upper_multipliers : array (size,)
-        Of the bounds, 0 or more.
     system : System, optional
         The optimality conditions on the active set; None of a solver's own answer.
     status, iterations, seconds : str, int, float
@@ -557,9 +436,8 @@ class Iterate:
 
     v: Array
     y: Array
+    z: Array
     at: Active
-    lower_multipliers: Array
-    upper_multipliers: Array
     system: System | None = None
     status: str = ""
     iterations: int = 0
@@ -570,17 +448,9 @@ class Iterate:
         n = np.count_nonzero(self.at)
         return f"<Iterate: {len(self.v)} variables, {n} held at a bound{stated}>"
 
-    @classmethod
-    def of(cls, program: QP, at: Active) -> Iterate:
-        """Return the prior, with what is at a bound there, and all multipliers 0."""
-        zero = np.zeros(len(at))
-        return cls(program.at_bounds(at), np.zeros(len(program.b)), at, zero, zero)
-
     def active(self, program: QP) -> tuple[Active, Flags]:
         """Return which bounds and which rows are active: of a slack and its multiplier one is 0."""
-        at = (self.upper_multipliers > program.upper - self.v).astype(np.int8) - (
-            self.lower_multipliers > self.v - program.lower
-        )
+        at = (self.z > program.upper - self.v).astype(np.int8) - (-self.z > self.v - program.lower)
         square = program.row_sums(np.ones(len(self.v)), program.A**2)
         return at, self.y * square > program.b - program.row_sums(self.v)
 
@@ -607,7 +477,7 @@ def polish(program: QP, at: Active, tight: Flags) -> Iterate | None:
     tight : array (n_rows,) of bool
         Inequalities guessed to hold with equality.
     """
-    at, tight = at.copy(), tight | program.equal
+    at, tight, absolute = at.copy(), tight | program.equal, program.absolute
     at[program.fixed] = 0
     near = 8 * _EPS / np.where(program.scale > 0, program.scale, 1.0)
     for round_ in range(_ROUNDS):
@@ -625,7 +495,7 @@ def polish(program: QP, at: Active, tight: Flags) -> Iterate | None:
         v = np.where(free & (abs(v - inside) <= near + 4 * _EPS * abs(inside)), inside, v)
         below, above = free & (v < program.lower), free & (v > program.upper)
         slack = program.b - program.row_sums(v)
-        rounding = _ROUNDING * (program.magnitudes.row_sums(np.abs(v)) + program.magnitudes.b)
+        rounding = _ROUNDING * (absolute.row_sums(np.abs(v)) + absolute.b)
         beyond = ~tight & (slack < -rounding)
         if below.any() or above.any() or beyond.any():
             if round_ >= _AT_ONCE:
@@ -645,11 +515,11 @@ def polish(program: QP, at: Active, tight: Flags) -> Iterate | None:
         if alone.any():
             y = _nearest_to_zero(program, v, y, alone, at)
         force = program.force(v, y)
-        tolerance = _ROUNDING * (1 + program.magnitudes.force(np.abs(v), np.abs(y)))
+        tolerance = _ROUNDING * (1 + absolute.force(np.abs(v), np.abs(y)))
         wrong = ((at < 0) & (force < -tolerance)) | ((at > 0) & (force > tolerance))
         released_rows = tight & ~program.equal & (y < 0)
         if not (wrong.any() or released_rows.any()):
-            return Iterate(v, y, at, *_of_bounds(force, at), system)
+            return Iterate(v, y, _of_bounds(force, at), at, system)
         if round_ >= _AT_ONCE:
             wrong, released_rows = _worst((wrong, abs(force)), (released_rows, -y))
         at = np.where(wrong, 0, at).astype(np.int8)
@@ -657,10 +527,9 @@ def polish(program: QP, at: Active, tight: Flags) -> Iterate | None:
     return None
 
 
-def _of_bounds(force: Array, at: Active) -> tuple[Array, Array]:
-    """Return the multipliers of the lower and upper bounds that balance a force."""
-    lower = np.where(at < 0, np.maximum(force, 0.0), 0.0)
-    return lower, np.where(at > 0, np.maximum(-force, 0.0), 0.0)
+def _of_bounds(force: Array, at: Active) -> Array:
+    """Return the multipliers of the active bounds that balance a force."""
+    return np.where(at < 0, np.minimum(-force, 0.0), np.where(at > 0, np.maximum(-force, 0.0), 0.0))
 
 
 def _worst(*parts: tuple[Flags, Array]) -> list[Flags]:
@@ -679,12 +548,12 @@ def _released(program: QP, v: Array, unmet: Flags, slack: Array, at: Active) -> 
     release = np.zeros(len(v), dtype=bool)
     gradient = program.gradient(v)
     for row in np.flatnonzero(unmet).tolist():
-        line = program.line(row)
+        line = program.matrices[1][[row]].toarray().ravel()
         wanted = np.sign(slack[row]) * np.sign(line)  # the direction that reduces the residual
         able = ((wanted > 0) & (at < 0)) | ((wanted < 0) & (at > 0))
-        cost = np.full(len(v), np.inf)
-        cost[able] = (gradient * wanted)[able] / np.abs(line[able])
         if able.any():
+            cost = np.full(len(v), np.inf)
+            cost[able] = (gradient * wanted)[able] / np.abs(line[able])
             release[np.argmin(cost)] = True
     return release
 
@@ -698,7 +567,7 @@ def _nearest_to_zero(program: QP, v: Array, y: Array, rows: Flags, at: Active) -
     y = np.where(rows, 0.0, y)
     gradient = program.force(v, y)
     for row in np.flatnonzero(rows).tolist():
-        line = program.line(row)
+        line = program.matrices[1][[row]].toarray().ravel()
         pull = -at * line
         ends = np.divide(-gradient, line, out=np.zeros_like(line), where=pull != 0)
         at_least = ends[pull > 0].max(initial=-np.inf)
@@ -723,11 +592,17 @@ def closed_form(program: QP, at: Active | None = None) -> Iterate | None:
     return polish(program, start, program.equal)
 
 
-def solve(program: QP, at: Active, options: SolveOptions) -> Iterate:
+def solve(
+    program: QP,
+    at: Active,
+    solver: str = "clarabel",
+    settings: Mapping[str, Any] | None = None,
+    warm_start: bool = True,
+) -> Iterate:
     """Return a solver's answer to a QP.
 
     Variables that stand at a bound by ``at`` (-1, 1), or whose bounds are equal, are left out. The rows
-    have unit length, so that no band weighs more than another.
+    have unit length, so that no band weighs more than another. ``settings`` override `SETTINGS`.
 
     Raises
     ------
@@ -739,157 +614,119 @@ def solve(program: QP, at: Active, options: SolveOptions) -> Iterate:
         If it returns no values. That is no failure of the calibration: its caller goes on to
         `closed_form`, which needs none.
     """
-    compiled = program.compiled
-    left_out = (at != 0) | program.fixed
-    start = program.at_bounds(at)
-    on = ~left_out
-    entries = program.A * on[compiled.A_columns]
+    of, name, start = program.compiled, solver.lower(), program.at_bounds(at)
+    on = (at == 0) & ~program.fixed
     norm = np.sqrt(program.row_sums(1.0 * on, program.A**2))
     unit = np.divide(1.0, norm, out=np.zeros_like(norm), where=norm > 0)
-    bounds = [
-        (end - start)[where]
-        for end, where in zip((program.lower, program.upper), compiled.limited, strict=True)
-    ]
-    limited = [
-        np.isfinite(end) & on[where] for end, where in zip(bounds, compiled.limited, strict=True)
-    ]
     # A row that says nothing reads 0 <= 1, which leaves the solver an interior.
-    limits = np.concatenate(
-        [
-            np.where(
-                unit > 0,
-                (program.b - program.row_sums(start)) * unit,
-                np.where(program.equal, 0.0, 1.0),
-            ),
-            np.where(limited[0], -bounds[0], 1.0),
-            np.where(limited[1], bounds[1], 1.0),
-        ]
+    silent = np.where(program.equal, 0.0, 1.0)
+    limits = np.where(norm > 0, (program.b - program.row_sums(start)) * unit, silent)
+    ends = (start - program.lower)[on], (program.upper - start)[on]
+    low, high = (np.flatnonzero(np.isfinite(end)) for end in ends)
+    column, n, bounds = np.cumsum(on) - 1, len(norm), np.concatenate([low, high])
+    p = on[of.P_rows] & on[of.P_columns] & (of.P_rows <= of.P_columns)
+    a, count = on[of.A_columns], int(on.sum())
+    entries = program.A[a] * unit[of.A_rows[a]], -np.ones(len(low)), np.ones(len(high))
+    rows = np.concatenate([of.A_rows[a], n + np.arange(len(bounds))])
+    columns = np.concatenate([column[of.A_columns[a]], bounds])
+    given = (
+        sp.csc_matrix(
+            (program.P[p], (column[of.P_rows[p]], column[of.P_columns[p]])), (count, count)
+        ),
+        program.gradient(start)[on],
+        sp.csc_matrix((np.concatenate(entries), (rows, columns)), (n + len(bounds), count)),
+        np.concatenate([limits, ends[0][low], ends[1][high]]),
+        int(program.equal.sum()),
+        {**SETTINGS.get(name, {}), **(settings or {})},
     )
-    matrix = compiled.solver_A.filled(
-        np.concatenate([entries * unit[compiled.A_rows], -1.0 * limited[0], 1.0 * limited[1]])
-    )
-    moves = on[compiled.P_rows] & on[compiled.P_columns]
-    triangle = np.where(moves, program.P, 0.0)[compiled.triangle]
-    quadratic = compiled.solver_P.filled(np.concatenate([triangle, 1.0 * left_out]))
-    linear = program.gradient(start) * on
-    name = options.solver.lower()
-    began = time.perf_counter()
-    first = None
-    if name == "osqp" and options.warm_start and (form := closed_form(program, at)) is not None:
-        duals = (
-            form.y * norm,
-            limited[0] * form.lower_multipliers[compiled.limited[0]],
-            limited[1] * form.upper_multipliers[compiled.limited[1]],
-        )
-        first = (form.v - start) * on, np.concatenate(duals)
-    matrices = _SolverInput(
-        quadratic, linear, matrix, limits, int(compiled.equal.sum()), options.all_settings
-    )
-    if name == "clarabel":
-        x, z, status, iterations = _clarabel(matrices)
-    elif name == "osqp":
-        x, z, status, iterations = _osqp(matrices, first)
-    else:
-        x, z, status, iterations = _through_cvxpy(name, matrices)
+    began, first = time.perf_counter(), None
+    if name == "osqp" and warm_start and (form := closed_form(program, at)) is not None:
+        z = form.z[on]
+        duals = np.concatenate([form.y * norm, np.maximum(-z, 0)[low], np.maximum(z, 0)[high]])
+        first = (form.v - start)[on], duals
+    try:
+        if name == "clarabel":
+            x, z, status, iterations = _clarabel(*given)
+        elif name == "osqp":
+            x, z, status, iterations = _osqp(*given, first)
+        else:
+            x, z, status, iterations = _through_cvxpy(name, *given)
+    except (TypeError, ValueError, AttributeError, KeyError, OverflowError) as error:
+        stated = ", ".join(f"{key}={value!r}" for key, value in given[-1].items())
+        raise ModelError(f'solver "{name}" refuses the settings {stated}: {error}') from error
     seconds = time.perf_counter() - began
     if x is None or z is None or not (np.isfinite(x).all() and np.isfinite(z).all()):
         raise SolverError(f'solver "{name}" returned no values; its status is {status}')
-    y, *sides = np.split(
-        np.asarray(z), [compiled.n_rows, compiled.n_rows + len(compiled.limited[0])]
-    )
-    lower, upper = np.zeros(len(program.c)), np.zeros(len(program.c))
-    for side, where, applies, values in zip(
-        (lower, upper), compiled.limited, limited, sides, strict=True
-    ):
-        side[where] = np.where(applies, np.maximum(values, 0.0), 0.0)
-    v, y = np.where(on, start + x, start), y * unit
-    if (at != 0).any():  # what was left out has multipliers, too
-        y = _nearest_to_zero(program, v, y, (norm == 0) & (program.row_size > 0), at)
-        of_held = _of_bounds(program.force(v, y), at)
-        lower, upper = (
-            np.where(at != 0, side, own) for side, own in zip(of_held, (lower, upper), strict=True)
-        )
-    return Iterate(v, y, at, lower, upper, None, status, iterations, seconds)
+    y, below, above = np.split(np.asarray(z), [n, n + len(low)])
+    v, y, where = start, y * unit, np.flatnonzero(on)
+    v[on] += x
+    z = _of_bounds(program.force(v, y), at)
+    z[where[high]] += np.maximum(above, 0.0)
+    z[where[low]] -= np.maximum(below, 0.0)
+    return Iterate(v, y, z, at, None, status, iterations, seconds)
 
 
-class _SolverInput(NamedTuple):
-    """What a solver is given, scaled and with the bounds among the rows of A.
-
-    minimise ½ x'Px + c'x subject to A x = b (the first rows), A x <= b; P is its upper triangle.
-    """
-
-    P: Any
-    c: Array
-    A: Any
-    b: Array
-    n_equal: int
-    settings: dict[str, Any]
+# A solver is given P's upper triangle, c, A and b with the bounds among the rows, the number of
+# equalities and the settings. It returns x, the rows' multipliers, its status and its iterations.
+_Answer = tuple[Any, Any, str, int]
 
 
-_SolverOutput = tuple[Any, Any, str, int]  # x, the rows' multipliers, status, iterations
-
-
-def _clarabel(given: _SolverInput) -> _SolverOutput:
+def _clarabel(P: Any, c: Array, A: Any, b: Array, n: int, settings: dict[str, Any]) -> _Answer:
     import clarabel
 
     chosen = clarabel.DefaultSettings()
     chosen.verbose = False
-    for key, value in given.settings.items():
+    for key, value in settings.items():
         if not hasattr(chosen, key):
             raise ModelError(f'solver "clarabel" has no setting "{key}"')
-        try:
-            setattr(chosen, key, value)
-        except (TypeError, OverflowError) as error:
-            raise _refused("clarabel", given, error) from error
-    cones = [
-        clarabel.ZeroConeT(given.n_equal),
-        clarabel.NonnegativeConeT(len(given.b) - given.n_equal),
-    ]
-    result = clarabel.DefaultSolver(given.P, given.c, given.A, given.b, cones, chosen).solve()
+        setattr(chosen, key, value)
+    cones = [clarabel.ZeroConeT(n), clarabel.NonnegativeConeT(len(b) - n)]
+    result = clarabel.DefaultSolver(P, c, A, b, cones, chosen).solve()
     return np.array(result.x), np.array(result.z), str(result.status), int(result.iterations)
 
 
-def _osqp(given: _SolverInput, first: tuple[Array, Array] | None) -> _SolverOutput:
+def _osqp(
+    P: Any,
+    c: Array,
+    A: Any,
+    b: Array,
+    n: int,
+    settings: dict[str, Any],
+    first: tuple[Array, Array] | None,
+) -> _Answer:
     import osqp
 
-    low = np.where(np.arange(len(given.b)) < given.n_equal, given.b, -np.inf)
-    settings = {"verbose": False, **given.settings}
-    if given.n_equal == 0:
-        # Without active rows OSQP's polishing prints a message, even with verbose=False.
-        settings["polishing"] = False
+    # Without active rows OSQP's polishing prints a message, even with verbose=False.
+    quiet = {"verbose": False, **settings, **({} if n else {"polishing": False})}
     solver = osqp.OSQP()
-    try:
-        solver.setup(given.P, given.c, given.A, low, given.b, **settings)
-    except Exception as error:  # TypeError, ValueError or osqp's own, by version
-        raise _refused("osqp", given, error) from error
+    solver.setup(P, c, A, np.where(np.arange(len(b)) < n, b, -np.inf), b, **quiet)
     if first is not None:
         solver.warm_start(x=first[0], y=first[1])
     result = solver.solve(raise_error=False)
     return result.x, result.y, str(result.info.status), int(result.info.iter)
 
 
-def _through_cvxpy(name: str, given: _SolverInput) -> _SolverOutput:
+def _through_cvxpy(
+    name: str, P: Any, c: Array, A: Any, b: Array, n: int, settings: dict[str, Any]
+) -> _Answer:
     """Solve with any other solver of cvxpy's, which is given the matrices as a problem."""
     installed = _installed()
     if name not in installed:
         raise MissingDependencyError(
             f'solver "{name}" is not installed; cvxpy here has {", ".join(sorted(installed))}'
         )
-    x, rows, n = cp.Variable(len(given.c)), sp.csr_array(given.A), given.n_equal
-    whole = cp.psd_wrap(sp.csc_array(given.P + sp.triu(given.P, 1).T))
-    constraints = [rows[:n] @ x == given.b[:n]] if n else []
-    constraints.append(rows[n:] @ x <= given.b[n:])
-    problem = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, whole) + given.c @ x), constraints)
+    x, whole = cp.Variable(len(c)), cp.psd_wrap(sp.csc_array(P + sp.triu(P, 1).T))
+    rows = [A.tocsr()[:n] @ x == b[:n]] if n else []
+    rows.append(A.tocsr()[n:] @ x <= b[n:])
+    problem = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, whole) + c @ x), rows)
     with warnings.catch_warnings():
         # cvxpy warns of an inaccurate answer; here the certificate judges every answer.
         warnings.simplefilter("ignore", UserWarning)
         try:
-            problem.solve(solver=installed[name], **given.settings)
+            problem.solve(solver=installed[name], **settings)
         except cp.SolverError as error:
             raise SolverError(f'solver "{name}" failed: {error}') from error
-        except (TypeError, ValueError, AttributeError, KeyError) as error:
-            raise _refused(name, given, error) from error
-    duals = [constraint.dual_value for constraint in constraints]
+    duals = [row.dual_value for row in rows]
     missing = x.value is None or any(dual is None for dual in duals)
     z = None if missing else np.concatenate([np.ravel(dual) for dual in duals])
     return x.value, z, str(problem.status), int(problem.solver_stats.num_iters or 0)
@@ -901,48 +738,39 @@ def _installed() -> dict[str, str]:
     return {str(s).lower(): str(s) for s in cp.installed_solvers()}
 
 
-def _refused(name: str, given: _SolverInput, error: Exception) -> ModelError:
-    stated = ", ".join(f"{key}={value!r}" for key, value in given.settings.items())
-    return ModelError(f'solver "{name}" refuses the settings {stated}: {error}')
-
-
 _ACCEPTED = 1e-9
 """Largest residual of an answer that is returned; see `Certificate`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate:
-    """Residuals of the optimality conditions, each (n_bands,), computed from P, c, A and b.
-
-    What belongs to no band, or to several, counts in every one.
+    """Residuals of the optimality conditions, computed from P, c, A and b.
 
     Attributes
     ----------
-    primal_residual : array
-        The larger of |S'alpha - b| / sum S and the violation of the box.
-    dual_residual : array
+    primal_residual : float
+        The largest of |S'alpha - b| / sum S and the violation of the box.
+    dual_residual : float
         max |sigma (gradient + S D - z_lower + z_upper)|.
-    duality_gap : array
+    duality_gap : float
         sum z_lower (alpha - lower) + z_upper (upper - alpha), and D slack of the inequalities.
     alpha_error_bound : array (n_materials, n_bands)
         No coefficient is farther than this from the optimum; see `certify`.
     accepted : bool
-        Whether three numbers are at most 1e-9: the largest primal residual; the largest dual residual
-        over 1 and the sum of the absolute values of its parts; the gap, each product once, over the
-        largest of these sums.
+        Whether three numbers are at most 1e-9: the primal residual; the largest dual residual over 1
+        and the sum of the absolute values of its parts; the gap over the largest of these sums.
     """
 
-    primal_residual: Array
-    dual_residual: Array
-    duality_gap: Array
+    primal_residual: float
+    dual_residual: float
+    duality_gap: float
     alpha_error_bound: Array
     accepted: bool
 
     @property
     def worst(self) -> float:
-        """The largest of the three residuals over all bands."""
-        residuals = (self.primal_residual, self.dual_residual, self.duality_gap)
-        return float(max(np.max(r) for r in residuals))
+        """The largest of the three residuals."""
+        return max(self.primal_residual, self.dual_residual, self.duality_gap)
 
     def __repr__(self) -> str:
         return (
@@ -969,12 +797,10 @@ def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
     convexity : float
         m; with 0 the box alone bounds the error.
     """
-    compiled, layout, v = program.compiled, program.compiled.layout, point.v
-    force = program.force(v, point.y)
-    magnitude = 1 + program.magnitudes.force(np.abs(v), np.abs(point.y))
-    unbalanced = np.where(
-        program.fixed, 0.0, force - point.lower_multipliers + point.upper_multipliers
-    )
+    v, y, z = point.v, point.y, point.z
+    force = program.force(v, y)
+    magnitude = 1 + program.absolute.force(np.abs(v), np.abs(y))
+    unbalanced = np.where(program.fixed, 0.0, force + z)
     slack = program.b - program.row_sums(v)
     missed = np.where(program.equal, abs(slack), np.maximum(-slack, 0.0))
     missed = np.divide(missed, program.row_size, out=missed.copy(), where=program.row_size > 0)
@@ -982,23 +808,11 @@ def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
     to_lower, to_upper = (
         np.where(np.isfinite(room), room, 0.0) for room in (v - program.lower, program.upper - v)
     )
-    gap = abs(point.lower_multipliers * to_lower + point.upper_multipliers * to_upper)
-    row_gap = np.where(program.equal, 0.0, abs(point.y * slack))
-
-    def by_band(reduce: Any, *parts: tuple[Array, Integers]) -> Array:
-        """Reduce values by band; those of no one band count in every one."""
-        out = np.zeros(layout.n_bands)
-        for values, of_band in parts:
-            reduce.at(out, of_band[of_band >= 0], values[of_band >= 0])
-            out = reduce(out, reduce.reduce(values[of_band < 0], initial=0.0))
-        return out
-
-    primal = by_band(np.maximum, (outside, compiled.band), (missed, compiled.row_band))
-    dual = by_band(np.maximum, (abs(unbalanced), compiled.band))
-    total = by_band(np.add, (gap, compiled.band), (row_gap, compiled.row_band))
-    g = gap.sum() + row_gap.sum()
-    relative = np.max(abs(unbalanced) / magnitude, initial=0.0), g / magnitude.max()
-    moved, left = np.zeros(len(v)), unbalanced
+    gap = np.sum(np.abs(z * np.where(z < 0, to_lower, to_upper)))
+    gap += np.sum(np.abs(y * slack)[~program.equal])
+    primal = max(outside.max(), missed.max(initial=0.0))
+    relative = np.max(abs(unbalanced) / magnitude), gap / magnitude.max()
+    moved, left, g = np.zeros(len(v)), unbalanced, gap
     if point.system is not None:  # what is not active has no multiplier, and so no gap
         moved, left, g = *_step_left(program, point, point.system, force, slack), 0.0
     bound = np.maximum(to_lower, to_upper)
@@ -1007,11 +821,11 @@ def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
         bound = np.minimum(bound, moved + (r + np.sqrt(r**2 + 4 * m * g)) / (2 * m))
     bound = np.where(program.fixed, 0.0, bound * program.scale)
     return Certificate(
-        primal_residual=primal,
-        dual_residual=dual,
-        duality_gap=total,
-        alpha_error_bound=layout.expand(bound[compiled.places]),
-        accepted=bool(primal.max() <= _ACCEPTED and max(relative) <= _ACCEPTED),
+        primal_residual=float(primal),
+        dual_residual=float(np.max(abs(unbalanced))),
+        duality_gap=float(gap),
+        alpha_error_bound=program.compiled.layout.expand(bound[program.compiled.places]),
+        accepted=bool(primal <= _ACCEPTED and max(relative) <= _ACCEPTED),
     )
 
 
@@ -1025,14 +839,14 @@ def _step_left(
     free = (point.at == 0) & ~program.fixed
     dv, dy = system.solve(-force, slack)
     left = force + program.force(dv, dy) - program.c
-    v, y, absolute = np.abs(point.v), np.abs(point.y), program.magnitudes
+    v, y, absolute = np.abs(point.v), np.abs(point.y), program.absolute
     # b is a difference of sums, such as b - S'mu, which are at most as large as the row at alpha = 1.
     sums = absolute.row_sums(v) + absolute.b + np.maximum(program.row_size, program.fixed_area)
     errors = _EPS * absolute.force(v, y), 16 * _EPS * sums
     moved = np.abs(dv)
     # A row that keeps no variable free is met within rounding; one variable alone can make up for it.
     unmet = np.where(program.equal & ~system.used, np.abs(slack), 0.0)[program.compiled.A_rows]
-    alone = np.divide(unmet, np.abs(program.A), out=np.zeros_like(unmet), where=program.A != 0)
+    alone = np.divide(unmet, absolute.A, out=np.zeros_like(unmet), where=absolute.A != 0)
     np.maximum.at(moved, program.compiled.A_columns, alone)
     for sign in (1.0, -1.0):
         each, row = (error * sign ** np.arange(len(error)) for error in errors)

@@ -37,9 +37,6 @@ from rtcal.calibration.posterior import Densities, Draws, correlations, draws, i
 from rtcal.calibration.qp import Active, Certificate, Iterate
 from rtcal.calibration.solution import JointSolution
 from rtcal.calibration.table import blocks_of
-from rtcal.calibration.terms import (
-    LinearObservations,
-)
 from rtcal.calibration.verdict import CalibrationVerdict, verdict
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
@@ -89,8 +86,7 @@ class JointResult(JointSolution, Result):
         return {}
 
     def _known_room(self, configuration: int) -> KnownRoom:
-        terms = self.composition.objective.terms
-        if self.effects or any(isinstance(t, LinearObservations) for t in terms):
+        if self.effects or self.composition.observations:
             raise ModelError(
                 "a prediction knows of T alone: calibrate without effects and other observations, such "
                 "as the corrected room of `rtcal apply`"

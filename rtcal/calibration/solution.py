@@ -26,7 +26,6 @@ from rtcal.calibration.terms import (
     LinearObservations,
     Observed,
     PriorDeviation,
-    RoomMatch,
     SoftMatch,
 )
 from rtcal.calibration.unknowns import Configurations, Flags, Numbers
@@ -48,9 +47,8 @@ class JointSolution:
 
     Attributes
     ----------
-    configurations : Configurations
     composition : Composition
-        The objective, the constraints and the equation.
+        The objective, the constraints, the rooms and the equation.
     unknowns : array (size,)
         The answer.
     target : array (n_configurations, n_bands)
@@ -75,7 +73,6 @@ class JointSolution:
         Of rtcal, Python and the libraries that made it.
     """
 
-    configurations: Configurations
     composition: Composition
     unknowns: Array
     target: Array
@@ -89,6 +86,11 @@ class JointSolution:
     measured_times: tuple[MeasuredTimes, ...]
     observed: Mapping[LinearObservations, Observed] | None = None
     versions: Mapping[str, str] = field(default_factory=table.versions)
+
+    @property
+    def configurations(self) -> Configurations:
+        """The rooms before the calibration."""
+        return self.composition.configurations
 
     @property
     def equation(self) -> LinearEquation:
@@ -107,7 +109,7 @@ class JointSolution:
 
     def numbers_of(self, measured: Sequence[MeasuredTimes]) -> Numbers:
         """Return the numbers of the same problem for other measurements."""
-        return self.composition.numbers(self.configurations, measured, self.observed)
+        return self.composition.numbers(measured, self.observed)
 
     @cached_property
     def qp(self) -> QP:
@@ -147,10 +149,10 @@ class JointSolution:
     def match_multipliers(self) -> Array:
         """D of the match, (n_configurations, n_bands) in 1/m²; NaN where nothing was matched."""
         matched = np.isfinite(self.target)
-        for term, rows in self.composition.rows_of:
+        for term, stated in self.composition.compiled.rows_of:
             if term in self.composition.matches:
                 # An equality, or a lower and an upper limit.
-                y = [self.point.y[row] for row in rows]
+                y = [self.point.y[rows] for _, rows in stated]
                 values = y[0] if len(y) == 1 else y[1] - y[0]
                 return np.where(matched, values.reshape(matched.shape), np.nan)
         return np.full(matched.shape, np.nan)
@@ -158,10 +160,9 @@ class JointSolution:
     @property
     def asks_for_measured_time(self) -> bool:
         """Whether a constraint or a term of weight above 0 ties alpha to the measured T."""
-        terms = zip(self.composition.objective.terms, self.composition.weights, strict=True)
-        return bool(self.composition.matches) or any(
-            isinstance(t, SoftMatch) and w > 0 for t, w in terms
-        )
+        composed = self.composition
+        terms = zip(composed.objective.terms, composed.weights, strict=True)
+        return bool(composed.matches) or any(t is composed.soft_match and w > 0 for t, w in terms)
 
     @cached_property
     def effects(self) -> dict[str, float]:
@@ -173,7 +174,8 @@ class JointSolution:
     @property
     def matches_uncertain_room(self) -> bool:
         """Whether T was matched within the uncertainty of volume, areas and climate."""
-        return any(isinstance(t, RoomMatch) for t in self.composition.objective.terms)
+        match = self.composition.soft_match
+        return match is not None and match.room
 
     def gap_shares(self, configuration: int) -> dict[str, float]:
         """Return the shares of the remaining b - S'alpha that each uncertainty takes up, 1 in all.
@@ -205,9 +207,7 @@ class JointSolution:
     @property
     def has_shared_errors(self) -> bool:
         """Whether T was matched with errors that all bands share: of the room, or of the tables."""
-        terms = self.composition.objective.terms
-        tables = any(isinstance(t, PriorDeviation) and t.common for t in terms)
-        return tables or self.matches_uncertain_room
+        return getattr(self.composition.prior, "common", False) or self.matches_uncertain_room
 
     @property
     def has_density(self) -> bool:
@@ -298,7 +298,7 @@ class JointSolution:
         uncertainty of T counts as 0. With linear observations it is the Gaussian posterior's, with the
         objective's prior.
         """
-        if any(isinstance(t, LinearObservations) for t in self.composition.objective.terms):
+        if self.composition.observations:
             return self._gaussian_sigma()
         # The estimate is mu + G (b - S'mu), its error (1 - G S')(mu - u) + G e with e the error of b.
         # Its covariance (1 - G S') K (1 - G S')' + G U G' holds for any G, also of another sigma.
@@ -376,10 +376,7 @@ class JointSolution:
 
         m is the bound's multiplier, ``sigma`` (size,) the standard deviation without the box.
         """
-        point, places = self.point, self.qp.compiled.places
-        held = (point.upper_multipliers - point.lower_multipliers)[
-            places
-        ] * self.numbers.inverse_sigma
+        held = self.point.z[self.qp.compiled.places] * self.numbers.inverse_sigma
         return np.asarray(self.unknowns + held * sigma**2)
 
     @cached_property
@@ -387,9 +384,9 @@ class JointSolution:
         """Standard uncertainty of what each row is equal to in m², (n_rows,); 0 where it is unknown."""
         noise = np.zeros(len(self.qp.b))
         of_target = np.nan_to_num(self.numbers.target_uncertainty).ravel()
-        for term, rows in self.composition.rows_of:
-            if isinstance(term, ExactMatch) and len(rows) == 1:
-                noise[rows[0]] = of_target
+        for term, stated in self.composition.compiled.rows_of:
+            if isinstance(term, ExactMatch) and len(stated) == 1:
+                noise[stated[0][1]] = of_target
         return np.where(self.qp.row_size > 0, noise, 0.0)
 
     @cached_property
@@ -418,6 +415,7 @@ class JointSolution:
             composed.layout.n_configurations == 1
             and not composed.layout.further
             and not prior.correlated
+            and not self.matches_uncertain_room
             and all(type(t) in (PriorDeviation, SoftMatch) for t in composed.objective.terms)
             and all(type(r) is ExactMatch for r in composed.row_constraints)
             and len(parts) <= 2
@@ -501,7 +499,7 @@ def _reduced(program: QP, x: Array) -> tuple[Array, Array, Flags]:
     places = program.compiled.places
     other = np.ones(len(program.c), dtype=bool)
     other[places] = False
-    defining = program.magnitudes.row_sums(1.0 * other) > 0
+    defining = program.absolute.row_sums(1.0 * other) > 0
     v = np.zeros(len(program.c))
     v[places] = x
     system = System(program, other, defining)
@@ -510,5 +508,5 @@ def _reduced(program: QP, x: Array) -> tuple[Array, Array, Flags]:
     P, A = program.matrices
     across, rows = P[:, places].toarray(), A[:, places].toarray()
     change, pull = system.solve(-across, -rows)
-    curvature = across[places] + P[places] @ change + A.T[places] @ pull
+    curvature = across[places] + P[places] @ change + A[:, places].T @ pull
     return gradient, (curvature + curvature.T) / 2, ~defining & (program.row_size > 0)

@@ -22,10 +22,10 @@ from __future__ import annotations
 import copy
 import functools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import cvxpy as cp
 import numpy as np
@@ -43,7 +43,6 @@ __all__ = [
     "AddedAbsorption",
     "AtMost",
     "BandSmoothness",
-    "BoundConstraint",
     "Bounds",
     "ExactMatch",
     "Fixed",
@@ -52,15 +51,11 @@ __all__ = [
     "LinearObservations",
     "MatchWithin",
     "Model",
-    "Objective",
     "Observed",
     "PriorDeviation",
-    "RoomMatch",
     "Shared",
-    "SharedMaterials",
     "SoftMatch",
     "Term",
-    "as_objective",
 ]
 __dir__ = __all__.copy
 
@@ -83,6 +78,8 @@ class Model:
         sigma = 0 the coefficient is mu, whatever x is.
     deviation : expression (n_materials, n_bands)
         The same by material and band.
+    effects : variable (n_effects,), optional
+        The deviations of the effects' sizes, (size - mean) / sigma.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -105,6 +102,26 @@ class Model:
         self.definitions.append(variable == expression)
         return variable
 
+    def box(self) -> list[Any]:
+        """Return the bounds: 0 <= alpha <= 1, or tighter; the size of an effect is at least 0.
+
+        Where sigma = 0 there are none, as alpha is mu whatever x is.
+        """
+
+        def limit(side: int, part: slice, variable: Any) -> Any:
+            def compute(numbers: Numbers) -> Array:
+                bound = (numbers.lower, numbers.upper)[side]
+                distance = (bound - numbers.mu) * numbers.inverse_sigma
+                return np.where(numbers.sigma > 0, distance, (-np.inf, np.inf)[side])[part]
+
+            return self.parameter(variable.shape, compute)
+
+        n = self.layout.n_alpha
+        box = [self.x >= limit(0, slice(n), self.x), self.x <= limit(1, slice(n), self.x)]
+        if self.effects is not None:
+            box.append(self.effects >= limit(0, slice(n, None), self.effects))
+        return box
+
     @cached_property
     def alpha(self) -> Any:
         """The absorption coefficients, (n_materials, n_bands)."""
@@ -112,38 +129,6 @@ class Model:
         sigma = self.parameter(shape, lambda numbers: numbers.alpha(numbers.sigma))
         mu = self.parameter(shape, lambda numbers: numbers.alpha(numbers.mu))
         return product(sigma, self.deviation) + mu
-
-    def box(self) -> list[Any]:
-        """Return the bounds: 0 <= alpha <= 1, or tighter; the size of an effect is at least 0.
-
-        Where sigma = 0 there are none, as alpha is mu whatever x is.
-        """
-
-        def limit(variable: Any, side: int, part: slice) -> Any:
-            def compute(numbers: Numbers) -> Array:
-                distance = (
-                    (numbers.lower, numbers.upper)[side] - numbers.mu
-                ) * numbers.inverse_sigma
-                none = (-np.inf, np.inf)[side]
-                return np.where(numbers.sigma > 0, distance, none)[part].reshape(variable.shape)
-
-            return self.parameter(variable.shape, compute)
-
-        x, alpha = self.x, slice(self.layout.n_alpha)
-        box = [x >= limit(x, 0, alpha), x <= limit(x, 1, alpha)]
-        if self.effects is not None:
-            sizes = slice(self.layout.n_alpha, None)
-            box.append(self.effects >= limit(self.effects, 0, sizes))
-        return box
-
-    def flat(self, of_alpha: Any) -> Any:
-        """Return an expression (n_materials, n_bands) as a vector, row by row."""
-        return cp.vec(of_alpha, order="C")
-
-    def effect(self, name: str) -> Any:
-        """Return the deviation of an effect's size, (size - mean) / sigma."""
-        sizes: Any = self.effects
-        return sizes[self.layout.further.index(name)]
 
     @cached_property
     def absorption_area(self) -> Any:
@@ -159,41 +144,35 @@ class Model:
     @cached_property
     def misfit(self) -> Any:
         """(S'alpha - b) / u_b, (n_configurations, n_bands); 0 in bands without T."""
-        shape = (self.layout.n_configurations, self.layout.n_bands)
 
         def steep(numbers: Numbers) -> Array:
             u = np.where(numbers.matched, np.nan_to_num(numbers.target_uncertainty), 0.0)
             return np.divide(1.0, u, out=np.zeros_like(u), where=u > 0)
 
         target = self.parameter(
-            shape, lambda numbers: np.nan_to_num(numbers.target) * steep(numbers)
+            (self.layout.n_configurations, self.layout.n_bands),
+            lambda numbers: np.nan_to_num(numbers.target) * steep(numbers),
         )
         return self.defined(self._area(steep) - target)
 
     def _area(self, scale: Callable[[Numbers], Array]) -> Any:
         """S'alpha and the effects' absorption area, each band and configuration times a scale."""
+        layout, effects = self.layout, self.effects
 
         def of_one(c: int) -> Any:
-            area = self.group_area(
-                range(self.layout.n_alpha_rows), c, lambda numbers: scale(numbers)[c]
-            )
-            if self.effects is None:
+            area = self.group_area(range(layout.n_alpha_rows), c, lambda of: scale(of)[c])
+            if effects is None:
                 return area
             gains = self.parameter(
-                (self.layout.n_bands, self.effects.size),
-                lambda numbers: (
-                    numbers.gains[c]
-                    * numbers.further(numbers.sigma)
-                    * scale(numbers)[c, :, np.newaxis]
-                ),
+                (layout.n_bands, effects.size),
+                lambda of: of.gains[c] * of.further(of.sigma) * scale(of)[c, :, np.newaxis],
             )
             stated = self.parameter(
-                self.layout.n_bands,
-                lambda numbers: numbers.gains[c] @ numbers.further(numbers.mu) * scale(numbers)[c],
+                layout.n_bands, lambda of: of.gains[c] @ of.further(of.mu) * scale(of)[c]
             )
-            return area + gains @ self.effects + stated
+            return area + gains @ effects + stated
 
-        return cp.vstack([of_one(c) for c in range(self.layout.n_configurations)])
+        return cp.vstack([of_one(c) for c in range(layout.n_configurations)])
 
     def group_area(
         self,
@@ -231,14 +210,45 @@ def half_squares(expression: Any) -> Any:
     return 0.5 * cp.sum_squares(expression)
 
 
-class Term(ABC):
-    """Base of the objective terms: it adds with ``+`` and scales with ``*``.
+AnyTerm = Callable[["Model"], Any]
 
-    A function of a `Model` is a term as well; it is added to one of these.
-    """
+
+class _Summand:
+    """What adds with ``+`` and scales with ``*``."""
+
+    def __add__(self, other: Any) -> Objective:
+        one, two = as_objective(self), as_objective(other)
+        return Objective(one.terms + two.terms, one.weights + two.weights)
+
+    def __radd__(self, other: Any) -> Objective:
+        """Add to 0, with which `sum` begins, or to a function; anything else raises ModelError."""
+        begins = isinstance(other, int) and other == 0
+        return as_objective(self) if begins else as_objective(other) + self
+
+    def __rmul__(self, factor: float) -> Objective:
+        if not 0 <= checks.number("weight", factor) < np.inf:
+            raise DataError(f"a weight of {factor:g} is not finite and 0 or more: not convex")
+        one = as_objective(self)
+        return Objective(one.terms, tuple(float(factor) * w for w in one.weights))
+
+    __mul__ = __rmul__
+
+
+@dataclass(frozen=True)
+class Objective(_Summand):
+    """A weighted sum of objective terms."""
+
+    terms: tuple[AnyTerm, ...]
+    weights: tuple[float, ...]
+
+
+class Term(_Summand, ABC):
+    """Base of the objective terms. A function of a `Model` is a term as well, added to one of these."""
 
     is_prior: ClassVar[bool] = False
     """Whether it makes alpha unique; a calibration has exactly one such term."""
+    in_numbers: ClassVar[Mapping[str, Any]] = {}
+    """The fields that enter through the parameters, with the values that the compiled problem has."""
 
     @abstractmethod
     def __call__(self, m: Model) -> Any:
@@ -250,49 +260,10 @@ class Term(ABC):
 
     def structure(self) -> Term:
         """Return a term of the same compiled problem, one for all whose numbers are parameters."""
-        return self
-
-    def __add__(self, other: Any) -> Objective:
-        return as_objective(self).__add__(other)
-
-    def __radd__(self, other: Any) -> Objective:
-        return as_objective(self).__radd__(other)
-
-    def __rmul__(self, factor: float) -> Objective:
-        return as_objective(self) * factor
-
-    __mul__ = __rmul__
-
-
-AnyTerm = Callable[[Model], Any]
-
-
-@dataclass(frozen=True)
-class Objective:
-    """A weighted sum of objective terms."""
-
-    terms: tuple[AnyTerm, ...]
-    weights: tuple[float, ...]
-
-    @property
-    def further(self) -> list[AddedAbsorption]:
-        """The terms that bring an unknown of their own."""
-        return [t for t in self.terms if isinstance(t, AddedAbsorption)]
-
-    def __add__(self, other: Any) -> Objective:
-        other = as_objective(other)
-        return Objective(self.terms + other.terms, self.weights + other.weights)
-
-    def __radd__(self, other: Any) -> Objective:
-        """Add to 0, with which `sum` begins, or to a function; anything else raises ModelError."""
-        return self if isinstance(other, int) and other == 0 else as_objective(other) + self
-
-    def __rmul__(self, factor: float) -> Objective:
-        if not 0 <= checks.number("weight", factor) < np.inf:
-            raise DataError(f"a weight of {factor:g} is not finite and 0 or more: not convex")
-        return Objective(self.terms, tuple(float(factor) * w for w in self.weights))
-
-    __mul__ = __rmul__
+        alike = copy.copy(self)
+        for name, value in self.in_numbers.items():
+            object.__setattr__(alike, name, value)
+        return alike
 
 
 def as_objective(term: Any) -> Objective:
@@ -304,24 +275,6 @@ def as_objective(term: Any) -> Objective:
     if callable(term):
         return Objective((term,), (1.0,))
     raise ModelError(f"{term!r} is not an objective term, a function of rtcal.terms.Model")
-
-
-@runtime_checkable
-class BoundConstraint(Protocol):
-    """A constraint that narrows the box; it costs nothing."""
-
-    def narrow(self, layout: Layout, mu: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-        """Return the narrowed bounds of the coefficients, both (n_alpha,), as their means ``mu``."""
-        ...
-
-
-@runtime_checkable
-class SharedMaterials(Protocol):
-    """A constraint that makes materials one unknown; it costs nothing either."""
-
-    def groups(self, materials: tuple[str, ...]) -> Iterable[tuple[str, ...]]:
-        """Return the groups of materials that share their coefficients."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -340,11 +293,11 @@ class PriorDeviation(Term):
     ----------
     sigma : float, optional
         One standard deviation for every coefficient in place of the room's (but 0 stays 0), above 0.
-        It enters through x: `rtcal.calibration.composition.Composition.numbers` takes it.
-    band_correlation : float, matrix (n_bands, n_bands), or a mapping of material to either
-        A number r below 1 is the correlation of two bands an octave apart: r ** octaves. Materials
-        that a mapping lacks are uncorrelated.
-    material_correlation : matrix (n_materials, n_materials) or mapping of pairs to float
+        It enters through x: `rtcal.calibration.problem.CalibrationProblem.numbers` takes it.
+    band_correlation : float, or a mapping of material to float
+        r below 1 is the correlation of two bands an octave apart: r ** octaves. Materials that a
+        mapping lacks are uncorrelated.
+    material_correlation : mapping of pairs to float
         Between the same bands of two materials: ``{("door", "panel"): 0.7}``.
     common : bool
         Whether all coefficients may be off together, by the room's ``common_alpha_sigma`` t: then the
@@ -353,33 +306,32 @@ class PriorDeviation(Term):
     Raises
     ------
     ModelError
-        When built, for a correlation that is none (not symmetric with unit diagonal, not positive
-        definite).
+        When built, for a correlation that is none (not below 1, not positive definite).
     """
 
     sigma: float | None = None
-    band_correlation: float | Sequence[Sequence[float]] | Mapping[str, Any] = 0.0
-    material_correlation: Sequence[Sequence[float]] | Mapping[tuple[str, str], float] = ()
+    band_correlation: float | Mapping[str, float] | tuple[Any, ...] = 0.0
+    material_correlation: Mapping[tuple[str, str], float] | tuple[Any, ...] = ()
     common: bool = False
 
     is_prior: ClassVar[bool] = True
+    in_numbers: ClassVar[Mapping[str, Any]] = {"sigma": None}
 
     def __post_init__(self) -> None:
         checks.flag("PriorDeviation: common", self.common)
         if self.sigma is not None:
             checks.positive("PriorDeviation: sigma", self.sigma)
-        # Kept as tuples: a term is hashable, so that its compiled problem is found again.
-        given, pairs = self.band_correlation, self.material_correlation
-        frozen: Any = _frozen("band_correlation", given)
-        if isinstance(given, Mapping):
-            frozen = tuple(
-                (str(m), _frozen(f'band_correlation of "{m}"', r)) for m, r in given.items()
-            )
-        between: Any = _frozen("material_correlation", pairs)
-        if isinstance(pairs, Mapping):
-            between = tuple(_pair(names, r) for names, r in pairs.items())
-        object.__setattr__(self, "band_correlation", frozen)
-        object.__setattr__(self, "material_correlation", between)
+        # Mappings are kept as tuples: a term is hashable, so that its compiled problem is found again.
+        for name in ("band_correlation", "material_correlation"):
+            given = getattr(self, name)
+            if isinstance(given, Mapping | tuple):
+                pairs = [
+                    (_materials(name, of), checks.number(f"{name} of {of}", r))
+                    for of, r in dict(given).items()
+                ]
+                object.__setattr__(self, name, tuple(pairs))
+            else:
+                checks.number(name, given)
 
     @property
     def correlated(self) -> bool:
@@ -398,116 +350,63 @@ class PriorDeviation(Term):
             x = m.defined(x - shift * together)
         if not (self.band_correlation or self.material_correlation):
             return half_squares(x) + of_common
-        return 0.5 * cp.quad_form(x, self._inverse(m.layout), assume_PSD=True) + of_common
+        _, inverse, _ = _correlation(self, m.layout)
+        return 0.5 * cp.quad_form(x, inverse, assume_PSD=True) + of_common
 
     def convexity(self, numbers: Numbers) -> float:
         """Return the least eigenvalue of the inverse correlation."""
         q = numbers.common_shift * numbers.inverse_sigma
-        largest = _largest(self, numbers.layout) if self.correlated else 1.0
+        largest = _correlation(self, numbers.layout)[2] if self.correlated else 1.0
         return float(1 / (largest + (q @ q if self.common else 0.0)))
-
-    def structure(self) -> Term:
-        """Return the term without ``sigma``, which enters through the deviations."""
-        return _without_sigma(self)
 
     def correlate(self, columns: Array, layout: Layout) -> Array:
         """Return R @ columns, (size, n); further unknowns are independent."""
-        within, between = _factors(self, layout)
-        stacked = np.array(within)
-        alpha = columns[: layout.n_alpha].reshape(layout.n_alpha_rows, layout.n_bands, -1)
-        alpha = np.einsum("iab,ia...->ib...", stacked, alpha)
-        alpha = np.einsum("ij,jb...->ib...", between @ between.T, alpha)
-        alpha = np.einsum("iab,ib...->ia...", stacked, alpha).reshape(layout.n_alpha, -1)
+        root, *_ = _correlation(self, layout)
+        alpha = root @ (root.T @ columns[: layout.n_alpha])
         return np.concatenate([alpha, columns[layout.n_alpha :]])
 
-    def _inverse(self, layout: Layout) -> Any:
-        """R⁻¹, sparse."""
-        within, between = _factors(self, layout)
-        own = sp.block_diag([sp.csr_array(np.linalg.inv(b)) for b in within])
-        across = sp.kron(np.linalg.inv(between), sp.eye_array(layout.n_bands))
-        whitener = sp.csr_array(across @ own)
-        inverse = sp.csr_array(whitener.T @ whitener)
-        inverse.eliminate_zeros()
-        return inverse
 
-
-def _without_sigma(term: PriorDeviation | HuberDeviation) -> Term:
-    if term.sigma is None:
-        return term
-    alike = copy.copy(term)  # unlike `replace`, it takes what was frozen as it is
-    object.__setattr__(alike, "sigma", None)
-    return alike
-
-
-def _frozen(what: str, value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return ()
-    array = checks.array(what, value)
-    if array.ndim == 0:
-        return float(array)
-    if array.size and array.ndim != 2:
-        raise DataError(f"{what} has shape {array.shape}; it is a number, a matrix or a mapping")
-    return tuple(map(tuple, array.tolist()))
-
-
-def _pair(names: Any, r: Any) -> tuple[str, str, float]:
-    if not isinstance(names, tuple) or len(names) != 2:
-        raise DataError(f"material_correlation: {names!r} is not a pair of materials")
-    a, b = str(names[0]), str(names[1])
-    return a, b, checks.number(f'material_correlation["{a}", "{b}"]', r)
-
-
-def _by_name(given: Any) -> bool:
-    """Whether a frozen correlation was given by names."""
-    return isinstance(given, tuple) and bool(given) and isinstance(given[0][0], str)
+def _materials(what: str, of: Any) -> Any:
+    """Return a material's name, or the pair of two."""
+    if what == "material_correlation" and not (isinstance(of, tuple) and len(of) == 2):
+        raise DataError(f"{what}: {of!r} is not a pair of materials")
+    return tuple(map(str, of)) if isinstance(of, tuple) else str(of)
 
 
 @functools.lru_cache(maxsize=16)
-def _factors(term: PriorDeviation, layout: Layout) -> tuple[list[Array], Array]:
-    """Cholesky factors of R = B (C x 1) B': B per row of alpha (n_bands, n_bands), and C's."""
+def _correlation(term: PriorDeviation, layout: Layout) -> tuple[Any, Any, float]:
+    """A root of R = B (C x 1) B', R⁻¹, and a bound of R's largest eigenvalue.
+
+    B has a block per row of alpha, of its bands, and C is the correlation of the rows.
+    """
+    names = [layout.materials[i] for i in layout.first]
     given: Any = term.band_correlation
-    by_material = dict(given) if _by_name(given) else None
-    for name in by_material or ():
+    by_material = dict(given) if isinstance(given, tuple) else dict.fromkeys(names, given)
+    for name, r in by_material.items():
         layout.index(name)
-    within = []
-    for name in (layout.materials[i] for i in layout.first):
-        r = given if by_material is None else by_material.get(name, 0.0)
-        if isinstance(r, float):
-            if not 0 <= r < 1:
-                raise ModelError(f"band_correlation {r:g} is not in [0, 1)")
-            table = bands.correlation(np.array(layout.centre_frequencies), r)
-        else:
-            table = np.array(r)
-        within.append(_cholesky(table, layout.n_bands, f'band_correlation of "{name}"'))
-    between = np.eye(layout.n_alpha_rows)
-    pairs: Any = term.material_correlation
-    if _by_name(pairs):
-        for a, b, r in pairs:
-            i, j = (layout.index(m)[0] // layout.n_bands for m in (a, b))
-            if i == j:
-                raise ModelError(f'material_correlation: "{a}" and "{b}" are one unknown')
-            between[i, j] = between[j, i] = r
-    elif pairs:
-        between = np.array(pairs)
-    return within, _cholesky(between, layout.n_alpha_rows, "material_correlation")
-
-
-@functools.lru_cache(maxsize=16)
-def _largest(term: PriorDeviation, layout: Layout) -> float:
-    """The largest eigenvalue of the correlation."""
-    within, between = _factors(term, layout)
-    return float(np.linalg.norm(between, 2) ** 2 * max(np.linalg.norm(b, 2) ** 2 for b in within))
-
-
-def _cholesky(table: Array, n: int, what: str) -> Array:
-    if table.shape != (n, n):
-        raise ModelError(f"{what} has shape {table.shape}; it must be ({n}, {n})")
-    if not np.allclose(table, table.T, rtol=0, atol=1e-12) or not np.allclose(np.diag(table), 1):
-        raise ModelError(f"{what} is not symmetric with ones on its diagonal")
+        if not 0 <= r < 1:
+            raise ModelError(f"band_correlation {r:g} is not in [0, 1)")
+    frequencies = np.array(layout.centre_frequencies)
+    tables = [bands.correlation(frequencies, by_material.get(name, 0.0)) for name in names]
+    within = [np.asarray(np.linalg.cholesky(table)) for table in tables]
+    between: Array = np.eye(len(names))
+    for (a, b), r in dict(term.material_correlation).items():
+        i, j = (layout.index(name)[0] // layout.n_bands for name in (a, b))
+        if i == j:
+            raise ModelError(f'material_correlation: "{a}" and "{b}" are one unknown')
+        between[i, j] = between[j, i] = r
     try:
-        return np.asarray(np.linalg.cholesky(table))
+        between = np.asarray(np.linalg.cholesky(between))
     except np.linalg.LinAlgError as error:
-        raise ModelError(f"{what} is not positive definite") from error
+        raise ModelError("material_correlation is not positive definite") from error
+    one = sp.eye_array(layout.n_bands)
+    root = sp.csr_array(sp.block_diag(within) @ sp.kron(between, one))
+    own = sp.block_diag([sp.csr_array(np.linalg.inv(b)) for b in within])
+    whitener = sp.csr_array(sp.kron(np.linalg.inv(between), one) @ own)
+    inverse = sp.csr_array(whitener.T @ whitener)
+    inverse.eliminate_zeros()
+    largest = max(np.linalg.norm(b, 2) for b in within) * np.linalg.norm(between, 2)
+    return root, inverse, float(largest**2)
 
 
 @dataclass(frozen=True)
@@ -526,19 +425,14 @@ class HuberDeviation(Term):
         t, in sigmas, above 0; beyond it a coefficient counts as an outlier.
     convex : float
         e, above 0 and at most 1.
-    sigma : float, optional
-        That of `PriorDeviation`.
     """
 
     threshold: float = 1.5
     convex: float = 0.01
-    sigma: float | None = None
 
     is_prior: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        if self.sigma is not None:
-            checks.positive("HuberDeviation: sigma", self.sigma)
         checks.positive("HuberDeviation: threshold", self.threshold)
         if not 0 < checks.number("HuberDeviation: convex", self.convex) <= 1:
             raise DataError(f"HuberDeviation: convex = {self.convex:g} is not in (0, 1]")
@@ -555,10 +449,6 @@ class HuberDeviation(Term):
     def convexity(self, numbers: Numbers) -> float:
         """Return e."""
         return self.convex
-
-    def structure(self) -> Term:
-        """Return the term without ``sigma``, which enters through the deviations."""
-        return _without_sigma(self)
 
 
 @dataclass(frozen=True)
@@ -587,34 +477,31 @@ class MatchWithin(ExactMatch):
     """|T - T measured| <= tolerance, in just noticeable differences of 5 %.
 
     When to use it: when nobody would hear a smaller gap, so that coefficients should not move for
-    it. The answer is the nearest to the prior that is within the tolerance. A tolerance of 0 is
-    `ExactMatch`.
+    it. The answer is the nearest to the prior that is within the tolerance.
 
     Parameters
     ----------
     jnd : float
-        0 or more, below 20 (where T would have to be 0).
+        Above 0, below 20 (where T would have to be 0).
     """
 
     jnd: float = 1.0
 
     def __post_init__(self) -> None:
-        if not 0 <= checks.number("MatchWithin: jnd", self.jnd) < 1 / TARGET.jnd:
-            raise DataError(f"MatchWithin: jnd = {self.jnd:g} is not from 0 to below 20")
+        if not 0 < checks.number("MatchWithin: jnd", self.jnd) < 1 / TARGET.jnd:
+            raise DataError(
+                f"MatchWithin: jnd = {self.jnd:g} is not above 0 and below 20; without a tolerance "
+                "it is ExactMatch()"
+            )
 
     def __call__(self, m: Model) -> list[Any]:
-        """Two inequalities per band, or one equality if the tolerance is 0."""
-        if self.jnd == 0:
-            return super().__call__(m)
-        shape = (m.layout.n_configurations, m.layout.n_bands)
+        """Two inequalities per band."""
 
         def limit(side: int) -> Any:
             # A band without T reads -1 <= 0 <= 1, which leaves the solver an interior.
             return m.parameter(
-                shape,
-                lambda numbers: np.where(
-                    numbers.matched, self.target_limits(numbers)[side], 2.0 * side - 1
-                ),
+                (m.layout.n_configurations, m.layout.n_bands),
+                lambda of: np.where(of.matched, self.target_limits(of)[side], 2.0 * side - 1),
             )
 
         return [m.absorption_area >= limit(0), m.absorption_area <= limit(1)]
@@ -624,11 +511,8 @@ class MatchWithin(ExactMatch):
 
         A target that was moved to the end of its reach widens the tolerance to that end.
         """
-        if self.jnd == 0:
-            return super().target_limits(numbers)
         tolerance = TARGET.jnd * self.jnd
-        low = numbers.target_of(numbers.time * (1 + tolerance))
-        high = numbers.target_of(numbers.time * (1 - tolerance))
+        low, high = (numbers.target_of(numbers.time * (1 + s * tolerance)) for s in (1, -1))
         # A T so short that no b gives it: the equation's largest b is the limit.
         beyond = np.isfinite(numbers.time) & np.isnan(high)
         high = np.where(beyond, numbers.largest_target, high)
@@ -649,32 +533,58 @@ class SoftMatch(Term):
     configurations always. It keeps the noise of T out of alpha. Weight 1 is the right one: then
     with `PriorDeviation` the answer is the most probable one.
 
+    With ``room``, it is ½ r'C⁻¹r, r = b - S'alpha: C is the covariance of r over all bands, u_b² on its
+    diagonal and what the room states of its volume, areas and climate
+    (`rtcal.acoustics.room_errors.target_changes`). It is the QP with A_ik = alpha_ik S_i, every S_i and
+    the volume unknown and shared by all bands, after these are minimised out. Eyring's and Kuttruff's b
+    is linearised in them (docs/uncertain_room.md). An error of the volume then changes all bands alike,
+    and goes less into the coefficients.
+
     Parameters
     ----------
     relative : float, optional
         u_T / T, at most 1, for bands whose measurement states no uncertainty. Without it those are
         refused.
+    room : bool
+        Whether the room's ``volume_sigma``, ``area_sigma`` and ``climate_sigma`` count. With them
+        `rtcal.calibrate` sets it for every method but ``lse``.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, measured = rt.datasets.bras_cr2()
+    >>> objective = rt.terms.PriorDeviation() + SoftMatch(room=True)
+    >>> problem = rt.Calibration(objective).build(room.replace(volume_sigma=0.05))
+    >>> problem.solve(measured).gap_after.round(1)
+    array([1.9, 0.3, 0.4, 0.4, 0.4, 0.3])
     """
 
     relative: float | None = None
+    room: bool = False
+
+    in_numbers: ClassVar[Mapping[str, Any]] = {"relative": None}
 
     def __post_init__(self) -> None:
         u = self.relative
+        checks.flag("SoftMatch: room", self.room)
         if u is not None and not 0 < checks.number("SoftMatch: relative", u) <= 1:
             percent = ": is it in percent?" if 1 < u <= 100 else ""
             raise DataError(f"SoftMatch: relative = {u:g} is not above 0 and at most 1{percent}")
 
     def __call__(self, m: Model) -> Any:
-        """½ |(S'alpha - b) / u_b|²."""
-        return half_squares(m.misfit)
+        """½ |(S'alpha - b) / u_b|²; with ``room`` ½ |W (S'alpha - b)|², W'W = C⁻¹."""
+        if not self.room:
+            return half_squares(m.misfit)
+        n = m.layout.n_configurations * m.layout.n_bands
 
-    def structure(self) -> Term:
-        """Return the term without ``relative``, which enters through the parameters."""
-        return type(self)()
+        def whitener(numbers: Numbers) -> Array:  # of the misfit, whose unit is u_b
+            return numbers.match_whitener * np.nan_to_num(numbers.target_uncertainty).ravel()
+
+        return half_squares(m.parameter((n, n), whitener) @ cp.vec(m.misfit, order="C"))
 
     def uncertainty(self, numbers: Numbers) -> Array:
         """Return u_b in m², (n_configurations, n_bands); DataError where it is none."""
-        u, name = numbers.target_uncertainty, type(self).__name__
+        u = numbers.target_uncertainty
         unknown = numbers.matched & ~np.isfinite(u)
         if self.relative is not None and unknown.any():
             u = np.where(unknown, self.relative * numbers.time * numbers.target_sensitivity, u)
@@ -686,8 +596,8 @@ class SoftMatch(Term):
             ),
             (
                 ~(u > 0),
-                "u_T[{band}] is unknown or 0, and {name} weighs by it: state it in the measurement, or "
-                "leave out what is 0 and give {name}(relative=...), as the methods do",
+                "u_T[{band}] is unknown or 0, and SoftMatch weighs by it: state it in the measurement, "
+                "or leave out what is 0 and give SoftMatch(relative=...), as the methods do",
             ),
             (
                 u < SMALLEST_UNCERTAINTY * np.abs(numbers.target),
@@ -698,46 +608,8 @@ class SoftMatch(Term):
             if (wrong := numbers.matched & bad).any():
                 row = int(np.flatnonzero(wrong.ravel())[0])
                 band, time = numbers.layout.band_label(row), numbers.time.ravel()[row]
-                raise DataError(message.format(band=band, time=time, name=name))
+                raise DataError(message.format(band=band, time=time))
         return np.where(numbers.matched, u, np.nan)
-
-
-@dataclass(frozen=True)
-class RoomMatch(SoftMatch):
-    """½ r'C⁻¹r, r = b - S'alpha: match T as far as T, volume, areas and climate deserve.
-
-    C is the covariance of r over all bands: u_b² on its diagonal, and what the room states of its
-    volume, areas and climate (`rtcal.acoustics.room_errors.target_changes`). It is the QP with
-    A_ik = alpha_ik S_i, every S_i and the volume unknown and shared by all bands, after these are
-    minimised out. Eyring's and Kuttruff's b is linearised in them (docs/uncertain_room.md).
-
-    When to use it: when the room states a ``volume_sigma``, an ``area_sigma`` or a ``climate_sigma``;
-    `rtcal.calibrate` then uses it for every method but ``lse``. An error of the volume then changes
-    all bands alike, and goes less into the coefficients.
-
-    Parameters
-    ----------
-    relative : float, optional
-        As for `SoftMatch`.
-
-    Examples
-    --------
-    >>> import rtcal as rt
-    >>> room, measured = rt.datasets.bras_cr2()
-    >>> objective = rt.terms.PriorDeviation() + RoomMatch()
-    >>> problem = rt.Calibration(objective).build(room.replace(volume_sigma=0.05))
-    >>> problem.solve(measured).gap_after.round(1)
-    array([1.9, 0.3, 0.4, 0.4, 0.4, 0.3])
-    """
-
-    def __call__(self, m: Model) -> Any:
-        """½ |W (S'alpha - b)|², W'W = C⁻¹; the misfit's own unit u_b is in the matrix."""
-        n = m.layout.n_configurations * m.layout.n_bands
-
-        def whitener(numbers: Numbers) -> Array:
-            return numbers.match_whitener * np.nan_to_num(numbers.target_uncertainty).ravel()
-
-        return half_squares(m.parameter((n, n), whitener) @ m.flat(m.misfit))
 
 
 @dataclass(frozen=True)
@@ -767,25 +639,13 @@ class LinearObservations(Term):
         checks.text("LinearObservations: name", self.name)
 
     def __call__(self, m: Model) -> Any:
-        """½ |R x - z|², R the upper triangle of the QR of the whitened J sigma.
+        """½ |R x - z|², R and z those of `rtcal.calibration.unknowns.Observed.over`.
 
-        R has as many rows as there are coefficients, however many observations there are. Those of
-        its rows that lack observations are 0. What J alpha cannot reach of y is a constant.
+        What J alpha cannot reach of y is a constant.
         """
         n = m.layout.n_alpha
-
-        @functools.lru_cache(maxsize=1)
-        def triangle(numbers: Numbers) -> Array:
-            seen, values = numbers.observed[self]
-            mu, sigma = numbers.mu[:n], numbers.sigma[:n]
-            both = np.column_stack([seen * sigma, values - seen @ mu])
-            factor = np.linalg.qr(both, mode="r")
-            full = np.zeros((n, n + 1))
-            full[: min(len(factor), n)] = factor[:n]
-            return full
-
-        matrix = m.parameter((n, n), lambda numbers: triangle(numbers)[:, :n])
-        values = m.parameter(n, lambda numbers: triangle(numbers)[:, n])
+        matrix = m.parameter((n, n), lambda numbers: numbers.observed[self][:, :n])
+        values = m.parameter(n, lambda numbers: numbers.observed[self][:, n])
         return half_squares(matrix @ m.x - values)
 
 
@@ -840,6 +700,8 @@ class AddedAbsorption(Term):
     sigma: float
     mean: float = 0.0
 
+    in_numbers: ClassVar[Mapping[str, Any]] = {"gain": (), "sigma": 1.0, "mean": 0.0}
+
     def __post_init__(self) -> None:
         own = f'AddedAbsorption("{checks.text("AddedAbsorption: name", self.name)}")'
         checks.positive(f"{own}: sigma", self.sigma)
@@ -853,11 +715,8 @@ class AddedAbsorption(Term):
 
     def __call__(self, m: Model) -> Any:
         """½ ((theta - mean) / sigma)²."""
-        return half_squares(m.effect(self.name))
-
-    def structure(self) -> Term:
-        """Return an effect of the same name: gain, sigma and mean enter through the parameters."""
-        return AddedAbsorption(self.name, [0.0], sigma=1.0)
+        sizes: Any = m.effects
+        return half_squares(sizes[m.layout.further.index(self.name)])
 
     def gains(self, n_configurations: int, n_bands: int) -> Array:
         """Return the gain by configuration and band in m²; ModelError if it does not fit."""
@@ -899,9 +758,9 @@ class Bounds:
                 f"Bounds({self.lower:g}, {self.upper:g}) is not within 0 <= lower <= upper <= 1"
             )
 
-    def narrow(self, layout: Layout, mu: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-        """Return the box cut to these bounds."""
-        return _cut(layout.index(self.material, self.band), lower, upper, self.lower, self.upper)
+    def of(self, mu: Array) -> tuple[Any, Any]:
+        """Return the bounds of coefficients whose prior means are ``mu``."""
+        return self.lower, self.upper
 
 
 @dataclass(frozen=True)
@@ -929,17 +788,10 @@ class Fixed:
         if self.value is not None and not 0 <= checks.number("Fixed: value", self.value) <= 1:
             raise DataError(f'Fixed("{self.material}", {self.value:g}) is not in [0, 1]')
 
-    def narrow(self, layout: Layout, mu: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-        """Return the box with both sides at the value."""
-        where = layout.index(self.material, self.band)
-        value = mu[where] if self.value is None else self.value
-        return _cut(where, lower, upper, value, value)
-
-
-def _cut(where: Integers, lower: Array, upper: Array, least: Any, most: Any) -> tuple[Array, Array]:
-    lower, upper = lower.copy(), upper.copy()
-    lower[where], upper[where] = np.maximum(lower[where], least), np.minimum(upper[where], most)
-    return lower, upper
+    def of(self, mu: Array) -> tuple[Any, Any]:
+        """Return the value as both bounds."""
+        value = mu if self.value is None else self.value
+        return value, value
 
 
 @dataclass(frozen=True)
@@ -958,10 +810,6 @@ class Shared:
         if len(set(materials)) < 2:
             raise DataError("Shared needs two different materials or more")
         object.__setattr__(self, "materials", tuple(materials))
-
-    def groups(self, materials: tuple[str, ...]) -> Iterable[tuple[str, ...]]:
-        """Return the one group."""
-        return [self.materials]
 
 
 @dataclass(frozen=True)
@@ -990,7 +838,7 @@ class AtMost:
 
     def __call__(self, m: Model) -> list[Any]:
         """One inequality per band."""
-        alpha = m.flat(m.alpha)
+        alpha = cp.vec(m.alpha, order="C")
         lesser, greater = (alpha[places] for places in self._places(m.layout))
         return [lesser - greater <= np.zeros(lesser.size)]
 
@@ -1053,16 +901,22 @@ class GroupAbsorption:
                 f"GroupAbsorption(configuration={self.configuration}): there are "
                 f"{layout.n_configurations}"
             )
-        area = m.group_area(self._members(layout), self.configuration)[self._bands(layout)]
-        limits = [
+        members = sorted({int(layout.index(m)[0]) // layout.n_bands for m in self.materials})
+        for name, row in zip(layout.materials, layout.alpha_rows, strict=True):
+            if row in members and name not in self.materials:
+                raise ModelError(
+                    f'GroupAbsorption: "{name}" shares its coefficients with a member; name it too'
+                )
+        area = m.group_area(members, self.configuration)[self._bands(layout)]
+        least, most = (
             None if limit is None else np.full(area.size, limit)
             for limit in (self.least, self.most)
-        ]
+        )
         if self.least == self.most:
-            return [area == limits[0]]
+            return [area == least]
         return [
-            *([area >= limits[0]] if limits[0] is not None else []),
-            *([area <= limits[1]] if limits[1] is not None else []),
+            *([] if least is None else [area >= least]),
+            *([] if most is None else [area <= most]),
         ]
 
     def label(self, row: int, layout: Layout) -> str:
@@ -1072,15 +926,6 @@ class GroupAbsorption:
 
     def _bands(self, layout: Layout) -> Integers:
         return layout.index(layout.materials[0], self.band) % layout.n_bands
-
-    def _members(self, layout: Layout) -> list[int]:
-        members = sorted({int(layout.index(m)[0]) // layout.n_bands for m in self.materials})
-        for name, row in zip(layout.materials, layout.alpha_rows, strict=True):
-            if row in members and name not in self.materials:
-                raise ModelError(
-                    f'GroupAbsorption: "{name}" shares its coefficients with a member; name it too'
-                )
-        return members
 
 
 def _named(term: str, material: object, band: object = None) -> None:

@@ -368,26 +368,31 @@ class Observed:
     def __repr__(self) -> str:
         return f"<Observed: {self.values.size} observations of {self.matrix.shape[1]} coefficients>"
 
-    def over(self, layout: Layout) -> tuple[Array, Array]:
-        """Return matrix and values over the unknowns of a problem, in units of independent errors.
+    def over(self, layout: Layout, mu: Array, sigma: Array) -> Array:
+        """Return R and z, (n_alpha, n_alpha + 1): ½ |R x - z|² is the misfit, but for a constant.
 
+        R is the upper triangle of the QR of the whitened J sigma, by the deviations x from ``mu``
+        (n_alpha,), with as many rows as there are coefficients: those that lack observations are 0.
         Columns of materials that share their coefficients are added up.
 
         Raises DataError if the matrix has columns of other materials or bands.
         """
-        n = len(layout.materials) * layout.n_bands
+        n, k = len(layout.materials) * layout.n_bands, layout.n_bands
         if self.matrix.shape[1] != n:
             raise DataError(
                 f"observed matrix has {self.matrix.shape[1]} columns; {len(layout.materials)} "
                 f"materials in {layout.n_bands} bands have {n}"
             )
-        by_material = self.matrix.reshape(len(self.matrix), -1, layout.n_bands)
-        summed = np.zeros((len(self.matrix), layout.n_alpha_rows, layout.n_bands))
+        summed = np.zeros((len(self.matrix), layout.n_alpha_rows, k))
         for material, row in enumerate(layout.alpha_rows):
-            summed[:, row] += by_material[:, material]
-        both = np.column_stack([summed.reshape(len(self.matrix), -1), self.values])
-        white = solve_triangular(self.factor, both, lower=True)
-        return white[:, :-1], white[:, -1]
+            summed[:, row] += self.matrix[:, material * k : (material + 1) * k]
+        seen = summed.reshape(len(self.matrix), -1)
+        white = solve_triangular(self.factor, np.column_stack([seen, self.values]), lower=True)
+        seen, values = white[:, :-1], white[:, -1]
+        factor = np.linalg.qr(np.column_stack([seen * sigma, values - seen @ mu]), mode="r")
+        full = np.zeros((layout.n_alpha, layout.n_alpha + 1))
+        full[: min(len(factor), len(full))] = factor[: len(full)]
+        return full
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -413,8 +418,8 @@ class Numbers:
         It turned T into b.
     rooms : tuple of Room
         One per configuration.
-    observed : mapping of term to (matrix, values)
-        Of each `rtcal.terms.LinearObservations`, as `Observed.over` returns them.
+    observed : mapping of term to array (n_alpha, n_alpha + 1)
+        Of each `rtcal.terms.LinearObservations`, as `Observed.over` returns it.
     room_changes : array (n_changes, n_configurations * n_bands)
         `rtcal.acoustics.room_errors.target_changes` of all configurations, in m².
     common : float
@@ -434,7 +439,7 @@ class Numbers:
     target_sensitivity: Array
     equation: LinearEquation
     rooms: tuple[Room, ...]
-    observed: Mapping[object, tuple[Array, Array]] = field(default_factory=dict)
+    observed: Mapping[object, Array] = field(default_factory=dict)
     room_changes: Array = field(default_factory=lambda: np.zeros((0, 0)))
     common: float = 0.0
 

@@ -32,7 +32,7 @@ from rtcal.acoustics.room_errors import in_words, prior_covariance, value_change
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.calibration.fit import GaussNewtonFit, ModelObjective, fit
 from rtcal.calibration.problem import Calibration
-from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective
+from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation
 from rtcal.loop.control_runs import (
     DIGITS,
     GROUPS,
@@ -343,7 +343,7 @@ class PositionsFit:
         constraints: Any = ()
         if calibration is not None:
             objective, constraints = calibration.objective, calibration.constraints
-        whole = Calibration(as_objective(objective) + POSITIONS, constraints)
+        whole = Calibration(objective + POSITIONS, constraints)
         self._problem = whole.build(room)
         self._times = None if calibration is None else measured
         self._residual, self._gaps = here.residual(), here.gaps()

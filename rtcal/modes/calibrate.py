@@ -37,7 +37,7 @@ from rtcal.calibration.problem import Calibration, Times
 from rtcal.calibration.qp import Certificate
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients
-from rtcal.calibration.terms import LinearObservations, Observed, as_objective
+from rtcal.calibration.terms import LinearObservations, Observed
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.io.sofa import Responses
@@ -121,9 +121,9 @@ def calibrate_modes(
     if exact and isinstance(measured, Measurement):
         t = above_schroeder(measured, room, low)
     plain = preset("mle", model.room)
-    problem = Calibration(
-        as_objective(plain.objective) + MODES, plain.constraints if exact else ()
-    ).build(model.room, Eyring() if equation is None else equation)
+    problem = Calibration(plain.objective + MODES, plain.constraints if exact else ()).build(
+        model.room, Eyring() if equation is None else equation
+    )
     used, lowest = found.measured, room.centre_frequencies[0] / 2
     if modes.frequencies[used].max() < lowest:
         raise DataError(
