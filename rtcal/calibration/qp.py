@@ -374,7 +374,7 @@ class System:
     _REFINEMENTS = 4
 
     def __init__(self, program: QP, free: Flags, active: Flags) -> None:
-        norm = np.sqrt(program.row_sums(1.0 * free, program.A**2))
+        norm = np.sqrt(program.row_sums(free.astype(float), program.A**2))
         self.used = active & (norm > 0)
         self._unit = np.divide(1.0, norm, out=np.zeros_like(norm), where=self.used)
         self._on, n = np.concatenate([free, self.used]), len(free) + len(active)
