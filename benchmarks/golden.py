@@ -344,7 +344,7 @@ def several_states() -> dict[str, Any]:
         room.replace(name="less ceiling", areas=room.areas * [1, 1, 1, 1, 0.6]),
         room.replace(name="more floor", areas=room.areas * [1, 1, 1, 1.5, 1]),
     ]
-    t = measured.decay_time().mean
+    t = measured.reverberation_time
     together = rt.Configurations(states)
     out = {}
     for method in ("soft", "smooth", "robust", "joint"):
@@ -478,7 +478,7 @@ def looped(rule: str) -> dict[str, Any]:
             "alpha": result.alpha,
             "status": result.status,
             "gap": result.gap,
-            "final": result.final.decay_time().mean,
+            "final": result.final.reverberation_time,
         }
     return out
 

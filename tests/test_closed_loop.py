@@ -45,7 +45,7 @@ def test_a_simulator_is_calibrated(cr2, rule):
     result = calibrate_simulator(bent(room, 0.85, 1.1), room, measured, rule)
     assert set(result.status) == {"converged"}
     assert result.simulations <= 5
-    wanted = measured.decay_time().mean
+    wanted = measured.reverberation_time
     assert np.abs(gap_jnd(result.after.mean("t20"), wanted)).max() <= 1
     assert np.abs(gap_jnd(result.before.mean("t20"), wanted)).max() > 1  # it had something to do
     assert result.confirmation is None
@@ -353,7 +353,7 @@ def two_slopes(room, ratio):
 
 
 def with_edt(measured):
-    times = measured.decay_time().mean
+    times = measured.reverberation_time
     return rt.Measurement.from_values(measured.centre_frequencies, t20=times, edt=times)
 
 

@@ -263,6 +263,6 @@ def test_the_command_s_room_is_one_that_rtcal_calibrates(
     written = rt.Room.from_file(str(tmp_path / "out" / "room.toml"))
     np.testing.assert_allclose(
         rt.Eyring().reverberation_time(written),
-        case.configurations[0].measured.decay_time().mean,
+        case.configurations[0].measured.reverberation_time,
         rtol=2e-3,
     )

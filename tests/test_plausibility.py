@@ -143,7 +143,7 @@ def test_an_unreachable_band_is_marked_with_what_to_do(method: str) -> None:
 
 def test_unknown_uncertainty_of_t_is_said(cr2) -> None:
     room, measured = cr2
-    bare = rt.calibrate(room, measured.decay_time().mean)
+    bare = rt.calibrate(room, measured.reverberation_time)
     assert "no_uncertainty" in {m.kind for m in bare.trust_marks}
     assert "no_uncertainty" not in {m.kind for m in rt.calibrate(room, measured).trust_marks}
 

@@ -71,7 +71,7 @@ def test_a_stated_uncertainty_counts_band_by_band() -> None:
         values={"t20": [[0.8, 0.75]]},
         uncertainty={"t20": [[0.3, np.nan]]},
     )
-    found = measured.decay_time().uncertainty
+    found = measured.reverberation_time_uncertainty
     assert found[0] == 0.3
     assert 0 < found[1] < 0.1
 

@@ -55,7 +55,7 @@ def test_file_round_trip(tmp_path) -> None:
     reread = rt.Measurement.from_file(tmp_path / "measured.csv")
     np.testing.assert_array_equal(reread.values["t30"], measured.values["t30"])
     np.testing.assert_array_equal(
-        reread.decay_time().uncertainty, measured.decay_time().uncertainty
+        reread.reverberation_time_uncertainty, measured.reverberation_time_uncertainty
     )
     with pytest.raises(rt.errors.DataError, match="already calibrated on these data"):
         rt.calibrate(again, measured)

@@ -142,7 +142,7 @@ def test_positions_do_not_average_out_what_all_share() -> None:
         t = 1 + 0.015 * rng.standard_normal((n, 2))
         pairs = [("S", f"R{i}") for i in range(n)]
         measurement = rt.Measurement(centre_frequencies=[125, 4000], values={"t20": t}, pairs=pairs)
-        return measurement.decay_time().uncertainty
+        return measurement.reverberation_time_uncertainty
 
     iso = 0.88 * np.sqrt(1.19 / (12 * 0.71 * np.array([125, 4000])))
     assert np.all(uncertainty(130) >= 0.99 * iso)
@@ -155,7 +155,7 @@ def test_positions_do_not_average_out_what_all_share() -> None:
         n_sources=1,
         n_receivers=130,
     )
-    assert summary.decay_time().uncertainty[0] == pytest.approx(0.015 / np.sqrt(12))
+    assert summary.reverberation_time_uncertainty[0] == pytest.approx(0.015 / np.sqrt(12))
 
 
 def test_q_too_small_is_said() -> None:

@@ -23,6 +23,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import msgspec
@@ -147,19 +148,6 @@ def require_repeats(placed: Sequence[Pair], place: str) -> None:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class DecayTime:
-    """The reverberation time to match: mean over pairs, which parameter, how uncertain.
-
-    ``mean`` and ``uncertainty`` in s, (n_bands,), NaN where missing or unknown; ``parameter`` per
-    band is ``"t20"``, ``"t30"`` or ``""``.
-    """
-
-    mean: Array
-    uncertainty: Array
-    parameter: tuple[str, ...]
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measurement:
     """Room-acoustic parameters by source-receiver pair and band.
@@ -192,7 +180,7 @@ class Measurement:
     Examples
     --------
     >>> m = Measurement.from_values([500, 1000], t20=[1.9, 2.0])
-    >>> m.decay_time().mean.tolist()
+    >>> m.reverberation_time.tolist()
     [1.9, 2.0]
     """
 
@@ -451,8 +439,8 @@ class Measurement:
 
     @property
     def time_label(self) -> str:
-        """Name of the reverberation time that `decay_time` takes: T20, T30, or both."""
-        used = {parameter_label(p) for p in self.decay_time().parameter if p}
+        """Name of the reverberation time that is matched: T20, T30, or both."""
+        used = {parameter_label(p) for p in self.reverberation_parameter if p}
         return " and ".join(sorted(used)) or TARGET.label
 
     def mean_uncertainty(self, parameter: str) -> Array:
@@ -584,24 +572,31 @@ class Measurement:
             )
         return replace(self, centre_frequencies=conversion.new, **tables)
 
-    def decay_time(self) -> DecayTime:
-        """Return the reverberation time to match: per band T20, else T30, never EDT.
+    @cached_property
+    def reverberation_parameter(self) -> tuple[str, ...]:
+        """Which T is to be matched by band: ``"t20"``, else ``"t30"``, and ``""`` without either.
 
-        EDT depends on the early sound and the source's directivity, which absorption coefficients
-        must not compensate.
+        Never EDT: it depends on the early sound and the source's directivity, which absorption
+        coefficients must not compensate.
         """
-        k = len(self.centre_frequencies)
-        mean, uncertainty = np.full(k, np.nan), np.full(k, np.nan)
-        parameter = np.full(k, "", dtype="<U3")
-        for name in [o.key for o in reversed(REVERBERATION)]:  # the first replaces the others
-            value = self.mean(name)
-            measured = np.isfinite(value)
-            mean[measured] = value[measured]
-            uncertainty[measured] = self.mean_uncertainty(name)[measured]
-            parameter[measured] = name
-        return DecayTime(
-            mean=mean, uncertainty=uncertainty, parameter=tuple(str(p) for p in parameter)
-        )
+        known = {o.key: np.isfinite(self.mean(o.key)) for o in REVERBERATION}
+        each = range(len(self.centre_frequencies))
+        return tuple(next((name for name, at in known.items() if at[k]), "") for k in each)
+
+    @property
+    def reverberation_time(self) -> Array:
+        """T to be matched in s, (n_bands,), the mean over pairs; NaN where none was measured."""
+        return self._matched(self.mean)
+
+    @property
+    def reverberation_time_uncertainty(self) -> Array:
+        """Its standard uncertainty in s, (n_bands,); NaN where it is unknown."""
+        return self._matched(self.mean_uncertainty)
+
+    def _matched(self, of: Callable[[str], Array]) -> Array:
+        names = self.reverberation_parameter
+        each = {name: of(name) for name in {*names} - {""}}
+        return np.array([each[name][k] if name else np.nan for k, name in enumerate(names)])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the measurement as plain values, None where one is missing; see `from_dict`."""

@@ -132,13 +132,15 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
     frequencies = room.centre_frequencies
     if isinstance(measured, Measurement):
         measured.refuse_large_uncertainty()
-        decay = measured.in_bands(frequencies).decay_time()
-        if not np.isfinite(decay.mean).any():
+        there = measured.in_bands(frequencies)
+        time, uncertainty = there.reverberation_time, there.reverberation_time_uncertainty
+        if not np.isfinite(time).any():
             parameters = ", ".join(parameter_label(p) for p in measured.values)
             raise DataError(
                 f"the measurement has no T20 or T30 in any band of the room; stated: {parameters}"
             )
-        return MeasuredTimes(frequencies, decay.mean, decay.uncertainty, decay.parameter, measured)
+        parameter = there.reverberation_parameter
+        return MeasuredTimes(frequencies, time, uncertainty, parameter, measured)
     try:
         times = checks.array("measured", measured).copy()
     except DataError as error:
@@ -164,7 +166,7 @@ def notes_of_bands(room: Room, measured: Measurement) -> list[str]:
     wanted = room.centre_frequencies
     in_room = measured.in_bands(wanted)
     told = bands.notes(measured.centre_frequencies, wanted)
-    lacking = wanted[np.isnan(in_room.decay_time().mean)]
+    lacking = wanted[np.isnan(in_room.reverberation_time)]
     if lacking.size:
         told.append(f"no T was measured at {', '.join(bands.labels(lacking))}")
     return told

@@ -499,7 +499,7 @@ class Case:
         if self.room.calibration is None:
             return
         for c in self.configurations:
-            if np.isfinite(c.measured.decay_time().mean).any():
+            if np.isfinite(c.measured.reverberation_time).any():
                 refuse_repeated_data(self.room, times_in_room(self.room, c.measured).fingerprint)
 
     def only(self, *parameters: str, configurations: Sequence[str] | None = None) -> Case:

@@ -32,7 +32,7 @@ def with_uncertainty(measurement: Measurement) -> Measurement:
     of a band: what teams differ by (Bork 2005).
     """
     frequencies, values = measurement.centre_frequencies, measurement.values
-    times = measurement.decay_time().mean
+    times = measurement.reverberation_time
     own: dict[str, Array] = {}
     common: dict[str, Array] = {}
     for p, table in values.items():

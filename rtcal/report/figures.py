@@ -785,7 +785,7 @@ def decay(verification: Verification) -> Any:
     case, first = finding.case, finding.case.configurations[0].measured
     shape = np.abs(finding.residuals[0, 1:3])
     band = int(np.nanargmax(np.nanmax(np.where(np.isfinite(shape), shape, -1), axis=0)))
-    t = np.linspace(0, 0.8 * float(first.decay_time().mean[band]), 200)
+    t = np.linspace(0, 0.8 * float(first.reverberation_time[band]), 200)
     figure, axes = new_figure()
     for slope, style in zip(of_kind(DecaySlope).values(), cycle(("--", ":", "-"))):
         value = float(first.mean(slope.key)[band])

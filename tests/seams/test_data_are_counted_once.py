@@ -17,7 +17,7 @@ from rtcal.support.errors import DataError
 @pytest.fixture(scope="module")
 def room_and_times() -> tuple[rt.Room, np.ndarray]:
     room, measured = rt.datasets.bras_cr2()
-    return room, measured.decay_time().mean
+    return room, measured.reverberation_time
 
 
 @pytest.mark.parametrize("change", [0.0, 1e-7, -1e-7, 2e-5])

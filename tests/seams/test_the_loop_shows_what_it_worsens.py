@@ -58,7 +58,7 @@ class AtPositions(Bent):
 
 def calibrated(cost: float, more: Mapping[str, float | np.ndarray]) -> Loop:
     room, measured = rt.datasets.bras_cr2()
-    times = measured.decay_time().mean
+    times = measured.reverberation_time
     beside = {p: np.full(room.n_bands, v) for p, v in more.items()}
     heard = rt.Measurement.from_values(room.centre_frequencies, t20=times, **beside)
     return rt.calibrate_simulator(Bent(room, cost), room, heard)
@@ -87,7 +87,7 @@ def test_what_was_measured_is_saved_and_on_the_page() -> None:
 
 def test_bands_of_t30_are_named() -> None:
     room, measured = rt.datasets.bras_cr2()
-    times = measured.decay_time().mean
+    times = measured.reverberation_time
     t20 = times.copy()
     t20[:2] = np.nan
     both = rt.Measurement.from_values(room.centre_frequencies, t20=t20, t30=times)
@@ -100,7 +100,7 @@ def test_bands_of_t30_are_named() -> None:
 def by_hand(folder: Path, cost: float, options: Sequence[str]) -> tuple[Loop, str, str]:
     """Return the loop of a program run by hand, what its last step printed, and its page."""
     room, measured = rt.datasets.bras_cr2()
-    times, flat = measured.decay_time().mean, np.full(room.n_bands, 1.5)
+    times, flat = measured.reverberation_time, np.full(room.n_bands, 1.5)
     heard = rt.Measurement.from_values(
         room.centre_frequencies, t20=times, edt=0.9 * times, c80=flat
     )

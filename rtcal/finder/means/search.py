@@ -302,7 +302,7 @@ def _notes(case: Case) -> list[str]:
     """Return reasons to doubt the result, whatever it is."""
     out = []
     for c in case.configurations:
-        limit = schroeder_limit(case, c.measured.decay_time().mean)
+        limit = schroeder_limit(case, c.measured.reverberation_time)
         low = [f for f in case.room.centre_frequencies if f < limit]
         if low:
             out.append(

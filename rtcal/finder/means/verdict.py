@@ -548,7 +548,7 @@ def below_schroeder(case: Case) -> Array:
     """Return which bands lie below Schroeder's frequency, (n_configurations, n_bands)."""
     out = []
     for c in case.configurations:
-        limit = schroeder_limit(case, c.measured.decay_time().mean)
+        limit = schroeder_limit(case, c.measured.reverberation_time)
         out.append(case.room.centre_frequencies < limit)
     return np.array(out)
 

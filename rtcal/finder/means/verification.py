@@ -176,7 +176,7 @@ def reverberation_times(
     bias = finding.discrepancy.bias.reshape(finding.residuals.shape)
     return [
         {
-            "measured": c.measured.decay_time().mean,
+            "measured": c.measured.reverberation_time,
             "prior": predict([state(case, c)], distances(case, c)).reverberation_time[0],
             "plain": np.exp(before.features[i, 0]),
             "corrected": np.exp(after.features[i, 0] + bias[i, 0]),

@@ -131,7 +131,7 @@ def locate(
         change[list(match).index(EARLY.key)][direct > MOST_DIRECT] = np.nan
     gains = dict[str, float]()
     if LEVEL.key in match:
-        times = [m.decay_time().mean for m in (before, after)]
+        times = [m.reverberation_time for m in (before, after)]
         level = change[list(match).index(LEVEL.key)]
         gains = _gains(simulator, pairs, energy[rows], times, level)
         level[[source in gains for source, _ in pairs]] = np.nan
@@ -194,7 +194,7 @@ def other_gains(
         Observations.of_measurement(m, (LEVEL.key,), before.pairs).values for m in (before, after)
     ]
     weighing = _scaled_to(simulator, before, match, rows, seed)
-    times = [m.decay_time().mean for m in (before, after)]
+    times = [m.reverberation_time for m in (before, after)]
     energy = weighing.energy(weighing.alpha)[0][rows]
     return _gains(simulator, before.pairs, energy, times, two[1][0] - two[0][0])
 
@@ -239,7 +239,7 @@ def _scaled_to(
     simulator: PathTracing, before: Measurement, match: Sequence[str], rows: list[int], seed: int
 ) -> Weighing:
     """Return a weighing whose coefficients have T before: the stated ones, scaled band by band."""
-    wanted = before.decay_time().mean
+    wanted = before.reverberation_time
     tracer = simulator
     factor = np.ones(simulator.room.n_bands)
     for _ in range(3):
