@@ -7,18 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
-import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.optimize import linprog
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.marks import surface_doubt
 from rtcal.acoustics.room import Room
 from rtcal.calibration.composition import Composition
-from rtcal.calibration.qp import COMPILING, QP
+from rtcal.calibration.qp import QP
 from rtcal.calibration.unknowns import Flags, Numbers
 from rtcal.support.errors import InfeasibleError, ModelError
 from rtcal.support.types import Array
@@ -231,75 +230,57 @@ def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
     not relaxed.
     """
     compiled, layout, moves = composition.compiled, composition.layout, numbers.movable
-    m = compiled.model
-    own = program.matrices[1][:, compiled.places] @ sp.diags_array(numbers.inverse_sigma * moves)
-    sides = [np.asarray((sign * own).maximum(0).sum(axis=1)).ravel() for sign in (1, -1)]
-    size = np.append(np.maximum(*sides), 1.0)  # the last of what is no row
+    A, places, unit = program.matrices[1], compiled.places, numbers.inverse_sigma
+    own = A[:, places] @ sp.diags_array(unit * moves)
+    above, below = (np.asarray((sign * own).maximum(0).sum(axis=1)).ravel() for sign in (1, -1))
+    size = np.maximum(above, below)
     size[size == 0] = 1.0
-    relaxations: list[tuple[Any, Array, Callable[[int, float], str]]] = []
-
-    def relaxed(unit: Array, sentence: Callable[[int, float], str]) -> Any:
-        """Return by how much something is relaxed, and note how that is worded."""
-        by = cp.Variable(len(unit), nonneg=True)
-        relaxations.append((by, unit, sentence))
-        return cp.multiply(unit, by)
-
-    deviations = m.x if m.effects is None else cp.hstack([m.x, m.effects])
-    u = numbers.mu + cp.multiply(numbers.sigma, deviations)
+    relaxed: list[tuple[int, float, str]] = []  # row, what a relaxation of 1 gives it, and in words
+    for term, stated in compiled.rows_of:
+        label = getattr(term, "label", lambda row, _, term=term: f"{term!r}, row {row + 1}")
+        for i, row in ((i, row) for rows in stated for i, row in enumerate(rows.tolist())):
+            for side in (1, -1) if row >= 0 and compiled.equal[row] else (1,) * (row >= 0):
+                word = "higher" if side * (above[row] - below[row]) >= 0 else "lower"
+                text = f"{label(i, layout)} has to be {{:.4g}} {word}"
+                relaxed.append((row, side * size[row], text))
+    # Every bound is a row of its own, after those of the constraints.
+    limits, columns, sides = [program.b], list[int](), list[float]()
+    for bound, sign, word in ((numbers.lower, -1.0, "lower"), (numbers.upper, 1.0, "higher")):
+        for u in np.flatnonzero(moves & np.isfinite(bound)).tolist():
+            text = f"{layout.place(u)}: {'upper' if sign > 0 else 'lower'} bound {bound[u]:.4g}"
+            relaxed.append(
+                (len(program.b) + len(columns), 1.0, f"{text} has to be {{:.4g}} {word}")
+            )
+            limits.append(np.array([sign * (bound[u] - numbers.mu[u])]))
+            columns.append(int(places[u]))
+            sides.append(sign / unit[u])
+    lower, upper = program.lower.copy(), program.upper.copy()
     most = np.where(np.arange(layout.size) < layout.n_alpha, 1.0, np.inf)
-    fixed = ~moves & (numbers.sigma > 0)
-    rows = [*m.definitions]
-    for where, low, high in ((moves, 0 * most, most), (fixed, *numbers.box)):
-        rows += [u[where] >= low[where]] if where.any() else []
-        where = where & np.isfinite(high)
-        rows += [u[where] <= high[where]] if where.any() else []
-    with COMPILING:  # the problem has one value of each parameter
-        for parameter, compute in m.parameters:
-            parameter.save_value(np.reshape(compute(numbers), parameter.shape))
-        for term, stated in compiled.rows_of:
-            label = getattr(term, "label", lambda row, _, term=term: f"{term!r}, row {row + 1}")
-            for constraint, places in stated:
-                left, right = constraint.args
-                flipped = not right.is_constant()
-                limit = left.value if flipped and left.is_constant() else right.value
-                limit = np.ravel(np.broadcast_to(0.0 if limit is None else limit, constraint.shape))
-
-                def moved(word: str, label: Any = label, limit: Array = limit) -> Any:
-                    return lambda row, by: (
-                        f"{label(row, layout)}: {limit[row]:.4g} has to be {by:.4g} {word}"
-                    )
-
-                words = ("lower", "higher") if flipped else ("higher", "lower")
-                beyond = cp.vec(left - right, order="C")
-                allowed = relaxed(size[places], moved(words[0]))
-                if isinstance(constraint, cp.constraints.Equality):
-                    rows.append(beyond == allowed - relaxed(size[places], moved(words[1])))
-                else:
-                    rows.append(beyond <= allowed)
-        for bound, sign, change in (
-            (numbers.lower, -1, "lower bound {:.4g} has to be {:.4g} lower"),
-            (numbers.upper, 1, "upper bound {:.4g} has to be {:.4g} higher"),
-        ):
-            soft = np.flatnonzero(moves & np.isfinite(bound))
-            if not soft.size:
-                continue
-
-            def widened(
-                i: int, by: float, of: Any = soft, old: Any = bound, to: str = change
-            ) -> str:
-                return f"{layout.place(int(of[i]))}: {to.format(old[of[i]], by)}"
-
-            rows.append(sign * u[soft] <= sign * bound[soft] + relaxed(np.ones(len(soft)), widened))
-        problem = cp.Problem(cp.Minimize(sum(cp.sum(by) for by, *_ in relaxations)), rows)
-        problem.solve(solver=cp.SCIPY)
-    if problem.status != cp.OPTIMAL or problem.value <= _NOTHING:
+    lower[places[moves]] = (-numbers.mu * unit)[moves]
+    upper[places[moves]] = ((most - numbers.mu) * unit)[moves]
+    rows, k = [row for row, _, _ in relaxed], len(relaxed)
+    by_bound = sp.csr_array((sides, (range(len(columns)), columns)), (len(columns), A.shape[1]))
+    gives = sp.csr_array(
+        ([-give for _, give, _ in relaxed], (rows, range(k))), (A.shape[0] + len(columns), k)
+    )
+    whole = sp.csr_array(sp.hstack([sp.vstack([A, by_bound]), gives]))
+    b, equal = np.concatenate(limits), np.append(program.equal, np.zeros(len(columns), dtype=bool))
+    found = linprog(
+        np.append(np.zeros(A.shape[1]), np.ones(k)),
+        A_ub=whole[~equal],
+        b_ub=b[~equal],
+        A_eq=whole[equal],
+        b_eq=b[equal],
+        bounds=[*zip(lower, upper, strict=True), *[(0, None)] * k],
+    )
+    if found.status != 0 or found.fun <= _NOTHING:
         return
-    out = [
-        sentence(i, float(by.value[i] * unit[i]))
-        for by, unit, sentence in relaxations
-        for i in np.flatnonzero(by.value > _NOTHING).tolist()
-    ]
+    by = found.x[A.shape[1] :]
     raise InfeasibleError(
         "the constraints contradict each other. The smallest relaxation that removes it: "
-        + "; ".join(out)
+        + "; ".join(
+            text.format(by[i] * abs(give))
+            for i, (_, give, text) in enumerate(relaxed)
+            if by[i] > _NOTHING
+        )
     )

@@ -79,8 +79,8 @@ class CompiledProblem:
     layout : Layout
     model : Model
     rows_of : list
-        Each constraint but `Shared`, with the cvxpy constraints that it states and for each of these
-        its rows of A; -1 for one that became a bound.
+        Each constraint but `Shared`, with its rows of A by cvxpy constraint that it states; -1 for one
+        that became a bound.
     size : int
         Number of variables v.
     equal : array (n_rows,) of bool
@@ -141,7 +141,7 @@ class CompiledProblem:
         answer.status, answer.obj_val, answer.solve_time, answer.iterations = "Solved", 0.0, 0.0, 0
         problem.unpack_results(answer, chain, inverse)
         self.rows_of = [
-            (t, [(c, self._row_of[np.abs(np.ravel(c.dual_value)).astype(int)]) for c in of_term])
+            (t, [self._row_of[np.abs(np.ravel(c.dual_value)).astype(int)] for c in of_term])
             for t, of_term in stated
         ]
 
@@ -237,7 +237,7 @@ def _constraints(term: AnyTerm, m: Model) -> list[Any]:
 
 
 _cached = functools.lru_cache(maxsize=16)(CompiledProblem)
-COMPILING = threading.RLock()
+_COMPILING = threading.RLock()
 
 
 def compile_once(
@@ -253,7 +253,7 @@ def compile_once(
     """
     structure = tuple(t.structure() if isinstance(t, Term) else t for t in terms)
     key = shape, structure, tuple(weights), tuple(constraints)
-    with COMPILING:  # two threads that ask at once share one
+    with _COMPILING:  # two threads that ask at once share one
         try:
             hash(key)
         except TypeError:

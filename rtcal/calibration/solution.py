@@ -152,7 +152,7 @@ class JointSolution:
         for term, stated in self.composition.compiled.rows_of:
             if term in self.composition.matches:
                 # An equality, or a lower and an upper limit.
-                y = [self.point.y[rows] for _, rows in stated]
+                y = [self.point.y[rows] for rows in stated]
                 values = y[0] if len(y) == 1 else y[1] - y[0]
                 return np.where(matched, values.reshape(matched.shape), np.nan)
         return np.full(matched.shape, np.nan)
@@ -386,7 +386,7 @@ class JointSolution:
         of_target = np.nan_to_num(self.numbers.target_uncertainty).ravel()
         for term, stated in self.composition.compiled.rows_of:
             if isinstance(term, ExactMatch) and len(stated) == 1:
-                noise[stated[0][1]] = of_target
+                noise[stated[0]] = of_target
         return np.where(self.qp.row_size > 0, noise, 0.0)
 
     @cached_property
