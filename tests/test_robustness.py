@@ -248,7 +248,10 @@ HARD_TO_SEE = [
         lambda: rt.exact.scaling([np.nan, 0.1], [1, 1], 1),
         "mu has a value that is not finite",
     ),
-    (lambda: rt.calibrate(room(), [0.8, 0.7], settings={5: 1}), "settings has 5, which is no"),
+    (
+        lambda: rt.calibrate(room(), [0.8, 0.7], settings={5: 1}),
+        "settings = {5: 1} is not a mapping",
+    ),
 ]
 
 

@@ -660,6 +660,8 @@ def solve(
     y, below, above = np.split(np.asarray(z), [n, n + len(low)])
     v, y, where = start, y * unit, np.flatnonzero(on)
     v[on] += x
+    if (at != 0).any():  # the rows of what was left out have multipliers, too
+        y = _nearest_to_zero(program, v, y, (norm == 0) & (program.row_size > 0), at)
     z = _of_bounds(program.force(v, y), at)
     z[where[high]] += np.maximum(above, 0.0)
     z[where[low]] -= np.maximum(below, 0.0)
