@@ -339,5 +339,5 @@ def test_a_raw_answer_at_an_end_is_not_charged_with_what_was_never_asked() -> No
     result = rt.calibrate(known, end)
     np.testing.assert_array_equal(result.alpha, known.alpha_min)
     assert result.joint.raw_certificate.worst < 1e-9
-    assert np.all(result.raw.lower_multipliers >= 0)
+    assert np.all(result.raw.z <= 0)
     assert result.raw.y.max() > 1e-3
