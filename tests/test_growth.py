@@ -11,7 +11,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.calibration.composition import Composition
-from rtcal.calibration.solution import JointSolution
+from rtcal.calibration.result import JointResult
 from rtcal.io import mend
 from rtcal.simulators import Polyhedron
 
@@ -52,9 +52,9 @@ def test_what_configurations_share_is_calculated_once(monkeypatch: pytest.Monkey
     rooms = [large_room(4, seed, f"state {seed}") for seed in range(5)]
     times = [1.1 * rt.Eyring().reverberation_time(room) for room in rooms]
     joint = rt.calibrate(rt.Configurations(rooms), times, method="joint")
-    innovation, density = Mock(side_effect=JointSolution.innovation.func), Mock()
-    monkeypatch.setattr(JointSolution.innovation, "func", innovation)
-    monkeypatch.setattr(JointSolution, "density", density)
+    innovation, density = Mock(side_effect=JointResult.innovation.func), Mock()
+    monkeypatch.setattr(JointResult.innovation, "func", innovation)
+    monkeypatch.setattr(JointResult, "density", density)
     records = [result.to_dict() for result in joint.results]
     assert innovation.call_count == 1
     assert density.call_count == 0

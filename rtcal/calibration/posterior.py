@@ -187,7 +187,7 @@ def distribution(result: Any, n_samples: int = 1024, seed: int = 0) -> Posterior
     """
     checks.whole("n_samples", n_samples, 2)
     checks.whole("seed", seed, 0)
-    known: Densities = result.density()
+    known: Densities = getattr(result, "joint", result).density()
     parts = draws(known.posterior, 2 ** max(10, (n_samples - 1).bit_length()), seed)
     points, prior = known.quantiles(parts), known.quantiles(draws(known.prior(), seed=seed))
     every = samples(known.posterior, parts, n_samples, seed)
@@ -271,7 +271,7 @@ def sensitivity(result: Any) -> Array:
     >>> bool((slope[:, 2, 0, 2] <= 0).all())  # a longer T at 500 Hz needs less absorption there
     True
     """
-    slopes: Array = result.by_time()
+    slopes: Array = getattr(result, "joint", result).by_time()
     return slopes
 
 
