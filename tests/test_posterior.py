@@ -331,7 +331,7 @@ def test_a_coupled_density_is_that_of_plain_draws(exact: bool) -> None:
     objective, match = (
         (prior, [terms.ExactMatch()]) if exact else (prior + terms.SoftMatch(0.1), [])
     )
-    density = rt.Calibration(objective, match).build(room).solve(t).density().posterior
+    density = rt.Calibration(objective, match).build(room).solve(t).joint.density()
     covariance = np.linalg.inv(density.curvature.toarray())
     mean = density.point - covariance @ density.gradient
     if exact:

@@ -15,7 +15,7 @@ functions of the unknowns. Unknowns that neither of them couples are parts of th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import groupby
@@ -112,46 +112,6 @@ class Posterior:
         return np.asarray(1 - ratio)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Densities:
-    """The densities of a calibration's unknowns with the measurement and without it.
-
-    The unknowns are the coefficients, row by row with the bands last, and then the further ones.
-
-    Attributes
-    ----------
-    rows : tuple of int (n_materials,)
-        The row of coefficients of each material; several materials may share a row.
-    n_bands : int
-    further : tuple of str
-        Names of the further unknowns.
-    separate : bool
-        Whether each band stands for itself: independent priors, and one matched sum.
-    posterior : Density
-    prior : function
-        It returns the prior's.
-    """
-
-    rows: tuple[int, ...]
-    n_bands: int
-    further: tuple[str, ...]
-    separate: bool
-    posterior: Density
-    prior: Callable[[], Density]
-
-    def of_materials(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the coefficients' entries of values (size, ...), (n_materials, n_bands, ...)."""
-        n = (max(self.rows) + 1) * self.n_bands
-        return values[:n].reshape(-1, self.n_bands, *values.shape[1:])[list(self.rows)]
-
-    def quantiles(self, parts: list[Draws]) -> Array:
-        """Return the coefficients' quantiles at `NORMAL`, (n_materials, n_bands, 201)."""
-        table = np.repeat(self.posterior.point[:, np.newaxis], len(NORMAL), axis=1)
-        for part in parts:
-            table[part.unknowns] = part.quantiles
-        return self.of_materials(table)
-
-
 def distribution(result: Any, n_samples: int = 1024, seed: int = 0) -> Posterior:
     """Return the posterior distribution of a calibration's coefficients.
 
@@ -187,42 +147,48 @@ def distribution(result: Any, n_samples: int = 1024, seed: int = 0) -> Posterior
     """
     checks.whole("n_samples", n_samples, 2)
     checks.whole("seed", seed, 0)
-    known: Densities = getattr(result, "joint", result).density()
-    parts = draws(known.posterior, 2 ** max(10, (n_samples - 1).bit_length()), seed)
-    points, prior = known.quantiles(parts), known.quantiles(draws(known.prior(), seed=seed))
-    every = samples(known.posterior, parts, n_samples, seed)
-    effective = np.full(len(known.posterior.point), float(n_samples))
+    joint = getattr(result, "joint", result)
+    layout, density = joint.composition.layout, joint.density()
+    parts = draws(density, 2 ** max(10, (n_samples - 1).bit_length()), seed)
+    points, prior = quantiles(layout, density, parts), joint.density(measured=False)
+    every = samples(density, parts, n_samples, seed)
+    effective = np.full(len(density.point), float(n_samples))
     for part in parts:
         effective[part.unknowns] = part.effective
     mean, sigma = _moments(points)
     return Posterior(
-        alpha=known.of_materials(known.posterior.point),
+        alpha=layout.expand(density.point),
         mean=mean,
         sigma=sigma,
-        correlation=correlations(known, parts),
+        correlation=correlations(layout, density, parts),
         points=points,
-        prior_sigma=_moments(prior)[1],
-        samples=np.moveaxis(known.of_materials(every.T), -1, 0),
-        effective_samples=known.of_materials(effective),
-        effects={
-            name: every[:, every.shape[1] - len(known.further) + i]
-            for i, name in enumerate(known.further)
-        },
+        prior_sigma=_moments(quantiles(layout, prior, draws(prior, seed=seed)))[1],
+        samples=np.moveaxis(layout.expand(every.T), -1, 0),
+        effective_samples=layout.expand(effective),
+        effects=dict(zip(layout.further, every[:, layout.n_alpha :].T, strict=True)),
     )
 
 
-def correlations(known: Densities, parts: list[Draws]) -> Array:
+def quantiles(layout: Any, density: Density, parts: Sequence[Draws]) -> Array:
+    """Return the coefficients' quantiles at `NORMAL`, (n_materials, n_bands, 201)."""
+    table = np.repeat(density.point[:, np.newaxis], len(NORMAL), axis=1)
+    for part in parts:
+        table[part.unknowns] = part.quantiles
+    return np.asarray(layout.expand(table))
+
+
+def correlations(layout: Any, density: Density, parts: Sequence[Draws]) -> Array:
     """Return the correlations between the materials, (n_bands, n_materials, n_materials)."""
-    place = known.of_materials(np.arange(len(known.posterior.point)))
-    n = len(place)
-    out = np.tile(np.eye(n), (known.n_bands, 1, 1))
+    place = layout.expand(np.arange(len(density.point)))
+    n, n_bands = place.shape
+    out = np.tile(np.eye(n), (n_bands, 1, 1))
     for part in parts:
         centred = part.values - part.weights @ part.values
         covariance = (centred.T * part.weights) @ centred
         spread = np.sqrt(np.diag(covariance))
         scaled = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > _SINGLE)
         between = np.clip(covariance * np.outer(scaled, scaled), -1, 1)
-        for k in range(known.n_bands):
+        for k in range(n_bands):
             at = np.searchsorted(part.unknowns, place[:, k])
             at[at == len(part.unknowns)] = 0
             own = np.flatnonzero((part.unknowns[at] == place[:, k]) & (scaled[at] > 0))

@@ -645,7 +645,9 @@ def solve(
         duals = np.concatenate([form.y * norm, np.maximum(-z, 0)[low], np.maximum(z, 0)[high]])
         first = (form.v - start)[on], duals
     try:
-        if name == "clarabel":
+        if not count:
+            x, z, status, iterations = np.zeros(0), np.zeros(n), "nothing is free", 0
+        elif name == "clarabel":
             x, z, status, iterations = _clarabel(*given)
         elif name == "osqp":
             x, z, status, iterations = _osqp(*given, first)

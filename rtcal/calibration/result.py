@@ -41,7 +41,14 @@ from rtcal.calibration import qp, table
 from rtcal.calibration.composition import Composition
 from rtcal.calibration.feasibility import Unreachable, where_valid
 from rtcal.calibration.measured import MeasuredTimes, data_history
-from rtcal.calibration.posterior import Densities, Density, Draws, correlations, draws, intervals
+from rtcal.calibration.posterior import (
+    Density,
+    Draws,
+    correlations,
+    draws,
+    intervals,
+    quantiles,
+)
 from rtcal.calibration.qp import QP, Active, Certificate, Iterate, System
 from rtcal.calibration.table import blocks_of
 from rtcal.calibration.terms import (
@@ -250,10 +257,11 @@ class JointResult(Result):
         prior = self.composition.prior
         return isinstance(prior, PriorDeviation) and prior.sigma is None
 
-    def density(self) -> Densities:
-        """Return the density of the unknowns, for `rtcal.posterior.distribution`.
+    def density(self, *, measured: bool = True) -> Density:
+        """Return the density of the unknowns given T, or of the prior alone.
 
-        Raises ModelError if the objective is no log-density (`lse`, `robust`).
+        A match with an uncertain b gives its sum to within u_b. Raises ModelError if the objective is
+        no log-density (`lse`, `robust`).
         """
         prior, numbers, layout = self.composition.prior, self.numbers, self.composition.layout
         if not self.has_density:
@@ -261,18 +269,33 @@ class JointResult(Result):
                 f"{prior!r} is no log-density of what is known of alpha: it has no posterior. Use "
                 'method "soft" or "mle"'
             )
-
-        def unmeasured() -> Density:
+        if not measured:
             missing = np.full_like(numbers.target, np.nan)
-            return self._density(replace(numbers, target=missing, time=missing))
-
-        return Densities(
-            rows=layout.alpha_rows,
-            n_bands=layout.n_bands,
-            further=layout.further,
-            separate=self._independent(prior),
-            posterior=self._density(numbers),
-            prior=unmeasured,
+            numbers = replace(numbers, target=missing, time=missing)
+        program, u = self.composition.qp(numbers), self.unknowns
+        unit, places = numbers.inverse_sigma, self.composition.compiled.places
+        x = np.where(numbers.sigma > 0, (u - numbers.mu) * unit, self.point.v[places])
+        gradient, curvature, kept = _reduced(program, x)
+        # What rounding leaves of unknowns that nothing couples would make one part of them.
+        size = np.sqrt(np.abs(np.diag(curvature)))
+        curvature = np.where(np.abs(curvature) > _UNCOUPLED * np.outer(size, size), curvature, 0.0)
+        own = sp.csr_array(program.matrices[1][:, places] @ sp.diags_array(unit))[kept]
+        limit = program.b[kept] + own @ numbers.mu
+        noise = self._row_noise[kept]
+        names = np.argsort(np.argsort([layout.materials[i] for i in layout.first]))
+        rank = (names[:, np.newaxis] * layout.n_bands + np.arange(layout.n_bands)).ravel()
+        return Density(
+            point=u,
+            gradient=gradient * unit,
+            curvature=sp.csr_array(curvature * np.outer(unit, unit)),
+            scale=np.where(numbers.movable, numbers.sigma, 0.0),
+            lower=numbers.lower,
+            upper=numbers.upper,
+            matrix=own,
+            row_lower=np.where(program.equal[kept], limit, -np.inf),
+            row_upper=limit,
+            row_noise=noise,
+            rank=np.append(rank, np.arange(layout.n_alpha, len(u))),
         )
 
     def by_time(self) -> Array:
@@ -442,48 +465,6 @@ class JointResult(Result):
         *_, covariance = self._covariances
         return target.ravel() - numbers.match_matrix @ numbers.mu, covariance
 
-    def _independent(self, prior: PriorDeviation) -> bool:
-        """Whether no term couples bands and each band has at most one matched sum."""
-        composed = self.composition
-        parts = composed.objective.terms + tuple(composed.row_constraints)
-        return (
-            composed.layout.n_configurations == 1
-            and not composed.layout.further
-            and not prior.correlated
-            and not self.matches_uncertain_room
-            and all(type(t) in (PriorDeviation, SoftMatch) for t in composed.objective.terms)
-            and all(type(r) is ExactMatch for r in composed.row_constraints)
-            and len(parts) <= 2
-        )
-
-    def _density(self, numbers: Numbers) -> Density:
-        """The density of the unknowns: a match with an uncertain b gives its sum to within u_b."""
-        program, u, layout = self.composition.qp(numbers), self.unknowns, numbers.layout
-        unit, places = numbers.inverse_sigma, self.composition.compiled.places
-        x = np.where(numbers.sigma > 0, (u - numbers.mu) * unit, self.point.v[places])
-        gradient, curvature, kept = _reduced(program, x)
-        # What rounding leaves of unknowns that nothing couples would make one part of them.
-        size = np.sqrt(np.abs(np.diag(curvature)))
-        curvature = np.where(np.abs(curvature) > _UNCOUPLED * np.outer(size, size), curvature, 0.0)
-        own = sp.csr_array(program.matrices[1][:, places] @ sp.diags_array(unit))[kept]
-        limit = program.b[kept] + own @ numbers.mu
-        noise = self._row_noise[kept]
-        names = np.argsort(np.argsort([layout.materials[i] for i in layout.first]))
-        rank = (names[:, np.newaxis] * layout.n_bands + np.arange(layout.n_bands)).ravel()
-        return Density(
-            point=u,
-            gradient=gradient * unit,
-            curvature=sp.csr_array(curvature * np.outer(unit, unit)),
-            scale=np.where(numbers.movable, numbers.sigma, 0.0),
-            lower=numbers.lower,
-            upper=numbers.upper,
-            matrix=own,
-            row_lower=np.where(program.equal[kept], limit, -np.inf),
-            row_upper=limit,
-            row_noise=noise,
-            rank=np.append(rank, np.arange(layout.n_alpha, len(u))),
-        )
-
     @cached_property
     def _room_prior(self) -> tuple[Array, Array, PriorDeviation]:
         """The prior's sigma, what all unknowns have in common, (size,) each, and their correlation."""
@@ -520,10 +501,26 @@ class JointResult(Result):
         )
 
     @cached_property
-    def _separate(self) -> tuple[Densities, list[Draws]] | None:
-        """The density and its draws where each band stands for itself; None else."""
-        known = self.density() if self.has_density else None
-        return (known, draws(known.posterior)) if known and known.separate else None
+    def _separate(self) -> tuple[Density, list[Draws]] | None:
+        """The density and its draws where each band stands for itself; None else.
+
+        So it is without a term that couples bands, and with at most one matched sum in each.
+        """
+        composed = self.composition
+        parts = composed.objective.terms + tuple(composed.row_constraints)
+        if (
+            self.has_density
+            and composed.layout.n_configurations == 1
+            and not composed.layout.further
+            and not composed.prior.correlated
+            and not self.matches_uncertain_room
+            and all(type(t) in (PriorDeviation, SoftMatch) for t in composed.objective.terms)
+            and all(type(r) is ExactMatch for r in composed.row_constraints)
+            and len(parts) <= 2
+        ):
+            density = self.density()
+            return density, draws(density)
+        return None
 
     @cached_property
     def interval(self) -> tuple[Array, Array] | None:
@@ -541,8 +538,8 @@ class JointResult(Result):
             return self.gaussian_interval
         if self._separate is None:
             return None
-        known, parts = self._separate
-        return intervals(self.alpha, known.quantiles(parts), 0.9)
+        points = quantiles(self.composition.layout, *self._separate)
+        return intervals(self.alpha, points, 0.9)
 
     @cached_property
     def spread(self) -> tuple[Array, Array]:
@@ -551,17 +548,16 @@ class JointResult(Result):
         The posterior's where each band stands for itself; else that of the linear estimate's error, cut
         at the bounds, which every method has.
         """
-        if self._separate is not None:
-            known, parts = self._separate
-            return known.quantiles(parts), correlations(known, parts)
         layout = self.composition.layout
+        if self._separate is not None:
+            return quantiles(layout, *self._separate), correlations(layout, *self._separate)
         covariance = self.estimate_covariance()
         centre = layout.expand(self.unbounded(self.estimate_sigma))
         lower = layout.expand(self.numbers.lower)
         sigma, correlation = correlation_of(covariance)
-        quantiles = normal_quantiles(centre, sigma, lower)
+        points = normal_quantiles(centre, sigma, lower)
         return np.where(
-            sigma[:, :, np.newaxis] > 0, quantiles, self.alpha[:, :, np.newaxis]
+            sigma[:, :, np.newaxis] > 0, points, self.alpha[:, :, np.newaxis]
         ), correlation
 
     def to_dict(self) -> dict[str, Any]:

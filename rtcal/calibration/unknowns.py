@@ -309,10 +309,9 @@ class Layout:
         )
 
     def expand(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return flat values of the unknowns as (n_materials, n_bands)."""
-        return np.asarray(
-            values[: self.n_alpha].reshape(self.n_alpha_rows, -1)[list(self.alpha_rows)]
-        )
+        """Return the coefficients of values of the unknowns, (size, ...), by material and band."""
+        by_row = values[: self.n_alpha].reshape(-1, self.n_bands, *values.shape[1:])
+        return np.asarray(by_row[list(self.alpha_rows)])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
