@@ -8,18 +8,18 @@ The path of `rtcal.calibrate(room, measured)`, in the order in which it is taken
 
 1. `methods`: `preset` gives the terms of the method (`terms`, each a cvxpy expression of the deviations
    x = (alpha - mu) / sigma) as a `Calibration` without a room.
-2. `problem`: `Calibration.build` takes the room. Its `Composition` (`composition`) is the terms with
-   the order of the unknowns, a `Layout` (`unknowns`), and with cvxpy's `CompiledProblem` of them,
-   which rooms of one layout share (`qp.compile_once`).
-3. `CalibrationProblem.solve` takes the measurement: T in the room's bands (`measured`).
-4. `problem.certified_answer`: of it and the room the `Numbers` (`unknowns`): prior, box, areas, b.
-   `feasibility` says whether T is within reach. The numbers fill a `QP`. `qp.solve` asks the solver
+2. `problem`: `Calibration.build` takes the room and returns a `CalibrationProblem`. It is a
+   `Composition` (`composition`): terms, rooms and equation, and cvxpy's `CompiledProblem` of them with
+   the order of the unknowns, which rooms of one layout share (`qp.compile_once`).
+3. `CalibrationProblem.solve` takes the measurement and has the rest of the path in one function: T in
+   the room's bands (`measured`), and of it and the room the `Numbers` (`unknowns`): prior, box, areas,
+   b. `feasibility` says whether T is within reach. The numbers fill a `QP`. `qp.solve` asks the solver
    which constraints are active (if it returns nothing, none are), `qp.polish` solves the optimality
    conditions on that active set and corrects it, `qp.certify` checks the answer anew. If this fails,
    `qp.closed_form` polishes from the paper's closed form; then the solver's own answer is certified.
    If none passes, `feasibility` explains why nothing is feasible.
-5. `result`: a `JointResult`, which is a `JointSolution` (`solution`: alpha, multipliers, densities,
-   derivatives, uncertainties) over the unknowns of all rooms, and of it a `CalibrationResult` per room.
+4. `result`: a `JointResult` (alpha, multipliers, densities, derivatives, uncertainties) over the
+   unknowns of all rooms, and of it a `CalibrationResult` per room.
 
 Beside the path: `posterior` (marginals and draws of a density), `fit` (steps around the QP for models
 that are not linear), `archive` (what calibrated rooms say of their materials), `table` and `verdict` (a
