@@ -6,6 +6,7 @@ The mesh is checked, read, mended, drawn, and written beside the room.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,7 +31,6 @@ from rtcal.support.speed import bar
 from rtcal.support.text import rounded, shortened
 
 if TYPE_CHECKING:
-    from rtcal.acoustics.air import Air
     from rtcal.acoustics.room import Room, Surface
     from rtcal.io.material_list import ListedMaterial, MaterialList
     from rtcal.io.mend import Mended
@@ -179,6 +179,7 @@ def import_room(
     \b
     Example: rtcal import check hall.glb --picture hall.png
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    from rtcal.acoustics.air import Air
     from rtcal.acoustics.priors import SigmaRule
     from rtcal.io.material_formats import read_sigma
 
@@ -204,7 +205,8 @@ def import_room(
     place = "--area" if mesh is None else mesh
     own = _entries("--as", listed, renamed, used, place)
     listed = listed.with_spellings(used)
-    others = own | _entries("--catalogue", _catalogue() if chosen else listed, chosen, used, place)
+    catalogue = _materials("catalogue", None) if chosen else listed
+    others = own | _entries("--catalogue", catalogue, chosen, used, place)
     _require_all(listed, others, program, used, place)
     rule = SigmaRule(
         relative=sigma_relative,
@@ -213,6 +215,8 @@ def import_room(
         in_situ_factor=in_situ_factor,
     )
     sigma = {} if sigma_table is None else read_sigma(sigma_table)
+    air = {"temperature": temperature, "humidity": humidity}
+    climate = {name: value for name, value in air.items() if value is not None}
     if unknown := [name for name in sigma if name not in used]:
         raise DataError(f'{sigma_table}: "{unknown[0]}" is no material of the room')
     room = listed.room(
@@ -224,7 +228,7 @@ def import_room(
         sigma=sigma,
         scattering=scattering,
         others=others,
-        air=_air(temperature, humidity),
+        air=Air(**{"temperature": 20, "humidity": 50} | climate) if climate else None,
     )
     of_mesh: list[str] = []
     if mesh is not None and model is not None:
@@ -234,10 +238,16 @@ def import_room(
     in_use = {listed.listed(name).name for name in used if name not in others}
     in_use |= {material.name for material in own.values()}
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
-    notes = _notes(
-        room, rule, sigma, {n: (others.get(n) or listed.listed(n)).scattering for n in used}
-    )
-    _tell(room, unused, notes + of_mesh)
+    notes = [f"{rule}; stated: {', '.join(sigma)}" if sigma else f"Assumed: {rule}"]
+    if room.air is None:
+        notes.append(
+            "No air is stated, so alpha will include what the air absorbs: state --temperature and "
+            "--humidity."
+        )
+    else:
+        notes.append(f"air {room.air.temperature:g} °C, {room.air.humidity:g} % humidity")
+    scatter = {name: (others.get(name) or listed.listed(name)).scattering for name in used}
+    _tell(room, unused, notes + of_mesh, scatter)
 
 
 def _refuse_unused_options() -> None:
@@ -395,22 +405,17 @@ def _with_uncertainty(room: Room, model: Mended) -> tuple[Room, list[str]]:
 
 
 def _materials(program: str, path: str | None) -> MaterialList:
+    from rtcal import io
+    from rtcal.datasets import catalogue
+
     if program == "catalogue":
         if path is not None:
             raise DataError(f"{path}: import catalogue takes no file of materials")
-        return _catalogue()
+        return catalogue.material_list()
     if path is None:
         raise DataError(f"a file of materials for {program} is missing")
-    from rtcal import io
-
     listed: MaterialList = getattr(io, program).read(path)
     return listed
-
-
-def _catalogue() -> MaterialList:
-    from rtcal.datasets import catalogue
-
-    return catalogue.material_list()
 
 
 def _centre_frequencies(
@@ -419,24 +424,10 @@ def _centre_frequencies(
     """Return the room's bands in Hz as stated; None for those that the materials have."""
     from rtcal.acoustics.bands import OCTAVES, THIRD_OCTAVES, obtainable
 
-    if bands is None:
-        return None
-    if isinstance(bands, str):
-        wanted = OCTAVES if bands == "octave" else THIRD_OCTAVES
-        return [
-            float(f)
-            for f in wanted
-            if all(obtainable(m.centre_frequencies, [f]).size for m in materials)
-        ]
-    return bands
-
-
-def _air(temperature: float | None, humidity: float | None) -> Air | None:
-    from rtcal.acoustics.air import Air
-
-    stated = {"temperature": temperature, "humidity": humidity}
-    known = {name: value for name, value in stated.items() if value is not None}
-    return Air(**{"temperature": 20, "humidity": 50} | known) if known else None
+    if not isinstance(bands, str):
+        return bands
+    wanted = (OCTAVES if bands == "octave" else THIRD_OCTAVES).tolist()
+    return [f for f in wanted if all(obtainable(m.centre_frequencies, [f]).size for m in materials)]
 
 
 def _entries(
@@ -470,20 +461,36 @@ def _require_all(
     listed: MaterialList, found: Collection[str], program: str, used: Sequence[str], place: str
 ) -> None:
     """Raise DataError, with proposals, for materials that are in neither the list nor the options."""
+    from rtcal.datasets import catalogue
+
     known = {*listed.names, *listed.aliases, *found}
     if not (missing := [name for name in used if name not in known]):
         return
-    proposals = _all_proposals(missing, listed, program)
-    options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing[:_DESCRIBED])
+    of_list = {} if program == "catalogue" else dict.fromkeys(listed.names, "")
+    lines = []
+    for name in missing[:_PROPOSED]:
+        near = [f'"{entry}" of the list' for entry in catalogue.similar(name, 2, of_list)]
+        with suppress(MissingDependencyError):
+            near += (catalogue.nearest if len(missing) <= _DESCRIBED else catalogue.similar)(
+                name, 3
+            )
+        near = near or [
+            f'nothing: --catalogue "{name}=carpet" names the entries that are like carpet'
+        ]
+        lines.append(f'\n- "{name}" is like {"; ".join(near)}')
     if len(missing) > _DESCRIBED:
-        options += f" and so on, for {len(missing)} materials"
-    if program == "catalogue":
-        raise DataError(f"{place}: not in the catalogue:{proposals}.\nState {options}")
-    raise DataError(
-        f"{place}: not in {listed.path}:{proposals}.\nThe list has: "
-        f"{shortened(', '.join([*listed.names, *listed.aliases]), 200)}.\nState one of its names "
-        f'(--as "{missing[0]}=NAME"), or an entry of the catalogue: {options}'
-    )
+        words = missing[0].replace("_", " ")
+        lines.append(f'\n--catalogue "{missing[0]}={words}" describes the entries that are like it')
+    options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing[:_DESCRIBED])
+    options += f" and so on, for {len(missing)} materials" * (len(missing) > _DESCRIBED)
+    where = "the catalogue" if program == "catalogue" else listed.path
+    own = ""
+    if program != "catalogue":
+        own = f".\nThe list has: {shortened(', '.join([*listed.names, *listed.aliases]), 200)}"
+        options = (
+            f'one of its names (--as "{missing[0]}=NAME"), or an entry of the catalogue: {options}'
+        )
+    raise DataError(f"{place}: not in {where}:{';'.join(lines)}{own}.\nState {options}")
 
 
 _DESCRIBED = 3
@@ -492,54 +499,13 @@ _PROPOSED = 12
 """Largest number of missing materials for which a message has proposals."""
 
 
-def _all_proposals(missing: Sequence[str], listed: MaterialList, program: str) -> str:
-    """Return a line per missing material; of many, the first ones' with the names of entries alone."""
-    described = len(missing) <= _DESCRIBED
-    lines = [
-        f'\n- "{name}"{_proposals(name, listed, program, described=described)}'
-        for name in missing[:_PROPOSED]
-    ]
-    if len(missing) > _PROPOSED:
-        lines.append(f"\n- {len(missing) - _PROPOSED} more, which are named once these are stated")
-    if not described:
-        words = missing[0].replace("_", " ")
-        lines.append(f'\n--catalogue "{missing[0]}={words}" describes the entries that are like it')
-    return ";".join(lines)
-
-
-def _proposals(name: str, listed: MaterialList, program: str, *, described: bool) -> str:
-    from rtcal.datasets import catalogue
-
-    own = {} if program == "catalogue" else dict.fromkeys(listed.names, "")
-    near = [f'"{entry}" of the list' for entry in catalogue.similar(name, 2, own)]
-    try:
-        near += catalogue.nearest(name) if described else catalogue.similar(name, 3)
-    except MissingDependencyError:
-        if not near:
-            return ""
-    if near:
-        return f" is like {('; ' if described else ', ').join(near)}"
-    return (
-        f' has nothing like it: --catalogue "{name}=carpet" names the entries that are like carpet'
-    )
-
-
-def _notes(
-    room: Room, rule: object, sigma: dict[str, Any], scattering: dict[str, Any]
-) -> list[str]:
-    """Return the assumptions beyond the list, in words."""
+def _tell(room: Room, unused: list[str], notes: list[str], scattering: dict[str, Any]) -> None:
+    """Print the room, the assumptions beyond the list, and what was left out."""
+    from rtcal.acoustics.bands import span
     from rtcal.acoustics.marks import surface_doubt
 
-    notes = [f"{rule}; stated: {', '.join(sigma)}" if sigma else f"Assumed: {rule}"]
     if doubt := surface_doubt(room):
-        notes.insert(0, f"{doubt.text}: check areas, volume and their units")
-    if room.air is None:
-        notes.append(
-            "No air is stated, so alpha will include what the air absorbs: state --temperature and "
-            "--humidity."
-        )
-    else:
-        notes.append(f"air {room.air.temperature:g} °C, {room.air.humidity:g} % humidity")
+        notes = [f"{doubt.text}: check areas, volume and their units", *notes]
     without = [name for name, values in scattering.items() if values is None]
     if without and len(without) < len(scattering) and room.scattering is None:
         notes.append(
@@ -549,12 +515,6 @@ def _notes(
     for name, source in room.sources.items():
         by_source.setdefault(source, []).append(name)
     notes += [f"alpha of {', '.join(names)}: {source}" for source, names in by_source.items()]
-    return notes
-
-
-def _tell(room: Room, unused: list[str], notes: list[str]) -> None:
-    from rtcal.acoustics.bands import span
-
     areas = dict(zip(room.materials, room.areas.tolist(), strict=True))
     rows = [
         f"V = {room.volume:.6g} m³, S = {room.total_area:.6g} m², {span(room.centre_frequencies)}",
