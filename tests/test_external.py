@@ -75,8 +75,8 @@ def test_a_command_that_is_not_there(cr2):
     ("answer", "message"),
     [
         (np.full(3, 1.0), "shape"),
-        (None, "shape|neither"),
-        ("soon", "neither a Measurement nor times"),
+        (None, "T20, which.*return a Measurement"),
+        ("soon", "T20, which.*return a Measurement"),
         (np.nan, "shape"),
     ],
 )

@@ -426,7 +426,7 @@ def _centre_frequencies(
 
     if not isinstance(bands, str):
         return bands
-    wanted = (OCTAVES if bands == "octave" else THIRD_OCTAVES).tolist()
+    wanted = map(float, OCTAVES if bands == "octave" else THIRD_OCTAVES)
     return [f for f in wanted if all(obtainable(m.centre_frequencies, [f]).size for m in materials)]
 
 

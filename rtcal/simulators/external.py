@@ -96,23 +96,11 @@ class External(RoomSimulator):
     def _times(self, answer: object) -> Array:
         """Return the answer as T20 in s, (n_bands,); SimulatorError if it is anything else."""
         try:
-            values = np.asanyarray(answer)
-        except (TypeError, ValueError):
-            values = np.array(None)
-        if values.dtype.kind not in "iuf":
+            times = checks.shaped(f"{self.name} returned T20, which", answer, self.room.n_bands)
+        except DataError as error:
             raise SimulatorError(
-                f"{self.name} returned {type(answer).__name__} of {values.dtype}, neither a "
-                "Measurement nor times in s"
-            )
-        try:
-            times = checks.array(f"{self.name} returned T20, which", values)
-        except DataError as hidden:
-            raise SimulatorError(str(hidden)) from hidden
-        if times.shape != (self.room.n_bands,):
-            raise SimulatorError(
-                f"{self.name} returned T20 of shape {times.shape}; the room's bands ask for "
-                f"({self.room.n_bands},)"
-            )
+                f"{error}; return a Measurement, or a time in s per band"
+            ) from error
         if not (valid := np.isfinite(times) & (times > 0)).all():
             error = SimulatorError(
                 f"{self.name} returned T20 = {times.tolist()} s; each must be a finite time above 0"

@@ -439,28 +439,8 @@ def histogram_changed(
                 sums[number] = 0.0
 
 
-def weigh(
-    x: Array,
-    y: Array,
-    z: Array,
-    rows: NDArray[np.int64],
-    starts: NDArray[np.int64],
-    bins: NDArray[np.uint32],
-    weights: Array,
-    n_bins: int,
-) -> Array:
-    """Return the energy of each bin of image sources, (n_bands, n_bins).
-
-    ``x``, ``y`` and ``z``, (n_bands, n_lattice): product of (1 - alpha) over the hits along an axis.
-    ``rows``, ``starts``, ``bins`` and ``weights`` as in `rtcal.simulators.shoebox.Images`.
-    """
-    # Unsigned indices need no check for negative values, which would take half of the time.
-    unsigned = np.uint64
-    return _weigh(x, y, z, rows.view(unsigned), starts.view(unsigned), bins, weights, n_bins)
-
-
 @compiled(reorder=True)
-def _weigh(
+def weigh(
     x: Array,
     y: Array,
     z: Array,
@@ -470,6 +450,12 @@ def _weigh(
     weights: Array,
     n_bins: int,
 ) -> Array:
+    """Return the energy of each bin of image sources, (n_bands, n_bins).
+
+    ``x``, ``y`` and ``z``, (n_bands, n_lattice): product of (1 - alpha) over the hits along an axis.
+    ``rows``, ``starts``, ``bins`` and ``weights`` as in `rtcal.simulators.shoebox.Images`. Unsigned
+    indices need no check for negative values, which would take half of the time.
+    """
     out = np.zeros((len(x), n_bins))
     for run in range(len(rows)):
         begin, first = starts[run], rows[run, 2]

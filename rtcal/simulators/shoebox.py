@@ -196,9 +196,9 @@ class Images(NamedTuple):
 
     hits: tuple[NDArray[np.int64], ...]
     """By axis: hits on the near and on the far wall, (n_lattice, 2)."""
-    rows: NDArray[np.int64]
+    rows: NDArray[np.uint64]
     """By axis, the row of ``hits`` of each run's first image, (n_runs, 3)."""
-    starts: NDArray[np.int64]
+    starts: NDArray[np.uint64]
     """Index of each run's first image, (n_runs + 1,)."""
     bins: NDArray[np.uint32]
     """Time bin of each image, (n_images,)."""
@@ -342,8 +342,8 @@ class ImageSource(ShoeboxSimulator):
         images_per_bin = np.bincount(bin_, minlength=n_bins)
         return Images(
             tuple(map(read_only_view, hits)),
-            read_only_view(np.concatenate(rows)),
-            read_only_view(np.concatenate([[0], np.cumsum(np.concatenate(sizes))])),
+            read_only_view(np.concatenate(rows).astype(np.uint64)),
+            read_only_view(np.cumsum(np.concatenate([[0], *sizes]), dtype=np.uint64)),
             read_only_view(bin_),
             read_only_view(1 / (4 * np.pi * length**2)),
             read_only_view(np.bincount(bin_, length, n_bins) / np.maximum(images_per_bin, 1)),

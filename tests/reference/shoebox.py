@@ -15,8 +15,8 @@ def weigh(
     x: Array,
     y: Array,
     z: Array,
-    rows: NDArray[np.int64],
-    starts: NDArray[np.int64],
+    rows: NDArray[np.integer],
+    starts: NDArray[np.integer],
     bins: NDArray[np.uint32],
     weights: Array,
     n_bins: int,
@@ -25,6 +25,7 @@ def weigh(
 
     ``x``, ``y`` and ``z``, (n_bands, n_lattice): product of (1 - alpha) over the hits along an axis.
     """
+    rows, starts = rows.astype(np.int64), starts.astype(np.int64)
     size = np.diff(starts)
     row_of_z = np.arange(len(bins)) + np.repeat(rows[:, 2] - starts[:-1], size)
     run = np.repeat(np.arange(len(rows)), size)
