@@ -15,7 +15,8 @@ coefficients, as means have it. So neither likelihood of theirs serves.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,91 +50,6 @@ ANOTHER_CLIMATE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
-    """A spectrum of what changed: relative absorption area by band, and its errors.
-
-    Attributes
-    ----------
-    name : str
-        Of the effect; "unknown" of a spectrum that no effect has.
-    family : str
-        As the effect's, after "added absorption, ": "rising", "flat", "low"; "" of none.
-    weight : float
-        Prior odds.
-    spectrum : array (n_bands,)
-        Above 0; its mean over the bands is 1.
-    covariance : array (n_bands, n_bands)
-        Of the error of ln spectrum.
-    """
-
-    name: str
-    family: str
-    weight: float
-    spectrum: Array
-    covariance: Array
-
-
-def adding(effects: Sequence[Effect]) -> list[Effect]:
-    """Return the effects that add absorption, whose spectra are tried, in the order of their names."""
-    some = [effect for effect in effects if effect.family.startswith(f"{_FAMILY}, ")]
-    return sorted(some, key=lambda effect: effect.name)
-
-
-def tried(effects: Sequence[Effect]) -> tuple[str, ...]:
-    """Return the names of what is tried between two states with a library of effects."""
-    return (*(effect.name for effect in adding(effects)), AIR, UNKNOWN)
-
-
-def shapes(room: Room, effects: Sequence[Effect], without: Collection[str] = ()) -> list[Shape]:
-    """Return the spectra of all effects that add absorption, and one that no effect has.
-
-    Those of names ``without`` are left out.
-    """
-    frequencies = room.centre_frequencies
-    base = RoomState.of_room(room, np.zeros(len(room.areas)))
-    out = []
-    for effect in adding(effects):
-        if effect.name in without:
-            continue
-        spectra = [alpha for _, alpha in effect.on_surface(frequencies)] or [
-            _of_objects(effect, base)
-        ]
-        error = effect.error_over_bands(frequencies)
-        for alpha in spectra:
-            out.append(
-                Shape(
-                    effect.name,
-                    effect.family.removeprefix(f"{_FAMILY}, "),
-                    effect.prior_odds(room) / len(spectra),
-                    _scaled(alpha),
-                    error,
-                )
-            )
-    if UNKNOWN not in without:
-        free = WALK**2 * _walk(np.log2(frequencies / 1000))
-        out.append(Shape(UNKNOWN, "", UNKNOWN_ODDS, np.ones(len(frequencies)), free))
-    return out
-
-
-def _of_objects(effect: Effect, base: RoomState) -> Array:
-    """Return what one size of an effect of objects adds in m², (n_bands,)."""
-    added = effect.added_absorption(base, effect.change(base, effect.grid(base)[0]))
-    return np.ones(len(base.frequencies)) if added is None else added
-
-
-def _scaled(spectrum: Array) -> Array:
-    """Return a spectrum with mean 1; a coefficient of 0 is a thousandth of the largest."""
-    raised = np.maximum(spectrum, 1e-3 * spectrum.max())
-    return np.asarray(raised / raised.mean())
-
-
-def _walk(octaves: Array) -> Array:
-    """Return the covariance of a random walk from 0 in both directions, of variance 1 per octave."""
-    far = np.abs(octaves)
-    return np.asarray((far[:, None] + far - np.abs(np.subtract.outer(octaves, octaves))) / 2)
-
-
-@dataclass(frozen=True, eq=False)
 class Grid:
     """Every hypothesis: a spectrum with a size, added or removed, with another climate or without.
 
@@ -163,6 +79,29 @@ class Grid:
         """Where absorption was added or removed, (n,)."""
         return np.asarray(self.size.any(axis=1))
 
+    @property
+    def turned(self) -> Grid:
+        """The hypotheses with "added" and "removed" exchanged in their names alone."""
+        other = {ADDED: REMOVED, REMOVED: ADDED}
+
+        def turned(name: str) -> str:
+            side, space, rest = name.partition(" ")
+            return f"{other.get(side, side)}{space}{rest}"
+
+        names, families = (tuple(map(turned, of)) for of in (self.names, self.families))
+        return replace(self, names=names, families=families)
+
+
+def adding(effects: Sequence[Effect]) -> list[Effect]:
+    """Return the effects that add absorption, whose spectra are tried, in the order of their names."""
+    some = [effect for effect in effects if effect.family.startswith(f"{_FAMILY}, ")]
+    return sorted(some, key=lambda effect: effect.name)
+
+
+def tried(effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Return the names of what is tried between two states with a library of effects."""
+    return (*(effect.name for effect in adding(effects)), AIR, UNKNOWN)
+
 
 def grid(
     room: Room,
@@ -186,44 +125,66 @@ def grid(
     """
     middle = bands & is_middle(room.centre_frequencies)
     area = float(before[middle if middle.any() else bands].mean())
-    levels = area * np.geomspace(LEAST, MOST, SIZES)
-    n = int(bands.sum())
-    every = shapes(room, effects, without)
-    kinds = _kinds(every, bands)
-    names, families, weights, sizes, covariances, of_air = [], [], [], [], [], []
+    levels, n = area * np.geomspace(LEAST, MOST, SIZES), int(bands.sum())
     climates = (
         {False: 1.0} if AIR in without else {False: 1 - ANOTHER_CLIMATE, True: ANOTHER_CLIMATE}
     )
-    for side, sign in ((ADDED, 1.0), (REMOVED, -1.0)):
-        for shape in every:
-            spectrum = shape.spectrum[bands] / shape.spectrum[bands].mean()
-            covariance = shape.covariance[np.ix_(bands, bands)]
-            for level in levels:
-                for another, probability in climates.items():
-                    names.append(f"{side} {shape.name}")
-                    families.append(
-                        ", ".join(filter(None, [f"{side} absorption", kinds[shape.name]]))
-                    )
-                    weights.append(probability * shape.weight / len(levels))
-                    sizes.append(sign * level * spectrum)
-                    covariances.append(covariance)
-                    of_air.append(another)
+    rows: list[tuple[str, str, float, Array, Array, bool]] = [
+        (
+            f"{side} {name}",
+            ", ".join(filter(None, [f"{side} absorption", kind])),
+            probability * weight / len(levels),
+            sign * level * spectrum,
+            covariance,
+            another,
+        )
+        for side, sign in ((ADDED, 1.0), (REMOVED, -1.0))
+        for name, kind, weight, spectra, covariance in _shapes(room, bands, effects, without)
+        for spectrum in spectra
+        for level in levels
+        for another, probability in climates.items()
+    ]
     if AIR not in without:
-        names.append(AIR)
-        families.append("climate")
-        weights.append(2 * AIR_ODDS)
-        sizes.append(np.zeros(n))
-        covariances.append(np.eye(n))
-        of_air.append(True)
-    weight = np.array(weights)
-    return Grid(
-        tuple(names),
-        tuple(families),
-        np.log(weight / weight.sum()),
-        np.array(sizes),
-        np.array(covariances),
-        np.array(of_air),
-    )
+        rows.append((AIR, "climate", 2 * AIR_ODDS, np.zeros(n), np.eye(n), True))
+    names, families, weights, sizes, covariances, of_air = zip(*rows, strict=True)
+    log_weight = np.log(np.array(weights) / np.sum(weights))
+    arrays = log_weight, np.array(sizes), np.array(covariances), np.array(of_air)
+    return Grid(names, families, *arrays)
+
+
+def _shapes(
+    room: Room, bands: NDArray[np.bool_], effects: Sequence[Effect], without: Collection[str]
+) -> Iterator[tuple[str, str, float, Array, Array]]:
+    """Yield name, kind, prior odds of a spectrum, spectra and their error; of "unknown" at last.
+
+    A spectrum (n_bands,) is above 0, and its mean is 1. Its error is the covariance of its logarithm.
+    """
+    frequencies = room.centre_frequencies
+    base = RoomState.of_room(room, np.zeros(len(room.areas)))
+    for effect in adding(effects):
+        if effect.name in without:
+            continue
+        every = [alpha for _, alpha in effect.on_surface(frequencies)]
+        if not every:  # objects: what one size of them adds in m²
+            added = effect.added_absorption(base, effect.change(base, effect.grid(base)[0]))
+            every = [np.ones(len(frequencies)) if added is None else added]
+        # A coefficient of 0 is a thousandth of the largest.
+        raised = [np.maximum(alpha, 1e-3 * alpha.max()) for alpha in every]
+        spectra = np.array([alpha / alpha.mean() for alpha in raised])[:, bands]
+        kind = effect.family.removeprefix(f"{_FAMILY}, ")
+        if kind in KINDS.values() and bands.sum() > 1:
+            # By the rule of the change which is found, so that both agree: furniture, of the
+            # library's family "flat", rises twofold. A kind that the library does not have stays.
+            kind = KINDS[over_frequency(spectra.mean(axis=0))]
+        weight = effect.prior_odds(room) / len(every)
+        error = effect.error_over_bands(frequencies)[np.ix_(bands, bands)]
+        yield effect.name, kind, weight, spectra / spectra.mean(axis=1, keepdims=True), error
+    if UNKNOWN not in without:
+        octaves = np.log2(frequencies[bands] / 1000)
+        far, apart = np.abs(octaves), np.abs(np.subtract.outer(octaves, octaves))
+        # A random walk from 0 in both directions.
+        walk = WALK**2 * (far[:, np.newaxis] + far - apart) / 2
+        yield UNKNOWN, "", UNKNOWN_ODDS, np.ones((1, len(octaves))), walk
 
 
 KINDS = {
@@ -232,20 +193,6 @@ KINDS = {
     "falling with frequency": "low",
 }
 """Kinds of the families that the library has, by how their spectra go with frequency."""
-
-
-def _kinds(every: Sequence[Shape], bands: NDArray[np.bool_]) -> dict[str, str]:
-    """Return the kind of absorption of each effect, by its mean spectrum in these bands.
-
-    The rule is that of the change which is found (`over_frequency`), so that both agree: furniture, of
-    the library's family "flat", rises twofold. A kind that the library does not have stays.
-    """
-    out = {shape.name: shape.family for shape in every}
-    for name, kind in out.items():
-        if kind in KINDS.values() and bands.sum() > 1:
-            mean = np.mean([shape.spectrum[bands] for shape in every if shape.name == name], axis=0)
-            out[name] = KINDS[over_frequency(mean)]
-    return out
 
 
 def climate_covariance(room: Room, uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY) -> Array:
@@ -361,31 +308,17 @@ _MOST_COVERED = 30.0
 """Largest size over the area that is left to cover or to remove: all but e^-30 of it is."""
 
 
-@dataclass(frozen=True)
-class Errors:
-    """Assumptions on the errors; chosen on the development part, `docs/two_states_study.md`.
-
-    Attributes
-    ----------
-    pair, common : float
-        Error of a pair's shift, and of all pairs' in a band, over the predicted shift.
-    remeasured : float
-        Standard deviation of ln T by which a band differs if nothing changed: climate, equipment.
-    degrees, of_means : float
-        Degrees of freedom of a pair's noise, and of that of means over positions.
-    scales, weights : tuple of float
-        Scales of all pairs' noise and their prior probabilities.
-    """
-
-    pair: float = 0.15
-    common: float = 0.1
-    remeasured: float = 0.01
-    degrees: float = 5.0
-    of_means: float = 15.0
-    scales: tuple[float, ...] = (0.7, 1.0, 1.4, 2.0)
-    weights: tuple[float, ...] = (0.2, 0.5, 0.2, 0.1)
-
-
+PAIR, COMMON = 0.15, 0.1
+"""Error of a pair's shift, and of all pairs' in a band, over the predicted shift; this and what follows
+was chosen on the development part, `docs/two_states_study.md`."""
+REMEASURED = 0.01
+"""Standard deviation of ln T by which a band differs if nothing changed: climate, equipment."""
+DEGREES, OF_MEANS = 5.0, 15.0
+"""Degrees of freedom of a pair's noise, and of that of means over positions."""
+SCALES = {0.7: 0.2, 1.0: 0.5, 1.4: 0.2, 2.0: 0.1}
+"""Scales of all pairs' noise and their prior probabilities."""
+_USUAL = 1
+"""Number of the most probable scale."""
 _STEPS = 12
 """Most Gauss-Newton steps."""
 _SETTLED = 1e-3
@@ -422,63 +355,82 @@ class Fits:
     shift: Array
 
 
-def none(change: Array, variance: Array, errors: Errors) -> float:
+def none(change: Array, variance: Array, degrees: float) -> float:
     """Return the log evidence that nothing changed.
 
-    ``change`` and ``variance`` are (n_pairs, n_bands), NaN where nothing was measured.
+    ``change`` and ``variance`` are (n_pairs, n_bands), NaN where nothing was measured. ``degrees`` is
+    `DEGREES` or `OF_MEANS`.
     """
-    n = change.shape[1]
-    zero, noise = np.zeros((1, n)), np.zeros((1, n, n)) + errors.remeasured**2 * np.eye(n)
-    by_scale = [
-        _settled(change, scale**2 * variance[np.newaxis], zero, noise, errors)[0]
-        for scale in errors.scales
-    ]
-    return float(logsumexp(np.array(by_scale) + np.log(errors.weights)))
+    prior = REMEASURED**2 * np.eye(change.shape[1])
+    return float(logsumexp([log for log, _ in _by_scale(change, variance, prior, degrees)]))
 
 
-def chance_of_climate(change: Array, variance: Array, baseline: Baseline, errors: Errors) -> float:
+def chance_of_climate(change: Array, variance: Array, baseline: Baseline, degrees: float) -> float:
     """Return the p-value of the pairs' mean shift if the climate alone is another, by chi-square.
 
     The covariance is that of the climate, of a remeasurement, and of the pairs' noise with the scale
     and the pairs' weights that make the data most probable; one degree of freedom per band.
     """
     n = change.shape[1]
-    prior = (baseline.climate + errors.remeasured**2 * np.eye(n))[np.newaxis]
-    found = []
-    for scale, weight in zip(errors.scales, errors.weights, strict=True):
-        spread = scale**2 * variance[np.newaxis]
-        evidence, of_pairs = _settled(change, spread, np.zeros((1, n)), prior, errors)
-        found.append(
-            (evidence + np.log(weight), np.minimum(of_pairs, 1.0)[:, np.newaxis] / spread[0])
-        )
-    _, inverse = max(found, key=lambda each: each[0])
+    prior = baseline.climate + REMEASURED**2 * np.eye(n)
+    _, inverse = max(_by_scale(change, variance, prior, degrees), key=lambda each: each[0])
     inverse = np.where(np.isfinite(change), inverse, 0.0)
     precision = inverse.sum(axis=0)
     mean = np.nansum(inverse * change, axis=0) / precision
-    square = mean @ np.linalg.solve(prior[0] + np.diag(1 / precision), mean)
+    square = mean @ np.linalg.solve(prior + np.diag(1 / precision), mean)
     return float(chdtrc(n, square))
 
 
-def fits(change: Array, variance: Array, baseline: Baseline, grid: Grid, errors: Errors) -> Fits:
+def _by_scale(
+    change: Array, variance: Array, prior: Array, degrees: float
+) -> list[tuple[float, Array]]:
+    """Return of each scale the log evidence of a shift of mean 0, and the precision of each pair.
+
+    With the scale's prior probability; the precision is at most that of its noise alone.
+    """
+    out = []
+    for scale, probability in SCALES.items():
+        spread, weight = scale**2 * variance[np.newaxis], np.ones((1, len(change)))
+        centre = np.zeros((1, len(prior)))
+        for _ in range(_STEPS):
+            evidence, _, _, weight = _integrated(
+                change, spread, centre, prior[np.newaxis], degrees, weight
+            )
+        precision = np.minimum(weight[0], 1.0)[:, np.newaxis] / spread[0]
+        out.append((float(evidence[0]) + math.log(probability), precision))
+    return out
+
+
+def fits(change: Array, variance: Array, baseline: Baseline, grid: Grid, degrees: float) -> Fits:
     """Return the evidence of each hypothesis of the grid, and the sizes that each would have."""
     n, k = grid.size.shape
-    evidence = np.full((n, len(errors.scales)), -np.inf)
-    mean, covariance = np.zeros((*evidence.shape, k)), np.zeros((*evidence.shape, k, k))
-    shift = np.zeros_like(mean)
+    shape = n, len(SCALES)
+    found = Fits(
+        np.full(shape, -np.inf),
+        np.zeros((*shape, k)),
+        np.zeros((*shape, k, k)),
+        np.zeros((*shape, k)),
+    )
 
     def evaluate(rows: Rows, j: int, steps: int) -> None:
+        scale, probability = [*SCALES.items()][j]
         for some in np.array_split(rows, -(-len(rows) * len(change) // _MOST_AT_ONCE)):
-            found = _fitted(change, variance, baseline, grid, some, errors, errors.scales[j], steps)
-            evidence[some, j] = found[0] + np.log(errors.weights[j])
-            mean[some, j], covariance[some, j], shift[some, j] = found[1:]
+            evidence, *rest = _fitted(
+                change, scale**2 * variance, baseline, grid, some, degrees, steps
+            )
+            found.log_evidence[some, j] = evidence + math.log(probability)
+            for values, of_some in zip(
+                (found.mean, found.covariance, found.shift), rest, strict=True
+            ):
+                values[some, j] = of_some
 
-    usual = int(np.argmax(errors.weights))
-    evaluate(np.arange(n), usual, _FIRST)
-    likely = np.flatnonzero(evidence[:, usual] > evidence[:, usual].max() - _NEGLIGIBLE)
-    evidence[:, usual] = np.where(np.isin(np.arange(n), likely), evidence[:, usual], -np.inf)
-    for j in range(len(errors.scales)):
+    evaluate(np.arange(n), _USUAL, _FIRST)
+    first = found.log_evidence[:, _USUAL]
+    likely = np.flatnonzero(first > first.max() - _NEGLIGIBLE)
+    first[np.isin(np.arange(n), likely, invert=True)] = -np.inf
+    for j in range(len(SCALES)):
         evaluate(likely, j, _STEPS)
-    return Fits(evidence, mean, covariance, shift)
+    return found
 
 
 def _fitted(
@@ -487,16 +439,15 @@ def _fitted(
     baseline: Baseline,
     grid: Grid,
     rows: Rows,
-    errors: Errors,
-    scale: float,
+    degrees: float,
     steps: int,
 ) -> tuple[Array, Array, Array, Array]:
     """Return the `Fits` of some hypotheses with one scale, without the scale's prior probability."""
     size, prior = grid.size[rows], grid.covariance[rows]
     of_air = grid.of_air[rows, np.newaxis, np.newaxis] * baseline.climate
     stated, _ = baseline.shift(size)
-    spread = scale**2 * variance + ((errors.pair * stated) ** 2)[:, np.newaxis]
-    other = errors.remeasured**2 + (errors.common * stated) ** 2
+    spread = variance + ((PAIR * stated) ** 2)[:, np.newaxis]
+    other = REMEASURED**2 + (COMMON * stated) ** 2
     z, weight = np.zeros_like(size), np.ones((len(size), len(change)))
     for _ in range(steps):
         shift, slope = baseline.shift(size * np.exp(z))
@@ -504,7 +455,7 @@ def _fitted(
         of_shift = slope[:, :, None] * prior * slope[:, None, :]
         whole = of_shift + of_air + other[:, :, None] * np.eye(size.shape[1])
         log_evidence, mode, precision, weight = _integrated(
-            change, spread, centre, whole, errors, weight
+            change, spread, centre, whole, degrees, weight
         )
         gain = np.linalg.solve(whole, slope[:, :, None] * prior).swapaxes(1, 2)
         after = np.einsum("nkl,nl->nk", gain, mode - centre)
@@ -520,7 +471,7 @@ def _fitted(
 
 
 def _integrated(
-    change: Array, spread: Array, centre: Array, prior: Array, errors: Errors, weight: Array
+    change: Array, spread: Array, centre: Array, prior: Array, degrees: float, weight: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Return log evidence, mode and precision of the shift of all pairs, and the pairs' weights.
 
@@ -533,6 +484,7 @@ def _integrated(
         Mean of the shift before the measurement.
     prior : array (n, n_bands, n_bands)
         Its covariance.
+    degrees : float
     weight : array (n, n_pairs)
         Of the pairs' precision, from which to begin.
     """
@@ -540,7 +492,6 @@ def _integrated(
     count = known.sum(axis=1)
     inverse = np.where(known, 1 / spread, 0.0)
     d = np.where(known, change, 0.0)
-    nu = errors.degrees
     of_prior = np.linalg.inv(prior)
     at_prior = np.einsum("nkl,nl->nk", of_prior, centre)
     for _ in range(_WEIGHINGS):
@@ -549,22 +500,13 @@ def _integrated(
         pull = at_prior + (weighted * d).sum(axis=1)
         mode = np.linalg.solve(precision, pull[:, :, None])[:, :, 0]
         squares = (inverse * (d - mode[:, None]) ** 2).sum(axis=2)
-        weight = (nu + count) / (nu + squares)
+        weight = (degrees + count) / (degrees + squares)
     log_det = np.where(known, np.log(np.where(known, spread, 1.0)), 0.0).sum(axis=(1, 2))
-    constant = gammaln((nu + count) / 2) - gammaln(nu / 2) - count / 2 * np.log(nu * np.pi)
-    likelihood = (constant - (nu + count) / 2 * np.log1p(squares / nu)).sum(axis=1) - log_det / 2
+    constant = gammaln((degrees + count) / 2) - gammaln(degrees / 2)
+    constant = constant - count / 2 * np.log(degrees * np.pi)
+    by_pair = constant - (degrees + count) / 2 * np.log1p(squares / degrees)
     off = mode - centre
     of_mode = np.einsum("nk,nkl,nl->n", off, of_prior, off)
     determinants = np.linalg.slogdet(prior)[1] + np.linalg.slogdet(precision)[1]
-    return likelihood - (of_mode + determinants) / 2, mode, precision, weight
-
-
-def _settled(
-    change: Array, spread: Array, centre: Array, prior: Array, errors: Errors
-) -> tuple[float, Array]:
-    """Return the log evidence of one shift whose error is normal, and the pairs' weights."""
-    weight = np.ones((1, len(change)))
-    for _ in range(_STEPS):
-        found = _integrated(change, spread, centre, prior, errors, weight)
-        weight = found[3]
-    return float(found[0][0]), weight[0]
+    log_evidence = by_pair.sum(axis=1) - (log_det + of_mode + determinants) / 2
+    return log_evidence, mode, precision, weight

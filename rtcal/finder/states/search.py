@@ -2,14 +2,13 @@
 
 Two states that are exchanged have the same answer, with "added" and "removed" exchanged and all changes
 of the other sign. So the state of the longer T is the first in every search, and the answer is turned
-round where it was measured second (`_turned`). Where both are the same, the answer is half of each.
+round where it was measured second (`Grid.turned`). Where both are the same, the answer is half of each.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +21,9 @@ from rtcal.finder.finding import Candidate, Detection, Size
 from rtcal.finder.prior import NO_EFFECT, NONE, UNKNOWN, left_out_of
 from rtcal.finder.states import evidence
 from rtcal.finder.states.case import StatesCase
-from rtcal.finder.states.evidence import ADDED, AIR, REMOVED, Baseline, Errors, Fits, Grid, grid
+from rtcal.finder.states.evidence import ADDED, AIR, REMOVED, Baseline, Fits, Grid, grid
 from rtcal.finder.states.finding import StatesFinding
-from rtcal.finder.states.surfaces import Located, locate, other_gains, trusted
+from rtcal.finder.states.surfaces import Located, locate
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
@@ -41,7 +40,6 @@ def find(
     case: StatesCase,
     *,
     effects: Sequence[Effect] | None = None,
-    errors: Errors | None = None,
     seed: int = 0,
     only: Sequence[str] = (),
     without: Sequence[str] = (),
@@ -54,8 +52,6 @@ def find(
     effects : sequence of Effect, optional
         Those that add absorption give the spectra that are tried, added and removed; the whole library
         if not given. A spectrum that none of them has is tried as well.
-    errors : Errors, optional
-        What is assumed of noise and prediction.
     seed : int
         Of the samples from which the intervals come.
     only, without : sequence of str
@@ -84,7 +80,6 @@ def find(
     """
     checks.instance("case", case, StatesCase)
     checks.whole("seed", seed, 0)
-    assumed = Errors() if errors is None else checks.instance("errors", errors, Errors)
     of_library = checked_effects(effects)
     if not evidence.adding(of_library):
         raise DataError(
@@ -92,45 +87,39 @@ def find(
         )
     left_out = left_out_of(only, without, evidence.tried(of_library), [UNKNOWN])
     found, room = case.differences, case.room
-    if found.of_means:
-        assumed = replace(assumed, degrees=assumed.of_means)
+    degrees = evidence.OF_MEANS if found.of_means else evidence.DEGREES
     measured, frequencies = found.measured, room.centre_frequencies[found.measured]
-    variance = found.variance[:, measured]
     sign, times = (1.0, (found.before, found.after))
     if not found.falls:
         sign, times = -1.0, times[::-1]
-    change = sign * found.change[:, measured]
+    change, variance = sign * found.change[:, measured], found.variance[:, measured]
     of_air = case.climate_uncertainty
     baseline = Baseline.of(room, case.equation, times, measured, of_air)
     area = np.full(room.n_bands, np.nan)
     area[measured] = baseline.area
     tried = grid(room, area, measured, of_library, left_out)
     if not found.falls:
-        tried = _turned(tried)
+        tried = tried.turned
         area[measured] = Baseline.of(room, case.equation, times[::-1], measured, of_air).area
-    nothing = evidence.none(change, variance, assumed)
-    fits = evidence.fits(change, variance, baseline, tried, assumed)
+    fits = evidence.fits(change, variance, baseline, tried, degrees)
     by_scale = fits.log_evidence + tried.log_weight[:, np.newaxis]
     something = float(logsumexp(by_scale))
-    score = something - nothing
+    score = something - evidence.none(change, variance, degrees)
     # log(1 + odds) without overflow, of odds that may be e^700.
     odds = score + float(np.log1p(-NO_EFFECT) - np.log(NO_EFFECT))
     none = float(np.exp(-np.logaddexp(0.0, odds)))
     chances = np.exp(by_scale - something)
     given = chances.sum(axis=1)
-    of_names, of_families, shares = tried.names, tried.families, given
-    if found.same:
-        other_way = _turned(tried)
-        of_names, of_families = of_names + other_way.names, of_families + other_way.families
-        shares = np.tile(given / 2, 2)
-    probabilities = _summed(of_names, shares, none)
-    families = _with_sums(_summed(of_families, shares, none))
+    grids = (tried, tried.turned) if found.same else (tried,)
+    shares = np.tile(given / len(grids), len(grids))
+    probabilities = _summed([n for each in grids for n in each.names], shares, none)
+    families = _with_sums(_summed([f for each in grids for f in each.families], shares, none))
     detection = Detection(score, THRESHOLD)
     by_family_alone = [name for name in probabilities if name != AIR]
     verdict, family = claimed(detection.verdict, probabilities, families, by_family_alone)
     reasons = (_ONE_FILE,) if found.same else ()
     if verdict == "named":  # the climate alone
-        chance = evidence.chance_of_climate(change, variance, baseline, assumed)
+        chance = evidence.chance_of_climate(change, variance, baseline, degrees)
         if chance < _LEAST_CHANCE:
             verdict, family, reasons = "ambiguous", None, (_unlike_air(chance),)
     asked = [name for name in evidence.tried(of_library) if name not in (*left_out, UNKNOWN)]
@@ -142,46 +131,23 @@ def find(
     inside = bands.is_middle(frequencies)
     inside = inside if inside.any() else np.ones_like(inside)
     if of_surfaces.any():
-        samples, drawn = _samples(fits, tried, baseline, of_surfaces, seed)
-        samples, names = sign * samples, np.array(tried.names)[drawn]
-        if found.same:  # each beside its mirror image, so that their mean is 0 to the last digit
-            samples = np.stack([samples, -samples], axis=1).reshape(-1, samples.shape[1])
-            names = np.stack([names, np.array(other_way.names)[drawn]], axis=1).ravel()
+        drawn, rows = _samples(fits, tried, baseline, of_surfaces, seed)
+        # Of one state twice, each beside its mirror image: their mean is 0 to the last digit.
+        samples = np.stack([sign * drawn, -sign * drawn][: len(grids)], axis=1)
+        samples = samples.reshape(-1, drawn.shape[1])
+        names = np.stack([np.array(each.names)[rows] for each in grids], axis=1).ravel()
         changes[0, measured] = samples.mean(axis=0)
         changes[1:, measured] = np.quantile(samples, _INTERVAL, axis=0)
         middle = samples[:, inside].mean(axis=1)
         family = _as_changed(family, changes[0, measured])
-    candidates = [
-        _candidate(name, tried, p, middle[names == name])
-        for name, p in probabilities.items()
-        if name != NONE and p >= SAID and (name == AIR or (names == name).any())
-    ]
-    if not candidates:  # nothing changed
-        best = max((n for n in probabilities if n != NONE), key=lambda n: probabilities[n])
-        candidates = [_candidate(best, tried, probabilities[best], middle)]
+    some = [n for n, p in probabilities.items() if n != NONE and p >= SAID]
+    some = [name for name in some if name == AIR or (names == name).any()]
     shift = np.full(room.n_bands, np.nan)
-    if found.same:
-        shift[measured] = 0.0
-    else:
-        shift[measured] = sign * np.einsum("ns,nsk->k", chances, fits.shift)
-    located: Located | None = None
-    why = _OF_MEANS if case.simulator is None else ""
-    if family is not None and "absorption" in family:
-        added = families.get(f"{ADDED} absorption", 0.0) > families.get(
-            f"{REMOVED} absorption", 0.0
-        )
-        climate = None
-        if AIR not in left_out:
-            of_two = np.diag(evidence.climate_covariance(room, of_air))
-            climate = np.sqrt(of_two) / (4 * room.volume)
-        located, why = _located(case, change, variance, added, assumed, seed, climate)
-    gains: Mapping[str, float] = {}
-    if located is not None:
-        gains = {s: gain if added else -gain for s, gain in located.gains.items()}
-    elif case.simulator is not None and not case.sources_unstated:
-        in_order = found.states if found.falls else found.states[::-1]
-        gains = other_gains(case.simulator, *in_order, case.match, seed)
-        gains = {s: sign * gain for s, gain in gains.items()}
+    of_chances = np.einsum("ns,nsk->k", chances, fits.shift)
+    shift[measured] = 0.0 if found.same else sign * of_chances
+    located, gains, why = _located(
+        case, family, families, change, variance, degrees, seed, AIR not in left_out
+    )
     with_air = float((of_surfaces * tried.of_air).sum() / of_surfaces.sum()) if len(middle) else 0.0
     return StatesFinding(
         case=case,
@@ -191,7 +157,11 @@ def find(
         families=families,
         detection=detection,
         effects={effect.name: effect for effect in of_library},
-        candidates=tuple(candidates),
+        candidates=tuple(
+            _candidate(name, tried, probabilities[name], middle[names == name] if some else middle)
+            # Without any, nothing changed.
+            for name in some or [next(n for n in probabilities if n != NONE)]
+        ),
         area=area,
         change=changes,
         shift=shift,
@@ -236,21 +206,6 @@ def _as_asked(names: Sequence[str], probability: float) -> str:
     )
 
 
-def _turned(tried: Grid) -> Grid:
-    """Return the hypotheses with "added" and "removed" exchanged in their names alone."""
-    other = {ADDED: REMOVED, REMOVED: ADDED}
-
-    def turned(name: str) -> str:
-        side, _, rest = name.partition(" ")
-        return f"{other[side]} {rest}" if side in other else name
-
-    return replace(
-        tried,
-        names=tuple(map(turned, tried.names)),
-        families=tuple(map(turned, tried.families)),
-    )
-
-
 _OF_MEANS = "T alone does not tell on which surface something changed."
 
 
@@ -267,33 +222,46 @@ def _of_gains(gains: Mapping[str, float]) -> tuple[str, ...]:
 
 def _located(
     case: StatesCase,
+    family: str | None,
+    families: Mapping[str, float],
     change: Array,
     variance: Array,
-    added: bool,
-    errors: Errors,
+    degrees: float,
     seed: int,
-    climate: Array | None,
-) -> tuple[Located | None, str]:
-    """Return on which surfaces something changed; or None, and why no surface is told."""
-    if case.simulator is None:
-        return None, _OF_MEANS
+    climate: bool,
+) -> tuple[Located | None, Mapping[str, float], str]:
+    """Return on which surfaces something changed, other gains of the sources, and a note.
+
+    None where no surface is told; the note is why, where one was asked for. ``climate`` is whether
+    another one is tried.
+    """
+    found, simulator = case.differences, case.simulator
+    if simulator is None:
+        return None, {}, _OF_MEANS
+    absorption = family is not None and "absorption" in family
     if unstated := case.sources_unstated:
-        return None, (
+        why = (
             f"The directivity of {first_of(unstated, 1)} is not stated, so no surface is told. An "
             "omnidirectional source has the index 0."
         )
-    states = case.differences.states
-    less, more_absorbing = states if added else states[::-1]
-    match = trusted(case.simulator, case.match, less, more_absorbing)
+        return None, {}, why if absorption else ""
+    if not absorption:
+        sign, states = (1.0, found.states) if found.falls else (-1.0, found.states[::-1])
+        gains = locate(simulator, *states, case.match, seed).gains
+        return None, {source: sign * gain for source, gain in gains.items()}, ""
+    added, removed = (families.get(f"{side} absorption", 0.0) for side in (ADDED, REMOVED))
+    sign, states = (1.0, found.states) if added > removed else (-1.0, found.states[::-1])
     # How far each pair's differences lie from the pairs' mean tells how noisy the pair is.
     mean = np.nansum(change / variance, axis=0) / np.nansum(1 / variance, axis=0)
     squares = np.nansum((change - mean) ** 2 / variance, axis=1)
     count = np.isfinite(change).sum(axis=1)
-    weights = np.minimum(1.0, (errors.degrees + count) / (errors.degrees + squares))
-    located = locate(
-        case.simulator, less, more_absorbing, match, weights, seed=seed, climate=climate
-    )
-    return located, ""
+    weights = np.minimum(1.0, (degrees + count) / (degrees + squares))
+    of_air = None
+    if climate:
+        of_two = np.diag(evidence.climate_covariance(case.room, case.climate_uncertainty))
+        of_air = np.sqrt(of_two) / (4 * case.room.volume)
+    located = locate(simulator, *states, case.match, seed, weights, of_air)
+    return located, {source: sign * gain for source, gain in located.gains.items()}, ""
 
 
 def _summed(names: Sequence[str], given: Array, none: float) -> dict[str, float]:

@@ -29,7 +29,7 @@ from rtcal.finder.evidence import log_mixture, with_columns
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Faces
 from rtcal.finder.positions.weighing import Weighing
-from rtcal.finder.states.evidence import ANOTHER_CLIMATE
+from rtcal.finder.states.evidence import ANOTHER_CLIMATE, COMMON, PAIR, WALK
 from rtcal.simulators import base
 from rtcal.simulators.base import Observations
 from rtcal.simulators.path_tracing import PathTracing
@@ -40,10 +40,6 @@ MOST_SURFACES = 8
 NODES = (0.08, 0.25, 0.55, 1.0)
 """Shares of the way to alpha = 1 that are weighed; between them the shifts are interpolated."""
 SHARES = np.geomspace(0.02, 0.95, 30)
-WALK = 0.5
-"""Standard deviation per octave of ln share."""
-PAIR, COMMON = 0.15, 0.1
-"""Error of a pair's shift, and of all pairs', over the mean shift of a parameter and band."""
 POWER = 0.5
 """Power of the likelihood: pairs and parameters share errors that no covariance of this module has."""
 MOST_DIRECT = 0.76
@@ -73,8 +69,8 @@ class Located:
         By how many dB the level of a source shifts beside what T says, where it was left out.
     """
 
-    surfaces: Mapping[str, float]
-    sets: Mapping[tuple[str, ...], float]
+    surfaces: Mapping[str, float] = field(default_factory=dict)
+    sets: Mapping[tuple[str, ...], float] = field(default_factory=dict)
     gains: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -96,9 +92,8 @@ def locate(
     before: Measurement,
     after: Measurement,
     match: Sequence[str],
-    weights: Array,
-    surfaces: Mapping[str, Faces] | None = None,
     seed: int = 0,
+    weights: Array | None = None,
     climate: Array | None = None,
 ) -> Located:
     """Return the probability of each surface that it absorbs more after than before.
@@ -110,35 +105,43 @@ def locate(
     before, after : Measurement
         Of the same pairs of the simulator, in the room's bands; before absorbs less.
     match : sequence of str
-        Parameters that are compared.
-    weights : array (n_pairs,)
-        Precision of each pair's noise over the expected one.
+        Parameters that are compared: those that both states have and the directivities allow, and T20.
+    weights : array (n_pairs,), optional
+        Precision of each pair's noise over the expected one. Without it no surface is told, and the
+        gains alone are found.
     climate : array (n_bands,), optional
         Standard deviation in 1/m by which the air's attenuation differs in two states, if it does; None
         where another climate is not tried.
     """
-    faces = of_room.of_geometry(simulator.geometry) if surfaces is None else surfaces
-    pairs = before.pairs
+    wanted = dict.fromkeys((TARGET.key, *simulator.trusted(match)))
+    states = (before, after)
+    match = [n for n in wanted if all(OBSERVABLES[n].key_in(m.values) in m.values for m in states)]
+    level = match.index(LEVEL.key) if LEVEL.key in match else None
+    if weights is None and level is None:
+        return Located()
+    pairs, frequencies = before.pairs, simulator.centre_frequencies
     rows = [simulator.pairs.index(p) for p in pairs]
-    two = [Observations.of_measurement(m, match, pairs).values for m in (before, after)]
+    two = [Observations.of_measurement(m, match, pairs).values for m in states]
     change = two[1] - two[0]
     weighing = _scaled_to(simulator, before, match, rows, seed)
     energy = weighing.energy(weighing.alpha)[0]
-    base = _heard(energy, simulator, match)
-    noise = _noise(energy[rows], simulator, match)
+    gains = dict[str, float]()
+    if level is not None:
+        times = [m.reverberation_time for m in states]
+        gains = _gains(simulator, pairs, energy[rows], times, change[level])
+        change[level][[source in gains for source, _ in pairs]] = np.nan
+    if weights is None:
+        return Located(gains=gains)
     direct = energy[rows, :, 0] / energy[rows].sum(axis=-1)
     if EARLY.key in match:
-        change[list(match).index(EARLY.key)][direct > MOST_DIRECT] = np.nan
-    gains = dict[str, float]()
-    if LEVEL.key in match:
-        times = [m.reverberation_time for m in (before, after)]
-        level = change[list(match).index(LEVEL.key)]
-        gains = _gains(simulator, pairs, energy[rows], times, level)
-        level[[source in gains for source, _ in pairs]] = np.nan
+        change[match.index(EARLY.key)][direct > MOST_DIRECT] = np.nan
     shorter = np.nanmean(np.exp(two[0][0] - two[1][0]), axis=0) if match[0] == TARGET.key else 1.0
-    noise = noise * (1 + np.asarray(shorter))[:, None, None] / weights[:, None, None, None]
+    noise = _noise(energy[rows], simulator, match) * (1 + np.asarray(shorter))[:, None, None]
+    noise = noise / weights[:, None, None, None]
+    faces = of_room.of_geometry(simulator.geometry)
     tried = sets_of(simulator, faces)
     groups = [np.concatenate([faces[n] for n in names]) for names in tried]
+    base = _heard(energy, simulator, match)
     shifts = np.array(
         [
             [np.zeros_like(base), *(_heard(decay, simulator, match) - base for decay in decays)]
@@ -148,55 +151,27 @@ def locate(
     # What a decay lacks under any set counts for none: EDT, where the direct sound is all there is.
     change[~np.isfinite(shifts).all(axis=(0, 1))] = np.nan
     shifts = np.where(np.isfinite(shifts), shifts, 0.0)
-    frequencies = simulator.centre_frequencies
 
-    by_air = None
+    def evidence_of(sources: Sequence[str], by_air: Array | None) -> Array:
+        common = _common_errors(pairs, match, sources, by_air, len(frequencies))
+        return np.array([_evidence(change, s, noise, match, frequencies, common) for s in shifts])
+
+    def in_climate(by_air: Array | None) -> Array:
+        as_calibrated = evidence_of((), by_air)
+        if level is None:
+            return as_calibrated
+        every = [*dict.fromkeys(source for source, _ in pairs)]
+        return log_mixture(as_calibrated, evidence_of(every, by_air), ANOTHER_GAIN)
+
+    evidence = in_climate(None)
     if climate is not None:
         attenuation = simulator.room.air_attenuation + climate
         in_it = _heard(weighing.energy(weighing.alpha, attenuation)[0], simulator, match)
         by_air = np.nan_to_num(np.moveaxis((in_it - base)[:, rows], 0, -1))
-
-    def evidence_of(sources: Sequence[str], of_climate: Array | None) -> Array:
-        common = _common_errors(pairs, match, sources, of_climate, len(frequencies))
-        numbers = noise, match, frequencies, common
-        return np.array([_evidence(change, of_set, *numbers) for of_set in shifts])
-
-    def in_climate(of_climate: Array | None) -> Array:
-        as_calibrated = evidence_of((), of_climate)
-        if LEVEL.key not in match:
-            return as_calibrated
-        every = [*dict.fromkeys(source for source, _ in pairs)]
-        return log_mixture(as_calibrated, evidence_of(every, of_climate), ANOTHER_GAIN)
-
-    evidence = in_climate(None)
-    if by_air is not None:
         evidence = log_mixture(evidence, in_climate(by_air), ANOTHER_CLIMATE)
-    log_p = evidence - logsumexp(evidence)
-    order = np.argsort(-log_p)
-    sets = {tried[i]: float(np.exp(log_p[i])) for i in order}
-    by_surface = {n: sum(p for names, p in sets.items() if n in names) for n in faces}
-    return Located(most_probable_first(by_surface), sets, gains)
-
-
-def other_gains(
-    simulator: PathTracing,
-    before: Measurement,
-    after: Measurement,
-    match: Sequence[str],
-    seed: int = 0,
-) -> dict[str, float]:
-    """Return the `Located.gains` of two states of which no surface is told."""
-    match = trusted(simulator, match, before, after)
-    if LEVEL.key not in match:
-        return {}
-    rows = [simulator.pairs.index(p) for p in before.pairs]
-    two = [
-        Observations.of_measurement(m, (LEVEL.key,), before.pairs).values for m in (before, after)
-    ]
-    weighing = _scaled_to(simulator, before, match, rows, seed)
-    times = [m.reverberation_time for m in (before, after)]
-    energy = weighing.energy(weighing.alpha)[0][rows]
-    return _gains(simulator, before.pairs, energy, times, two[1][0] - two[0][0])
+    chances = dict(zip(tried, np.exp(evidence - logsumexp(evidence)).tolist(), strict=True))
+    by_surface = {n: sum(p for names, p in chances.items() if n in names) for n in faces}
+    return Located(most_probable_first(by_surface), most_probable_first(chances), gains)
 
 
 def _gains(
@@ -227,12 +202,12 @@ def _gains(
     kept = np.exp(-faster[:, np.newaxis] * seconds[:, np.newaxis])
     kept[..., 0] = 1.0
     off = change - DB * np.log((energy * kept).sum(axis=-1) / energy.sum(axis=-1))
-    of_source = {
-        source: off[[s == source for s, _ in pairs]]
-        for source in dict.fromkeys(s for s, _ in pairs)
-    }
-    means = {s: float(np.nanmean(v)) for s, v in of_source.items() if np.isfinite(v).any()}
-    return {s: mean for s, mean in means.items() if abs(mean) >= MOST_GAIN}
+    means = {}
+    for source in dict.fromkeys(s for s, _ in pairs):
+        own = off[[s == source for s, _ in pairs]]
+        if np.isfinite(own).any() and abs(mean := float(np.nanmean(own))) >= MOST_GAIN:
+            means[source] = mean
+    return means
 
 
 def _scaled_to(
@@ -374,15 +349,3 @@ def _through_bands(log_likelihood: Array, frequencies: Array, used: NDArray[np.b
         at = at + log_likelihood[k]
         last = k
     return float(logsumexp(at))
-
-
-def trusted(
-    simulator: PathTracing, match: Sequence[str], before: Measurement, after: Measurement
-) -> tuple[str, ...]:
-    """Return T20, and what both states have of the parameters that the directivities allow."""
-    wanted = dict.fromkeys((TARGET.key, *simulator.trusted(match)))
-    return tuple(
-        name
-        for name in wanted
-        if all(OBSERVABLES[name].key_in(m.values) in m.values for m in (before, after))
-    )
