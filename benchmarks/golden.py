@@ -198,7 +198,7 @@ def on_pairs(index: int, statement: str, paths: int) -> dict[str, Any]:
     case = rt.finder.positions.PositionsCase(
         simulator=room.simulator(n_paths=paths), measured=room.measured, match=MATCH
     )
-    found = rt.finder.positions.find(case)
+    found = rt.find(case)
     row = {
         "verdict": found.verdict,
         "effect": found.effect,

@@ -148,7 +148,6 @@ def public_names() -> dict[str, object]:
 NEEDS_NO_EXAMPLE = {
     "of_kind": "for the package's own lists",
     "DecaySlope": "the base of the decay times",
-    "EFFECTS": "a tuple of names",
     "Candidate": "part of a rt.finder.positions.PositionsFinding",
     "Place": "part of a rt.finder.positions.PositionsFinding",
     "Corrected": "what rt.finder.positions.verify compares",

@@ -114,7 +114,7 @@ def measured(
 @pytest.fixture(scope="module")
 def finding(kept: Path) -> rt.finder.positions.PositionsFinding:
     case = rt.finder.positions.PositionsCase(simulator=tracing(stated()), measured=measured(True))
-    return rt.finder.positions.find(case, cache=kept)
+    return rt.find(case, cache=kept)
 
 
 def test_an_opening_is_found_on_its_wall(finding: rt.finder.positions.PositionsFinding) -> None:
@@ -131,7 +131,7 @@ def test_an_opening_is_found_on_its_wall(finding: rt.finder.positions.PositionsF
 
 def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
     case = rt.finder.positions.PositionsCase(simulator=tracing(stated()), measured=measured(False))
-    finding = rt.finder.positions.find(case, cache=kept)
+    finding = rt.find(case, cache=kept)
     assert finding.verdict in ("none", "hint")
     assert finding.surface is None
     with pytest.raises(DataError, match="no surface lacks anything"):
@@ -203,7 +203,7 @@ def test_a_level_between_positions_is_enough(kept: Path) -> None:
     case = rt.finder.positions.PositionsCase(
         simulator=tracing(stated()), measured=measured(True, "level")
     )
-    finding = rt.finder.positions.find(case, cache=kept)
+    finding = rt.find(case, cache=kept)
     assert finding.detected
     assert "east" in finding.likely_surfaces
 
@@ -215,7 +215,7 @@ def test_a_receiver_that_stands_elsewhere_is_a_hint(kept: Path) -> None:
     case = rt.finder.positions.PositionsCase(
         simulator=tracing(stated()), measured=heard(truth, truth.room.alpha)
     )
-    finding = rt.finder.positions.find(case, cache=kept)
+    finding = rt.find(case, cache=kept)
     assert finding.verdict == "hint"
     best = finding.best
     assert best is not None
@@ -232,7 +232,7 @@ def test_t30_is_matched_where_t20_is_absent(kept: Path) -> None:
     alone = heard(model, model.room.alpha, match=("t30",))
     case = rt.finder.positions.PositionsCase(simulator=model, measured=alone)
     assert case.match == ("t30", *MATCH[1:])
-    finding = rt.finder.positions.find(case, cache=kept)
+    finding = rt.find(case, cache=kept)
     assert finding.parameters == ("t30",)
     assert "T30 is matched in place of T20, which was not measured." in finding.notes
     both = rt.finder.positions.PositionsCase(simulator=model, measured=every)
@@ -325,9 +325,7 @@ def test_a_wrong_case_is_refused(changes: dict[str, Any], place: str, kept: Path
         changes = {"simulator": tracing(rt.calibrate(room, data).room)}
     arguments = {"simulator": tracing(room), "measured": data} | changes
     with pytest.raises(DataError, match=place):
-        rt.finder.positions.find(
-            rt.finder.positions.PositionsCase(**arguments), cache=kept, **options
-        )
+        rt.find(rt.finder.positions.PositionsCase(**arguments), cache=kept, **options)
 
 
 @pytest.fixture(scope="module")
@@ -447,7 +445,7 @@ def test_coefficients_that_are_all_off_are_no_surface(kept: Path) -> None:
     truth = tracing(stated(), n_paths=19200, scattering=0.5)
     room = stated().replace(sigma=0.3 * stated().alpha)
     data = heard(truth, 1.5 * stated().alpha)
-    finding = rt.finder.positions.find(
+    finding = rt.find(
         rt.finder.positions.PositionsCase(simulator=tracing(room), measured=data), cache=kept
     )
     assert finding.surface is None

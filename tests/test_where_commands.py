@@ -129,12 +129,12 @@ def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rt.finder.positions.find(case, **tried, progress=stop)
+        rt.find(case, **tried, progress=stop)
     assert told.count("control runs") > 1
     again: list[str] = []
-    rt.finder.positions.find(case, **tried, progress=lambda what, done, of: again.append(what))
+    rt.find(case, **tried, progress=lambda what, done, of: again.append(what))
     assert again
     assert "control runs" not in again
     last: list[str] = []
-    rt.finder.positions.find(case, **tried, progress=lambda what, done, of: last.append(what))
+    rt.find(case, **tried, progress=lambda what, done, of: last.append(what))
     assert not last

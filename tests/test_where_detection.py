@@ -119,16 +119,16 @@ def test_fewer_effects_are_asked_of_the_positions_alone(
     module = sys.modules["rtcal.finder.positions.search"]
     monkeypatch.setattr(module, "evidence_of_means", lambda *_: pytest.fail("asked"))
     monkeypatch.setattr(module, "find_by_positions", lambda *arguments: arguments[-1])
-    assert rt.finder.positions.find(case, **options) is None
+    assert rt.find(case, **options) is None
 
 
 def test_a_search_for_a_noisy_pair_alone_detects_nothing(
     case: rt.finder.positions.PositionsCase, kept: Path
 ) -> None:
-    finding = rt.finder.positions.find(case, only=["noise"], cache=kept)
+    finding = rt.find(case, only=["noise"], cache=kept)
     assert (finding.detected, finding.score) == (False, 0.0)
     assert finding.to_dict()["nats_of_noise"] == finding.detection.noise
-    without = rt.finder.positions.find(case, without=["noise"], cache=kept)
+    without = rt.find(case, without=["noise"], cache=kept)
     assert without.detection.noise is None
 
 
@@ -137,7 +137,7 @@ def test_a_candidate_without_a_size_has_none_in_words_and_in_json(
     case: rt.finder.positions.PositionsCase, effect: str, kept: Path
 ) -> None:
     """A full search ended `to_json` in a ValueError where one was among the first twenty."""
-    finding = rt.finder.positions.find(case, only=[effect], cache=kept)
+    finding = rt.find(case, only=[effect], cache=kept)
     said = json.loads(finding.to_json())["candidates"]
     assert any(c["size"] is None for c in said)
     assert "nan" not in str(finding)
@@ -156,7 +156,7 @@ def test_the_record_is_that_of_what_was_measured(
     )
     lacking = rt.finder.positions.PositionsCase(simulator=case.simulator, measured=without)
     assert "level" in lacking.match
-    finding = rt.finder.positions.find(lacking, cache=kept)
+    finding = rt.find(lacking, cache=kept)
     assert record_of_positions(case.room, finding.parameters) == finding.notes[0]
     assert "level" not in finding.parameters
 
@@ -175,7 +175,7 @@ def test_a_coupled_room_is_claimed_by_its_family_alone(
 
     monkeypatch.setattr(module, "THRESHOLD", -np.inf)
     monkeypatch.setattr(module, "summary_of", certain)
-    finding = rt.finder.positions.find(case, only=["coupled room"], cache=kept)
+    finding = rt.find(case, only=["coupled room"], cache=kept)
     assert (finding.verdict, finding.effect, finding.family) == ("family", None, "field")
     assert finding.surface is None
     assert "scatters less than assumed" in " ".join(finding.reasons)

@@ -167,7 +167,7 @@ def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
 ) -> None:
     """All four long surfaces say so, and patch and picture show it there."""
     pytest.importorskip("matplotlib", reason="needs the extra report")
-    finding = rt.finder.positions.find(case, cache=tmp_path)
+    finding = rt.find(case, cache=tmp_path)
     assert finding.detected
     assert "east" not in finding.likely_surfaces
     least = 0.1 * max(finding.surfaces.values())
@@ -181,7 +181,7 @@ def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
     assert made.geometry.vertices[list(made.geometry.faces[hole])].mean(axis=0) == pytest.approx(
         [3.0, 0.0, 1.5]
     )
-    again = rt.finder.positions.find(case, cache=tmp_path)  # from what is kept
+    again = rt.find(case, cache=tmp_path)  # from what is kept
     assert [c.title for c in again.candidates] == [c.title for c in finding.candidates]
     for kept, first in zip(again.candidates, finding.candidates, strict=True):
         assert [p for _, p in kept.parts] == pytest.approx([p for _, p in first.parts])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
 from gzip import decompress
 from pathlib import Path
 from types import SimpleNamespace
@@ -70,7 +69,7 @@ def test_a_finding_names_the_family_that_means_know_of(
         monkeypatch.setattr(
             sys.modules["rtcal.finder.positions.search"], "evidence_of_means", lambda *_, m=means: m
         )
-        found[family] = rt.finder.positions.find(case, cache=kept)
+        found[family] = rt.find(case, cache=kept)
     flat, scale = found.values()
     assert flat.families["added absorption, flat"] > scale.families["added absorption, flat"]
     assert flat.families.get("scale", 0.0) < scale.families["scale"]
@@ -105,8 +104,8 @@ def test_the_means_of_a_drawn_room_have_the_density_of_means(
     case: rt.finder.positions.PositionsCase, kept: Path
 ) -> None:
     numbers, every = where_ideal.prepared(case, kept)
-    levels = ScatteringLevels.assumed(len(numbers.residual))
-    likelihoods = replace(numbers, levels=levels).likelihoods()
+    numbers.levels = ScatteringLevels.assumed(len(numbers.residual))
+    likelihoods = numbers.likelihoods()
     mean, of_means = where_ideal.averaged(numbers, likelihoods)
     whole, averaged = likelihoods[0], of_means[0]
     shift = next(s for s in every.shifts if s.effect == "opening").some(slice(5, 6))

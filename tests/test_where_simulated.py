@@ -62,8 +62,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.long
 def test_the_disagreement_is_the_programs(folder: Path) -> None:
     """Its own error cancels: what it says of the same room twice differs by its noise alone."""
-    same = rt.finder.positions.find(read(folder, "same.csv"), cache=folder / "kept")
-    other = rt.finder.positions.find(read(folder), cache=folder / "kept")
+    same = rt.find(read(folder, "same.csv"), cache=folder / "kept")
+    other = rt.find(read(folder), cache=folder / "kept")
     assert np.sqrt(np.nanmean(same.map**2)) < 1.0
     assert same.verdict == "none"
     assert np.nanmean(other.map[0]) > 1.0  # T20 is measured shorter
@@ -93,7 +93,7 @@ def test_what_neither_has_is_left_out(folder: Path) -> None:
     pairs = less.measured.pairs
     errors = 0.1 * np.random.default_rng(1).normal(size=(8, len(MATCH), len(pairs), len(BANDS)))
     controls = ControlRuns(parameters=MATCH, pairs=pairs, errors=errors)
-    finding = rt.finder.positions.find(less, controls=controls)
+    finding = rt.find(less, controls=controls)
     assert np.isfinite(finding.score)
     assert np.isnan(finding.map).sum() == 1
 

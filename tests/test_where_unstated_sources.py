@@ -60,14 +60,14 @@ def test_loudspeakers_of_which_nothing_is_stated_are_not_claimed_of_the_room(
     case = rt.finder.positions.PositionsCase(
         simulator=box(n_paths=800), measured=measured, match=match
     )
-    finding = rt.finder.positions.find(case, cache=kept)
+    finding = rt.find(case, cache=kept)
     assert not finding.detected
     assert any("not taken as omnidirectional" in note for note in finding.notes)
     unknown = finding.case.simulator.unknown_sources
     assert unknown == (tuple(SPEAKERS) if "t20" in match else ())
     monkeypatch.setattr(search, "LIKELY_LOBES", np.inf)
     monkeypatch.setattr(search, "AIMED", 1e-300)
-    taken = rt.finder.positions.find(case, cache=kept)
+    taken = rt.find(case, cache=kept)
     assert taken.detection.score > finding.detection.score + 3
     assert taken.detected
 
@@ -81,7 +81,7 @@ def test_an_index_that_is_off_is_not_claimed_of_the_room(
     case = rt.finder.positions.PositionsCase(
         simulator=box(n_paths=800, directivity=aimed(index)), measured=measured, match=MATCH
     )
-    finding = rt.finder.positions.find(case, cache=kept)
+    finding = rt.find(case, cache=kept)
     assert not finding.detected
     # One receiver does not tell a lobe from another gain of its source in each band.
     told = ("not taken as stated", "calibration may be off")
@@ -90,7 +90,7 @@ def test_an_index_that_is_off_is_not_claimed_of_the_room(
     monkeypatch.setattr(search, "LIKELY_INDEX", np.inf)
     monkeypatch.setattr(search, "AIMED", 1e-300)
     monkeypatch.setattr(search, "MISCALIBRATED", 1e-300)
-    exact = rt.finder.positions.find(case, cache=kept)
+    exact = rt.find(case, cache=kept)
     assert (exact.score > 20) == (off != 0)
 
 
@@ -106,7 +106,7 @@ def test_lobes_that_are_not_certain_leave_the_level_and_its_surfaces(
         simulator=tracing(stated(), n_paths=800), measured=opened(True, "level")
     )
     monkeypatch.setattr(search, "gain", lambda *_: np.array([nats]))
-    finding = rt.finder.positions.find(case, cache=kept)
+    finding = rt.find(case, cache=kept)
     assert finding.detected
     assert ("level" in finding.parameters) == level
     assert bool(finding.case.simulator.unknown_sources) != level
@@ -128,7 +128,7 @@ def test_lobes_are_tried_where_a_pair_seems_noisy(
     first = [(np.array([-24.0]), np.array([20.0]))]
     scores = search.scores
     monkeypatch.setattr(search, "scores", lambda *given: first.pop() if first else scores(*given))
-    finding = rt.finder.positions.find(case, cache=kept)
+    finding = rt.find(case, cache=kept)
     assert finding.case.simulator.unknown_sources == ("S1", "S2")
     assert not finding.detected
 
@@ -143,12 +143,12 @@ def test_what_absorbs_is_found_with_a_stated_index(kept: Path) -> None:
     case = rt.finder.positions.PositionsCase(
         simulator=box(n_paths=800, directivity=lobes), measured=heard_there, match=MATCH
     )
-    finding = rt.finder.positions.find(case, cache=kept)
+    finding = rt.find(case, cache=kept)
     assert finding.detected
     assert finding.parameters == MATCH
     assert sum(p for f, p in finding.families.items() if f.startswith("added absorption")) > 0.9
     # Without "unknown" among what is tried.
-    assert rt.finder.positions.find(case, cache=kept, only=("opening",)).detected
+    assert rt.find(case, cache=kept, only=("opening",)).detected
 
 
 def test_lobes_are_those_of_sources_of_which_nothing_or_an_index_is_stated() -> None:

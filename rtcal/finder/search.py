@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
+import inspect
+from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias, overload
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.finder import positions, states
 from rtcal.finder.case import Case, Configuration
-from rtcal.finder.effects import Effect
-from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.means.verification import verify as verify_by_means
+from rtcal.finder.positions.search import find as find_at_positions
 from rtcal.finder.positions.verification import verify as verify_at_pairs
+from rtcal.finder.states.search import find as find_between
 from rtcal.finder.states.verification import verify as verify_states
 from rtcal.finder.verification import Verification
 from rtcal.io import geometry_files
-from rtcal.loop.control_runs import ControlRuns
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.speed import TaskProgress
 
 AnyCase: TypeAlias = Case | positions.PositionsCase | states.StatesCase
 
@@ -92,14 +90,8 @@ def find(
     *,
     before: Measurement | None = None,
     tracing: Mapping[str, Any] | None = None,
-    effects: Sequence[Effect] | None = None,
     seed: int = 0,
-    only: Sequence[str] = (),
-    without: Sequence[str] = (),
-    controls: Sequence[ControlRooms] | ControlRuns | None = None,
-    cache: str | os.PathLike[str] | None = None,
-    progress: TaskProgress | None = None,
-    **of_means: Any,
+    **options: Any,
 ) -> MeansFinding | positions.PositionsFinding | states.StatesFinding:
     """Find what the model of a room lacks, and where the positions tell on which surface.
 
@@ -123,22 +115,22 @@ def find(
     tracing : mapping, optional
         Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, where the room's scene is
         traced: in place of a ``simulator``.
-    effects : sequence of Effect, optional
-        The effects to try; the whole library if not given.
     seed : int
         Of control runs, paths and the bootstrap at positions, and of two states. A search by means over
         positions draws nothing: control rooms and null rooms are fixed sequences.
-    only, without : sequence of str
-        Names of the effects to try alone, or to leave out.
-    controls : ControlRuns, or sequence of ControlRooms, optional
-        The model's own error, of an earlier search.
-    cache : path, optional
-        Folder in which simulations are kept, by a hash of all that they depend on.
-    progress : callable, optional
-        Called with what is computed, the number of finished steps and their total.
-    **of_means
-        ``prior``, ``engines``, ``most`` and ``expected``, as
-        `rtcal.finder.means.search.find` takes them.
+    **options
+        - ``effects``: sequence of `Effect`; the effects to try, by default the whole library. At
+          positions those that stand on surfaces are sought on each of them (`Effect.stands_on`). Of two
+          states those that add absorption give the spectra that are tried, added and removed, besides
+          one that no effect has.
+        - ``only``, ``without``: names of the effects to try alone, or to leave out; of two states "air"
+          for the climate and "unknown" for a spectrum that no effect has.
+        - ``controls``: `ControlRuns`, or a sequence of `ControlRooms`; the model's own error, of an
+          earlier search.
+        - ``cache``: folder in which simulations are kept, by a hash of all that they depend on.
+        - ``progress``: called with what is computed, the number of finished steps and their total.
+        - By means over positions ``prior``, ``engines``, ``most`` and ``expected``, as
+          `rtcal.finder.means.search.find` takes them.
 
     Returns
     -------
@@ -147,8 +139,8 @@ def find(
     Raises
     ------
     DataError
-        If a room is given without ``measured``, or a case with it; for an unknown effect; and as the
-        cases do.
+        If a room is given without ``measured``, or a case with it; for an unknown effect, an option
+        that such a search does not have, and too few pairs; and as the cases do.
 
     Examples
     --------
@@ -171,25 +163,22 @@ def find(
                 "measured, before, simulator and tracing belong to a room; a case holds its own"
             )
         case = room
+    search: Callable[..., Any] = find_by_means
+    kind = "by means over positions"
     if isinstance(case, states.StatesCase):
-        refused = {"controls": controls, "cache": cache, "progress": progress, **of_means}
-        for name, value in refused.items():
-            if value is not None:
-                raise DataError(f"{name} is not of a search for what changed between two states")
-        return states.find(case, effects=effects, seed=seed, only=only, without=without)
-    common: Mapping[str, Any] = {
-        "effects": effects,
-        "only": only,
-        "without": without,
-        "controls": controls,
-        "cache": cache,
-        "progress": progress,
-    }
-    if not isinstance(case, positions.PositionsCase):
-        return find_by_means(checks.instance("case", case, Case), **common, **of_means)
-    for name in of_means:
-        raise DataError(f"{name} is of a search by means over positions")
-    return positions.find(case, seed=seed, **common)
+        search, kind = find_between, "for what changed between two states"
+    elif isinstance(case, positions.PositionsCase):
+        search, kind = find_at_positions, "at positions"
+    else:
+        checks.instance("case", case, Case)
+    possible = inspect.signature(search).parameters
+    for name, value in options.items():
+        if name not in possible and value is not None:
+            raise DataError(f"{name} is not of a search {kind}")
+    every = {"seed": seed, **options}
+    some = {name: value for name, value in every.items() if name in possible}
+    found: MeansFinding | positions.PositionsFinding | states.StatesFinding = search(case, **some)
+    return found
 
 
 def verify(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.positions import PositionsCase, PositionsFinding, find
+from rtcal.finder.positions import PositionsCase, PositionsFinding
 from tests.test_where import heard, stated, tracing
 
 pytestmark = pytest.mark.long  # three searches, each with control runs of its own sources
@@ -27,7 +27,7 @@ def findings(kept: Path) -> dict[str, PositionsFinding]:
     measured = heard(replace(truth, directivity=aimed), base.room.alpha)
     sources = {"omnidirectional": {}, "unknown": dict.fromkeys(aimed, "unknown"), "stated": aimed}
     return {
-        name: find(
+        name: rt.find(
             PositionsCase(simulator=replace(base, directivity=of), measured=measured), cache=kept
         )
         for name, of in sources.items()

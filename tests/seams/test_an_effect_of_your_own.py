@@ -43,7 +43,7 @@ def case() -> rt.finder.positions.PositionsCase:
 def test_it_is_found_on_the_wall_where_it_stands(
     case: rt.finder.positions.PositionsCase, kept: Path
 ) -> None:
-    finding = rt.finder.positions.find(case, effects=OWN, cache=kept)
+    finding = rt.find(case, effects=OWN, cache=kept)
     hatches = [c for c in finding.candidates if c.effect == "hatch"]
     assert hatches[0].surface == "east"
     assert hatches[0].low < 6.0 < hatches[0].high
@@ -68,4 +68,4 @@ def test_a_place_that_no_room_has_is_named(
 ) -> None:
     wrong = type("Wrong", (Hatch,), {"stands_on": places})()
     with pytest.raises(DataError, match=message):
-        rt.finder.positions.find(case, effects=[wrong])
+        rt.find(case, effects=[wrong])

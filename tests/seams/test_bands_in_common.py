@@ -54,7 +54,7 @@ def searched(kept: Path) -> Callable[[str], positions.PositionsFinding]:
         )
         with warnings.catch_warnings():
             warnings.simplefilter("error", OtherBandsWarning)  # the notes say it
-            return positions.find(case, effects=curtain, cache=kept)
+            return rt.find(case, effects=curtain, cache=kept)
 
     return of
 

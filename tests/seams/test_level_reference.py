@@ -45,8 +45,8 @@ def simulator() -> PathTracing:
 @pytest.mark.parametrize("hidden", [False, True])
 def test_no_reference_changes_a_finding(hidden: bool, kept: Path) -> None:
     case = rt.finder.positions.PositionsCase(simulator=simulator(), measured=relative(hidden))
-    found = rt.finder.positions.find(case, cache=kept)
-    other = rt.finder.positions.find(replace(case, measured=referred(case.measured)), cache=kept)
+    found = rt.find(case, cache=kept)
+    other = rt.find(replace(case, measured=referred(case.measured)), cache=kept)
     assert other.verdict == found.verdict
     assert other.detection.score == pytest.approx(found.detection.score, abs=1e-6)
     assert other.surfaces == pytest.approx(found.surfaces, abs=1e-6)
@@ -66,7 +66,7 @@ def test_a_gain_that_is_off_names_nothing(off: float, kept: Path) -> None:
     case = rt.finder.positions.PositionsCase(
         simulator=simulator(), measured=replace(made, values=values)
     )
-    found = rt.finder.positions.find(case, cache=kept)
+    found = rt.find(case, cache=kept)
     assert found.verdict == "none"
     assert found.probabilities["volume"] < 0.2
 
@@ -82,7 +82,7 @@ def test_gains_that_are_off_by_source_and_band_name_nothing(seed: int, kept: Pat
     case = rt.finder.positions.PositionsCase(
         simulator=simulator(), measured=replace(made, values={**made.values, "g": g})
     )
-    found = rt.finder.positions.find(case, cache=kept)
+    found = rt.find(case, cache=kept)
     assert found.verdict in ("none", "hint")
     assert found.probabilities.get("coupled room", 0.0) < 0.2
 
@@ -98,8 +98,8 @@ def test_no_reference_of_another_programs_level_changes_a_finding(kept: Path) ->
     case = rt.finder.positions.PositionsCase(
         simulator=tracer, measured=relative(True), simulated=program
     )
-    found = rt.finder.positions.find(case, cache=kept)
-    other = rt.finder.positions.find(replace(case, simulated=referred(program)), cache=kept)
+    found = rt.find(case, cache=kept)
+    other = rt.find(replace(case, simulated=referred(program)), cache=kept)
     assert other.detection.score == pytest.approx(found.detection.score, abs=1e-6)
     assert other.surfaces == pytest.approx(found.surfaces, abs=1e-6)
 

@@ -16,7 +16,7 @@ from rtcal.finder.claim import CLAIMED
 from rtcal.finder.finding import Candidate
 from rtcal.finder.positions import PositionsCase, PositionsFinding
 from rtcal.finder.positions.hypotheses import PositionsHypotheses, shifts
-from rtcal.finder.positions.problem import PositionsProblem, problem_of
+from rtcal.finder.positions.problem import PositionsProblem
 from rtcal.finder.positions.search import (
     TOLD_TEMPER,
     Summary,
@@ -47,8 +47,8 @@ def searched(kept: Path) -> Searched:
         simulator=room.simulator(n_paths=2400), measured=room.without_level(), match=MATCH[:-1]
     )
     made = responses_of(case, 0, kept)
-    numbers = problem_of(case, made, controls_of(case, cache=kept))
-    return case, numbers, every_hypothesis(case, made, numbers, library())
+    numbers = PositionsProblem(case, made, controls_of(case, cache=kept))
+    return case, numbers, every_hypothesis(case, numbers, library())
 
 
 def told(of: Searched, seed: int, hidden: bool) -> tuple[Summary, float]:

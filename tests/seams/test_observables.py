@@ -139,7 +139,7 @@ def test_new_observables_are_found_with(kept: Path) -> None:
     case = rt.finder.positions.PositionsCase(
         simulator=test_where.tracing(room), measured=hole, match=("t20", *NEW)
     )
-    finding = rt.finder.positions.find(case, cache=kept)
+    finding = rt.find(case, cache=kept)
     assert finding.parameters == ("t20", *NEW)
     assert finding.detected
     assert finding.map.shape == (3, len(finding.pairs), len(test_where.BANDS))

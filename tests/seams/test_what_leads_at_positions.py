@@ -11,7 +11,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder.finding import Candidate
-from rtcal.finder.positions import PositionsCase, PositionsFinding, find
+from rtcal.finder.positions import PositionsCase, PositionsFinding
 from rtcal.report import figures
 from tests.test_where import heard, stated, tracing
 
@@ -37,17 +37,17 @@ def case() -> PositionsCase:
 
 @pytest.fixture(scope="module")
 def finding(kept: Path) -> PositionsFinding:
-    return find(case(), cache=kept)
+    return rt.find(case(), cache=kept)
 
 
 def test_the_doubt_of_means_about_what_is_stated_leads(
     finding: PositionsFinding, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     doubt = "T is 0.3 times the model's: look for a mistake"
-    search = sys.modules[find.__module__]
+    search = sys.modules["rtcal.finder.positions.search"]
     monkeypatch.setattr(search, "evidence_of_means", lambda *_: SimpleNamespace(mistake=doubt))
     monkeypatch.setattr(search, "find_by_positions", lambda *_: finding)
-    led = find(finding.case)
+    led = rt.find(finding.case)
     assert led.headline.startswith(f"{finding.verdict}: {doubt}. If there is none: Other than")
     assert led.to_dict()["mistake"] == doubt
     assert doubt not in finding.headline

@@ -55,7 +55,7 @@ from benchmarks.studies.pairs.where_figures import DATA, LARGE, MODELS, ROOMS, c
 from rtcal.acoustics.marks import gap_jnd
 from rtcal.finder import library
 from rtcal.finder.positions.hypotheses import PositionsHypotheses
-from rtcal.finder.positions.problem import PositionsProblem, problem_of
+from rtcal.finder.positions.problem import PositionsProblem
 from rtcal.finder.positions.search import controls_of, every_hypothesis, of_means
 from rtcal.finder.positions.weighing import responses_of
 from rtcal.finder.search import find
@@ -110,18 +110,18 @@ class Judging:
 def prepared(
     case: rt.finder.positions.PositionsCase, cache: Path
 ) -> tuple[PositionsProblem, PositionsHypotheses]:
-    """Return the numbers and the hypotheses of a search, as `finder.positions.find` makes them."""
+    """Return the numbers and the hypotheses of a search, as `rtcal.find` makes them."""
     made = responses_of(case, 0, cache)
-    numbers = problem_of(case, made, controls_of(case, cache=cache))
-    return numbers, every_hypothesis(case, made, numbers, library())
+    numbers = PositionsProblem(case, made, controls_of(case, cache=cache))
+    return numbers, every_hypothesis(case, numbers, library())
 
 
 def judged(judging: Judging, index: int, data: str) -> dict[str, Any]:
-    """Return what `finder.positions.find` says of a room."""
+    """Return what `rtcal.find` says of a room."""
     room = judging.load(index)
     case = case_of(room, data, judging.paths)
     clock, processor = time.perf_counter(), time.process_time()
-    finding = rt.finder.positions.find(case, cache=judging.folder / "controls")
+    finding = rt.find(case, cache=judging.folder / "controls")
     return {
         "index": index,
         "data": data,
@@ -147,7 +147,7 @@ def verified(judging: Judging, index: int, data: str) -> dict[str, Any]:
         if (row["index"], row["data"]) == (index, data) and row["verdict"] not in FLAGS:
             return out
     case = case_of(judging.load(index), data, judging.paths)
-    finding = rt.finder.positions.find(case, cache=cache)
+    finding = rt.find(case, cache=cache)
     if not finding.can_be_added:
         return out
     result = rt.finder.verify(finding, cache=cache)
@@ -308,11 +308,11 @@ def speed(folder: Path, population: int) -> None:
         key=lambda i: len(case_of(every[i], "level").faces),
     )
     warm = min(every, key=lambda i: every[i].room.n_materials)
-    rt.finder.positions.find(case_of(every[warm], "level"))  # compiles
+    rt.find(case_of(every[warm], "level"))  # compiles
     for which in ("first", "second"):
         case = case_of(every[most], "level")
         clock, processor = time.perf_counter(), time.process_time()
-        rt.finder.positions.find(case, cache=folder / "speed")
+        rt.find(case, cache=folder / "speed")
         print(
             f"{len(case.faces)} surfaces, 8 bands, {len(case.pairs)} pairs: {which} run "
             f"{time.perf_counter() - clock:.1f} s, {time.process_time() - processor:.1f} s of processor"

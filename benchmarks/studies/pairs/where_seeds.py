@@ -1,4 +1,4 @@
-"""The distance by which random numbers move the score of `finder.positions.find`.
+"""The distance by which random numbers move the score of `rtcal.find`.
 
     python -m benchmarks.studies.pairs.where_seeds --rooms 2.21 --seeds 0,1 --paths 8000 --folder out
 

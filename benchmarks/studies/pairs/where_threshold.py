@@ -1,4 +1,4 @@
-"""The score that `finder.positions.find` gives control rooms: rooms as stated that err as is assumed.
+"""The score that `rtcal.find` gives control rooms: rooms as stated that err as is assumed.
 
     python -m benchmarks.studies.pairs.where_threshold --cache out --statement "in situ" --rooms 0-11
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import warnings
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -69,7 +70,9 @@ def control_scores(
     runs = numbers.error.runs
     for fold in folds(len(runs.errors)):
         others = replace(runs, errors=np.delete(runs.errors, fold, axis=0))
-        unseen = replace(numbers, error=replace(numbers.error, runs=others))
+        unseen = copy(numbers)
+        unseen.error = replace(numbers.error, runs=others)
+        vars(unseen).pop("simulator_error", None)
         likelihoods = unseen.likelihoods()
         residuals = drawn(numbers, fold, rng)
         posterior = weights(evaluate(likelihoods, hypotheses, residuals), hypotheses)

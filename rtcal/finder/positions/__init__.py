@@ -2,7 +2,7 @@
 
     >>> import rtcal as rt
     >>> case = rt.finder.positions.PositionsCase.from_room(room, measured)     # doctest: +SKIP
-    >>> print(rt.finder.positions.find(case))                         # doctest: +SKIP
+    >>> print(rt.find(case))                         # doctest: +SKIP
 
 docs/where.md has the method and what it can and cannot do.
 """
@@ -16,7 +16,5 @@ if TYPE_CHECKING:
     from rtcal.finder.positions.finding import Place as Place
     from rtcal.finder.positions.finding import PositionsFinding as PositionsFinding
     from rtcal.finder.positions.finding import next_position as next_position
-    from rtcal.finder.positions.search import EFFECTS as EFFECTS
-    from rtcal.finder.positions.search import find as find
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -62,7 +62,7 @@ from rtcal.finder.prior import SCALES
 from rtcal.loop.control_runs import COMMON as OF_ROOM
 from rtcal.loop.control_runs import OWN as OF_MATERIAL
 from rtcal.loop.control_runs import ControlRuns, MaterialScattering
-from rtcal.loop.measured_pairs import MeasuredPairs, Pair, pairs_to_match
+from rtcal.loop.measured_pairs import Pair, pairs_to_match
 from rtcal.simulators.base import LARGEST_ALPHA, Observations
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -419,21 +419,23 @@ def covariance_of_lobes(nodes: Array, pairs: Sequence[Pair], frequencies: Array)
     return np.asarray(every.reshape(n_bands * n_values, -1))
 
 
-@dataclass(frozen=True, eq=False)
 class PositionsProblem:
-    """The problem of a search: its data, its hypotheses, its errors.
+    """The problem of a search: its data, the shifts of its hypotheses, its errors.
 
     All arrays are in the order (band, parameter, pair).
 
     Attributes
     ----------
     data : MeasuredPairs
+    controls : ControlRuns
     residual : array (n,)
         Measured less simulated as stated, on the scales of `Observable.linear`; 0 where nothing was
         measured.
     scale : array (n,)
         Derivative of the scales at the measured values: factor of an error.
     used : bool array (n,)
+    moved : mapping of str to array (n_parameters, n_pairs, n_bands, n_displacements)
+        Shifts where a source or receiver is displaced, by its name.
     alpha : array (n, n_unknowns)
         Factor of the prior's covariance of the parameters: coefficients, what catalogues err by in
         common, and the climate.
@@ -449,27 +451,94 @@ class PositionsProblem:
         Covariances of what other gains of calibrated sources change (`covariances_of_gains`); none
         where the level is relative, or its common uncertainty is stated.
     nodes : mapping of str to array (n_bands, n_values, n_nodes)
+
+    Raises
+    ------
+    DataError
+        If too little was measured.
     """
 
-    data: MeasuredPairs
-    controls: ControlRuns
-    residual: Array
-    scale: Array
-    used: NDArray[np.bool_]
-    alpha: Array
-    together: Array
-    measurement: Array
-    error: TracingError
-    levels: ScatteringLevels
-    aimed: Array | None
-    gains: Sequence[Array]
-    nodes: Mapping[str, Array]
+    def __init__(self, case: PositionsCase, made: PairShifts, controls: ControlRuns) -> None:
+        tracer, room, base = case.simulator, case.room, made.base
+        frequencies = room.centre_frequencies
+        if case.simulated is not None:
+            given = Observations.of_measurement(
+                case.simulated, made.parameters, tracer.pairs
+            ).values
+            base = np.where(np.isfinite(given), given, base)  # the case has all that was measured
+        heard = Observations(
+            parameters=made.parameters,
+            pairs=tracer.pairs,
+            centre_frequencies=frequencies,
+            values=base,
+        )
+        self.data = pairs_to_match(room, case.measured, case.match, heard, case.exclude)
+        self.controls, wanted = controls, self.data.observations
+        names, pairs = wanted.parameters, wanted.pairs
+        if len(pairs) < 2:
+            raise DataError(
+                f"{' to '.join(pairs[0])} is the only pair; to say where, it needs at least two"
+            )
+        stated, shifts = heard.at(wanted).values, made.at(wanted).columns
+        self.shape = stated.shape
+        self.used = flat(np.isfinite(wanted.values - stated)).astype(bool)
+        if not self.used.any():
+            raise DataError("no value was both measured and simulated")
+        measured = np.where(np.isfinite(wanted.values), wanted.values, stated)
+        kinds = [observable(name) for name in names]
+        # What is stated, moved by the mean difference over the pairs: where errors are scaled.
+        smooth = stated + (measured - stated).mean(axis=1, keepdims=True)
+        slopes = zip(kinds, smooth, stated, strict=True)
+        scale = np.array([kind.linear_slope(value, at) for kind, value, at in slopes])
+        self.scale = flat(scale)
+        scales = np.outer(self.scale, self.scale)
 
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Numbers of parameters, pairs and bands."""
-        p, i, k = self.data.observations.values.shape
-        return p, i, k
+        def linear(values: Array) -> Array:
+            """Return values (n_parameters, n_pairs, n_bands, ...) on the linear scales."""
+            at = stated.reshape(*stated.shape, *[1] * (values.ndim - 3))
+            return np.array([k.linear(v, t) for k, v, t in zip(kinds, values, at, strict=True)])
+
+        def shifted(name: str) -> Array:
+            """Return shifts by band, (n_bands, n_values, n_nodes)."""
+            by_band = np.moveaxis(linear(stated[..., np.newaxis] + shifts[name]), 2, 0)
+            return by_band.reshape(len(by_band), -1, by_band.shape[-1])
+
+        self.residual = np.where(self.used, flat(linear(measured)), 0.0)
+        kind_of = {name: name.split()[0] for name in shifts}
+        heard_as = ("surface", "part", "aperture", "air", "volume")
+        self.nodes = {name: shifted(name) for name, kind in kind_of.items() if kind in heard_as}
+        for row, members in case.surfaces_of_materials.items():
+            every = [self.nodes[f"surface {j}"] for j in members]
+            self.nodes[f"material {row}"] = np.concatenate(every, axis=2)
+        self.moved = {
+            name: values * scale[..., np.newaxis]
+            for name, values in shifts.items()
+            if kind_of[name] in ("source", "receiver")
+        }
+        of_groups = shifts["noise of scattering"]
+        of_groups = of_groups.reshape(*stated.shape, -1, shifts["scattering"].shape[-1])
+        self.error = simulator_error(
+            controls.at(names, pairs),
+            np.moveaxis(shifts["noise"], -1, 0),
+            shifts["scattering"],
+            np.moveaxis(of_groups, -2, 0),
+            TRACINGS,
+            frequencies,
+        )
+        step = STEP * (1 - np.minimum(room.alpha, LARGEST_ALPHA).T)  # (n_bands, n_materials)
+        by_alpha = shifted("materials") / step[:, np.newaxis]
+        self.alpha, self.together = _prior(case, by_alpha, self.nodes["air"])
+        self.levels = levels(shifted("levels").reshape(room.n_bands, *stated.shape[:2], -1))
+        self.gains: list[Array] = []
+        if self.data.level == "absolute" and "g" not in case.measured.common_uncertainty:
+            of_gains = covariances_of_gains(names, pairs, room.n_bands)
+            self.gains = [covariance * scales for covariance in of_gains]
+        self.aimed: Array | None = None
+        if made.columns["aimed"].any():
+            self.aimed = covariance_of_lobes(shifted("aimed"), pairs, frequencies)
+        measurement, there = np.zeros(scales.shape), np.flatnonzero(self.data.used)
+        measurement[np.ix_(there, there)] = self.data.covariance
+        self.measurement = reordered(measurement, stated.shape) * scales
 
     @cached_property
     def simulator_error(self) -> Array:
@@ -493,90 +562,6 @@ class PositionsProblem:
 
         off = [of((scale**2 - 1) * common) for scale, _ in SCALES]
         return of(0.0), off, [of((scale - 1) * error) for scale in UNKNOWN_SCALES]
-
-
-def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> PositionsProblem:
-    """Return the numbers of a search; DataError if too little was measured."""
-    tracer, room = case.simulator, case.room
-    base = made.base
-    if case.simulated is not None:
-        given = Observations.of_measurement(case.simulated, made.parameters, tracer.pairs).values
-        base = np.where(np.isfinite(given), given, base)  # the case has all that was measured
-    heard = Observations(
-        parameters=made.parameters,
-        pairs=tracer.pairs,
-        centre_frequencies=room.centre_frequencies,
-        values=base,
-    )
-    data = pairs_to_match(room, case.measured, case.match, heard, case.exclude)
-    wanted = data.observations
-    if len(wanted.pairs) < 2:
-        raise DataError(
-            f"{' to '.join(wanted.pairs[0])} is the only pair; to say where, it needs at least two"
-        )
-    stated, at_pairs = heard.at(wanted).values, made.at(wanted).columns
-    used = flat(np.isfinite(wanted.values - stated)).astype(bool)
-    if not used.any():
-        raise DataError("no value was both measured and simulated")
-    measured = np.where(np.isfinite(wanted.values), wanted.values, stated)
-    kinds = [observable(name) for name in wanted.parameters]
-    # What is stated, moved by the mean difference over the pairs: where errors are scaled.
-    smooth = stated + (measured - stated).mean(axis=1, keepdims=True)
-    rows_of = zip(kinds, smooth, stated, strict=True)
-    scale = flat(np.array([kind.linear_slope(value, at) for kind, value, at in rows_of]))
-
-    def linear(values: Array) -> Array:
-        """Return values (n_parameters, n_pairs, n_bands, ...) on the scales of `Observable.linear`."""
-        at = stated.reshape(*stated.shape, *[1] * (values.ndim - 3))
-        return np.array([k.linear(v, t) for k, v, t in zip(kinds, values, at, strict=True)])
-
-    def shifted(name: str) -> Array:
-        """Return shifts by band, (n_bands, n_values, n_nodes)."""
-        by_band = np.moveaxis(linear(stated[..., np.newaxis] + at_pairs[name]), 2, 0)
-        return by_band.reshape(len(by_band), -1, by_band.shape[-1])
-
-    heard_as = ("surface", "part", "aperture", "air", "volume")
-    nodes = {name: shifted(name) for name in at_pairs if name.split()[0] in heard_as}
-    for row, members in case.surfaces_of_materials.items():
-        nodes[f"material {row}"] = np.concatenate([nodes[f"surface {j}"] for j in members], axis=2)
-    of_groups = at_pairs["noise of scattering"]
-    of_groups = of_groups.reshape(*stated.shape, -1, at_pairs["scattering"].shape[-1])
-    error = simulator_error(
-        controls.at(wanted.parameters, wanted.pairs),
-        np.moveaxis(at_pairs["noise"], -1, 0),
-        at_pairs["scattering"],
-        np.moveaxis(of_groups, -2, 0),
-        TRACINGS,
-        room.centre_frequencies,
-    )
-    step = STEP * (1 - np.minimum(room.alpha, LARGEST_ALPHA).T)  # (n_bands, n_materials)
-    slopes = shifted("materials") / step[:, np.newaxis]
-    alpha, together = _prior(case, slopes, nodes["air"])
-    gains: list[Array] = []
-    if data.level == "absolute" and "g" not in case.measured.common_uncertainty:
-        every = covariances_of_gains(wanted.parameters, wanted.pairs, room.n_bands)
-        gains = [of_gain * np.outer(scale, scale) for of_gain in every]
-    aimed = None
-    if made.columns["aimed"].any():
-        aimed = covariance_of_lobes(shifted("aimed"), wanted.pairs, room.centre_frequencies)
-    measurement = np.zeros((used.size, used.size))
-    measured_ones = np.flatnonzero(data.used)
-    measurement[np.ix_(measured_ones, measured_ones)] = data.covariance
-    return PositionsProblem(
-        data=data,
-        controls=controls,
-        residual=np.where(used, flat(linear(measured)), 0.0),
-        scale=scale,
-        used=used,
-        alpha=alpha,
-        together=together,
-        measurement=reordered(measurement, stated.shape) * np.outer(scale, scale),
-        error=error,
-        levels=levels(shifted("levels").reshape(room.n_bands, *stated.shape[:2], -1)),
-        aimed=aimed,
-        gains=gains,
-        nodes=nodes,
-    )
 
 
 def _prior(case: PositionsCase, slopes: Array, air: Array) -> tuple[Array, Array]:

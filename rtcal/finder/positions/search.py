@@ -31,7 +31,7 @@ from rtcal.acoustics.observables import TARGET, observable
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.finder.case import PARAMETERS, Case, Configuration, spread_where_unknown
 from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claimed, most_probable_first, with_added
-from rtcal.finder.effects import Effect, checked_effects, library
+from rtcal.finder.effects import Effect, checked_effects
 from rtcal.finder.evidence import log_mixture
 from rtcal.finder.finding import Candidate, Detection
 from rtcal.finder.means.finding import MeansFinding
@@ -67,9 +67,8 @@ from rtcal.finder.positions.problem import (
     Likelihood,
     Likelihoods,
     PositionsProblem,
-    problem_of,
 )
-from rtcal.finder.positions.weighing import PairShifts, parameters, responses_of
+from rtcal.finder.positions.weighing import parameters, responses_of
 from rtcal.finder.prior import (
     COEFFICIENTS,
     NONE,
@@ -385,8 +384,6 @@ def tried(effects: Sequence[Effect]) -> tuple[str, ...]:
     )
 
 
-EFFECTS = tried(library())
-"""Names of what is tried with rtcal's own library."""
 _AIMED = (
     "A source's directivity is unknown: where it aims looks like absorption on the other surfaces."
 )
@@ -417,29 +414,9 @@ def find(
     without: Sequence[str] = (),
     progress: TaskProgress | None = None,
 ) -> PositionsFinding:
-    """Return whether a room is other than stated, in what, and where.
+    """Return whether a room is other than stated, in what, and where; see `rtcal.find`.
 
-    Parameters
-    ----------
-    case : Case
-    effects : sequence of Effect, optional
-        The effects to try; the whole library if not given. Those that stand on surfaces are sought on
-        each of them (`Effect.stands_on`).
-    controls : ControlRuns, optional
-        The simulator's error, as another finding's ``controls``.
-    cache : path, optional
-        Folder in which control runs and weighings are kept, by a hash of all that they depend on.
-    seed : int
-        Of control runs and paths.
-    only, without : sequence of str
-        Effects to try alone, or to leave out; by default names of `EFFECTS`.
-    progress : callable, optional
-        Called with what is computed, the number of finished steps and their total.
-
-    Raises
-    ------
-    DataError
-        For an unknown effect, too few pairs, or control runs of another simulator.
+    ``only`` and ``without`` have names of `tried`.
     """
     checks.whole("seed", seed, 0)
     every = checked_effects(effects)
@@ -521,8 +498,8 @@ def find_by_positions(
     threshold = THRESHOLD if case.simulated is None else OF_PROGRAMS
 
     def searched(case: PositionsCase) -> _Search:
-        numbers = problem_of(case, made, controls)
-        return _Search(case, numbers, every_hypothesis(case, made, numbers, effects, left_out))
+        numbers = PositionsProblem(case, made, controls)
+        return _Search(case, numbers, every_hypothesis(case, numbers, effects, left_out))
 
     search = searched(case)
     evidence = search.evidence()
@@ -577,21 +554,14 @@ def find_by_positions(
 
 def every_hypothesis(
     case: PositionsCase,
-    made: PairShifts,
     numbers: PositionsProblem,
     effects: Sequence[Effect],
     left_out: Sequence[str] = (),
 ) -> PositionsHypotheses:
     """Return the hypotheses of a search, but for some effects."""
-    observations, (p, i, k) = numbers.data.observations, numbers.shape
-    scale = np.moveaxis(numbers.scale.reshape(k, p, i), 0, 2)[..., np.newaxis]
-    moved = {
-        name: shift * scale
-        for name, shift in made.at(observations).columns.items()
-        if name.startswith(("source ", "receiver "))
-    }
+    p, i, k = numbers.shape
     errors = (numbers.measurement + numbers.simulator_error).reshape(k, p, i, k, p, i)
-    places = spreads(observations.pairs, moved, errors)
+    places = spreads(numbers.data.observations.pairs, numbers.moved, errors)
     return PositionsHypotheses(
         shifts=on_parts(case, shifts(case, effects, left_out)),
         spreads=[spread for spread in places if spread.effect not in left_out],

@@ -267,23 +267,22 @@ def _parts(geometry: Polyhedron, surface: int, owner: Faces, quarters: Faces) ->
     for first in range(QUARTERS - 1):
         inside = (owner == surface) & (quarters >= first) & (quarters <= first + 1)
         faces = np.flatnonzero(inside)
-        if len(faces):
-            area = float(geometry.face_areas[faces].sum())
-            out.append(Part(surface, faces, area, _part_middle(geometry, faces)))
+        if not len(faces):
+            continue
+        convex = [piece for i in faces.tolist() for piece in convex_parts(geometry, i)]
+        middles = [piece.mean(axis=0) for piece in convex]
+        middle = np.average(middles, axis=0, weights=[facets.area(piece) for piece in convex])
+        normal = geometry.normals[faces[np.argmax(geometry.face_areas[faces])]]
+        x, y, z = _middle_on(middle, normal, convex).tolist()
+        out.append(Part(surface, faces, float(geometry.face_areas[faces].sum()), (x, y, z)))
     return out
 
 
-def _part_middle(geometry: Polyhedron, faces: Faces) -> tuple[float, float, float]:
-    """Return the middle of some faces, or if it is off them that of the largest convex piece."""
-    convex = [piece for i in faces.tolist() for piece in convex_parts(geometry, i)]
-    areas = [facets.area(piece) for piece in convex]
-    middles = np.array([piece.mean(axis=0) for piece in convex])
-    middle = np.average(middles, axis=0, weights=areas)
-    largest = int(np.argmax(areas))
-    normal = geometry.normals[faces[np.argmax(geometry.face_areas[faces])]]
-    off = facets.distance_in_plane(middle, normal, convex)
-    x, y, z = (middle if off < WELD else middles[largest]).tolist()
-    return x, y, z
+def _middle_on(middle: Array, normal: Array, parts: Sequence[Array]) -> Array:
+    """Return a middle of convex pieces in one plane, or if it is off them that of the largest."""
+    if facets.distance_in_plane(middle, normal, parts) < WELD:
+        return middle
+    return np.asarray(max(parts, key=facets.area).mean(axis=0))
 
 
 LARGEST_PATCH = 0.95
@@ -337,7 +336,7 @@ def patched(
         return None
     normal = geometry.normals[flat[0]]
     plane = Plane.of(geometry, flat)
-    centre = _patch_middle(plane, normal, every) if at is None else _on(at, normal, every)
+    centre = _middle_on(plane.middle, normal, every) if at is None else _on(at, normal, every)
     sides = plane.half_planes(centre, _scale(plane, centre, every, area))
     taken = set(geometry.names)
     pieces: list[Polygon] = []
@@ -379,13 +378,7 @@ def _in_one_plane(geometry: Polyhedron, faces: list[int], at: Array | None) -> l
     first = max(faces, key=lambda i: float(geometry.face_areas[i]))
     if at is not None:
         first = min(faces, key=lambda i: _away(at, geometry, i))
-    normal, origin = geometry.normals[first], geometry.vertices[geometry.faces[first][0]]
-    return [
-        i
-        for i in faces
-        if geometry.normals[i] @ normal > 1 - 1e-4
-        and np.abs((geometry.vertices[list(geometry.faces[i])] - origin) @ normal).max() < 0.01
-    ]
+    return [i for i in faces if _joined(geometry, [first], i)[0]]
 
 
 def _scale(plane: Plane, centre: Array, parts: Sequence[Array], area: float) -> float:
@@ -399,13 +392,6 @@ def _scale(plane: Plane, centre: Array, parts: Sequence[Array], area: float) -> 
         else:
             high = scale
     return (low + high) / 2
-
-
-def _patch_middle(plane: Plane, normal: Array, parts: Sequence[Array]) -> Array:
-    """Return the middle of the bounding rectangle, or if it is off the surface of the largest part."""
-    if facets.distance_in_plane(plane.middle, normal, parts) < WELD:
-        return plane.middle
-    return np.asarray(max(parts, key=facets.area).mean(axis=0))
 
 
 def _on(point: Array, normal: Array, parts: Sequence[Array]) -> Array:

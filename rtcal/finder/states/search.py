@@ -24,7 +24,6 @@ from rtcal.finder.states.case import StatesCase
 from rtcal.finder.states.evidence import ADDED, AIR, REMOVED, Baseline, Fits, Grid, grid
 from rtcal.finder.states.finding import StatesFinding
 from rtcal.finder.states.surfaces import Located, locate
-from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 from rtcal.support.types import Array
@@ -44,24 +43,7 @@ def find(
     only: Sequence[str] = (),
     without: Sequence[str] = (),
 ) -> StatesFinding:
-    """Find what changed between two states of a room, from T20 (or T30) alone.
-
-    Parameters
-    ----------
-    case : Case
-    effects : sequence of Effect, optional
-        Those that add absorption give the spectra that are tried, added and removed; the whole library
-        if not given. A spectrum that none of them has is tried as well.
-    seed : int
-        Of the samples from which the intervals come.
-    only, without : sequence of str
-        Names of what is tried alone, or not at all: effects that add absorption, "air" for the climate,
-        and "unknown" for a spectrum that no effect has, which stays beside ``only``.
-
-    Raises
-    ------
-    DataError
-        For a name that is not tried between two states, and where none of the effects adds absorption.
+    """Return what changed between two states of a room, from T20 (or T30) alone; see `rtcal.find`.
 
     Examples
     --------
@@ -78,8 +60,6 @@ def find(
     >>> print(finding.verdict, finding.family)
     family added absorption
     """
-    checks.instance("case", case, StatesCase)
-    checks.whole("seed", seed, 0)
     of_library = checked_effects(effects)
     if not evidence.adding(of_library):
         raise DataError(
