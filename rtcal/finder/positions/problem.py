@@ -44,7 +44,12 @@ from scipy.special import logsumexp
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import observable
-from rtcal.acoustics.room_errors import alike_alpha, common_error_columns, prior_covariance
+from rtcal.acoustics.room_errors import (
+    alike_alpha,
+    common_error_columns,
+    of_climate,
+    prior_covariance,
+)
 from rtcal.finder.case import (
     CLIMATE_UNCERTAINTY,
 )
@@ -566,40 +571,21 @@ class PositionsProblem:
 
 def _prior(case: PositionsCase, slopes: Array, air: Array) -> tuple[Array, Array]:
     """Return the factors of what alpha and the climate leave open, and of the common errors."""
-    n_bands, n_values, _ = slopes.shape
+    room, (n_bands, n_values, _) = case.room, slopes.shape
+    frequencies = room.centre_frequencies
     matrix = np.einsum("kvj,kl->kvjl", slopes, np.eye(n_bands)).reshape(n_bands * n_values, -1)
-    values, vectors = np.linalg.eigh(prior_covariance(case.room))
+    values, vectors = np.linalg.eigh(prior_covariance(room))
     own = matrix @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    usual = usual_errors(case)
-    together = matrix @ usual.reshape(len(usual), -1).T
-    climate = interpolation(AIR, climate_error(case))  # (2, n_bands, n_nodes)
-    shifts = np.einsum("krn,tkn->krt", air, climate).reshape(n_bands * n_values, -1)
-    of_room = alike_alpha(case.room)[:-2]  # its climate counts by the case's own uncertainty
+    # What catalogues err by in common: of all materials, and of each.
+    both, each = common_error_columns(room.alpha, room.sigma, frequencies)
+    of_each = np.einsum("tmb,mn->tnmb", each, np.eye(room.n_materials))
+    together = matrix @ np.concatenate([both.reshape(2, -1), of_each.reshape(-1, both[0].size)]).T
+    of_room = alike_alpha(room)[:-2]  # its climate counts by the case's own uncertainty
     of_room = of_room[of_room.any(axis=(1, 2))].reshape(-1, matrix.shape[1])
-    return np.hstack([own, shifts, matrix @ of_room.T, together]), together
-
-
-def usual_errors(case: PositionsCase) -> Array:
-    """Return the changes of alpha that catalogues err by in common, (n, n_materials, n_bands)."""
-    room = case.room
-    both, own = common_error_columns(room.alpha, room.sigma, room.centre_frequencies)
-    return np.concatenate([both, *np.eye(room.n_materials)[:, :, np.newaxis] * own[:, np.newaxis]])
-
-
-def climate_error(case: PositionsCase) -> Array:
-    """Return the standard deviations of the air's attenuation by an uncertain climate, (2, n_bands).
-
-    Over that at 20 °C and 50 %, as `AIR`; none where the room has no air.
-    """
-    room = case.room
     if room.air is None:
-        return np.zeros((0, room.n_bands))
-    f = room.centre_frequencies
-    reference = Air(20, 50).attenuation(f)
-    t, h = room.air.temperature, room.air.humidity
-    kelvin, percent = CLIMATE_UNCERTAINTY
-    ends = [
-        (Air(t + kelvin, h), Air(t - kelvin, h)),
-        (Air(t, min(h + percent, 100.0)), Air(t, max(h - percent, 1.0))),
-    ]
-    return np.array([(a.attenuation(f) - b.attenuation(f)) / 2 / reference for a, b in ends])
+        return np.hstack([own, matrix @ of_room.T, together]), together
+    uncertain = room.replace(climate_sigma=CLIMATE_UNCERTAINTY)
+    more = -np.array(of_climate(uncertain, lambda changed: changed.air_attenuation))
+    climate = interpolation(AIR, more / Air(20, 50).attenuation(frequencies))
+    shifts = np.einsum("krn,tkn->krt", air, climate).reshape(n_bands * n_values, -1)
+    return np.hstack([own, shifts, matrix @ of_room.T, together]), together
