@@ -15,7 +15,7 @@ import rtcal as rt
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
 from rtcal.finder.positions.finding import detection_in_words
-from rtcal.finder.positions.hypotheses import (
+from rtcal.finder.positions.problem import (
     NOISE,
     POSITION,
     PositionsHypotheses,

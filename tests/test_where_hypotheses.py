@@ -11,13 +11,14 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.observables import observable
 from rtcal.finder.finding import Candidate
-from rtcal.finder.positions.hypotheses import (
+from rtcal.finder.positions.problem import (
+    Likelihood,
+    ScatteringLevels,
     ShiftHypothesis,
     uneven_amount,
     uneven_columns,
     unevenness,
 )
-from rtcal.finder.positions.problem import Likelihood, ScatteringLevels
 from rtcal.finder.positions.search import _candidate
 from rtcal.finder.positions.weighing import Aperture
 from rtcal.simulators.base import values_of_decays

@@ -12,7 +12,7 @@ import rtcal as rt
 from rtcal.finder.corrected import corrected_geometry
 from rtcal.finder.effects import library
 from rtcal.finder.positions import surfaces
-from rtcal.finder.positions.hypotheses import materials, on_parts, shifts
+from rtcal.finder.positions.problem import materials, on_parts, shifts
 from rtcal.finder.positions.surfaces import divided, face_at, patched
 from rtcal.report import figures
 from rtcal.simulators import PathTracing, Polyhedron

@@ -15,8 +15,7 @@ from scipy.stats import multivariate_normal
 import rtcal as rt
 from benchmarks.studies.pairs import where_ideal, where_temper
 from rtcal.finder.effects import library
-from rtcal.finder.positions.hypotheses import PositionsHypotheses, shifts
-from rtcal.finder.positions.problem import ScatteringLevels
+from rtcal.finder.positions.problem import PositionsHypotheses, ScatteringLevels, shifts
 from rtcal.finder.positions.search import (
     LEAST_BY_MEANS,
     MEANS_POWER,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtcal.finder.positions.hypotheses import (
+from rtcal.finder.positions.problem import (
     NOISE,
     POSITION,
     PositionsHypotheses,

@@ -15,8 +15,7 @@ from rtcal.finder import library
 from rtcal.finder.claim import CLAIMED
 from rtcal.finder.finding import Candidate
 from rtcal.finder.positions import PositionsCase, PositionsFinding
-from rtcal.finder.positions.hypotheses import PositionsHypotheses, shifts
-from rtcal.finder.positions.problem import PositionsProblem
+from rtcal.finder.positions.problem import PositionsHypotheses, PositionsProblem, shifts
 from rtcal.finder.positions.search import (
     TOLD_TEMPER,
     Summary,

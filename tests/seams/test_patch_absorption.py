@@ -9,7 +9,7 @@ import pytest
 
 from rtcal.finder.corrected import corrected_geometry
 from rtcal.finder.effects import library
-from rtcal.finder.positions.hypotheses import on_surfaces
+from rtcal.finder.positions.problem import on_surfaces
 from rtcal.simulators import Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from tests.test_where_corrected import BANDS, SIZE, candidate, case_in

@@ -19,7 +19,7 @@ from rtcal.finder.effects import (
 )
 from rtcal.finder.means.problem import predict_hypotheses, state
 from rtcal.finder.means.verdict import Objection, doubted
-from rtcal.finder.positions.hypotheses import LEAST, RATIO, areas_tried
+from rtcal.finder.positions.problem import LEAST, RATIO, areas_tried
 from rtcal.finder.search import find
 from tests.test_discrepancy import case_with, controls_of, opened
 

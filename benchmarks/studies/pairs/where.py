@@ -54,8 +54,7 @@ from benchmarks.studies.means.judging import FLAGS, rounded, row_of
 from benchmarks.studies.pairs.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
 from rtcal.acoustics.marks import gap_jnd
 from rtcal.finder import library
-from rtcal.finder.positions.hypotheses import PositionsHypotheses
-from rtcal.finder.positions.problem import PositionsProblem
+from rtcal.finder.positions.problem import PositionsHypotheses, PositionsProblem
 from rtcal.finder.positions.search import controls_of, every_hypothesis, of_means
 from rtcal.finder.positions.weighing import responses_of
 from rtcal.finder.search import find

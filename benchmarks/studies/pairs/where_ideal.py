@@ -31,15 +31,16 @@ from benchmarks.studies.pairs.where import case_of, prepared
 from benchmarks.studies.pairs.where_figures import ABSORBERS, DATA
 from rtcal.finder.evidence import log_sums
 from rtcal.finder.positions.finding import LIKELY
-from rtcal.finder.positions.hypotheses import (
+from rtcal.finder.positions.problem import (
     COUPLED,
     POSITION,
+    Likelihood,
     PositionsHypotheses,
+    PositionsProblem,
     ShiftHypothesis,
     SpreadHypothesis,
     uneven_amount,
 )
-from rtcal.finder.positions.problem import Likelihood, PositionsProblem
 from rtcal.finder.positions.search import evaluate, scores, weights
 from rtcal.finder.prior import NONE, UNKNOWN
 

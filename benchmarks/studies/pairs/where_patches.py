@@ -6,7 +6,7 @@ Walls of development boxes (population 0 of studies/geometric_world) are divided
 covers one to three adjoining ninths, and the same paths are weighed with it and with the same
 absorption spread over its wall. Printed are the deviation of a shift per pair from the spread one's,
 over the mean shift: its part common to all pairs, and each pair's own, by parameter.
-`rtcal.finder.positions.hypotheses` has them.
+`rtcal.finder.positions.problem` has them.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from benchmarks.studies.pairs.where_threshold import numbers_of
 from rtcal.finder.claim import CLAIMED
 from rtcal.finder.evidence import log_sums
 from rtcal.finder.positions import search
-from rtcal.finder.positions.hypotheses import COUPLED
+from rtcal.finder.positions.problem import COUPLED
 from rtcal.finder.positions.search import (
     LEAST_BY_MEANS,
     THRESHOLD,

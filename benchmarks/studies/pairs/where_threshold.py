@@ -24,8 +24,14 @@ import numpy as np
 from benchmarks.studies.geometric_world.load import HANDBOOK, IN_SITU, load, truth
 from benchmarks.studies.pairs.where import case_of, prepared
 from benchmarks.studies.pairs.where_figures import DATA
-from rtcal.finder.positions.hypotheses import PositionsHypotheses, ShiftHypothesis
-from rtcal.finder.positions.problem import Likelihood, PositionsProblem, Residuals, flat
+from rtcal.finder.positions.problem import (
+    Likelihood,
+    PositionsHypotheses,
+    PositionsProblem,
+    Residuals,
+    ShiftHypothesis,
+    flat,
+)
 from rtcal.finder.positions.search import TEMPER, evaluate, scores, weights
 
 FOLDS, DRAWS = 4, 25

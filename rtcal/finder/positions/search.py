@@ -50,23 +50,21 @@ from rtcal.finder.positions.case import (
     with_index,
 )
 from rtcal.finder.positions.finding import MOST, PositionsFinding
-from rtcal.finder.positions.hypotheses import (
+from rtcal.finder.positions.problem import (
     COUPLED,
     NOISE,
     POSITION,
     WHOLE,
+    Likelihood,
+    Likelihoods,
     PositionsHypotheses,
+    PositionsProblem,
     ShiftHypothesis,
     SpreadHypothesis,
     on_parts,
     on_surfaces,
     shifts,
     spreads,
-)
-from rtcal.finder.positions.problem import (
-    Likelihood,
-    Likelihoods,
-    PositionsProblem,
 )
 from rtcal.finder.positions.weighing import parameters, responses_of
 from rtcal.finder.prior import (
