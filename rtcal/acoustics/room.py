@@ -574,8 +574,29 @@ class Room:
         missing or that a room does not have.
         """
         frequencies = bands.as_bands(centre_frequencies)
-        listed = checks.listed("surfaces", surfaces), checks.listed("materials", materials)
-        made = stacked(*listed, frequencies)
+        drawn = checks.listed("surfaces", surfaces)
+        for i, surface in enumerate(drawn):
+            checks.instance(f"surfaces[{i}]", surface, Surface)
+        listed = checks.listed("materials", materials)
+        for i, material in enumerate(listed):
+            checks.instance(f"materials[{i}]", material, Material)
+        refuse_repeats("materials", listed)
+        areas: dict[str, list[float]] = {m.name: [] for m in listed}
+        for surface in drawn:
+            if surface.material not in areas:
+                raise DataError(
+                    f'surface["{surface.name}"].material = "{surface.material}" is not among the '
+                    f"materials: {', '.join(areas)}"
+                )
+            areas[surface.material].append(surface.area)
+        used = [m for m in listed if areas[m.name]]
+        lacking = [m.name for m in used if m.scattering is None]
+        if lacking and len(lacking) < len(used):
+            raise DataError(
+                f'scattering["{lacking[0]}"] is missing; state it for every material or for none'
+            )
+        made = of_materials(used, len(frequencies))
+        made |= {"areas": [np.sum(areas[m.name]) for m in used], "surfaces": drawn}
         try:
             return cls(centre_frequencies=frequencies, **stated, **made)
         except TypeError as error:
@@ -596,7 +617,30 @@ class Room:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the room as plain values for JSON, without fields that are not stated."""
-        return _plain(self)
+        plain = {}
+        for name in PlainRoom.__struct_fields__:
+            value = getattr(self, name, None)
+            if isinstance(value, Air | CalibrationRecord):
+                value = vars(value).copy()
+            elif isinstance(value, np.ndarray):
+                value = json_numbers(value) if value.any() or name in _ALWAYS else None
+            elif isinstance(value, tuple):
+                value = [vars(v).copy() if isinstance(v, Surface) else v for v in value]
+            plain[name] = value
+        plain |= {
+            "sources": dict(self.sources),
+            "material_correlation": [
+                {"materials": list(pair), "value": float(value)}
+                for pair, value in self.material_correlation.items()
+            ],
+            "scattering_model": self.scattering_model
+            if self.scattering_model != "random"
+            else None,
+            "scene": self.scene.to_dict(),
+            "climate_sigma": list(self.climate_sigma) if any(self.climate_sigma) else None,
+            "above_one": None,  # what was above 1 stands clipped in alpha
+        }
+        return {name: value for name, value in plain.items() if value or name in _ALWAYS}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], place: str = "room") -> Room:
@@ -617,9 +661,40 @@ class Room:
     def from_text(cls, text: str, place: str) -> Room:
         """Return the room of a TOML text; messages begin with ``place``."""
         try:
-            return cls(**_of_text(text))
+            return cls._of_file(toml_table(text))
         except DataError as error:
             raise DataError(f"{place}: {error}") from error
+
+    @classmethod
+    def _of_file(cls, content: Mapping[str, Any]) -> Room:
+        if content and set(content) <= set(SceneTables.__struct_fields__):
+            raise DataError(
+                f"{' and '.join(content)} are tables of the room's file: copy them to the end of "
+                "room.toml"
+            )
+        file = read(RoomFile, content)
+        frequencies = bands.as_bands(file.centre_frequencies)
+        surfaces = _surfaces(file.surface)
+        covered = {surface.material for surface in surfaces}
+        refuse_repeats("material", file.material)
+        for m in file.material:
+            if m.area is not None and m.name in covered:
+                raise DataError(f'area["{m.name}"] is given, and its surfaces too; give one')
+            if m.area is None and m.name not in covered:
+                raise DataError(f'area["{m.name}"] is missing, and no [[surface]] has it')
+            if m.area is not None:
+                surfaces.append(Surface(name=m.name, material=m.name, area=m.area))
+        of_all = file.area_sigma
+        area_sigma = of_all if isinstance(of_all, dict) else {m.name: of_all for m in file.material}
+        return cls.from_surfaces(
+            **_common(file) | {"centre_frequencies": frequencies},
+            surfaces=surfaces,
+            materials=[material(m, frequencies, file.prior) for m in file.material],
+            scene=Scene.of(file),
+            band_correlation=0.0 if file.prior is None else file.prior.band_correlation,
+            material_correlation=_correlations(file.correlation),
+            area_sigma=area_sigma | {m.name: m.area_sigma for m in file.material if m.area_sigma},
+        )
 
     def to_text(self, folder: str | os.PathLike[str] | None = None) -> str:
         """Return the text of its TOML file; reading it gives the same numbers.
@@ -627,43 +702,40 @@ class Room:
         The scene's mesh is named as seen from ``folder``, if that is given.
         """
         room = self if folder is None else self.replace(scene=self.scene.seen_from(folder))
-        return _text_of(room)
+        data = room.to_dict()
+        surfaces = data.get("surfaces", [])
+        covered = {surface["material"] for surface in surfaces}
+        materials = []
+        for i, name in enumerate(room.materials):
+            stated: dict[str, Any] = {
+                "name": name,
+                "area": None if name in covered else data["areas"][i],
+                **{
+                    k: data[k][i]
+                    for k in ("alpha", "sigma", "alpha_min", "scattering")
+                    if k in data
+                },
+                "area_sigma": float(room.area_sigma[i]),
+                "source": room.sources.get(name),
+            }
+            materials.append({k: v for k, v in stated.items() if v})
+        top = [name for name in _Common.__struct_fields__ if name not in ("air", "calibration")]
+        tables = {
+            **data.get("scene", {}),
+            "prior": {k: data[k] for k in ("band_correlation",) if data[k]},
+            "air": {k: float(v) for k, v in sorted((data["air"] or {}).items())},
+            "calibration": data.get("calibration"),
+            "material": materials,
+            "correlation": data.get("material_correlation"),
+            "surface": [{k: v for k, v in s.items() if v is not None} for s in surfaces],
+        }
+        return toml_text(
+            {k: data[k] for k in top if k in data} | {k: v for k, v in tables.items() if v}
+        )
 
     def save(self, path: str) -> None:
         """Write the room to TOML, whole or not at all."""
         write_text(path, self.to_text(checks.path("path", path).parent))
-
-
-def stacked(
-    surfaces: Sequence[Surface], materials: Sequence[Material], centre_frequencies: Array
-) -> dict[str, Any]:
-    """Return the arguments of `Room` that surfaces and materials determine.
-
-    A material's area is the sum over its surfaces; a material without a surface is left out.
-    Raises DataError for a surface whose material is not among ``materials``.
-    """
-    for kind, members in ((Surface, surfaces), (Material, materials)):
-        for i, member in enumerate(members):
-            checks.instance(f"{kind.__name__.lower()}s[{i}]", member, kind)
-    refuse_repeats("materials", materials)
-    by_name = {m.name: m for m in materials}
-    for surface in surfaces:
-        if surface.material not in by_name:
-            raise DataError(
-                f'surface["{surface.name}"].material = "{surface.material}" is not among the '
-                f"materials: {', '.join(by_name)}"
-            )
-    used = [m for m in by_name.values() if any(s.material == m.name for s in surfaces)]
-    lacking = [m.name for m in used if m.scattering is None]
-    if lacking and len(lacking) < len(used):
-        raise DataError(
-            f'scattering["{lacking[0]}"] is missing; state it for every material or for none'
-        )
-    return {
-        **of_materials(used, len(centre_frequencies)),
-        "areas": [float(np.sum([s.area for s in surfaces if s.material == m.name])) for m in used],
-        "surfaces": tuple(surfaces),
-    }
 
 
 def of_materials(materials: Sequence[Material], n_bands: int) -> dict[str, Any]:
@@ -1008,42 +1080,6 @@ def of_plain(data: PlainRoom) -> dict[str, Any]:
     }
 
 
-def _of_text(text: str) -> dict[str, Any]:
-    """Return the arguments of `Room` of a TOML text; DataError names place, value and rule."""
-    content = toml_table(text)
-    if content and set(content) <= set(SceneTables.__struct_fields__):
-        raise DataError(
-            f"{' and '.join(content)} are tables of the room's file: copy them to the end of room.toml"
-        )
-    file = read(RoomFile, content)
-    frequencies = bands.as_bands(file.centre_frequencies)
-    surfaces = _surfaces(file.surface)
-    covered = {surface.material for surface in surfaces}
-    refuse_repeats("material", file.material)
-    for m in file.material:
-        if m.area is not None and m.name in covered:
-            raise DataError(f'area["{m.name}"] is given, and its surfaces too; give one')
-        if m.area is not None:
-            surfaces.append(Surface(name=m.name, material=m.name, area=m.area))
-        elif m.name not in covered:
-            raise DataError(f'area["{m.name}"] is missing, and no [[surface]] has it')
-    materials = [material(m, frequencies, file.prior) for m in file.material]
-    area_sigma = {
-        name: file.area_sigma.get(name, 0.0)
-        if isinstance(file.area_sigma, dict)
-        else file.area_sigma
-        for name in (m.name for m in file.material)
-    }
-    return {
-        **_common(file),
-        **stacked(surfaces, materials, frequencies),
-        "scene": Scene.of(file),
-        "band_correlation": 0.0 if file.prior is None else file.prior.band_correlation,
-        "material_correlation": _correlations(file.correlation),
-        "area_sigma": area_sigma | {m.name: m.area_sigma for m in file.material if m.area_sigma},
-    }
-
-
 def refuse_repeats(place: str, named: Sequence[Any]) -> None:
     """Raise DataError if two of what has a ``name`` have the same."""
     names = [each.name for each in named]
@@ -1090,59 +1126,3 @@ def material(table: MaterialTable, frequencies: Array, prior: PriorTable | None)
 
 _ALWAYS = ("areas", "alpha", "sigma", "centre_frequencies", "band_correlation", "air")
 """Fields of a room's plain values that are there whatever they are."""
-
-
-def _plain(room: Room) -> dict[str, Any]:
-    """Return a `Room` as plain values for JSON, without fields that are not stated."""
-    plain = {}
-    for name in PlainRoom.__struct_fields__:
-        value = getattr(room, name, None)
-        if isinstance(value, Air | CalibrationRecord):
-            value = vars(value).copy()
-        elif isinstance(value, np.ndarray):
-            value = json_numbers(value) if value.any() or name in _ALWAYS else None
-        elif isinstance(value, tuple):
-            value = [vars(v).copy() if isinstance(v, Surface) else v for v in value]
-        plain[name] = value
-    plain |= {
-        "sources": dict(room.sources),
-        "material_correlation": [
-            {"materials": list(pair), "value": float(value)}
-            for pair, value in room.material_correlation.items()
-        ],
-        "scattering_model": room.scattering_model if room.scattering_model != "random" else None,
-        "scene": room.scene.to_dict(),
-        "climate_sigma": list(room.climate_sigma) if any(room.climate_sigma) else None,
-        "above_one": None,  # what was above 1 stands clipped in alpha
-    }
-    return {name: value for name, value in plain.items() if value or name in _ALWAYS}
-
-
-def _text_of(room: Room) -> str:
-    """Return a `Room` as the text of its TOML file."""
-    data = _plain(room)
-    surfaces = data.get("surfaces", [])
-    covered = {surface["material"] for surface in surfaces}
-    materials = []
-    for i, name in enumerate(room.materials):
-        stated: dict[str, Any] = {
-            "name": name,
-            "area": None if name in covered else data["areas"][i],
-            **{k: data[k][i] for k in ("alpha", "sigma", "alpha_min", "scattering") if k in data},
-            "area_sigma": float(room.area_sigma[i]),
-            "source": room.sources.get(name),
-        }
-        materials.append({k: v for k, v in stated.items() if v})
-    top = [name for name in _Common.__struct_fields__ if name not in ("air", "calibration")]
-    tables = {
-        **data.get("scene", {}),
-        "prior": {k: data[k] for k in ("band_correlation",) if data[k]},
-        "air": {k: float(v) for k, v in sorted((data["air"] or {}).items())},
-        "calibration": data.get("calibration"),
-        "material": materials,
-        "correlation": data.get("material_correlation"),
-        "surface": [{k: v for k, v in s.items() if v is not None} for s in surfaces],
-    }
-    return toml_text(
-        {k: data[k] for k in top if k in data} | {k: v for k, v in tables.items() if v}
-    )
