@@ -138,7 +138,7 @@ def test_incomplete_octaves_are_refused() -> None:
     assert bands.obtainable(thirds, bands.OCTAVES).tolist() == [250, 500, 1000]
     with pytest.raises(rt.errors.DataError, match=r"125 Hz cannot be had.*100 Hz is missing"):
         absorption(np.ones(len(thirds)), thirds, [125, 250])
-    with pytest.raises(rt.errors.DataError, match=r"2000 Hz.*1600, 2000, 2500 Hz are missing"):
+    with pytest.raises(rt.errors.DataError, match=r"2000 Hz.*1600, 2000 and 2500 Hz are missing"):
         absorption(np.ones(len(thirds)), thirds, [2000])
     with pytest.raises(rt.errors.DataError, match=r"315 Hz cannot be had.*250 Hz is missing"):
         parameter([1.0, 1.0], [500, 1000], [315, 400])

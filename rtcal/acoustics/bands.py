@@ -116,7 +116,7 @@ def third_octaves(lowest: float = 100, highest: float = 5000) -> tuple[float, ..
     return tuple(f for f in THIRD_OCTAVES if lowest <= f <= highest)
 
 
-def hertz(frequencies: Sequence[float]) -> str:
+def hertz(frequencies: Sequence[float] | Array) -> str:
     """Return bands for a sentence, "" of none.
 
     Examples
@@ -349,8 +349,8 @@ class Conversion:
             lacking = [f for f in part if f not in place]
             if lacking and not missing:
                 raise DataError(
-                    f"the band {label(frequency)} cannot be had: it needs {listed(part)}, and "
-                    f"{listed(lacking)} {'are' if lacking[1:] else 'is'} missing in {listed(self.old)}"
+                    f"the band {label(frequency)} cannot be had: it needs {hertz(part)}, and "
+                    f"{hertz(lacking)} {'are' if lacking[1:] else 'is'} missing in {hertz(self.old)}"
                 )
         self._index = np.array([[place.get(f, -1) for f in part] for part in parts])
 
@@ -462,8 +462,3 @@ def thirds_of(octave: float) -> list[float]:
         return [octave]
     place = THIRD_OCTAVES.index(octave)
     return [float(f) for f in THIRD_OCTAVES[place - 1 : place + 2]]
-
-
-def listed(frequencies: Iterable[float]) -> str:
-    """Return bands in a message: ``125, 250 Hz``."""
-    return f"{', '.join(f'{f:g}' for f in frequencies)} Hz"

@@ -114,7 +114,7 @@ def equation_keys(kind: type[Any] = ReverberationEquation) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class MeanEquation(ReverberationEquation, ABC):
+class MeanEquation(ReverberationEquation):
     """An equation whose exponent is a function E of the mean of h(alpha) over the walls.
 
     E and h are the identity unless an equation defines them. All methods take arrays of any shape,
@@ -123,6 +123,8 @@ class MeanEquation(ReverberationEquation, ABC):
 
     largest_alpha: ClassVar[float] = np.inf
     """The coefficient of one wall up to which h is finite in a room model."""
+    wrong_when_diffuse: ClassVar[bool] = False
+    """Whether theory says another T of a diffuse field."""
 
     @property
     def largest_mean(self) -> float:
@@ -153,21 +155,19 @@ class MeanEquation(ReverberationEquation, ABC):
         """Return d exponent / d mean."""
         return np.ones_like(mean)
 
-    @abstractmethod
     def linear(self) -> LinearEquation:
-        """Return the equation that a calibration inverts for this one.
+        """Return the linear equation that a calibration inverts for this one: itself, or Eyring's.
 
-        A linear equation returns itself. Any other returns the linear equation that has the same T
-        if all coefficients are equal.
+        Eyring's has the same T if all coefficients are equal.
         """
+        return self if isinstance(self, LinearEquation) else Eyring(self.speed_of_sound)
 
     def diffuse_field(self) -> MeanEquation:
-        """Return the equation that the T of simulators follows in a diffuse field.
+        """Return the equation that the T of simulators follows in a diffuse field: itself, or Eyring's.
 
-        Itself, unless this equation is theoretically wrong in a diffuse field. The difference between
-        a simulator and the returned equation then shows the error of the room's model alone.
+        The difference between a simulator and it then shows the error of the room's model alone.
         """
-        return self
+        return Eyring(self.speed_of_sound) if self.wrong_when_diffuse else self
 
     def reverberation_time(self, room: Room) -> Array:
         """Return T in s, (n_bands,); infinite where nothing absorbs (Eqs. 1 to 3)."""
@@ -190,10 +190,6 @@ class LinearEquation(MeanEquation):
     def largest_mean(self) -> float:
         """The mean coefficient up to which T falls; the inverse covers only this branch."""
         return 1.0
-
-    def linear(self) -> LinearEquation:
-        """Return the equation itself."""
-        return self
 
     def time(self, room: Room, absorption_area: Array) -> Array:
         """Return T in s for the surfaces' absorption area S'alpha in m², both (..., n_bands)."""
@@ -352,10 +348,7 @@ class Sabine(LinearEquation):
 
     name: ClassVar[str] = "Sabine"
     key: ClassVar[str] = "sabine"
-
-    def diffuse_field(self) -> MeanEquation:
-        """Return Eyring's equation: Sabine's T stays above 0 where every wall absorbs everything."""
-        return Eyring(self.speed_of_sound)
+    wrong_when_diffuse: ClassVar[bool] = True  # T stays above 0 where every wall absorbs everything
 
 
 @register
@@ -384,6 +377,7 @@ class Millington(MeanEquation):
     key: ClassVar[str] = "millington"
     # An opening has alpha = 1 and would make T zero; 0.999 counts it as 6.9 times its area.
     largest_alpha: ClassVar[float] = 0.999
+    wrong_when_diffuse: ClassVar[bool] = True  # a small open window makes T zero
 
     def contribution(self, alpha: Array) -> Array:
         """Return the wall's exponent -ln(1 - alpha), infinite at 1."""
@@ -398,14 +392,6 @@ class Millington(MeanEquation):
         """Return 1 / (1 - alpha)."""
         with np.errstate(divide="ignore"):
             return np.asarray(1 / (1 - np.asarray(alpha, dtype=float)))
-
-    def linear(self) -> LinearEquation:
-        """Return Eyring's equation, which has the same T for equal coefficients."""
-        return Eyring(self.speed_of_sound)
-
-    def diffuse_field(self) -> MeanEquation:
-        """Return Eyring's equation: a small open window does not make T zero in a diffuse field."""
-        return Eyring(self.speed_of_sound)
 
 
 @register

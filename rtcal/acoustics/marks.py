@@ -109,11 +109,6 @@ class Plausibility:
     p_value: float | None
     p_together: float | None = None
 
-    @property
-    def agreement(self) -> Agreement | None:
-        """The agreement that the p-values show: see `agreement`."""
-        return agreement(self.p_value, self.p_together)
-
 
 Agreement = Literal["contradicts", "agrees", "too good"]
 

@@ -557,8 +557,8 @@ class Measurement:
             return self
         if not bands.obtainable(conversion.old, conversion.new).size:
             raise DataError(
-                f"the measurement ({bands.listed(conversion.old)}) and the room "
-                f"({bands.listed(conversion.new)}) have no band in common"
+                f"the measurement ({bands.hertz(conversion.old)}) and the room "
+                f"({bands.hertz(conversion.new)}) have no band in common"
             )
         # The values beside which an uncertainty stands; those of all pairs of a band have the mean's.
         tables: dict[str, Any] = {name: {} for name in _TABLES}

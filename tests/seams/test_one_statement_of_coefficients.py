@@ -45,4 +45,4 @@ def test_what_errors_in_common_explain_is_no_contradiction() -> None:
     times = rt.Eyring().time(room, 1.25 * room.absorption_area)
     found = rt.calibrate(room, times).plausibility
     assert agreement(found.p_value) == "contradicts"
-    assert found.agreement == "agrees"
+    assert agreement(found.p_value, found.p_together) == "agrees"
