@@ -860,9 +860,16 @@ def _slope(m: Array) -> Array:
         return np.asarray(np.where(inside, DB / (2 * _RANGE) / (m * (1 - m)), 0.0))
 
 
-class OfEnergy(Observable):
-    """A level of the whole energy in dB: what `G` and `Level` have in common."""
+@register
+class Level(Observable):
+    """The level, relative to any reference that all receivers of a source share.
 
+    It is what G is without a calibrated source, and G serves in its place.
+    """
+
+    key, label, rank = "level", "level", 90
+    stand_in: ClassVar[str | None] = "g"
+    matched = True
     unit = "dB"
     decimals = 1
     jnd = 1.0
@@ -895,23 +902,13 @@ class OfEnergy(Observable):
 
 
 @register
-class Level(OfEnergy):
-    """The level, relative to any reference that all receivers of a source share.
-
-    It is what G is without a calibrated source, and G serves in its place.
-    """
-
-    key, label, rank = "level", "level", 90
-    stand_in = "g"
-    matched = True
-
-
-@register
-class G(OfEnergy):
+class G(Level):
     """Sound strength: the level relative to 10 m in the free field (ISO 3382-1:2009, A.2.1)."""
 
     key, label, rank = "g", "G", 80
     spellings = "strength soundstrength"
+    stand_in = None
+    matched = False
     # Far outdoors, and at 0.1 m from a source.
     usual = -40.0, 45.0
 
