@@ -340,17 +340,6 @@ def opened(area: float = 15.0) -> Case:
     return case_with(times, edt=times, t30=times)
 
 
-def test_what_the_measurement_denies_is_calibrated_away() -> None:
-    """T is longer than the prior's: no furniture is left, and no size divides by it."""
-    case = case_with(1.3 * 6 * np.log(10) / made().rate)
-    stuffed = replace(case, applied=(AppliedEffect("furniture", {"absorption_area": 8.0}),))
-    done = recalibrate(stuffed)
-    assert done.sizes["furniture"] == pytest.approx(0, abs=1e-6)
-    assert np.isfinite(done.alpha).all()
-    without = recalibrate(case)
-    np.testing.assert_allclose(done.alpha, without.alpha, atol=0.02)
-
-
 def test_an_opening_is_found_added_and_its_alpha_left_alone() -> None:
     case = opened(25.0)
     finding = find(case, effects=[Opening()], controls=controls_of(case))

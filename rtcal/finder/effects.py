@@ -79,8 +79,8 @@ class Parameter:
 class Effect(ABC):
     """Something that a model may lack.
 
-    An effect states its parameters, how it changes a room's state (`change`), its words, its
-    form in a corrected room and its form in the QP. A new effect is a subclass in one file.
+    An effect states its parameters, how it changes a room's state (`change`), its words and its form
+    in a corrected room. A new effect is a subclass in one file.
 
     Attributes
     ----------
@@ -248,11 +248,7 @@ class Effect(ABC):
         return np.asarray(errors @ errors.T)
 
     def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
-        """Return the absorption area that the effect adds in m², (n_bands,).
-
-        The QP then has the effect's size as an unknown. None, the default, keeps the size fixed: the
-        effect changes the QP's target instead.
-        """
+        """Return the absorption area that the effect adds in m², (n_bands,); None where it adds none."""
         return None
 
 

@@ -1,11 +1,10 @@
 """Calibrate a case's room without and with the effects that were added to its model.
 
-The QP has the prior's deviation and a soft match of T within the uncertainty of the measurement. What
-the model itself errs by, alpha takes up as in any calibration, so that the corrected model has the
-measured T. alpha is from 0 to 1, and the configurations share coefficients. The size of each effect
-that adds absorption is a further unknown, 0 or more. A decay's shape, another equation or a noise floor
-is not part of the QP. For these, Gauss-Newton steps correct its target T until the whole model has the
-measured T.
+The observations are ln T of the configurations, as the whole model has them: with its equation, the
+decay's shape and noise that effects add. `rtcal.calibration.fit` takes Gauss-Newton steps to them
+around the QP of the prior's deviation. What the model itself errs by, alpha takes up as in any
+calibration, so that the corrected model has the measured T. alpha is from 0 to 1, and the
+configurations share coefficients. The effects keep the sizes with which they were added.
 """
 
 from __future__ import annotations
@@ -23,26 +22,25 @@ from rtcal.acoustics.equations import LinearEquation, mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import CalibrationRecord, Room
-from rtcal.calibration.fit import gauss_newton
+from rtcal.calibration.fit import fit
 from rtcal.calibration.measured import data_history, times_in_room
 from rtcal.calibration.methods import calibrate
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
-from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
-from rtcal.calibration.unknowns import Configurations
+from rtcal.calibration.terms import LinearObservations, PriorDeviation
 from rtcal.files.saved import Result
 from rtcal.finder.case import Case, Configuration
-from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.finding import amount
-from rtcal.finder.means.corrected import corrected_room, seen
+from rtcal.finder.means.corrected import corrected_room
 from rtcal.finder.means.problem import (
     ModelDiscrepancy,
     checked_discrepancy,
     distances,
     observe,
     state,
+    states,
 )
-from rtcal.finder.model import FEATURES, STEEPEST, Predicted, RoomState, predict
+from rtcal.finder.model import FEATURES, predict
 from rtcal.support import __version__, text
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import MissingAirWarning
@@ -57,18 +55,15 @@ class Recalibrated(Result):
     Attributes
     ----------
     case : Case
-        With the effects' sizes as calibrated.
     alpha : array (n_materials, n_bands)
         The room's coefficients; those that a configuration changes are in ``changed``.
     changed : mapping of (configuration, material) to array (n_bands,)
-    sizes : mapping of str to float
-        Sizes of the effects that have one, in the effect's unit.
     features : array (n_configurations, n_features, n_bands)
         Predicted: ln T20, ln EDT/T20, ln T30/T20, C80 and G in dB, the model's bias left out.
     off : float
         Root mean square of the fitted ln T less the measured one, over its standard deviation.
     joint : JointResult
-        The QP's answer, in which a configuration's changed materials have names of their own.
+        The QP's answer, in which a configuration's changed materials are further ones.
     """
 
     record_kind: ClassVar[str] = "recalibration 1"
@@ -76,7 +71,6 @@ class Recalibrated(Result):
     case: Case
     alpha: Array
     changed: Mapping[tuple[str, str], Array]
-    sizes: Mapping[str, float]
     features: Array
     off: float
     joint: JointResult
@@ -85,12 +79,9 @@ class Recalibrated(Result):
     def sigma(self) -> Array:
         """Standard deviation of alpha, (n_materials, n_bands): the QP's `posterior_sigma`.
 
-        It holds if the effects in the model are right, with their parameters. Only the sizes that are
-        unknowns of the QP contribute their uncertainty.
+        It holds if the effects in the model are right, with their parameters and sizes.
         """
-        by_name = dict(zip(self.joint.materials, self.joint.posterior_sigma, strict=True))
-        room = self.case.room
-        return np.array([by_name.get(m, room.sigma[i]) for i, m in enumerate(room.materials)])
+        return np.asarray(self.joint.posterior_sigma[: self.case.room.n_materials])
 
     @property
     def interval(self) -> tuple[Array, Array]:
@@ -119,36 +110,33 @@ class Recalibrated(Result):
         return corrected_room(replace(self.case, room=calibrated))
 
     @property
-    def effects(self) -> list[dict[str, Any]]:
-        """The effects with their sizes, and the 90 % interval from all data.
+    def sizes(self) -> dict[str, float]:
+        """Sizes of the effects that have one, in the effect's unit."""
+        return {p.name: p.size for p in self.case.applied if np.isfinite(p.effect.neutral)}
 
-        The size of a ``calibrated`` effect was an unknown of the QP, which uses T20 only. Other effects
-        have the size with which they were added.
-        """
+    @property
+    def effects(self) -> list[dict[str, Any]]:
+        """The effects with their sizes, and the 90 % intervals with which they were added."""
         return [
             p.to_dict()
             | {
                 "size": self.sizes.get(p.name),
                 "unit": p.effect.unit,
                 "material": p.effect.material(p.parameters, self.case.room),
-                "calibrated": p.name in self.joint.effects,
             }
             for p in self.case.applied
         ]
 
     @property
     def effects_in_words(self) -> list[str]:
-        """A line per effect: its size, and the data from which the size follows."""
-        return [self._in_words(p) for p in self.case.applied]
-
-    def _in_words(self, p: AppliedEffect) -> str:
-        name = p.effect.title(p.parameters, self.case.room)
-        size, ends = self.sizes.get(p.name), p.size_interval
-        if size is None:
-            return f"{name}: {p.effect.describe(p.parameters)}"
-        time = self.case.configurations[0].measured.time_label
-        source = f", calibrated to {time} alone" if p.name in self.joint.effects else ""
-        return f"{name}{source}: {amount(size, p.effect.unit, ends)}"
+        """A line per effect, with its size."""
+        out = []
+        for p in self.case.applied:
+            of = p.effect.describe(p.parameters)
+            if p.name in self.sizes:
+                of = amount(p.size, p.effect.unit, p.size_interval)
+            out.append(f"{p.effect.title(p.parameters, self.case.room)}: {of}")
+        return out
 
     def blocks(self, plain: Recalibrated | None = None) -> list[Block]:
         """Return each material's alpha, as stated and as calibrated, and the effects."""
@@ -195,20 +183,17 @@ class Recalibrated(Result):
         }
 
 
-_ROUNDS = 5
-_STEP = 0.02
-_LEAST_SLOPE = 0.05
-_LARGEST_SLOPE = 20.0
-"""Limits of d ln T of the model by d ln T of the QP."""
-_HALVINGS = 6
-_NEAR = 3.0
-"""Standard deviations of the measured T within which no step is halved: there the prior pulls, too."""
-_SMALLEST = 1e-3
-_LEAST_SEEN = 1e-3
-"""Share of a material that the QP counts as seen, however much of it is covered."""
+_ROUNDS = 12
+_SETTLED = 1e-4
+"""Largest change of alpha after which no further step is taken."""
+_STEP = 1e-5
+"""Change of alpha over which ln T is differentiated."""
 _LEAST_U = 0.002
 """Relative uncertainty of T at least: a stated one of 0 would leave the prior no weight."""
+_EXACT_U = 1e-4
+"""That with which a T is matched exactly by an equation that is no function of the mean alpha."""
 _T20 = FEATURES.index("t20")
+_TIMES = LinearObservations("ln T")
 
 
 def plain(case: Case) -> Recalibrated:
@@ -216,7 +201,27 @@ def plain(case: Case) -> Recalibrated:
 
     A band whose T no alpha reaches gets the nearest reachable T.
     """
-    return _calibrated(replace(case, applied=()), [0], None, exact=True)
+    case.require_fresh()
+    case, equation = replace(case, applied=()), mean_equation(case.equation)
+    if not isinstance(equation, LinearEquation):
+        return LogTimes.of(case, [0], exact=True).calibrated()
+    data, first = LogTimes.of(case, [0]), case.configurations[0]
+    times = np.exp(data.measured)
+    measured = Measurement(
+        centre_frequencies=case.room.centre_frequencies,
+        values={"t20": times},
+        uncertainty={"t20": times * np.minimum(data.u, 0.9)},
+    )
+    room = _room(case, {}, *first.coefficients(case.room)).replace(air=first.air or case.room.air)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MissingAirWarning)  # it is among the finding's notes
+        solved = calibrate(room, measured, equation=equation.linear(), unreachable="nearest")
+    alpha = np.array(case.room.alpha)
+    own = [m not in first.changes for m in case.room.materials]
+    alpha[own] = solved.alpha[own]
+    changed = [solved.alpha[case.room.material_index(m)] for m in first.changes]
+    others = [c.changes[m].alpha for c, m in data.changed if c is not first]
+    return data.result(np.array([*alpha, *changed, *others]), solved.joint)
 
 
 @single_threaded_blas()
@@ -242,246 +247,154 @@ def recalibrate(
         If the room was calibrated to one of the case's T before, or ``discrepancy`` belongs to another
         case.
     """
-    if discrepancy is not None:
-        checked_discrepancy(case, discrepancy)
-    fitted = [c for c in range(len(case.configurations)) if c not in left_out]
-    return _calibrated(case, fitted, discrepancy, exact=False)
-
-
-def _calibrated(
-    case: Case, fitted: Sequence[int], discrepancy: ModelDiscrepancy | None, *, exact: bool
-) -> Recalibrated:
-    """Calibrate to the configurations of these numbers."""
     case.require_fresh()
-    observed, _ = observe(replace(case, configurations=[case.configurations[c] for c in fitted]))
-    shape = (len(case.configurations), len(FEATURES), case.room.n_bands)
-    bias = np.zeros(shape) if discrepancy is None else discrepancy.bias.reshape(shape)
-    variance = np.full(observed.used.shape, np.nan)
-    variance[observed.used] = np.diag(observed.covariance)
-    measured = observed.features[:, _T20] - bias[fitted, _T20]
-    u = np.sqrt(np.maximum(variance[:, _T20], _LEAST_U**2))
-    is_linear = isinstance(mean_equation(case.equation), LinearEquation)
-    changes = [c.changes[m].alpha for c, m in _changed(case)]
-    steps = gauss_newton(
-        _Point(case, fitted, np.vstack([case.room.alpha, *changes])),
-        lambda at: _Linearised.at(at, measured, u, exact=exact),
-        groups=case.room.n_bands,
-        most=1 if is_linear and not case.applied else _ROUNDS,
-        halvings=_HALVINGS,
-    )
-    point, solved = steps.end, steps.steps[-1].model.solved
-    applied, n = point.case.applied, case.room.n_materials
-    return Recalibrated(
-        point.case,
-        point.alpha[:n],
-        {
-            (c.name, m): row
-            for (c, m), row in zip(_changed(case), point.alpha[n:], strict=True)
-            if case.configurations.index(c) in fitted
-        },
-        {p.name: p.size for p in applied if np.isfinite(p.effect.neutral)},
-        np.array([point.predicted(c).features[0] for c in range(len(case.configurations))]),
-        float(np.sqrt(np.nanmean(((point.log_time - measured) / u) ** 2))),
-        solved,
-    )
+    bias = None if discrepancy is None else checked_discrepancy(case, discrepancy).bias
+    fitted = [c for c in range(len(case.configurations)) if c not in left_out]
+    return LogTimes.of(case, fitted, bias).calibrated()
 
 
-def _changed(case: Case) -> list[tuple[Configuration, str]]:
-    """Return the materials that configurations change: each is an unknown of its own."""
-    return [(c, m) for c in case.configurations for m in c.changes]
-
-
-def _name(c: Configuration, material: str) -> str:
-    """Return the name of an unknown: that of a changed material has its configuration's."""
-    return f"{material} in {c.name}" if material in c.changes else material
-
-
-@dataclass(frozen=True, eq=False)
-class _Point:
-    """The start of a step: the case with its effects' sizes, and the coefficients.
-
-    ``alpha`` has the room's materials, then those that configurations change (`_changed`). ``fitted``
-    are the numbers of the configurations that are calibrated to.
-    """
-
-    case: Case
-    fitted: Sequence[int]
-    alpha: Array
-
-    @cached_property
-    def coefficients(self) -> list[Array]:
-        """The unknowns of each configuration (n_materials, n_bands), before any effect on them."""
-        room, out = self.case.room, []
-        names = [*room.materials, *(_name(c, m) for c, m in _changed(self.case))]
-        for c in self.case.configurations:
-            out.append(self.alpha[[names.index(_name(c, m)) for m in room.materials]])
-        return out
-
-    def state(self, c: int, applied: Sequence[AppliedEffect] | None = None) -> RoomState:
-        """Return the state of a configuration with these effects, by default the case's."""
-        case = self.case if applied is None else replace(self.case, applied=applied)
-        unchanged = replace(case.configurations[c], changes={})
-        return state(case, unchanged, self.coefficients[c])
-
-    def predicted(self, c: int) -> Predicted:
-        """Return what the model predicts of a configuration."""
-        return predict([self.state(c)], distances(self.case, self.case.configurations[c]))
-
-    @cached_property
-    def log_time(self) -> Array:
-        """ln T of the model in the fitted configurations, (n_fitted, n_bands)."""
-        return np.log([self.predicted(c).reverberation_time[0] for c in self.fitted])
-
-    @cached_property
-    def gains(self) -> list[tuple[AppliedEffect, Array]]:
-        """The effects whose size the QP estimates, each with the absorption area of one unit in m².
-
-        The areas are (n_fitted, n_bands).
-        """
-        case, gains = self.case, []
-        for i, p in enumerate(case.applied):
-            # A size with an interval is known from all data, of which the QP has T20 alone.
-            if p.size_interval is not None or p.effect.size in p.effect.discrete:
-                continue
-            others = [q for j, q in enumerate(case.applied) if j != i]
-            # The slope is needed also at a size of 0.
-            size = max(p.size, _SMALLEST)
-            resized = [*case.applied]
-            resized[i] = _resized(case, p, size)
-            rows: list[Array | None] = []
-            for c in self.fitted:
-                without = self.state(c, others)
-                added = p.effect.added_absorption(without, self.state(c, resized))
-                rows.append(None if added is None else added / _slope(without) / size)
-            if all(row is not None for row in rows):
-                gains.append((p, np.array(rows)))
-        return gains
-
-    def qp_log_time(self, rooms: Sequence[Room], equation: LinearEquation, at: _Point) -> Array:
-        """Return ln T by the QP's equation: it has effects only through the sizes that are unknowns."""
-        out = []
-        for i, (c, room) in enumerate(zip(self.fitted, rooms, strict=True)):
-            more = sum((g[i] * p.size for p, g in self.gains), np.zeros(room.n_bands))
-            top = 0.999 * equation.largest_mean * room.total_area
-            area = np.clip(room.areas @ at.coefficients[c] + more, 1e-6, top)
-            out.append(equation.time(room, area))
-        return np.log(out)
-
-
-@dataclass(frozen=True, eq=False)
-class _Linearised:
-    """The QP at a point, what it solved to, and where that is.
-
-    Near a coefficient of 1 the model's T may fall much faster than the QP's (Millington's does), so a
-    step is shortened band by band where it leads farther from the ``measured`` ln T.
-    """
-
-    start: _Point
-    solved: JointResult
-    answer: _Point
-    measured: Array
-    u: Array
-
-    @classmethod
-    def at(cls, start: _Point, measured: Array, u: Array, *, exact: bool) -> _Linearised:
-        """Solve the QP of a Gauss-Newton step: its T is corrected by what the model's T differs."""
-        case, states = start.case, [start.state(c) for c in start.fitted]
-        rooms = [
-            _room(case, case.configurations[c], s)
-            for c, s in zip(start.fitted, states, strict=True)
-        ]
-        # A step corrects T by a ratio, so that the QP needs no speed of sound but its rooms' own.
-        equation = mean_equation(states[0].equation).linear()
-        less = replace(start, alpha=start.alpha * (1 - _STEP))
-        now = start.qp_log_time(rooms, equation, start)
-        by_qp = start.qp_log_time(rooms, equation, less) - now
-        by_model = less.log_time - start.log_time
-        # If the model's T hardly depends on alpha, as when the coupled room decays last, the slope is
-        # small and T has little weight. Where every alpha is 0, both are 0.
-        slope = np.divide(by_model, by_qp, out=np.ones_like(by_qp), where=by_qp != 0)
-        slope = np.clip(slope, _LEAST_SLOPE, _LARGEST_SLOPE)
-        target = np.exp(now + np.clip((measured - start.log_time) / slope, -1.5, 1.5))
-        # An uncertainty near T itself says nothing; a measurement refuses one that is larger than T.
-        error = target * np.minimum(u / slope, 0.9)
-        data = [
-            Measurement(
-                centre_frequencies=case.room.centre_frequencies,
-                values={"t20": t[None]},
-                uncertainty={"t20": of[None]},
-            )
-            for t, of in zip(target, error, strict=True)
-        ]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", MissingAirWarning)  # it is among the finding's notes
-            if exact:
-                plainly = calibrate(rooms[0], data[0], equation=equation, unreachable="nearest")
-                solved = plainly.joint
-            else:
-                prior = PriorDeviation(band_correlation=case.room.band_correlation)
-                objective = prior + SoftMatch()
-                for p, g in start.gains:
-                    # The size has itself as its prior's deviation, so that T determines it.
-                    spread = max(p.size, _SMALLEST)
-                    objective = objective + AddedAbsorption(
-                        p.name, list(g), sigma=spread, mean=p.size
-                    )
-                solved = Calibration(objective).build(Configurations(rooms), equation).solve(data)
-        return cls(start, solved, _reached(start, solved), measured, u)
-
-    def towards(self, share: Array) -> _Point:
-        """Return the point at these shares, (n_bands,), of the way."""
-        if (share == 1).all():
-            return self.answer
-        alpha = self.start.alpha + share * (self.answer.alpha - self.start.alpha)
-        return replace(self.answer, alpha=alpha)
-
-    def worse(self, end: _Point) -> NDArray[np.bool_]:
-        """Return in which bands the model is farther from the measured T than at the start."""
-        before, after = (
-            np.max(np.abs(of.log_time - self.measured) / self.u, axis=0) for of in (self.start, end)
-        )
-        return np.asarray(after > np.maximum(before, _NEAR))
-
-
-def _reached(start: _Point, solved: JointResult) -> _Point:
-    """Return the point of the QP's answer; what it has not stays as it was."""
-    case, row = start.case, dict(zip(solved.materials, solved.alpha, strict=True))
-    names = [*case.room.materials, *(_name(c, m) for c, m in _changed(case))]
-    alpha = [row.get(name, stated) for name, stated in zip(names, start.alpha, strict=True)]
-    sizes = solved.effects
-    effects = [_resized(case, p, sizes[p.name]) if p.name in sizes else p for p in case.applied]
-    return _Point(replace(case, applied=effects), start.fitted, np.array(alpha))
-
-
-def _room(case: Case, c: Configuration, s: RoomState) -> Room:
-    """The configuration's room for the QP: areas that are seen, volume, prior alpha and sigma."""
-    room, air = case.room, c.air or case.room.air
-    for p in case.applied:
-        air = p.effect.air(air, p.parameters)
-    visible = np.clip(seen(case, c).mean(1), _LEAST_SEEN, None)
-    alpha, sigma = c.coefficients(room)
-    least = None if room.alpha_min is None else np.minimum(room.alpha_min, alpha)
+def _room(case: Case, further: Mapping[str, str], alpha: Array, sigma: Array) -> Room:
+    """Return the case's room with other coefficients, and ``further`` materials, each like another."""
+    room = case.room
+    rows = [*range(room.n_materials), *map(room.material_index, further.values())]
     return Room(
-        name=c.name,
-        volume=s.volume,
-        materials=[_name(c, m) for m in room.materials],
-        areas=s.areas * visible,
+        name=room.name,
+        volume=room.volume,
+        materials=[*room.materials, *further],
+        areas=room.areas[rows],
         alpha=alpha,
         sigma=sigma,
         centre_frequencies=room.centre_frequencies,
-        air=air,
-        alpha_min=least,
+        air=room.air,
+        alpha_min=None if room.alpha_min is None else np.minimum(room.alpha_min[rows], alpha),
         band_correlation=room.band_correlation,
     )
 
 
-def _resized(case: Case, p: AppliedEffect, size: float) -> AppliedEffect:
-    """Return the effect with another size, within what is possible."""
-    return p.resized(float(np.clip(size, *p.effect.size_limits(case.room))))
+@dataclass(frozen=True, eq=False)
+class LogTimes:
+    """ln T of a case's configurations, an observation of the room's coefficients.
 
+    The coefficients are the room's, then those that configurations change.
 
-def _slope(s: RoomState) -> Array:
-    """d (S a) / d (S'alpha) of the QP's equation."""
-    equation = mean_equation(s.equation).linear()
-    mean = (s.areas @ s.alpha + s.covering) / s.total_area
-    return equation.slope(np.clip(mean, 0, min(STEEPEST, equation.largest_mean)))
+    Attributes
+    ----------
+    case : Case
+    fitted : sequence of int
+        Numbers of the configurations that are calibrated to.
+    measured, u : array (n_fitted, n_bands)
+        ln T less the model's bias, NaN where it is missing, and its standard deviation.
+    """
+
+    case: Case
+    fitted: Sequence[int]
+    measured: Array
+    u: Array
+
+    @classmethod
+    def of(
+        cls, case: Case, fitted: Sequence[int], bias: Array | None = None, *, exact: bool = False
+    ) -> LogTimes:
+        """Return the observation of these configurations; ``bias`` is that of all features."""
+        part = replace(case, configurations=[case.configurations[c] for c in fitted])
+        observed, _ = observe(part)
+        variance = np.full(observed.used.shape, np.nan)
+        variance[observed.used] = np.diag(observed.covariance)
+        measured = observed.features[:, _T20]
+        if bias is not None:
+            shape = (len(case.configurations), len(FEATURES), case.room.n_bands)
+            measured = measured - bias.reshape(shape)[fitted, _T20]
+        u = np.sqrt(np.maximum(variance[:, _T20], _LEAST_U**2))
+        return cls(case, fitted, measured, np.where(exact, _EXACT_U, u))
+
+    @property
+    def changed(self) -> list[tuple[Configuration, str]]:
+        """The materials that configurations change: each is an unknown of its own."""
+        return [(c, m) for c in self.case.configurations for m in c.changes]
+
+    @cached_property
+    def used(self) -> NDArray[np.bool_]:
+        """Which T are known, (n_fitted, n_bands)."""
+        return np.isfinite(self.measured)
+
+    @property
+    def values(self) -> Array:
+        """The known ln T, (n,)."""
+        return np.asarray(self.measured[self.used])
+
+    @property
+    def covariance(self) -> Array:
+        """Their covariance, (n, n)."""
+        return np.diag(self.u[self.used] ** 2)
+
+    def rows(self, c: int) -> list[int]:
+        """Return the numbers of the coefficients that a configuration has, (n_materials,)."""
+        configuration, n = self.case.configurations[c], self.case.room.n_materials
+        return [
+            n + self.changed.index((configuration, m)) if m in configuration.changes else i
+            for i, m in enumerate(self.case.room.materials)
+        ]
+
+    def features(self, c: int, alphas: Array) -> Array:
+        """Return a configuration's features under coefficients (n, n_unknowns, n_bands)."""
+        configuration = self.case.configurations[c]
+        unchanged = replace(configuration, changes={})
+        made = states(self.case, unchanged, list(alphas[:, self.rows(c)]))
+        return predict(made, distances(self.case, configuration)).features
+
+    def predict(self, alpha: Array) -> Array:
+        """Return the model's ln T."""
+        every = np.array([self.features(c, alpha[None])[0, _T20] for c in self.fitted])
+        return np.asarray(every[self.used])
+
+    def jacobian(self, alpha: Array) -> Array:
+        """Return their derivatives by alpha, (n, n_unknowns * n_bands), by differences."""
+        step = np.where(alpha > 0.5, -_STEP, _STEP)
+        n, n_bands = alpha.shape
+        moved = np.concatenate([alpha[None], alpha + np.eye(n)[:, :, None] * step])
+        out = np.zeros((*self.used.shape, n, n_bands))
+        for i, c in enumerate(self.fitted):
+            log_t = self.features(c, moved)[:, _T20]
+            slopes = (log_t[1:] - log_t[0]) / step
+            out[i, np.arange(n_bands), :, np.arange(n_bands)] = slopes.T
+        return np.asarray(out[self.used].reshape(-1, n * n_bands))
+
+    def calibrated(self) -> Recalibrated:
+        """Return where Gauss-Newton steps end."""
+        case, room = self.case, self.case.room
+        further = {f"{m} in {c.name}": m for c, m in self.changed}
+        alpha = np.array([*room.alpha, *(c.changes[m].alpha for c, m in self.changed)])
+        sigma = np.array([*room.sigma, *(c.changes[m].sigma for c, m in self.changed)])
+        unknowns = _room(case, further, alpha, sigma)
+        equation = mean_equation(state(case, case.configurations[0]).equation).linear()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", MissingAirWarning)  # it is among the finding's notes
+            prior = PriorDeviation(band_correlation=room.band_correlation)
+            found = fit(
+                Calibration(prior + _TIMES).build(unknowns, equation),
+                self,
+                unknowns.alpha,
+                term=_TIMES,
+                method="gap",
+                most=_ROUNDS,
+                settled=lambda step, end: bool(np.abs(end - step.alpha).max() < _SETTLED),
+            )
+        return self.result(found.alpha, found.answer.joint)
+
+    def result(self, alpha: Array, joint: JointResult) -> Recalibrated:
+        """Return what coefficients (n_unknowns, n_bands) are calibrated to."""
+        case, n = self.case, self.case.room.n_materials
+        fitted = [case.configurations[c] for c in self.fitted]
+        off = (self.predict(alpha) - self.values) / self.u[self.used]
+        return Recalibrated(
+            case,
+            alpha[:n],
+            {
+                (c.name, m): row
+                for (c, m), row in zip(self.changed, alpha[n:], strict=True)
+                if c in fitted
+            },
+            np.array([self.features(c, alpha[None])[0] for c in range(len(case.configurations))]),
+            float(np.sqrt(np.mean(off**2))),
+            joint,
+        )
