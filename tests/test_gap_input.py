@@ -140,7 +140,7 @@ class Bent(Effect):
 
 
 def test_no_simulator_is_said_to_have_a_decay_of_one_s_own() -> None:
-    case = replace(opened(), applied=[AppliedEffect("bent", {"share": 0.1}, None, Bent())])
+    case = replace(opened(), applied=[AppliedEffect(Bent(), {"share": 0.1})])
     assert np.isfinite(recalibrate(case).alpha).all()
     plain = simulator(replace(case, applied=[])).simulate(case.room.alpha)
     assert (simulator(case).simulate(case.room.alpha).mean("t30") > 1.02 * plain.mean("t30")).all()

@@ -51,7 +51,7 @@ from rtcal.acoustics.room import AirTable, PlainRoom, Room, air, of_plain, refus
 from rtcal.calibration.measured import times_in_room
 from rtcal.files.disk import json_numbers, read_text, write_text
 from rtcal.files.schema import FileTable, Number, json_object, read, toml_table
-from rtcal.finder.effects import AppliedEffect, check_parameters
+from rtcal.finder.effects import AppliedEffect, check_parameters, library
 from rtcal.io import geometry_files
 from rtcal.support import checks
 from rtcal.support.checks import text_name
@@ -434,7 +434,7 @@ class Case:
 
         Raises DataError for an added effect that is not in the library.
         """
-        if custom := [p.name for p in self.applied if p.custom is not None]:
+        if custom := [p.name for p in self.applied if p.effect not in library()]:
             raise DataError(
                 f'effect "{custom[0]}" is not in the library: a case that holds it cannot be saved, '
                 "since whoever reads it does not know the effect"

@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import product
 from math import inf, isfinite
 from operator import itemgetter
@@ -248,7 +248,7 @@ class Effect(ABC):
         return np.asarray(errors @ errors.T)
 
     def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
-        """Return the absorption area that the effect adds in m², (n_bands,); None where it adds none."""
+        """Return the absorption area in m² that the effect adds, (n_bands,), or None."""
         return None
 
 
@@ -1223,7 +1223,6 @@ def check_parameters(
     ``interval`` lies within them, too.
     """
     where, limits = f'effect "{effect.name}"', _limits(effect, room)
-    place = "" if room is None else f' in "{shortened(room.name)}"'
     for name, (least, most) in limits.items():
         if name not in parameters:
             raise DataError(f'{where} has no "{name}"; it has {", ".join(limits)}')
@@ -1232,6 +1231,7 @@ def check_parameters(
             stated += [("size_interval", end) for end in interval]
         for what, value in stated:
             if not (isfinite(value) and least <= value <= most):
+                place = "" if room is None else f' in "{shortened(room.name)}"'
                 raise DataError(f"{where}: {what} = {value:g} is not {_rule(least, most)}{place}")
         if name in effect.discrete and parameters[name] != int(parameters[name]):
             raise DataError(f"{where}: {name} = {parameters[name]:g} is not a whole number")
@@ -1341,29 +1341,33 @@ class AppliedEffect:
 
     Parameters
     ----------
-    name : str
-        The effect's name.
+    effect : Effect or str
+        An effect of the library by its name, or another one. A case with one that is not in the library
+        cannot be saved.
     parameters : mapping of str to float
         Values of the effect's parameters.
     size_interval : (float, float), optional
         90 % interval of the effect's size.
-    custom : Effect, optional
-        An effect that is not in the library. A case that holds such an effect cannot be saved.
 
     Raises
     ------
     DataError
-        If ``custom`` is not stated and the library has no effect of this name, or if a parameter is
-        missing or outside the effect's `Effect.limits`.
+        If the library has no effect of this name, or if a parameter is missing or outside the effect's
+        `Effect.limits`.
     """
 
-    name: str
+    effect: Any
     parameters: Mapping[str, float]
     size_interval: tuple[float, float] | None = None
-    custom: Effect | None = None
 
     def __post_init__(self) -> None:
-        checks.text("effect: name", self.name)
+        effect: Any = self.effect
+        if not isinstance(effect, Effect):
+            name = checks.text("effect: name", effect)
+            effect = next((e for e in library() if e.name == name), None)
+            if effect is None:
+                raise DataError(f'effect "{name}" is not in the library')
+            object.__setattr__(self, "effect", effect)
         for name, value in checks.mapped("effect: parameters", self.parameters).items():
             checks.number(f"effect: parameters[{name!r}]", value)
         if self.size_interval is not None:
@@ -1372,30 +1376,12 @@ class AppliedEffect:
                 raise DataError(
                     f"effect: size_interval = {self.size_interval!r} is not two numbers in order"
                 )
-        if self.custom is not None and not isinstance(self.custom, Effect):
-            raise DataError(f"effect: custom = {self.custom!r} is no rtcal.finder.Effect")
-        check_parameters(self.effect, self.parameters, interval=self.size_interval)
+        check_parameters(effect, self.parameters, interval=self.size_interval)
 
-    @classmethod
-    def of(
-        cls,
-        effect: Effect,
-        parameters: Mapping[str, float],
-        size_interval: tuple[float, float] | None = None,
-    ) -> AppliedEffect:
-        """Return an effect of the library, or another one, with these parameters."""
-        if not isinstance(effect, Effect):
-            raise DataError(f"effect = {checks.shown(effect)} is no rtcal.finder.Effect")
-        custom = None if effect in library() else effect
-        return cls(effect.name, parameters, size_interval, custom)
-
-    @cached_property
-    def effect(self) -> Effect:
-        """The effect, from the library or ``custom``."""
-        effect = self.custom or next((e for e in library() if e.name == self.name), None)
-        if effect is None:
-            raise DataError(f'effect "{self.name}" is not in the library')
-        return effect
+    @property
+    def name(self) -> str:
+        """The effect's name."""
+        return self.effect.name
 
     @property
     def size(self) -> float:

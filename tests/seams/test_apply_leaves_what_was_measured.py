@@ -42,7 +42,7 @@ def finding(kept: Path, case: Case) -> MeansFinding:
 def at(case: Case, effect: Effect, place: float) -> AppliedEffect:
     """Return an effect at this place of its grid, with an interval where it has a size."""
     grid = checked_grid(effect, state(case, case.configurations[0]), case.room)
-    p = AppliedEffect.of(effect, grid[round(place * (len(grid) - 1))])
+    p = AppliedEffect(effect, grid[round(place * (len(grid) - 1))])
     if not np.isfinite(effect.neutral) or effect.size in effect.discrete:
         return p
     low, high = sorted((0.6 * p.size, p.size))

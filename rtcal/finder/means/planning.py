@@ -338,7 +338,7 @@ def _before(case: Case, predicted: MeansHypotheses) -> Weighted:
         cumulated = np.cumsum(np.exp(predicted.log_weights[rows]))
         places = (np.arange(_OF_EACH) + 0.5) / _OF_EACH
         for i in np.minimum(np.searchsorted(cumulated, places), len(rows) - 1):
-            added = AppliedEffect.of(effect, predicted.parameters[rows[i]])
+            added = AppliedEffect(effect, predicted.parameters[rows[i]])
             out.append(((added,), float(np.exp(prior[name])) / _OF_EACH))
     total = sum(p for _, p in out)
     return [(applied, p / total) for applied, p in out]

@@ -42,7 +42,6 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, logsumexp
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.air import Air
 from rtcal.acoustics.bands import correlation
 from rtcal.acoustics.measurement import MAX_POSITIONS, Measurement
 from rtcal.acoustics.observables import observable, parameter_label
@@ -170,34 +169,23 @@ def _climate(case: Case) -> Array:
     columns of the room's; without any climate they are 0. What a temperature changes of the speed of
     sound, 0.17 % per K, is left out.
     """
-    room = case.room
-    climates = [c.air or room.air for c in case.configurations]
+    room, (kelvin, percent) = case.room, case.climate_uncertainty
     owners = [0 if c.air is None else i + 1 for i, c in enumerate(case.configurations)]
-    place = {owner: i for i, owner in enumerate(dict.fromkeys(owners))}
-    out = np.zeros((len(climates), 2 * len(place), room.n_bands))
-    for c, (air, owner) in enumerate(zip(climates, owners, strict=True)):
-        if air is not None:
-            first = 2 * place[owner]
-            out[c, first : first + 2] = air.speed_of_sound * _attenuation_changes(
-                air, case.climate_uncertainty, tuple(room.centre_frequencies.tolist())
+    place = {owner: 2 * i for i, owner in enumerate(dict.fromkeys(owners))}
+    out = np.zeros((len(owners), 2 * len(place), room.n_bands))
+    for i, (c, owner) in enumerate(zip(case.configurations, owners, strict=True)):
+        if (air := c.air or room.air) is None:
+            continue
+        warm, damp = min(air.temperature, 50 - kelvin), min(air.humidity, 100 - percent)
+        for k, (one, other) in enumerate(
+            (
+                (replace(air, temperature=warm), replace(air, temperature=warm + kelvin)),
+                (replace(air, humidity=damp), replace(air, humidity=damp + percent)),
             )
+        ):
+            one_m, other_m = (a.attenuation(room.centre_frequencies) for a in (one, other))
+            out[i, place[owner] + k] = air.speed_of_sound * (other_m - one_m)
     return out
-
-
-@lru_cache(maxsize=64)
-def _attenuation_changes(
-    air: Air, by: tuple[float, float], frequencies: tuple[float, ...]
-) -> Array:
-    """Return the change of m in 1/m by so many K and by so many % of humidity, (2, n_bands)."""
-    warm = min(air.temperature, 50 - by[0])
-    damp = min(air.humidity, 100 - by[1])
-    pairs = [
-        (replace(air, temperature=warm), replace(air, temperature=warm + by[0])),
-        (replace(air, humidity=damp), replace(air, humidity=damp + by[1])),
-    ]
-    return read_only(
-        np.array([b.attenuation(frequencies) - a.attenuation(frequencies) for a, b in pairs])
-    )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -266,7 +266,7 @@ def _candidate(
 def _applied(predicted: MeansHypotheses, rows: Rows) -> tuple[AppliedEffect, ...]:
     """Return the effects of a set with their parameters."""
     names, parameters = predicted.names, predicted.parameters
-    return tuple(AppliedEffect.of(predicted.effects[names[i]], parameters[i]) for i in rows)
+    return tuple(AppliedEffect(predicted.effects[names[i]], parameters[i]) for i in rows)
 
 
 _OFF_LEVEL = 3.0

@@ -534,7 +534,7 @@ class _Tables:
         names = self._likeliest_pairs(1)[0]
         case, predicted = self._compared.case, self._compared.predicted
         added = [
-            AppliedEffect.of(predicted.effects[n], predicted.parameters[i])
+            AppliedEffect(predicted.effects[n], predicted.parameters[i])
             for n, i in zip(names, self.best[names], strict=True)
         ]
         with_both = replace(case, applied=(*case.applied, *added))

@@ -249,7 +249,7 @@ class Fit:
     def applied(self, effect: Effect) -> AppliedEffect:
         """Return the effect with its size and interval, to be put into a case."""
         ends = None if self.size is None else (self.size.low, self.size.high)
-        return AppliedEffect.of(effect, self.parameters, ends)
+        return AppliedEffect(effect, self.parameters, ends)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -370,7 +370,7 @@ def _members(
     predicted = evidence.problem.predicted
     effects, parameters = predicted.effects, predicted.parameters
     model = {
-        name: AppliedEffect.of(effects[name], parameters[i])
+        name: AppliedEffect(effects[name], parameters[i])
         for name, i in zip(best, posterior.rows[best], strict=True)
     }
     fits: dict[str, Fit] = {}
