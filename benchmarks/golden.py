@@ -63,7 +63,7 @@ from rtcal.command.main import main as rtcal_command
 from rtcal.datasets import examples, halls
 from rtcal.finder import Case, control_rooms, verify
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.sets import MOST
+from rtcal.finder.means.problem import MOST
 from rtcal.finder.search import find
 from tests.test_modes import BOX, TRUTH, heard
 from tests.test_modes import ROOM as BOX_ROOM

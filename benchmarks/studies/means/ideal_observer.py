@@ -37,18 +37,22 @@ from rtcal.finder.means import search
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import (
     MeansProblem,
+    Members,
     ObservedFeatures,
+    acting_order,
+    compare,
     estimate_discrepancy,
+    moments,
     observe,
+    posterior_of_sets,
     predict_hypotheses,
 )
-from rtcal.finder.means.sets import Rows, acting_order, compare, moments, posterior_of_sets
 from rtcal.finder.means.verdict import TWO
 from rtcal.finder.prior import UNKNOWN, Prior, prior_of
 from rtcal.support.errors import DataError
 
 
-def drawn(compared: MeansProblem, prior: Prior, number: int, rng: np.random.Generator) -> Rows:
+def drawn(compared: MeansProblem, prior: Prior, number: int, rng: np.random.Generator) -> Members:
     """So many effects with their parameters, from the prior."""
     predicted = compared.predicted
     order, apart = acting_order(compared.case, predicted)
@@ -65,7 +69,7 @@ def drawn(compared: MeansProblem, prior: Prior, number: int, rng: np.random.Gene
     return tuple(out)
 
 
-def measured(compared: MeansProblem, rows: Rows, rng: np.random.Generator) -> MeansProblem:
+def measured(compared: MeansProblem, rows: Members, rng: np.random.Generator) -> MeansProblem:
     """The problem with features that are drawn from the likelihood of a set."""
     of, _ = moments(compared, [rows])
     factor = np.linalg.cholesky(of.covariance[0])
@@ -104,7 +108,9 @@ def examined(
     return float(np.log(more / less)), likeliest == truth, claimed
 
 
-def one_effect(compared: MeansProblem, prior: Prior, hidden: str, rng: np.random.Generator) -> Rows:
+def one_effect(
+    compared: MeansProblem, prior: Prior, hidden: str, rng: np.random.Generator
+) -> Members:
     """A hidden effect with its parameters, or any effect of the library, from the prior."""
     if hidden not in compared.predicted.rows:
         return drawn(compared, prior, 1, rng)

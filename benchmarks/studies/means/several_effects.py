@@ -50,14 +50,18 @@ from benchmarks.studies.means.several_effects_rooms import (
 from rtcal.finder import Case, recalibrate
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import (
+    MOST,
     MeansProblem,
     ModelDiscrepancy,
+    averaged_alpha,
+    compare,
+    covariance_with_alpha,
     estimate_discrepancy,
+    moments,
     observe,
     predict_hypotheses,
 )
 from rtcal.finder.means.recalibration import plain
-from rtcal.finder.means.sets import MOST, averaged_alpha, compare, covariance_with_alpha, moments
 from rtcal.finder.search import find
 
 LEVEL = 0.05

@@ -33,10 +33,11 @@ from rtcal.finder.means.problem import (
     ModelDiscrepancy,
     Moments,
     ObservedFeatures,
+    compare,
+    moments,
     observe,
     predict_hypotheses,
 )
-from rtcal.finder.means.sets import compare, moments
 from rtcal.finder.means.verdict import FURTHER, USUAL, further_in_words, separations
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import NONE, prior_of

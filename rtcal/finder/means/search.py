@@ -23,25 +23,23 @@ from rtcal.finder.means.engines import (
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.problem import (
     LEVELS,
+    MOST,
     MeansHypotheses,
     MeansProblem,
+    Members,
+    averaged_alpha,
+    compare,
     estimate_discrepancy,
     evaluate_beyond,
     null_scores,
     observe,
+    posterior_of_sets,
     predict_hypotheses,
+    single_posterior,
     steps,
     thresholds,
 )
 from rtcal.finder.means.problem import score as evidence_of_something
-from rtcal.finder.means.sets import (
-    MOST,
-    Rows,
-    averaged_alpha,
-    compare,
-    posterior_of_sets,
-    single_posterior,
-)
 from rtcal.finder.means.verdict import (
     NO_STEP,
     Fit,
@@ -263,7 +261,7 @@ def _candidate(
     return replace(found, size=s.mean, low=s.low, high=s.high, unit=s.unit, end=s.end)
 
 
-def _applied(predicted: MeansHypotheses, rows: Rows) -> tuple[AppliedEffect, ...]:
+def _applied(predicted: MeansHypotheses, rows: Members) -> tuple[AppliedEffect, ...]:
     """Return the effects of a set with their parameters."""
     names, parameters = predicted.names, predicted.parameters
     return tuple(AppliedEffect(predicted.effects[names[i]], parameters[i]) for i in rows)

@@ -41,12 +41,12 @@ from rtcal.finder.means.problem import (
     MeansEvidence,
     MeansHypotheses,
     MeansProblem,
+    SetPosterior,
     evaluate,
     log_density,
     predict_hypotheses,
     state,
 )
-from rtcal.finder.means.sets import SetPosterior
 from rtcal.finder.model import FEATURES, rates
 from rtcal.finder.prior import COEFFICIENTS, NONE, SCALES, UNKNOWN, OffTogether
 from rtcal.support.types import Array

@@ -6,7 +6,7 @@ A noisy pair is no evidence that the room is other than stated. In rooms that la
 often errs by more than is assumed, and the other pairs do not.
 
 One effect in one place is weighed against another: a hypothesis at positions has a place, and no sets
-are formed as on means (`rtcal.finder.means.sets`).
+are formed as on means (`rtcal.finder.means.problem`).
 
 Something that no effect explains is no rival of the effects: a room may lack both. Its larger error is
 weighed alone and beside every effect, and is as probable in both ways, so that "unknown" has what is
