@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 from math import inf, isfinite
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -1254,22 +1254,17 @@ def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters])
         if after.shape is not state.shape and not hasattr(after.shape, "together"):
             _check_shape(effect.name, after)
     for name in _RULES:
-        before = getattr(state, name)
-        new = [
-            i for i, s in enumerate(made) if (v := getattr(s, name)) is not before and v is not None
-        ]
-        if _obey(name, [getattr(made[i], name) for i in new], state):
+        before, values = getattr(state, name), list(map(attrgetter(name), made))
+        new = [i for i, value in enumerate(values) if value is not before and value is not None]
+        if _obey(name, [values[i] for i in new], state):
             continue
-        for i in new:
-            value = getattr(made[i], name)
-            if not _obey(name, [value], state):
-                with_what = ", ".join(f"{k} {v:.3g}" for k, v in grid[i].items())
-                field = f"{where} with {with_what}: {name}"
-                checks.array(field, value)
-                raise DataError(
-                    f"{field} is not {_rule(*_RULES[name])}, in the shape that it has without the "
-                    "effect"
-                )
+        i = next(i for i in new if not _obey(name, [values[i]], state))
+        with_what = ", ".join(f"{k} {v:.3g}" for k, v in grid[i].items())
+        field = f"{where} with {with_what}: {name}"
+        checks.array(field, values[i])
+        raise DataError(
+            f"{field} is not {_rule(*_RULES[name])}, in the shape that it has without the effect"
+        )
     return made
 
 
