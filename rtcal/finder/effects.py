@@ -1376,7 +1376,7 @@ class AppliedEffect:
     @property
     def name(self) -> str:
         """The effect's name."""
-        return self.effect.name
+        return str(self.effect.name)
 
     @property
     def size(self) -> float:
