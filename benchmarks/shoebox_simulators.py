@@ -15,8 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 import rtcal as rt
-from rtcal.simulators.sdn import ScatteringDelayNetwork
-from rtcal.simulators.shoebox import ImageSource
+from rtcal.simulators.shoebox import ImageSource, ScatteringDelayNetwork
 
 SIDES = (5.0, 7.0, 3.0)
 POINTS = {"sources": {"S": (4.5, 3.5, 2.0)}, "receivers": {"R": (2.0, 2.0, 1.5)}}

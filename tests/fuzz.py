@@ -19,8 +19,7 @@ from hypothesis import strategies as st
 import rtcal as rt
 from rtcal.finder import Case
 from rtcal.io import bras, catt, impulse_responses, obj, odeon, pyroomacoustics, tables
-from rtcal.io.material_formats import read_sigma
-from rtcal.io.material_list import MaterialList
+from rtcal.io.material_list import MaterialList, read_sigma
 from rtcal.io.text import number
 from rtcal.loop import Loop
 from rtcal.support.errors import DataError

@@ -11,7 +11,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.io import bras, catt, odeon, pyroomacoustics
-from rtcal.io.material_formats import dictionaries
+from rtcal.io.material_list import dictionaries
 from rtcal.support.errors import DataError
 from tests import fuzz
 

@@ -16,7 +16,7 @@ import rtcal as rt
 from benchmarks import defective_meshes
 from rtcal.command.main import main
 from rtcal.io import geometry_files, mend, mesh
-from rtcal.io.mend.shell import volume_by_rays
+from rtcal.io.mend import volume_by_rays
 from rtcal.io.units import notes as unit_notes
 from rtcal.report import figures
 from rtcal.simulators.geometry import Polyhedron
@@ -229,7 +229,7 @@ def test_low_screens_and_fins_reflect_on_both_sides() -> None:
 def test_a_free_panel_reflects_on_both_sides_of_a_tracer() -> None:
     done = mended([*walls(), PANEL])
     assert done.areas["panel"] == pytest.approx(8, rel=1e-3)
-    assert done.volume == pytest.approx(V - 4 * mend.walls.THICKNESS, rel=1e-6)
+    assert done.volume == pytest.approx(V - 4 * mend.THICKNESS, rel=1e-6)
     room = rt.Room(
         name="panel",
         volume=done.volume,
@@ -355,7 +355,7 @@ def test_defective_meshes_are_right_or_refused_for_the_right_defect() -> None:
 
 def test_a_defect_that_is_not_mended_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The judge of the benchmark must see a wrong area: here overlays that keep their wall's."""
-    monkeypatch.setattr(mend.walls, "overlaid_on", lambda *_: None)
+    monkeypatch.setattr(mend, "overlaid_on", lambda *_: None)
     monkeypatch.setattr(mend, "without_contacts", lambda _, geometry: geometry)
     outcomes = {defective_meshes.judged(seed)[0] for seed in range(3000, 3040)}
     assert "silent" in outcomes or "refused wrong" in outcomes

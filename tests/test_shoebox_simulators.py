@@ -9,8 +9,7 @@ import rtcal as rt
 from rtcal.acoustics.observables import observable
 from rtcal.simulators import base, kernels
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.sdn import ScatteringDelayNetwork
-from rtcal.simulators.shoebox import ImageSource, lattice, mean_energy
+from rtcal.simulators.shoebox import ImageSource, ScatteringDelayNetwork, lattice, mean_energy
 from rtcal.support.errors import DataError, TooShortError
 from tests.reference import in_place_of
 from tests.reference import shoebox as reference

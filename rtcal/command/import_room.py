@@ -181,7 +181,7 @@ def import_room(
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.air import Air
     from rtcal.acoustics.priors import SigmaRule
-    from rtcal.io.material_formats import read_sigma
+    from rtcal.io.material_list import read_sigma
 
     options = {"unit": unit, "space": space, "weld": weld, "largest_hole": hole}
     if program == "check":

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from rtcal.io import obj as obj
     from rtcal.io import sofa as sofa
     from rtcal.io import tables as tables
-    from rtcal.io.material_formats import bras as bras
-    from rtcal.io.material_formats import catt as catt
-    from rtcal.io.material_formats import odeon as odeon
-    from rtcal.io.material_formats import pyroomacoustics as pyroomacoustics
+    from rtcal.io.material_list import bras as bras
+    from rtcal.io.material_list import catt as catt
+    from rtcal.io.material_list import odeon as odeon
+    from rtcal.io.material_list import pyroomacoustics as pyroomacoustics
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.io import budget
-from rtcal.io.mend import Faces
-from rtcal.io.mend.faces import Polygon, normal_of, shapely
+from rtcal.io.mend import Faces, Polygon, normal_of, shapely
 from rtcal.io.text import shown
 from rtcal.support import library
 from rtcal.support.checks import text_name

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rtcal.simulators.geometry import Polyhedron as Polyhedron
     from rtcal.simulators.path_tracing import PathTracing as PathTracing
     from rtcal.simulators.ray_tracing import RayTracing as RayTracing
-    from rtcal.simulators.sdn import ScatteringDelayNetwork as ScatteringDelayNetwork
     from rtcal.simulators.shoebox import ImageSource as ImageSource
+    from rtcal.simulators.shoebox import ScatteringDelayNetwork as ScatteringDelayNetwork
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -102,10 +102,10 @@ class External(RoomSimulator):
                 f"{error}; return a Measurement, or a time in s per band"
             ) from error
         if not (valid := np.isfinite(times) & (times > 0)).all():
-            error = SimulatorError(
+            bad = SimulatorError(
                 f"{self.name} returned T20 = {times.tolist()} s; each must be a finite time above 0"
             )
-            raise of_bands(error, np.flatnonzero(~valid))
+            raise of_bands(bad, np.flatnonzero(~valid))
         for frequency, seconds in zip(self.centre_frequencies, times, strict=True):
             try:
                 TARGET.refuse(f"{TARGET.label}[{label(frequency)}]", float(seconds))

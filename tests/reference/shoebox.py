@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.simulators.sdn import _NEIGHBOUR, _NODES, _PORTS
+from rtcal.simulators.shoebox import _NEIGHBOUR, _NODES, _PORTS
 from rtcal.support.types import Array
 
 

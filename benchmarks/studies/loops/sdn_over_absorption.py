@@ -16,7 +16,7 @@ import numpy as np
 import rtcal as rt
 from rtcal.loop.closed import calibrate_simulator
 from rtcal.loop.rules import Rule
-from rtcal.simulators.sdn import ScatteringDelayNetwork
+from rtcal.simulators.shoebox import ScatteringDelayNetwork
 from rtcal.support.errors import DataError
 
 ALPHAS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9])

@@ -23,7 +23,7 @@ from rtcal.acoustics.equations import PAPER_SPEED_OF_SOUND
 from rtcal.acoustics.observables import observable
 from rtcal.loop.closed import calibrate_simulator
 from rtcal.simulators.external import External
-from rtcal.simulators.sdn import _NEIGHBOUR, Network, ScatteringDelayNetwork, _network
+from rtcal.simulators.shoebox import _NEIGHBOUR, Network, ScatteringDelayNetwork, _network
 from rtcal.support.types import Array
 
 SOURCE, RECEIVER = (4.5, 3.5, 2.0), (2.0, 2.0, 1.5)
