@@ -46,6 +46,11 @@ __dir__ = __all__.copy
 
 _SINGLE = (1.0, 1000.0)
 """Hz within which rooms have single modes."""
+_UNITS = {
+    "frequency": {"hz": 1.0, "khz": 1000.0},
+    "decay": {"1/s": 1.0, "s^-1": 1.0, "s-1": 1.0},
+    "T": {"s": 1.0, "ms": 1e-3},
+}
 _NEED_NO_UNIT = {
     "frequency": _SINGLE,
     "T": (0.03, 30.0),
@@ -54,17 +59,11 @@ _NEED_NO_UNIT = {
 """Values that need no unit: outside, kHz or ms is likelier."""
 _LARGEST_UNCERTAINTY = 0.3
 """Relative uncertainty that needs no unit: above, % or ms is likelier."""
-_UNITS = {
-    "frequency": {"": 1.0, "Hz": 1.0, "kHz": 1000.0},
-    "decay": {"": 1.0, "1/s": 1.0, "s^-1": 1.0, "s-1": 1.0},
-    "T": {"": 1.0, "s": 1.0, "ms": 1e-3},
-}
 _WORDS = dict.fromkeys((word for word, kind in COLUMNS.items() if kind == "band"), "frequency")
 _WORDS |= dict.fromkeys(("decay", "delta", "δ", "abklingkonstante", "decayconstant"), "decay")
 _WORDS |= dict.fromkeys((*OPEN_DECAY_TIMES, "mt60", "decaytime"), "T")
-_UNIT_WORDS = {"%", "-", *(word.lower() for units in _UNITS.values() for word in units if word)}
-_LIKELY = {"frequency": "kHz", "T": "ms", "decay": "1/s"}
-_RELATIVE = {"%": 0.01, "percent": 0.01}
+_RELATIVE = ("%", "percent")
+_UNIT_WORDS = {*_RELATIVE, "-", *(unit for units in _UNITS.values() for unit in units)}
 _NUMBERS = ("frequencies", "decays", "decay_uncertainty", "frequency_uncertainty")
 _OF_MODES = (*_NUMBERS, "amplitudes", "calculated")
 
@@ -229,33 +228,46 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         )
     if f"u_{of}" not in columns:
         raise DataError(f'{place}: the column "u_{of}" is missing: the standard uncertainty')
-    rows, means = [], []
-    for line, cells in below:
-        called = cells[columns["frequency"][0]]
-        if statistic_of(called) in (None, DOUBTFUL):
-            rows.append((line, cells))
-        else:
-            means.append(f'{place}, line {line}: "{shown(called)}" is no mode, and is left out.')
+    in_frequency = columns["frequency"][0]
+    is_mode = [statistic_of(cells[in_frequency]) in (None, DOUBTFUL) for _, cells in below]
+    rows = [row for row, kept in zip(below, is_mode, strict=True) if kept]
     if not rows:
         raise DataError(f"{place}, line {first}: no mode below the header")
-    used = "".join(cells[k] for _, cells in rows for k, *_ in columns.values())
+    used = "".join(cells[k] for _, cells in rows for k, _ in columns.values())
     if "," in used and "." in used:
         raise DataError(f"{place}: decimal commas and decimal points in one table")
 
     def at(name: str, row: int) -> str:
         return f'{place}, line {rows[row][0]}, column "{names[columns[name][0]]}"'
 
+    def stated(name: str) -> Array:
+        k = columns[name][0]
+        cells = (cells[k].replace(",", ".") for _, cells in rows)
+        found = np.array([number(cell, at(name, i)) for i, cell in enumerate(cells)])
+        if not (found > 0).all():
+            bad = int(np.argmin(found > 0))
+            raise DataError(f"{at(name, bad)}: {found[bad]:g} is not above 0")
+        return found
+
     def values(name: str) -> Array:
-        (k, factor, relative, stated), found = columns[name], np.zeros(len(rows))
-        whole = name.removeprefix("u_")
-        of_whole = values(whole) if whole != name else np.zeros(len(rows))
-        for i, (_, cells) in enumerate(rows):
-            found[i] = number(cells[k].replace(",", "."), at(name, i))
-            if not found[i] > 0:
-                raise DataError(f"{at(name, i)}: {found[i]:g} is not above 0")
-            if not stated:
-                _refuse_unit(name, columns[whole][1], at(name, i), found[i], of_whole[i])
-        return factor * found * (of_whole if relative else 1)
+        """Return a column in Hz, 1/s or s; one without a unit is refused where another is likelier."""
+        whole, unit, found = name.removeprefix("u_"), columns[name][1], stated(name)
+        if unit in _RELATIVE:
+            return 0.01 * found * values(whole)
+        if unit:
+            return _UNITS[whole][unit] * found
+        known = next(iter(_UNITS[whole]))
+        low, high = (np.full(len(rows), end) for end in _NEED_NO_UNIT[whole])
+        if name != whole:
+            low, high = 0 * low, _LARGEST_UNCERTAINTY * stated(whole)
+        other = name != whole and columns[whole][1] not in ("", known)
+        if (bad := (found < low) | (found > high) | other).any():
+            i = int(np.argmax(bad))
+            raise DataError(
+                f"{at(name, i)}: {found[i]:g} has no unit. In {known} it would be from {low[i]:.3g} to "
+                f'{high[i]:.3g}: state its unit, as in "{name} [{list(_UNITS[whole])[-1]}]"'
+            )
+        return found
 
     rows = [rows[i] for i in np.argsort(values("frequency"), kind="stable")]
     decays, uncertainty = values(of), values(f"u_{of}")
@@ -267,7 +279,11 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
             decays=decays,
             decay_uncertainty=uncertainty,
             frequency_uncertainty=values("u_frequency") if "u_frequency" in columns else None,
-            notes=means,
+            notes=[
+                f'{place}, line {line}: "{shown(cells[in_frequency])}" is no mode, and is left out.'
+                for (line, cells), kept in zip(below, is_mode, strict=True)
+                if not kept
+            ],
         )
     except DataError as error:
         # Values are above 0: what breaks a rule is a frequency or a decay.
@@ -279,30 +295,9 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         raise DataError(placed) from error
 
 
-def _refuse_unit(name: str, factor: float, place: str, value: float, of_whole: float) -> None:
-    """Raise DataError for a value whose unit is not stated, and of which another unit is likelier.
-
-    ``factor`` is that of the unit of the value to which an uncertainty belongs, ``of_whole`` it.
-    """
-    whole = name.removeprefix("u_")
-    low, high = _NEED_NO_UNIT[whole] if name == whole else (0.0, _LARGEST_UNCERTAINTY * of_whole)
-    if factor == 1 and low <= value <= high:
-        return
-    unit = next(u for u in _UNITS[whole] if u)
-    more = "" if name == whole else f', or "{name} [%]"'
-    raise DataError(
-        f"{place}: {value:g} has no unit. In {unit} it would be from {low:.3g} to {high:.3g}, and "
-        f'{whole} in {unit}, too: state its unit, as in "{name} [{_LIKELY[whole]}]" or "{name} '
-        f'[{unit}]"{more}'
-    )
-
-
-def _columns(header: Sequence[str], place: str) -> dict[str, tuple[int, float, bool, bool]]:
-    """Return the columns that are of modes, by name; DataError for a unit that is not known.
-
-    Of each its number, the unit's factor, whether this is relative, and whether the unit is stated.
-    """
-    found: dict[str, tuple[int, float, bool, bool]] = {}
+def _columns(header: Sequence[str], place: str) -> dict[str, tuple[int, str]]:
+    """Return number and unit of the columns that are of modes; DataError for an unknown unit."""
+    found: dict[str, tuple[int, str]] = {}
     for k, cell in enumerate(header):
         # As in "decay / 1/s", too.
         slash = "/" in cell and not cell.endswith((")", "]"))
@@ -311,17 +306,16 @@ def _columns(header: Sequence[str], place: str) -> dict[str, tuple[int, float, b
         bare = plain(word.removeprefix("u_").removesuffix(" uncertainty"))
         if bare not in _WORDS:
             continue
-        name = _WORDS[bare] if bare == plain(word) else f"u_{_WORDS[bare]}"
+        whole = _WORDS[bare]
+        name = whole if bare == plain(word) else f"u_{whole}"
         if name in found:
             raise DataError(f'{place}: the column "{name}" stands there twice')
-        units = _UNITS[_WORDS[bare]] | ({} if bare == plain(word) else _RELATIVE)
-        factor = {u.lower(): factor for u, factor in units.items()}.get(unit)
-        if factor is None:
+        known = [*_UNITS[whole], *(_RELATIVE if name != whole else ())]
+        if unit not in ("", *known):
             raise DataError(
-                f'{place}: the unit of "{shown(cell)}" is not known; known are '
-                f"{', '.join(filter(None, units))}"
+                f'{place}: the unit of "{shown(cell)}" is not known; known are {", ".join(known)}'
             )
-        found[name] = k, factor, unit in _RELATIVE, bool(unit)
+        found[name] = k, unit
     return found
 
 
