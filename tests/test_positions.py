@@ -13,7 +13,7 @@ import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.loop import control_runs
 from rtcal.loop.control_runs import MaterialScattering, scattered
-from rtcal.loop.measured_pairs import Beside
+from rtcal.loop.measured_pairs import Compared
 from rtcal.loop.positions import precise
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.simulators import PathTracing
@@ -394,6 +394,6 @@ def test_what_was_not_measured_is_not_beside(result):
         values={"t20": measured.natural("t20")},
     )
     others = [p for p in result.before.parameters if p != "t20"]
-    beside = Beside.of(one, others, measured.pairs, result.before, result.after)
+    beside = Compared.of(one, others, measured.pairs, result.before, result.after)
     assert beside.parameters == ()
     assert beside.gaps == {}

@@ -140,7 +140,7 @@ def test_a_missing_value_is_left_out_alone(tracer, measured):
     assert result.measured.used.sum() == result.measured.used.size - 1
     assert np.isnan(result.gap_after[1, 0, 2])
     assert np.isfinite(result.alpha).all()
-    assert json.loads(result.to_json())["gap_after_jnd"][1][0][2] is None
+    assert json.loads(result.to_json())["matched"]["gap_after_jnd"][1][0][2] is None
 
 
 def test_stated_uncertainties_replace_the_assumed_ones(tracer, measured):

@@ -13,10 +13,10 @@ import json
 import math
 import os
 import sys
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import suppress
 from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -41,19 +41,47 @@ _READERS = {
 _KINDS = "bifcU"  # of arrays: truth values, integers, floats, complex numbers, texts
 
 
+def stated(value: Any) -> Any:
+    """Return a value as plain numbers, lists and text, None for NaN.
+
+    Examples
+    --------
+    >>> stated({"T / s": np.array([1.5, np.nan])})
+    {'T / s': [1.5, None]}
+    """
+    if value is None or isinstance(value, str | bool):
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): stated(each) for key, each in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [stated(each) for each in value]
+    if isinstance(value, int | float):
+        return value if math.isfinite(value) else None
+    if hasattr(value, "to_dict"):
+        return value.to_dict()
+    if dataclasses.is_dataclass(value) and type(value).__str__ is object.__str__:
+        return {f.name: stated(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    return str(value)
+
+
 class CannotBeSavedError(DataError):
     """An object that no file can hold, such as a function or a simulator of the user's own class."""
 
 
-class Result(ABC):
+class Result:
     """A result that can be saved and loaded again; it is a frozen dataclass of what it rests on."""
 
     record_kind: ClassVar[str]
     """Value of the key ``rtcal`` in its file."""
+    numbers: ClassVar[str] = ""
+    """Names of the attributes that `to_dict` states, some as key=path, such as room=prior.name."""
 
-    @abstractmethod
     def to_dict(self) -> dict[str, Any]:
-        """Return what the result says as plain numbers, lists and text."""
+        """Return what the result says as plain numbers, lists and text, None for what is missing."""
+        named = (name.partition("=") for name in self.numbers.split())
+        return {key: stated(attrgetter(path or key)(self)) for key, _, path in named}
 
     def to_json(self, folder: str | os.PathLike[str] | None = None) -> str:
         """Return the text of its file: the numbers of `to_dict`, and the result itself.

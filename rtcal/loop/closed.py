@@ -43,7 +43,7 @@ from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
 from rtcal.files.disk import read_text, write_all
-from rtcal.files.saved import NOT_SAVED, Result, load
+from rtcal.files.saved import NOT_SAVED, Result, load, stated
 from rtcal.loop import rules
 from rtcal.loop.measured_pairs import (
     SHOWN,
@@ -315,6 +315,11 @@ class Loop(Result):
     """
 
     record_kind: ClassVar[str] = "loop 2"
+    numbers: ClassVar[str] = (
+        "room=prior.name centre_frequencies=prior.centre_frequencies matched=matched.label "
+        "shares=matched.shares simulations alpha finished status=status_now gap_jnd=gap goal_jnd=goal "
+        "parameters farther trust_marks notes=every_note"
+    )
 
     prior: Room
     matched: Matched
@@ -818,19 +823,13 @@ class Loop(Result):
                 Row(f"{name} gap / JND after", part.after, "+.1f"),
                 Row(f"{name} lost / JND", part.lost, ".1f"),
             ]
-        others, measured = [], {**self.beside, **self.matched.measured}
-        for p in (p for p in SHOWN if p != TARGET.key):  # EDT, C50 and C80
-            before, after = self.ends(p)
-            if np.isfinite(before).any():
-                name, form = parameter_label(p), f".{observable(p).decimals}f"
-                ends = {
-                    "measured": measured.get(p, np.nan * before),
-                    "before": before,
-                    "after": after,
-                }
-                others += [
-                    Row(f"{name} / {observable(p).unit} {n}", v, form) for n, v in ends.items()
-                ]
+        others = [
+            Row(f"{parameter_label(p)} / {of.unit} {when}", value, f".{of.decimals}f")
+            for p, means in self.parameters.items()
+            if p != TARGET.key  # EDT, C50 and C80
+            for of in (observable(p),)
+            for when, value in means.items()
+        ]
         names, n = labels(self.prior.centre_frequencies), self.simulations
         of = self.simulator or "the program that was run by hand"
         return [
@@ -858,39 +857,28 @@ class Loop(Result):
             )
         return [*notes, *([] if self.low is None else [self.low.loop_note]), *self.notes]
 
+    @property
+    def parameters(self) -> dict[str, dict[str, Array]]:
+        """Means over the pairs: measured, before and after, of each parameter that has any."""
+        measured = {**self.beside, **self.matched.measured}
+        found = {}
+        for p in SHOWN:
+            before, after = self.ends(p)
+            if np.isfinite(before).any():
+                goal = measured.get(p, np.nan * before)
+                found[p] = {"measured": goal, "before": before, "after": after}
+        return found
+
     def to_dict(self) -> dict[str, Any]:
-        """Return the steps and what came of them as plain values."""
-        record = {
-            "room": self.prior.name,
-            "simulator": self.simulator,
-            "centre_frequencies": self.prior.centre_frequencies,
-            "matched": self.matched.label,
-            "shares": self.matched.shares,
-            "wanted": self.wanted,
-            "rule": self.rule,
-            "method": self.method,
-            "equation": {"name": self.equation.name, **asdict(self.equation)},
-            "decimals": self.decimals,
-            "tolerance": self.tolerance,
-            "simulations": self.simulations,
-            "steps": [vars(step) for step in self.steps],
+        """Return the steps and what came of them as plain numbers, lists and text."""
+        of_equation = {"name": self.equation.name, **asdict(self.equation)}
+        found = {name: stated(getattr(self, name)) for name in _SETTINGS} | {
+            "equation": of_equation
         }
-        if not self.steps:
-            return record
-        ends = {p: self.ends(p) for p in SHOWN}
-        return record | {
-            "alpha": self.alpha,
-            "finished": self.finished,
-            "confirmed": self.confirmation is not None,
-            "status": self.status_now,
-            "gap_jnd": self.gap,
-            "goal_jnd": self.goal,
-            "measured": {**self.beside, **self.matched.measured},
-            "before": {p: first for p, (first, _) in ends.items() if np.isfinite(first).any()},
-            "after": {p: last for p, (_, last) in ends.items() if np.isfinite(last).any()},
-            "farther": self.farther,
-            "trust_marks": [vars(mark) for mark in self.trust_marks],
-        }
+        return found | super().to_dict() if self.steps else found
+
+
+_SETTINGS = ("simulator", "wanted", "rule", "method", "decimals", "tolerance", "steps")
 
 
 def _apart(gap: float, goal: float) -> str:

@@ -32,6 +32,7 @@ from rtcal.acoustics.observables import (
 )
 from rtcal.acoustics.room import Room, fingerprint, of_pairs, refuse_repeated_data
 from rtcal.calibration.measured import copied, times_in_room
+from rtcal.files.saved import stated
 from rtcal.loop.control_runs import ahead_factor, level
 from rtcal.simulators.base import Observations, checked_parameters, jacobian, observe
 from rtcal.simulators.path_tracing import PathTracing
@@ -654,18 +655,21 @@ def means(measurement: Measurement) -> dict[str, Array]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Beside:
-    """Parameters at positions that are not matched: measured, before and after.
+class Compared:
+    """Parameters at positions, matched or not: measured, before and after.
 
     Attributes
     ----------
     measured, before, after : Observations
         Of the same parameters and pairs.
+    relative : bool
+        Whether the measured level has a reference of its own.
     """
 
     measured: Observations
     before: Observations
     after: Observations
+    relative: bool = False
 
     @classmethod
     def of(
@@ -675,7 +679,7 @@ class Beside:
         pairs: Sequence[Pair],
         before: Observations,
         after: Observations,
-    ) -> Beside:
+    ) -> Compared:
         """Return some parameters at some pairs, where they were measured and simulated."""
         kept = [pair for pair in pairs if pair in before.pairs]
         values = Observations.of_measurement(measured, parameters, kept)
@@ -685,24 +689,37 @@ class Beside:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """The parameters that were measured and not matched."""
+        """The parameters that were measured."""
         return self.measured.parameters
 
     @property
     def gap_before(self) -> Array:
         """Simulated less measured, with the prior, in JND, (n_parameters, n_pairs, n_bands)."""
-        return gap_at_pairs(self.before, self.measured, relative=False)
+        return gap_at_pairs(self.before, self.measured, relative=self.relative)
 
     @property
     def gap_after(self) -> Array:
         """Simulated less measured, in JND, (n_parameters, n_pairs, n_bands)."""
-        return gap_at_pairs(self.after, self.measured, relative=False)
+        return gap_at_pairs(self.after, self.measured, relative=self.relative)
 
     @property
     def gaps(self) -> Gaps:
         """Root mean squares over the pairs."""
         ends = zip(self.parameters, self.gap_before, self.gap_after, strict=True)
         return {p: (rms(before, axis=0), rms(after, axis=0)) for p, before, after in ends}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return parameters, pairs, values in their units, and gaps, as plain numbers and text."""
+        ends = {"measured": self.measured, "before": self.before, "after": self.after}
+        return stated(
+            {
+                "parameters": self.parameters,
+                "pairs": self.measured.pairs,
+                **{n: [of.natural(p) for p in self.parameters] for n, of in ends.items()},
+                "gap_before_jnd": self.gap_before,
+                "gap_after_jnd": self.gap_after,
+            }
+        )
 
 
 def left(gaps: Gaps) -> tuple[str, ...]:

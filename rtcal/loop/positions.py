@@ -53,8 +53,8 @@ from rtcal.loop.control_runs import (
 )
 from rtcal.loop.measured_pairs import (
     T30_ALONE,
-    Beside,
     BeyondPrior,
+    Compared,
     Linearisation,
     MeasuredPairs,
     Pair,
@@ -760,7 +760,7 @@ def calibrate_positions(
     others = [p for p in first.parameters if p not in data.observations.parameters]
     # A relative level has no reference at a pair that is left out.
     judged = [p for p in data.observations.parameters if p != LEVEL.key]
-    held_out = Beside.of(in_room, judged, exclude, first, here.simulated)
+    held_out = Compared.of(in_room, judged, exclude, first, here.simulated)
     return PositionsResult(
         prior=room,
         room=room if ended.refused else _calibrated(room, given, scattering, ended, data, controls),
@@ -772,7 +772,7 @@ def calibrate_positions(
         start=start,
         simulations=here.calls,
         measured=data,
-        beside=Beside.of(in_room, others, data.observations.pairs, first, here.simulated),
+        beside=Compared.of(in_room, others, data.observations.pairs, first, here.simulated),
         held_out=held_out if held_out.parameters else None,
         before=replace(data.observations, values=before),
         after=replace(data.observations, values=here.values()),

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from rtcal.acoustics.changes import Change, Variant
 from rtcal.acoustics.marks import rms
-from rtcal.acoustics.observables import LEVEL, observable, parameter_label
+from rtcal.acoustics.observables import LEVEL, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
@@ -20,13 +20,12 @@ from rtcal.acoustics.scene import POSITION
 from rtcal.calibration.fit import GaussNewtonStep
 from rtcal.calibration.qp import Certificate
 from rtcal.calibration.table import coefficients
-from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.loop.control_runs import ControlRuns, Scattering
 from rtcal.loop.measured_pairs import (
     CONTRADICTION,
-    Beside,
     BeyondPrior,
+    Compared,
     MeasuredPairs,
     Pair,
     left,
@@ -64,8 +63,6 @@ def gap_table(
     return Table(columns, rows, corner=title)
 
 
-KIND = "positions 1"
-"""Value of the key ``rtcal`` in a saved result."""
 _REFUSED = (
     "No step led nearer to what was measured: the start is returned, and nothing was fitted. State "
     "larger sigmas or more paths, or look for what the room lacks (rtcal find)."
@@ -99,9 +96,9 @@ class PositionsResult(Result):
         `PathTracing` weighs the same traced paths in each.
     measured : MeasuredPairs
         What was matched; its ``observations`` name parameters and pairs.
-    beside : Beside
+    beside : Compared
         What was measured and not matched, before and after.
-    held_out : Beside or None
+    held_out : Compared or None
         What was measured at the pairs that were excluded, before and after; without the level.
     before, after : Observations
         What the simulator given and its ``tracer`` give, with the prior and with the coefficients
@@ -133,7 +130,14 @@ class PositionsResult(Result):
         The measured T, where the stated coefficients and their sigma cannot explain it.
     """
 
-    record_kind: ClassVar[str] = KIND
+    record_kind: ClassVar[str] = "positions 1"
+    numbers: ClassVar[str] = (
+        "room=prior.name author=prior.author simulator simulations scattering "
+        "centre_frequencies=prior.centre_frequencies parameters pairs level=measured.level matched "
+        "not_matched=beside held_out materials pulls misfit contradictions "
+        "unexplained_jnd=unexplained refused beyond_prior=beyond settled "
+        "worst_certificate=certificate.worst notes=every_note"
+    )
 
     prior: Room
     room: Room
@@ -144,7 +148,7 @@ class PositionsResult(Result):
     scattering: Scattering | None
     simulations: int
     measured: MeasuredPairs
-    beside: Beside
+    beside: Compared
     before: Observations
     after: Observations
     predicted: Observations
@@ -158,7 +162,7 @@ class PositionsResult(Result):
     notes: tuple[str, ...]
     refused: bool = False
     beyond: BeyondPrior | None = None
-    held_out: Beside | None = None
+    held_out: Compared | None = None
     start: Array | None = None
 
     def predict(
@@ -222,15 +226,30 @@ class PositionsResult(Result):
         """The pairs that were matched."""
         return self.measured.observations.pairs
 
+    @property
+    def matched(self) -> Compared:
+        """What was matched: measured, before and after."""
+        return Compared(
+            measured=self.measured.observations,
+            before=self.before,
+            after=self.after,
+            relative=self.measured.level == "relative",
+        )
+
     @cached_property
     def gap_before(self) -> Array:
         """Simulated less measured, with the prior, in JND, (n_parameters, n_pairs, n_bands)."""
-        return self.measured.gap(self.before)
+        return self.matched.gap_before
 
     @cached_property
     def gap_after(self) -> Array:
         """Simulated less measured, in JND, (n_parameters, n_pairs, n_bands)."""
-        return self.measured.gap(self.after)
+        return self.matched.gap_after
+
+    @property
+    def materials(self) -> list[dict[str, Any]]:
+        """Alpha and sigma before and after, with the interval, of each material."""
+        return coefficients(self.prior, self.alpha, self.sigma, self.interval)
 
     @property
     def farther(self) -> tuple[str, ...]:
@@ -435,59 +454,3 @@ class PositionsResult(Result):
             for p, of in zip(self.parameters, self.unexplained, strict=True)
             if of >= _FARTHER
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain numbers, lists and text; None where a value is missing."""
-        entries = coefficients(self.prior, self.alpha, self.sigma, self.interval)
-        return {
-            "rtcal": KIND,
-            "room": self.prior.name,
-            "author": self.prior.author,
-            "simulator": self.simulator,
-            "simulations": self.simulations,
-            "scattering": self.scattering and self.scattering.to_dict(),
-            "centre_frequencies": json_numbers(self.prior.centre_frequencies),
-            "parameters": list(self.parameters),
-            "units": [observable(p).unit for p in self.parameters],
-            "level": self.measured.level,
-            "pairs": [list(pair) for pair in self.pairs],
-            "measured": [json_numbers(v) for v in self._natural(self.measured.observations)],
-            "before": [json_numbers(v) for v in self._natural(self.before)],
-            "after": [json_numbers(v) for v in self._natural(self.after)],
-            "gap_before_jnd": json_numbers(self.gap_before),
-            "gap_after_jnd": json_numbers(self.gap_after),
-            "not_matched": {
-                "parameters": list(self.beside.parameters),
-                "gap_before_jnd": json_numbers(self.beside.gap_before),
-                "gap_after_jnd": json_numbers(self.beside.gap_after),
-            },
-            "held_out": self.held_out
-            and {
-                "parameters": list(self.held_out.parameters),
-                "pairs": [list(pair) for pair in self.held_out.measured.pairs],
-                "gap_before_jnd": json_numbers(self.held_out.gap_before),
-                "gap_after_jnd": json_numbers(self.held_out.gap_after),
-            },
-            "materials": [
-                {
-                    "name": entry["name"],
-                    "area": float(self.prior.areas[i]),
-                    **entry,
-                    "pulls": json_numbers(self.pulls[:, i]),
-                }
-                for i, entry in enumerate(entries)
-            ],
-            "misfit": json_numbers(self.misfit),
-            "contradictions": [list(pair) for pair in self.contradictions],
-            "control_runs": 0 if self.controls is None else len(self.controls.errors),
-            "unexplained_jnd": json_numbers(self.unexplained),
-            "refused": self.refused,
-            "beyond_prior": self.beyond and vars(self.beyond),
-            "steps": [step.share for step in self.steps],
-            "settled": self.settled,
-            "worst_certificate": self.certificate.worst,
-            "notes": self.every_note,
-        }
-
-    def _natural(self, values: Observations) -> list[Array]:
-        return [values.natural(p) for p in self.parameters]

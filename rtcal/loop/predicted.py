@@ -41,7 +41,6 @@ from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET, observable, 
 from rtcal.acoustics.room import Room, refuse_repeats
 from rtcal.acoustics.room_errors import Assumptions, value_changes
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
-from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.loop.control_runs import (
     GROUPS,
@@ -122,6 +121,10 @@ class PositionsPrediction(Result):
     """
 
     record_kind: ClassVar[str] = "prediction at positions 1"
+    numbers: ClassVar[str] = (
+        "room=before.name name changes simulator centre_frequencies=before.centre_frequencies pairs "
+        "sentences sampled parameters=of_parameters"
+    )
 
     name: str
     changes: tuple[Change, ...]
@@ -197,29 +200,20 @@ class PositionsPrediction(Result):
             words.to_narrow(self.parts(first), 1),
         ]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain numbers, lists and text."""
+    @property
+    def of_parameters(self) -> dict[str, dict[str, Any]]:
+        """What is predicted of each parameter, by name: of the pairs and of their mean."""
         return {
-            "room": self.before.name,
-            "name": self.name,
-            "changes": [str(change) for change in self.changes],
-            "simulator": self.simulator,
-            "centre_frequencies": json_numbers(self.before.centre_frequencies),
-            "pairs": [list(pair) for pair in self.pairs],
-            "sentences": self.sentences,
-            "parameters": {
-                p: {
-                    "unit": observable(p).unit,
-                    "before": json_numbers(self.before_change(p)),
-                    "after": json_numbers(self.at_pairs(p)),
-                    "interval_90": [json_numbers(end) for end in self.interval_at_pairs(p)],
-                    "change_jnd": json_numbers(self.change(p)),
-                    "half_width_jnd": json_numbers(self.half_width(p)),
-                    "sampled": self.sampled[i].tolist(),
-                    "parts": {name: json_numbers(v) for name, v in self.parts(p).items()},
-                }
-                for i, p in enumerate(self.parameters)
-            },
+            p: {
+                "unit": observable(p).unit,
+                "before": self.before_change(p),
+                "after": self.at_pairs(p),
+                "interval_90": self.interval_at_pairs(p),
+                "change_jnd": self.change(p),
+                "half_width_jnd": self.half_width(p),
+                "parts": self.parts(p),
+            }
+            for p in self.parameters
         }
 
     def __repr__(self) -> str:

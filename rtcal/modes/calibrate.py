@@ -38,7 +38,6 @@ from rtcal.calibration.qp import Certificate
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients
 from rtcal.calibration.terms import LinearObservations, Observed
-from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.io.sofa import Responses
 from rtcal.modes.measured import MeasuredModes, match
@@ -218,7 +217,6 @@ def below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:
     return np.asarray(~(room.centre_frequencies >= limit))  # without T the limit is NaN
 
 
-KIND = "modes 1"
 CARRIED = 3
 """Modes from which a band's mark falls away: in it, or for the lowest one up to an octave below."""
 _HEADER = ["mode / Hz", "T / s", "before", "after", "tells most of"]
@@ -259,7 +257,12 @@ class ModesResult(Result):
     notes : tuple of str
     """
 
-    record_kind: ClassVar[str] = KIND
+    record_kind: ClassVar[str] = "modes 1"
+    numbers: ClassVar[str] = (
+        "room=prior.name centre_frequencies=prior.centre_frequencies modes=each frequency_scale=scale "
+        "q=plausibility.q p_value=plausibility.p_value materials below_schroeder=below carried steps "
+        "settled worst_certificate=certificate.worst notes=every_note"
+    )
 
     prior: Room
     alpha: Array
@@ -523,37 +526,26 @@ class ModesResult(Result):
         marks = [f"{a} {b.strip()}." for a, b in zip(lines[::2], lines[1::2], strict=True)]
         return [first, misfit, *self.notes, *marks]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain numbers, lists and text; None where a value is missing."""
-        return {
-            "rtcal": KIND,
-            "room": self.prior.name,
-            "centre_frequencies": json_numbers(self.prior.centre_frequencies),
-            "modes": [
-                {
-                    "frequency": float(self.modes.frequencies[i]),
-                    "calculated_frequency": float(self.frequencies[n]),
-                    "probability": float(self.probability[k]),
-                    "decay": float(self.measured[k]),
-                    "decay_uncertainty": float(self.modes.decay_uncertainty[i]),
-                    "decay_before": float(self.before[k]),
-                    "decay_after": float(self.after[k]),
-                    "z": float(self.plausibility.z[k]),
-                    "sensitivity": json_numbers(self.sensitivity[k]),
-                }
-                for k, (i, n) in enumerate(zip(self.used, self.matched, strict=True))
-            ],
-            "frequency_scale": self.scale,
-            "q": self.plausibility.q,
-            "p_value": self.plausibility.p_value,
-            "materials": coefficients(self.prior, self.alpha, self.sigma, self.interval),
-            "below_schroeder": self.below.tolist(),
-            "carried": self.carried.tolist(),
-            "steps": self.steps,
-            "settled": self.settled,
-            "worst_certificate": self.certificate.worst,
-            "notes": self.every_note,
+    @property
+    def each(self) -> list[dict[str, Any]]:
+        """Each mode used: what was measured and calculated of it, decays in 1/s."""
+        columns = {
+            "frequency": self.modes.frequencies[self.used],
+            "calculated_frequency": self.frequencies[self.matched],
+            "probability": self.probability,
+            "decay": self.measured,
+            "decay_uncertainty": self.modes.decay_uncertainty[self.used],
+            "decay_before": self.before,
+            "decay_after": self.after,
+            "z": self.plausibility.z,
+            "sensitivity": self.sensitivity,
         }
+        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+    @property
+    def materials(self) -> list[dict[str, Any]]:
+        """Alpha and sigma before and after, with the interval, of each material."""
+        return coefficients(self.prior, self.alpha, self.sigma, self.interval)
 
 
 def of_room(room: Room) -> list[bytes]:

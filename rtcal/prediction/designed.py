@@ -28,7 +28,6 @@ from rtcal.acoustics.changes import Treatment, check_treatments, name_of
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.targets import Target
-from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.prediction import words
 from rtcal.prediction.predicted import JND, Calibrated, Prediction, known_room, predict
@@ -453,6 +452,10 @@ class Design(Result):
     """
 
     record_kind: ClassVar[str] = "design 1"
+    numbers: ClassVar[str] = (
+        "room=model.before.name promised cost treatments target=model.target probability "
+        "probability_together frontier prediction"
+    )
 
     model: DesignModel
     promised: float
@@ -491,31 +494,22 @@ class Design(Result):
         """The cost at several probabilities; infinite where none is enough."""
         return {p: float("inf") if d is None else d.cost for p, d in self.alternatives.items()}
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain numbers, lists and text."""
-        return {
-            "room": self.model.before.name,
-            "promised": self.promised,
-            "cost": self.cost,
-            "treatments": [
-                {
-                    "name": t.name,
-                    "material": name_of(t.material),
-                    "covers": t.covers or "",
-                    "area": area,
-                    "largest": t.largest,
-                    "unit": t.unit,
-                    "panels": None if t.unit is None else round(area / t.unit),
-                    "cost": t.cost * area,
-                }
-                for t, area in zip(self.model.treatments, self.areas.tolist(), strict=True)
-            ],
-            "target": self.model.target.to_dict(),
-            "probability": json_numbers(self.probability),
-            "probability_together": self.probability_together,
-            "frontier": {f"{p:g}": None if np.isinf(c) else c for p, c in self.frontier.items()},
-            "prediction": self.prediction.to_dict(),
-        }
+    @property
+    def treatments(self) -> list[dict[str, Any]]:
+        """Each treatment's name, material, area in m², number of panels and cost."""
+        return [
+            {
+                "name": t.name,
+                "material": t.material_name,
+                "covers": t.covers or "",
+                "area": area,
+                "largest": t.largest,
+                "unit": t.unit,
+                "panels": None if t.unit is None else round(area / t.unit),
+                "cost": t.cost * area,
+            }
+            for t, area in zip(self.model.treatments, self.areas.tolist(), strict=True)
+        ]
 
     def __repr__(self) -> str:
         return (
@@ -529,16 +523,16 @@ class Design(Result):
         low, high = made.interval
         treatments = [
             Row(
-                t.name,
+                t["name"],
                 [
-                    t.covers or "free-standing",
-                    f"{area:.1f}",
-                    f"{t.largest:.1f}",
-                    "-" if t.unit is None else f"{area / t.unit:.0f}",
-                    f"{t.cost * area:.0f}",
+                    t["covers"] or "free-standing",
+                    f"{t['area']:.1f}",
+                    f"{t['largest']:.1f}",
+                    "-" if t["panels"] is None else str(t["panels"]),
+                    f"{t['cost']:.0f}",
                 ],
             )
-            for t, area in zip(self.model.treatments, self.areas.tolist(), strict=True)
+            for t in self.treatments
         ]
         columns = ["covers", "area / m²", "largest / m²", "panels", "cost"]
         rows = [

@@ -90,6 +90,14 @@ class Prediction(Result):
     """
 
     record_kind: ClassVar[str] = "prediction 2"
+    numbers: ClassVar[str] = (
+        "room=before.name name changes measured_states=known.n_measured equation=equation.name "
+        "assumptions centre_frequencies=after.centre_frequencies before_is "
+        "reverberation_time_before=time_before uncertainty_before reverberation_time=mean "
+        "interval_90=interval change_jnd=change half_width_jnd=half_width "
+        "directions_known=model.is_placed by_equation uncalibrated=uncalibrated.mean "
+        "uncalibrated_half_width_jnd=uncalibrated.half_width parts sentences"
+    )
 
     name: str
     known: KnownRoom
@@ -297,37 +305,6 @@ class Prediction(Result):
             said.append(words.gained(self.uncalibrated.half_width, self.half_width))
         said.append(words.to_narrow(self.parts, known.n_measured))
         return said
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain numbers, lists and text."""
-        low, high = self.interval
-        return {
-            "room": self.before.name,
-            "name": self.name,
-            "changes": [str(change) for change in self.changes],
-            "measured_states": self.known.n_measured,
-            "equation": self.equation.name,
-            "assumptions": asdict(self.assumptions),
-            "centre_frequencies": json_numbers(self.after.centre_frequencies),
-            "before_is": self.before_is,
-            "reverberation_time_before": json_numbers(self.time_before),
-            "uncertainty_before": json_numbers(self.uncertainty_before),
-            "reverberation_time": json_numbers(self.mean),
-            "interval_90": [json_numbers(low), json_numbers(high)],
-            "change_seconds": json_numbers(self.mean - self.time_before),
-            "change_percent": json_numbers(100 * (self.mean / self.time_before - 1)),
-            "change_jnd": json_numbers(self.change),
-            "half_width_percent": json_numbers(100 * JND * self.half_width),
-            "half_width_jnd": json_numbers(self.half_width),
-            "directions_known": self.model.is_placed,
-            "by_equation": {name: json_numbers(t) for name, t in self.by_equation.items()},
-            "uncalibrated": {
-                "reverberation_time": json_numbers(self.uncalibrated.mean),
-                "half_width_jnd": json_numbers(self.uncalibrated.half_width),
-            },
-            "parts": {name: json_numbers(share) for name, share in self.parts.items()},
-            "sentences": self.sentences,
-        }
 
     def __repr__(self) -> str:
         return (

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.loop.measured_pairs import Beside
+from rtcal.loop.measured_pairs import Compared
 from rtcal.report import document, pages, room_view
 from rtcal.simulators.base import Observations
 from rtcal.simulators.geometry import Polyhedron
@@ -168,8 +168,8 @@ def test_pairs_that_were_held_out_are_compared() -> None:
     measured = rt.Measurement(
         centre_frequencies=[500], pairs=pairs, values={"t20": [[1.0], [1.9]], "g": [[3.0], [2.0]]}
     )
-    held = Beside.of(measured, ["t20"], [("S", "B"), ("S", "far")], heard, heard)
+    held = Compared.of(measured, ["t20"], [("S", "B"), ("S", "far")], heard, heard)
     assert held.parameters == ("t20",)
     assert held.measured.pairs == (("S", "B"),)
     np.testing.assert_allclose(held.gap_after, [[[(2.0 / 1.9 - 1) / 0.05]]], rtol=1e-9)
-    assert not Beside.of(measured, ["t20"], [("S", "far")], heard, heard).parameters
+    assert not Compared.of(measured, ["t20"], [("S", "far")], heard, heard).parameters
