@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from rtcal.acoustics.observables import LEVEL, MATCH, observable, parameter_labe
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import in_words, prior_covariance, value_changes
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
-from rtcal.calibration.fit import GaussNewtonFit, ModelObjective, fit
+from rtcal.calibration.fit import GaussNewtonStep, ModelObjective, fit
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation
 from rtcal.loop.control_runs import (
@@ -105,28 +106,6 @@ def simulator_error(
     if not fit_scattering or not able.fits_scattering:
         return whole, None
     return whole, errors_by_scattering(controls, noise)
-
-
-@dataclass(frozen=True, eq=False)
-class FitErrors:
-    """The errors of what is compared.
-
-    Attributes
-    ----------
-    simulator : array (n, n)
-        Covariance of the simulator's error at all values, with that of an unknown scattering.
-    unexplained : array (n_parameters,)
-        Standard deviation in JND by which each value differs beyond the other errors.
-    covariance : array (n_used, n_used)
-        Of measurement, room, simulator and what is unexplained, of the values used.
-    factor : array (n_used, n_used)
-        Its Cholesky factor.
-    """
-
-    simulator: Array
-    unexplained: Array
-    covariance: Array
-    factor: Array
 
 
 _MOST_UNEXPLAINED = 100.0
@@ -209,20 +188,48 @@ POSITIONS = LinearObservations("positions")
 
 
 @dataclass(frozen=True, eq=False)
-class PairsWithErrors:
-    """The values at every position as an `Observation`, with the errors of a fit.
+class Fitted:
+    """A point of a fit: the values at every position, and their errors there, as an `Observation`.
 
-    ``offset`` (n_used,) is what the values used would rise by with the scattering as traced in place of
-    that stated.
+    Attributes
+    ----------
+    here : Linearisation
+        The simulator with the scattering traced; steps move its alpha.
+    materials : MaterialScattering or None
+        What the scattering does there; None where the one stated is kept.
+    error : array (n, n)
+        Covariance of the simulator's error at all values, with that of an unknown scattering.
+    unexplained : array (n_parameters,)
+        Standard deviation in JND by which each value differs beyond the other errors.
+    covariance : array (n_used, n_used)
+        Of measurement, room, simulator and what is unexplained, of the values used.
+    path : GaussNewtonFit or None
+        The last steps, and None before the first.
+    refused : bool
+        Whether no step led nearer, so that the start is returned.
     """
 
     here: Linearisation
+    materials: Any
+    error: Array
+    unexplained: Array
     covariance: Array
-    offset: Array
+    path: Any = None
+    refused: bool = False
+
+    @cached_property
+    def factor(self) -> Array:
+        """The Cholesky factor of the covariance."""
+        return np.asarray(np.linalg.cholesky(self.covariance))
+
+    @property
+    def offset(self) -> Array:
+        """How much larger values are with the scattering traced than with that stated, (n_used,)."""
+        return _offset(self.here, self.materials)
 
     @property
     def values(self) -> Array:
-        """The measured values used, (n_used,)."""
+        """The measured values used, (n_used,), were the scattering the one traced."""
         data = self.here.data
         return np.asarray(data.observations.values[data.used] + self.offset)
 
@@ -236,68 +243,26 @@ class PairsWithErrors:
         self.here.move(alpha)
         return self.here.linearised()
 
-
-@dataclass(frozen=True, eq=False)
-class FittedScattering:
-    """A tracer with a scattering that is fitted, and what is known of it.
-
-    ``materials`` says what the scattering does, ``errors`` which error is left beside it.
-    """
-
-    tracer: PathTracing
-    materials: MaterialScattering
-    errors: ErrorsByScattering
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the simulator's error with the scattering not known, (n, n)."""
-        tracer, model = self.tracer, self.materials.model
-        at = level(tracer.scattering, tracer.room.areas)
-        return self.errors.covariance(at, model) + self.materials.covariance
-
-
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """Where a fit ended.
-
-    Attributes
-    ----------
-    here : Linearisation
-        The simulator with the fitted scattering, at the fitted alpha.
-    path : GaussNewtonFit
-        The last Gauss-Newton steps.
-    errors : FitErrors
-        With which they were taken.
-    scattering : FittedScattering or None
-        None where the scattering stated is kept.
-    refused : bool
-        Whether no step led nearer, so that the start is returned.
-    """
-
-    here: Linearisation
-    path: GaussNewtonFit
-    errors: FitErrors
-    scattering: FittedScattering | None
-    refused: bool = False
-
     @property
     def residual(self) -> Array:
         """Measured less simulated with the scattering stated, by derivatives, (n_used,)."""
-        return self.here.residual() + _offset(self.here, self.scattering)
+        return self.here.residual() + self.offset
 
     @property
     def pull(self) -> Array:
         """Inverse covariance times the residual, (n,): 0 where nothing was measured."""
-        pull = np.zeros(len(self.errors.simulator))
-        pull[self.here.used] = np.linalg.solve(self.errors.covariance, self.residual)
+        pull = np.zeros(len(self.error))
+        pull[self.here.used] = np.linalg.solve(self.covariance, self.residual)
         return pull
 
+    @property
+    def last(self) -> GaussNewtonStep:
+        """The last step; a fit has taken one."""
+        return self.path.steps[-1]
 
-def _offset(here: Linearisation, scattering: FittedScattering | None) -> Array:
-    """Return how much smaller values are with the scattering stated than as traced, (n_used,)."""
-    if scattering is None:
-        return np.zeros(len(here.used))
-    return -scattering.materials.back[here.used]
+
+def _offset(here: Linearisation, materials: MaterialScattering | None) -> Array:
+    return np.zeros(len(here.used)) if materials is None else -materials.back[here.used]
 
 
 class PositionsFit:
@@ -359,6 +324,15 @@ class PositionsFit:
             self._close(ended)
         return ended
 
+    def _nearest(self) -> Fitted:
+        """Return where the objective is least."""
+        if self.by_scattering is not None:
+            free = self._with_stated_scattering(guarded=False)
+            if (found := self._with_other_scattering(free)) is not None:
+                return found
+            self.here.move(self.room.alpha)
+        return self._with_stated_scattering(guarded=True)
+
     def _close(self, ended: Fitted) -> None:
         """Move to a smaller gap where the objective is indistinct from its minimum.
 
@@ -366,14 +340,14 @@ class PositionsFit:
         coefficient by itself: so coefficients that all are off by the same factor leave a part of the
         gap at the minimum.
         """
-        here, errors = ended.here, ended.errors
-        objective = ModelObjective(ended.path.answer, POSITIONS, errors.factor)
-        offset, start, gaps = _offset(here, ended.scattering), here.alpha, here.gaps()
-        residual, matrix = here.residual() + offset, here.linearised()
+        here, objective = ended.here, self._objective(ended, ended.factor)
+        start, gaps, residual, matrix = here.alpha, here.gaps(), ended.residual, here.linearised()
         least = objective.value(start, residual)
         most = min(least + _INDISTINCT, objective.value(self.room.alpha, self._residual))
-        covariance = self._weighted(errors, _GAP_WEIGHTS[0])
-        values = residual + matrix @ start.ravel()
+        values, covariance = (
+            residual + matrix @ start.ravel(),
+            self._weighted(ended, _GAP_WEIGHTS[0]),
+        )
         nearer = Observed(matrix=matrix, values=values, covariance=covariance)
         answer = self._problem.solve(self._times, observed={POSITIONS: nearer}, method="positions")
         way = answer.alpha - start
@@ -385,80 +359,68 @@ class PositionsFit:
             with suppress(DataError, SimulatorError):  # a decay without a time
                 here.move(alpha)
                 now = here.gaps()
-                inside = objective.value(alpha, here.residual() + offset) <= most
+                inside = objective.value(alpha, ended.residual) <= most
                 if inside and now[0] < gaps[0] and (now <= limit).all():
                     return
             share /= 2
         here.move(start)
 
-    def _nearest(self) -> Fitted:
-        """Return where the objective is least."""
-        if self.by_scattering is not None:
-            free = self._with_stated_scattering(guarded=False)
-            if free.scattering is not None:
-                found = self._with_other_scattering(free, free.scattering)
-                if found is not None:
-                    return found
-            self.here.move(self.room.alpha)
-        return self._with_stated_scattering(guarded=True)
+    @staticmethod
+    def _objective(at: Fitted, factor: Array) -> ModelObjective:
+        return ModelObjective(at.last.answer, POSITIONS, factor)
 
     def _with_stated_scattering(self, *, guarded: bool) -> Fitted:
         """Return where alpha ends with the scattering stated.
 
         If ``guarded``, no farther than the start. Else the scattering is still to be fitted.
         """
-        here, scattering = self.here, self._stated_scattering()
-        errors = self._errors(here, scattering, np.zeros(len(here.data.used)))
+        here = self.here
         # The first steps only lead near: with errors that were found at the start, where a simulator
         # is far from what was measured, its curvature would count as an error.
-        path = self._steps(here, errors, scattering, np.inf)
+        nothing = np.zeros(len(here.data.used))
+        at = self._steps(self._point(here, self._stated_materials(), nothing), np.inf)
         for _ in range(_PASSES):
-            scattering, before = self._stated_scattering(), errors.unexplained
-            errors = self._errors(here, scattering)
-            objective = ModelObjective(path.answer, POSITIONS, errors.factor)
+            before, path = at.unexplained, at.path
+            at = replace(self._point(here, self._stated_materials()), path=path)
+            objective = self._objective(at, at.factor)
             now = objective.value(here.alpha, here.residual())
             start = objective.value(self.room.alpha, self._residual)
             begins_right = guarded and bool(np.isfinite(start))
             if begins_right and not (now <= start and (here.gaps() <= self._limit).all()):
                 here.move(self.room.alpha)
-            limit = self._limit if begins_right else np.inf
-            path = self._steps(here, errors, scattering, limit)
-            if np.abs(errors.unexplained - before).max() < _ALIKE:
+            at = self._steps(at, self._limit if begins_right else np.inf)
+            if np.abs(at.unexplained - before).max() < _ALIKE:
                 break
-        misses = self._gaps[0] > FITS
-        for weight in _GAP_WEIGHTS:
-            if not (guarded and misses and np.array_equal(path.alpha, self.room.alpha)):
+        misses = guarded and self._gaps[0] > FITS
+        for weight in _GAP_WEIGHTS if misses else ():
+            if not np.array_equal(here.alpha, self.room.alpha):
                 break
             # The objective falls along its own step and the gap rises: a step may lower both.
-            self._steps(here, errors, scattering, self._limit, weight)
-            path = self._steps(here, errors, scattering, self._limit)
-        refused = guarded and misses and np.array_equal(path.alpha, self.room.alpha)
-        return Fitted(here, path, errors, scattering, refused)
+            self._steps(at, self._limit, weight)
+            at = self._steps(at, self._limit)
+        return replace(at, refused=misses and np.array_equal(here.alpha, self.room.alpha))
 
-    def _with_other_scattering(self, free: Fitted, stated: FittedScattering) -> Fitted | None:
+    def _with_other_scattering(self, free: Fitted) -> Fitted | None:
         """Return the nearest of the fits with scattering fitted, too; None if none is near."""
-        best, here, path = self._better(None, free, stated), free.here, free.path
+        best, at, here = self._better(None, free), free, free.here
+        stated, tracer = free.materials, here.simulator
         model, change, log_odds = self._first_scattering(free, stated)
-        if model == stated.materials.model and not log_odds.any():
+        if model == stated.model and not log_odds.any():
             return best
         for _ in range(_ROUNDS):
-            tracer = scattered(stated.tracer, log_odds, model)
+            other = scattered(tracer, log_odds, model)
             try:
-                here = here.scattered(tracer, change.reshape(here.everywhere().shape))
+                here = here.scattered(other, change.reshape(here.everywhere().shape))
             except TooShortError:  # with so little scattering no decay ends
                 break
             # Only paths of the model "random" tell the slopes; those of the other serve for both.
-            materials = stated.materials
-            if model == "random":
-                materials = self._materials(here, tracer)
+            materials = self._materials(here) if model == "random" else stated
             materials = replace(materials, traced=log_odds, model=model)
-            scattering = FittedScattering(tracer, materials, stated.errors)
-            errors = self._errors(here, scattering)
-            best = self._better(best, Fitted(copy(here), path, errors, scattering), scattering)
-            path = self._steps(here, errors, scattering, np.inf)
-            ended = Fitted(here, path, errors, scattering)
-            best = self._better(best, ended, scattering)
-            likely = materials.likely(ended.pull).round(DIGITS)
+            at = replace(self._point(here, materials), path=at.path)
+            best = self._better(best, replace(at, here=copy(here)))
+            at = self._steps(at, np.inf)
+            best = self._better(best, at)
+            likely = materials.likely(at.pull).round(DIGITS)
             if np.abs(likely - log_odds).max() < _SETTLED_ODDS:
                 break
             change, log_odds = materials.slope @ (likely - log_odds), likely
@@ -467,19 +429,19 @@ class PositionsFit:
         return best
 
     def _first_scattering(
-        self, kept: Fitted, stated: FittedScattering
+        self, kept: Fitted, materials: MaterialScattering
     ) -> tuple[ScatteringModel, Array, Array]:
         """Return the likelier model, the change of all values that is expected, and the log odds."""
-        here, materials, used = kept.here, stated.materials, kept.here.used
+        here, used = kept.here, kept.here.used
         matrix = here.linearised()
         innovation = here.residual() + matrix @ (here.alpha - self.room.alpha).ravel()
-        of_data = kept.errors.covariance - kept.errors.simulator[np.ix_(used, used)]
+        of_data = kept.covariance - kept.error[np.ix_(used, used)]
         found = []
         for model in MODELS:
             added = np.zeros(len(materials.slope))
-            if model == "vector":
-                added = stated.errors.of_model.ravel()
-            error = replace(stated, materials=replace(materials, model=model)).covariance
+            if model == "vector" and self.by_scattering is not None:
+                added = self.by_scattering.of_model.ravel()
+            error = self._error(here, replace(materials, model=model))
             left = innovation - added[used]
             whole = matrix @ self.prior @ matrix.T + of_data + error[np.ix_(used, used)]
             pull = np.zeros(len(added))
@@ -489,101 +451,91 @@ class PositionsFit:
         _, model, added, log_odds = max(found, key=lambda of: of[0])
         return model, added + materials.slope @ log_odds, log_odds
 
-    def _stated_scattering(self) -> FittedScattering | None:
-        """Return what the scattering stated does where the here is; None where it is not fitted."""
-        tracer = self.here.simulator
-        if self.by_scattering is None:
-            return None
-        return FittedScattering(tracer, self._materials(self.here, tracer), self.by_scattering)
+    def _stated_materials(self) -> MaterialScattering | None:
+        """Return what the scattering stated does at the start's simulator; None where it is kept."""
+        return None if self.by_scattering is None else self._materials(self.here)
 
     @staticmethod
-    def _materials(here: Linearisation, tracer: PathTracing) -> MaterialScattering:
-        parameters = here.data.observations.parameters
+    def _materials(here: Linearisation) -> MaterialScattering:
+        tracer, parameters = here.simulator, here.data.observations.parameters
         stated = np.zeros(tracer.room.n_materials)
         return material_scattering(tracer, here.alpha, parameters, stated, here.seed)
 
-    def _errors(
+    def _error(self, here: Linearisation, materials: MaterialScattering | None) -> Array:
+        """Return the covariance of the simulator's error, with the scattering not known, (n, n)."""
+        if materials is None or self.by_scattering is None:
+            return self.error
+        at = level(here.simulator.scattering, here.simulator.room.areas)
+        return self.by_scattering.covariance(at, materials.model) + materials.covariance
+
+    def _point(
         self,
         here: Linearisation,
-        scattering: FittedScattering | None,
+        materials: MaterialScattering | None,
         unexplained: Array | None = None,
-    ) -> FitErrors:
+    ) -> Fitted:
         """Return the errors where the here is; the ``unexplained`` ones are found if None."""
-        error = self.error if scattering is None else scattering.covariance
-        matrix = here.linearised()
+        error, matrix = self._error(here, materials), here.linearised()
         of_room = value_changes(self.room, matrix, here.of_level)
         known = here.data.covariance + of_room.T @ of_room
         known = known + error[np.ix_(here.used, here.used)]
         if unexplained is None:
-            innovation = here.residual() + _offset(here, scattering)
+            innovation = here.residual() + _offset(here, materials)
             innovation = innovation + matrix @ (here.alpha - self.room.alpha).ravel()
             expected = matrix @ self.prior @ matrix.T + known
             unexplained = unexplained_errors(innovation, expected, self._unit, self._parameter)
         covariance = known + np.diag((unexplained[self._parameter] * self._unit) ** 2)
-        return FitErrors(error, unexplained, covariance, np.asarray(np.linalg.cholesky(covariance)))
+        return Fitted(here, materials, error, unexplained, covariance)
 
-    def _steps(
-        self,
-        here: Linearisation,
-        errors: FitErrors,
-        scattering: FittedScattering | None,
-        limit: Array | float,
-        weight: float = 0.0,
-    ) -> GaussNewtonFit:
-        """Take Gauss-Newton steps from where the here is; it is left where they end.
+    def _steps(self, at: Fitted, limit: Array | float, weight: float = 0.0) -> Fitted:
+        """Take Gauss-Newton steps from a point, whose simulator is left where they end.
 
         ``weight`` is that of the squared gap in JND, which the steps lower beside the objective.
         """
         path = fit(
             self._problem,
-            PairsWithErrors(here, errors.covariance, _offset(here, scattering)),
-            here.alpha,
+            at,
+            at.here.alpha,
             term=POSITIONS,
             method="positions",
             times=self._times,
             most=STEPS,
-            covariance=self._weighted(errors, weight),
-            allowed=lambda: not (here.gaps() > limit).any(),
+            covariance=self._weighted(at, weight),
+            allowed=lambda: not (at.here.gaps() > limit).any(),
         )
-        here.move(path.alpha)
-        return path
+        at.here.move(path.alpha)
+        return replace(at, path=path)
 
-    def _weighted(self, errors: FitErrors, weight: float) -> Array:
+    def _weighted(self, at: Fitted, weight: float) -> Array:
         """Return the errors' covariance where the squared gap in JND has a ``weight`` beside it."""
         if not weight:
-            return errors.covariance
-        information = np.linalg.inv(errors.covariance) + np.diag(weight / self._unit**2)
+            return at.covariance
+        information = np.linalg.inv(at.covariance) + np.diag(weight / self._unit**2)
         found = np.linalg.inv(information)
         # Rounding, which large references make large, leaves it asymmetric.
         return np.asarray(found + found.T) / 2
 
-    def _better(
-        self, best: Fitted | None, other: Fitted, scattering: FittedScattering
-    ) -> Fitted | None:
+    def _better(self, best: Fitted | None, other: Fitted) -> Fitted | None:
         """Return the one with the lower objective, in which both have the errors of the second.
 
-        The scattering's own deviations count, and its uncertainty does not. The second, with its
-        ``scattering``, is not taken if its objective or its gap is above the start's.
+        The scattering's own deviations count, and its uncertainty does not. The second is not taken if
+        its objective or its gap is above the start's.
         """
-        here, materials = other.here, scattering.materials
+        here, materials = other.here, other.materials
         used = here.used
         unknown = materials.covariance[np.ix_(used, used)]
-        factor = np.asarray(np.linalg.cholesky(other.errors.covariance - unknown))
-        objective = ModelObjective(other.path.answer, POSITIONS, factor)
+        factor = np.asarray(np.linalg.cholesky(other.covariance - unknown))
+        objective = self._objective(other, factor)
 
-        def with_scattering(at: Linearisation, log_odds: Array) -> float:
+        def value(at: Fitted) -> float:
+            log_odds = at.materials.traced
             of_scattering = 0.5 * log_odds @ np.linalg.solve(materials.prior, log_odds)
-            return objective.value(at.alpha, at.residual()) + float(of_scattering)
+            return objective.value(at.here.alpha, at.here.residual()) + float(of_scattering)
 
-        value = with_scattering(here, materials.traced)
-        start = objective.value(self.room.alpha, self._residual)
-        if np.isfinite(start) and (value > start or (here.gaps() > self._limit).any()):
+        start, now = objective.value(self.room.alpha, self._residual), value(other)
+        if np.isfinite(start) and (now > start or (here.gaps() > self._limit).any()):
             return best
-        if best is None or best.scattering is None:
-            return other
-        traced = best.scattering.materials.traced
-        old = with_scattering(best.here, traced)
-        return other if value < old else best
+        return other if best is None or now < value(best) else best
 
 
 MORE_PATHS = 4
@@ -744,17 +696,15 @@ def calibrate_positions(
         error,
         None if beyond else by_scattering,
     ).run()
-    here, path = ended.here, ended.path
-    last = path.steps[-1].matrix
+    here, path, last = ended.here, ended.path, ended.last.matrix
     scattering, start = None, None if tracer is None else tracer.scattering
-    if ended.scattering is not None and tracer is not None:
-        weighed, materials = ended.scattering.tracer, ended.scattering.materials
+    if ended.materials is not None and tracer is not None:
+        weighed = here.simulator
         given = tracer = replace(
             tracer, scattering=weighed.scattering, scattering_model=weighed.scattering_model
         )
-        unknown = ended.errors.covariance + last @ prior @ last.T
-        posterior = materials.posterior(here.used, unknown)
-        scattering = fitted(tracer, materials.traced, posterior)
+        posterior = ended.materials.posterior(here.used, ended.covariance + last @ prior @ last.T)
+        scattering = fitted(tracer, ended.materials.traced, posterior)
     elif fit_scattering and tracer is not None:
         notes = (*notes, _kept(tracer, beyond))
     others = [p for p in first.parameters if p not in data.observations.parameters]
@@ -778,9 +728,9 @@ def calibrate_positions(
         after=replace(data.observations, values=here.values()),
         predicted=_predicted(ended, with_error=controls is not None),
         controls=controls,
-        unexplained=ended.errors.unexplained,
+        unexplained=ended.unexplained,
         innovation=ended.residual + last @ (here.alpha - room.alpha).ravel(),
-        covariance=ended.errors.covariance,
+        covariance=ended.covariance,
         prior_covariance=prior,
         steps=path.steps,
         settled=path.settled,
@@ -798,9 +748,9 @@ def _predicted(ended: Fitted, *, with_error: bool) -> Observations:
     """
     simulated, values = ended.here.simulated, ended.here.everywhere()
     if with_error:
-        error = ended.errors.simulator @ ended.pull
-        if ended.scattering is not None:
-            error = error + ended.scattering.materials.back
+        error = ended.error @ ended.pull
+        if ended.materials is not None:
+            error = error + ended.materials.back
         values = values + error.reshape(values.shape)
     return Observations(
         parameters=ended.here.data.observations.parameters,
@@ -822,7 +772,7 @@ def _calibrated(
 
     It has the scattering coefficients of a `PathTracing` and their meaning, too.
     """
-    answer = ended.path.answer
+    answer = ended.last.answer
     record = CalibrationRecord(
         method="positions",
         equation=f"every position heard by {_named(simulator, scattering)}",
