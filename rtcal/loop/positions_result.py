@@ -67,6 +67,8 @@ _REFUSED = (
     "No step led nearer to what was measured: the start is returned, and nothing was fitted. State "
     "larger sigmas or more paths, or look for what the room lacks (rtcal find)."
 )
+_MISFIT = 2.0
+"""Misfit from which a pair is named: twice the chi-square that is usual in this room."""
 _FARTHER = 0.5
 """JND: the noise of a tracing. A larger rise of the mean gap is the calibration's."""
 
@@ -425,32 +427,52 @@ class PositionsResult(Result):
             )
         if self.scattering is not None:
             notes += self.scattering.notes(self.prior.materials)
-        if self.controls is None:
-            notes.append(
-                "No interval: no control run tells this simulator's error. It is assumed to be 5 % of "
-                "a time and 0.5 dB of a level."
-            )
-        if unexplained := self.unexplained_in_words:
-            notes.append(
-                "Simulator and prior miss what was measured by more than their errors let expect. A "
-                f"value differs by a further {unexplained} (standard deviation)."
-            )
-        for pair in self.contradictions:
-            notes.append(
-                f"{' to '.join(pair)} contradicts all other pairs: check its names and positions, or "
-                "leave it out (exclude)."
-            )
-        if not self.settled:
-            notes.append(
-                "Not settled: the last step moved alpha, or was refused. Calibrate with more paths."
-            )
-        return notes
+        doubts = [f"{row.name}: {' '.join(row.values)}" for row in self.doubts]
+        return notes + doubts
 
     @property
-    def unexplained_in_words(self) -> str:
-        """The unexplained errors of half a JND and more, by parameter; "" without any."""
-        return ", ".join(
+    def doubts(self) -> list[Row]:
+        """Reservations: what, where, and what to do."""
+        odd = [
+            f"{' to '.join(pair)} ({misfit:.1f})"
+            for pair, misfit in zip(self.pairs, self.misfit, strict=True)
+            if misfit > _MISFIT and pair not in self.contradictions
+        ]
+        bound = [
+            f"{self.prior.materials[i]} at {self.prior.centre_frequencies[k]:g} Hz"
+            for i, k in np.argwhere((self.alpha <= 0) | (self.alpha >= 1))
+        ]
+        unexplained = ", ".join(
             f"{of:.1f} JND of {parameter_label(p)}"
             for p, of in zip(self.parameters, self.unexplained, strict=True)
             if of >= _FARTHER
         )
+        found = [
+            (
+                "Contradicts all other pairs",
+                ", ".join(" to ".join(pair) for pair in self.contradictions),
+                "Check names and positions, or leave it out (exclude).",
+            ),
+            ("Fits the others badly", ", ".join(odd), "1 is usual. Look at the decays there."),
+            (
+                "Misses more than expected",
+                unexplained and f"A value differs by a further {unexplained} (standard deviation).",
+                "Check volume, mesh and stated sigma. Something may be missing in the room.",
+            ),
+            (
+                "No interval",
+                "" if self.controls else "No control run tells this simulator's error.",
+                "It is assumed to be 5 % of a time and 0.5 dB of a level. Use one with a geometry.",
+            ),
+            (
+                "Coefficient at a bound",
+                text.first_of(bound, 5),
+                "That is a warning and no result. State a smaller sigma or a floor.",
+            ),
+            (
+                "Not settled",
+                "" if self.settled else "The last step moved alpha, or was refused.",
+                "Calibrate again with more paths.",
+            ),
+        ]
+        return [Row(title, [where, advice]) for title, where, advice in found if where]

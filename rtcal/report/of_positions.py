@@ -27,15 +27,12 @@ from rtcal.report.document import (
 from rtcal.simulators.base import Observations
 from rtcal.support import __version__
 from rtcal.support.blocks import Note, Row, Table
-from rtcal.support.text import first_of
 from rtcal.support.types import Array
 
 _LEARNED = 0.9
 """Posterior over prior sigma up to which a material counts as learned in the summary."""
 _REMAINS = 1.0
 """Root mean square gap in JND from which the page says first what remains: a difference is heard."""
-_MISFIT = 2.0
-"""Misfit from which a pair is named: twice the chi-square that is usual in this room."""
 
 
 def page(result: PositionsResult) -> Page:
@@ -47,7 +44,6 @@ def page(result: PositionsResult) -> Page:
     left = len(room.materials) - len(order)
     labels, at_bound = bands.labels(room.centre_frequencies), np.isin(result.alpha, (0.0, 1.0))
     intervals = ", with 90 % intervals" if interval is not None else ""
-    doubtful = _doubts(result)
     runs = 0 if result.controls is None else len(result.controls.errors)
     return Page(
         room.name,
@@ -65,8 +61,8 @@ def page(result: PositionsResult) -> Page:
             ),
             *room_view.of_positions(result),
             Section("What not to believe", "doubts"),
-            Table(["Where and what", "What to do"], doubtful, corner="Reservation"),
-            *([] if doubtful else [Note("No check of rtcal's found a reason for doubt.")]),
+            Table(["Where and what", "What to do"], result.doubts, corner="Reservation"),
+            *([] if result.doubts else [Note("No check of rtcal's found a reason for doubt.")]),
             Section("What was learned", "learned"),
             Note(
                 "Sigma is the standard deviation of a coefficient, the root mean square over the "
@@ -229,52 +225,3 @@ def _reproduced(result: PositionsResult) -> list[Any]:
     stated = "S is the scattering coefficient that the simulator was given."
     more = [Note(stated)] if " S " in repeated else []
     return [Code(f"{repeated}\nrtcal report fitted"), *more]
-
-
-def _doubts(result: PositionsResult) -> list[Row]:
-    """Return the reservations: title, where, and what to do."""
-    names = [" to ".join(pair) for pair in result.pairs]
-    contradicting = [" to ".join(pair) for pair in result.contradictions]
-    odd = ", ".join(
-        f"{name} ({misfit:.1f})"
-        for name, misfit in zip(names, result.misfit, strict=True)
-        if misfit > _MISFIT and name not in contradicting
-    )
-    bound = [
-        f"{result.prior.materials[i]} at {result.prior.centre_frequencies[k]:g} Hz"
-        for i, k in np.argwhere((result.alpha <= 0) | (result.alpha >= 1))
-    ]
-    unexplained = result.unexplained_in_words
-    found = [
-        *(
-            (
-                "Contradicts all other pairs",
-                name,
-                "Check its names and positions, or leave it out: --exclude "
-                f"{name.replace(' to ', ':')}.",
-            )
-            for name in contradicting
-        ),
-        ("Fits the others badly", odd, "1 is usual. Look at the decays of these pairs."),
-        (
-            "Misses more than expected",
-            unexplained and f"A value differs by a further {unexplained} (standard deviation).",
-            "Check volume, mesh and stated sigma. Something may be missing in the room.",
-        ),
-        (
-            "Simulator's error unknown",
-            "" if result.controls else "No control run tells it; no interval is stated.",
-            "Use a simulator with a geometry, such as path tracing.",
-        ),
-        (
-            "Coefficient at a bound",
-            first_of(bound, 5),
-            "That is a warning and no result. State a smaller sigma or a floor.",
-        ),
-        (
-            "Not settled",
-            "" if result.settled else "The last step still moved alpha.",
-            "Calibrate again with more paths.",
-        ),
-    ]
-    return [Row(title, [text, advice]) for title, text, advice in found if text]
