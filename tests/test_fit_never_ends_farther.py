@@ -187,7 +187,7 @@ def test_of_coefficients_that_are_as_likely_those_with_the_smallest_gap_are_take
     result = fit("images", stated(PRIORS["usual"]), data, controls=runs)
     likeliest = result.steps[-1].answer.alpha
     heard = simulator.observe(likeliest, MATCH)
-    gap = rms(result.measured.gap(heard))
+    gap = rms(result.measured.gap(heard.values))
     assert gap > 0.5
     assert rms(result.gap_after) < 0.9 * gap
     least = objective(result, heard, likeliest)
@@ -201,7 +201,7 @@ def test_a_fitted_scattering_ends_no_farther_either(prior, factor):
     result = fit("paths", room, measured("paths", np.clip(factor * ALPHA, 0.02, 0.9)))
     assert rms(result.gap_after) <= rms(result.gap_before) + 1e-9
     returned = precise(result.tracer).observe(result.alpha, MATCH)  # what its user gets
-    gap = result.measured.gap(returned.at(result.after))
+    gap = result.measured.gap(returned.at(result.after).values)
     assert rms(gap) <= rms(result.gap_before) + 0.01
     if prior == "wide":
         assert rms(result.gap_after) < 1

@@ -25,7 +25,7 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,6 @@ from rtcal.acoustics.observables import REVERBERATION
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION, checked_uncertainty, plain_directivities
 from rtcal.files import disk
-from rtcal.files.disk import json_numbers
 from rtcal.simulators.base import Observations, Simulator, complete, observe
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import DENSER, PathTracing, ScatteringModel, eyring_seconds
@@ -278,8 +277,10 @@ def simulated_controls(
             parameters=names,
             pairs=base.pairs,
             errors=errors[kept],
-            levels=np.array([level(drawn[i][0].scattering, room.areas) for i in kept]),
-            models=tuple(drawn[i][0].scattering_model for i in kept),
+            levels=np.array(
+                [level(drawn[i][0]["scattering"][:, np.newaxis], room.areas) for i in kept]
+            ),
+            models=tuple(drawn[i][0]["scattering_model"] for i in kept),
             more_paths=more_paths,
         )
 
@@ -305,7 +306,7 @@ def simulated_controls(
     trace_ahead(simulator, room.alpha, seed)
     errors, factors, left_out = [], list[float](), 0
     for run, (varied, alpha) in enumerate(drawn):
-        control, of_run = replace(varied), seed + 1 + run  # one run's paths are kept at a time
+        control, of_run = replace(base, **varied), seed + 1 + run  # one run's paths at a time
         ahead = _FIRST if run < len(MODELS) else max(factors[-4:], default=_FIRST)
         control.trace_ahead(alpha, ahead, seed=of_run)
         again = left_out == _LEFT_OUT
@@ -362,29 +363,27 @@ def trace_ahead(simulator: Simulator, alpha: Array, seed: int) -> None:
 
 def _varied(
     base: PathTracing, rng: np.random.Generator, run: int, uncertainty: float, n_paths: int
-) -> PathTracing:
-    """Return the tracing with other scattering and positions."""
+) -> dict[str, Any]:
+    """Return what differs in a run: scattering and its model, positions, and the number of paths."""
     low, high = SCATTERING
-    share = (run // 2 + rng.uniform()) / (RUNS / 2)
+    mean = low + (high - low) * (run // 2 + rng.uniform()) / (RUNS / 2)
     stated = base.scattering.mean(axis=1, keepdims=True)
-    mean = low + (high - low) * share
     around = np.clip(stated + mean - level(stated, base.room.areas), 0.0, 1.0)[:, 0]
     by_material = around + _BETWEEN_MATERIALS * rng.standard_normal(base.room.n_materials)
-    moved = [
+    sources, receivers = (
         {
             name: _moved(base.geometry, np.array(point), rng, uncertainty)
             for name, point in points.items()
         }
         for points in (base.sources, base.receivers)
-    ]
-    return replace(
-        base,
-        scattering=np.clip(by_material, low, high),
-        scattering_model=MODELS[run % 2],
-        sources=moved[0],
-        receivers=moved[1],
-        n_paths=n_paths,
     )
+    return {
+        "scattering": np.clip(by_material, low, high),
+        "scattering_model": MODELS[run % 2],
+        "sources": sources,
+        "receivers": receivers,
+        "n_paths": n_paths,
+    }
 
 
 def paths_of_a_run(tracer: PathTracing) -> int:
@@ -489,20 +488,11 @@ class Scattering:
     mean: float
     limited: tuple[int, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return model, mean, coefficients and their sigma as text and numbers."""
-        return {
-            "model": self.model,
-            "mean": self.mean,
-            "coefficients": json_numbers(self.coefficients),
-            "sigma": json_numbers(self.sigma),
-        }
-
     def notes(self, materials: Sequence[str]) -> list[str]:
         """Return what is to be known of it; ``materials`` are the room's."""
         notes = [
-            f"Scattering: {self}, fitted with alpha. It is no measurement: another seed or more paths "
-            "may give other coefficients. Of both meanings of the coefficients, random and vector, the "
+            f"Scattering: {self.in_words}, fitted with alpha. It is no measurement: another seed or "
+            "more paths may give other coefficients. Of both meanings of the coefficients, random and vector, the "
             f'fit takes the one under which the measurement is likelier: here "{self.model}".'
         ]
         if self.limited:
@@ -512,7 +502,9 @@ class Scattering:
             )
         return notes
 
-    def __str__(self) -> str:
+    @property
+    def in_words(self) -> str:
+        """Mean and range of the coefficients, and their meaning."""
         low, high = self.coefficients.min(), self.coefficients.max()
         return f"{self.mean:.2f} in the mean, {low:.2f} to {high:.2f} ({self.model})"
 
@@ -614,106 +606,76 @@ def fitted(tracer: PathTracing, log_odds: Array, posterior: Array) -> Scattering
     )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ErrorsByScattering:
     """The simulator's errors as control runs tell them, by level and model of scattering.
 
     Attributes
     ----------
-    of_model : array (n_parameters, n_pairs, n_bands)
-        What the model "vector" adds to every value.
+    coefficients : array (3, n_parameters, n_pairs, n_bands)
+        Of `basis`: straight lines over the level.
+    spread : array (3, 3)
+        Their covariance over the variance of what is left.
+    power : array (n_parameters,)
+        Of the level that the variance of what is left is proportional to, which is 1 at ``middle``.
+    left, of_coefficients : array (n, n)
+        Covariance of what is left of all values, and of that of which the coefficients are uncertain.
     """
 
-    of_model: Array
-    _line: _Line
-    _covariance: Array = field(repr=False)
-    _of_coefficients: Array = field(repr=False)
+    coefficients: Array
+    spread: Array
+    power: Array
+    middle: float
+    left: Array
+    of_coefficients: Array
+
+    @property
+    def of_model(self) -> Array:
+        """What the model "vector" adds to every value, (n_parameters, n_pairs, n_bands)."""
+        return np.asarray(self.coefficients[1])
 
     def covariance(self, level: float, model: ScatteringModel) -> Array:
         """Return the covariance of all values at a level of scattering, (n, n)."""
         at = np.clip(level, *SCATTERING)
         row = basis([at], [MODELS.index(model)])[0]
         # What a few runs leave uncertain of the coefficients: the leverage of the level.
-        leverage = row @ self._line.spread @ row
-        size = len(self._covariance) // len(self._line.power)  # values of a parameter
-        deviation = np.repeat(self._line.deviation([at])[0], size)
-        covariance = self._covariance + leverage * self._of_coefficients
-        return np.asarray(deviation[:, np.newaxis] * covariance * deviation)
+        covariance = self.left + row @ self.spread @ row * self.of_coefficients
+        deviation = (at / self.middle) ** (self.power / 2)
+        each = np.repeat(deviation, len(covariance) // len(deviation))
+        return np.asarray(each[:, np.newaxis] * covariance * each)
 
 
 def errors_by_scattering(controls: ControlRuns, noise: Array) -> ErrorsByScattering | None:
-    """Return how the errors of control runs depend on scattering.
+    """Return how the errors of control runs depend on scattering, by weighted least squares.
 
     None if the runs are too few, or do not differ in scattering. ``noise`` (n_parameters, n_bands) is
     the variance of a run's values by its finite number of paths.
-    """
-    if controls.levels is None or len(controls.errors) < 4 * _COEFFICIENTS:
-        return None
-    line = _line(controls.errors, controls.levels, controls.models)
-    if line is None:
-        return None
-    left = replace(controls, errors=line.left)
-    # Coefficients of all pairs are drawn towards their mean, as far as noise makes them differ.
-    common = line.coefficients.mean(axis=2, keepdims=True)
-    mean = line.left.mean(axis=2, keepdims=True)
-    off = np.diag(line.spread)[:, np.newaxis] * ((line.left - mean) ** 2).mean(axis=0).sum(
-        axis=(1, 2)
-    )
-    share = share_of_signal(((line.coefficients - common) ** 2).sum(axis=(2, 3)), off)
-    own = np.sqrt(share.mean(axis=0))[:, np.newaxis, np.newaxis]
-    return ErrorsByScattering(
-        (common + share[..., np.newaxis, np.newaxis] * (line.coefficients - common))[1],
-        line,
-        left.without_noise(noise).with_common(COMMON_LEFT**0.5).covariance(),
-        replace(left, errors=mean + (line.left - mean) * own).covariance(),
-    )
-
-
-@dataclass(frozen=True)
-class _Line:
-    """Control runs' errors as a straight line over the level of scattering, and what it leaves.
-
-    ``coefficients`` (3, n_parameters, n_pairs, n_bands) belong to `basis`, ``spread`` (3, 3) is their
-    covariance over the variance of what is left. ``left``, as the errors, is divided by `deviation`.
-    """
-
-    coefficients: Array
-    spread: Array
-    left: Array
-    power: Array
-    middle: float
-
-    def deviation(self, levels: ArrayLike) -> Array:
-        """Return the deviations from the line over those at the middle, (n, n_parameters)."""
-        ratio = np.asarray(levels, dtype=float)[:, np.newaxis] / self.middle
-        return np.asarray(ratio ** (self.power / 2))
-
-
-def _line(errors: Array, levels: Array, models: Sequence[ScatteringModel]) -> _Line | None:
-    """Fit the errors (n_runs, ...) by weighted least squares; None if the runs do not tell the line.
 
     Where little is scattered, a room departs most from the line: the variance of T20's error is about
     inverse to the level squared, that of C80's hardly depends on it. So each parameter's variance is a
     power of the level. Runs far from the line count less, as under Student's t distribution.
     """
-    runs, n_parameters = errors.shape[:2]
-    columns = basis(levels, [MODELS.index(m) for m in models])
-    if np.linalg.matrix_rank(columns) < _COEFFICIENTS:
+    errors, levels = controls.errors, controls.levels
+    (runs, n_parameters), n = errors.shape[:2], _COEFFICIENTS
+    if levels is None or runs < 4 * n:
+        return None
+    columns = basis(levels, [MODELS.index(m) for m in controls.models])
+    if np.linalg.matrix_rank(columns) < n:
         return None
     middle = float(np.exp(np.mean(np.log(levels))))
     log_level = np.log(levels / middle)
     power, weight = np.zeros(n_parameters), np.ones((runs, n_parameters))
+    coefficients, left = np.empty((n, *errors.shape[1:])), np.empty_like(errors)
     for last in (False,) * _PASSES + (True,):
         root = np.sqrt(weight) * np.exp(-0.5 * np.outer(log_level, power))
-        coefficients, left = np.empty((_COEFFICIENTS, *errors.shape[1:])), np.empty_like(errors)
-        spread = np.zeros((_COEFFICIENTS, _COEFFICIENTS))
+        spread = np.zeros((n, n))
         for p in range(n_parameters):
             weighted = root[:, p, np.newaxis] * columns
             values = errors[:, p].reshape(runs, -1)
             solved = np.linalg.lstsq(weighted, root[:, p, np.newaxis] * values, rcond=None)[0]
             off = root[:, p, np.newaxis] * (values - columns @ solved)
             coefficients[:, p] = solved.reshape(coefficients[:, p].shape)
-            left[:, p] = np.sqrt(runs / (runs - _COEFFICIENTS)) * off.reshape(left[:, p].shape)
+            left[:, p] = np.sqrt(runs / (runs - n)) * off.reshape(left[:, p].shape)
             spread += np.linalg.inv(weighted.T @ weighted) / n_parameters
         if last:
             break
@@ -723,7 +685,21 @@ def _line(errors: Array, levels: Array, models: Sequence[ScatteringModel]) -> _L
         power = log_level @ (logs - logs.mean(axis=0)) / (log_level @ log_level + _RIDGE)
         power = np.clip(power, *_POWERS)
         weight = (_FREEDOM + 1) / (_FREEDOM + square / weight)
-    return _Line(coefficients, spread, left, power, middle)
+    # Coefficients of all pairs are drawn towards their mean, as far as noise makes them differ.
+    common, mean = coefficients.mean(axis=2, keepdims=True), left.mean(axis=2, keepdims=True)
+    own_noise = ((left - mean) ** 2).mean(axis=0).sum(axis=(1, 2))
+    off = np.diag(spread)[:, np.newaxis] * own_noise
+    share = share_of_signal(((coefficients - common) ** 2).sum(axis=(2, 3)), off)
+    own = np.sqrt(share.mean(axis=0))[:, np.newaxis, np.newaxis]
+    of_left = replace(controls, errors=left)
+    return ErrorsByScattering(
+        coefficients=common + share[..., np.newaxis, np.newaxis] * (coefficients - common),
+        spread=spread,
+        power=power,
+        middle=middle,
+        left=of_left.without_noise(noise).with_common(COMMON_LEFT**0.5).covariance(),
+        of_coefficients=replace(of_left, errors=mean + (left - mean) * own).covariance(),
+    )
 
 
 def log_likelihood(residual: Array, covariance: Array) -> float:

@@ -97,19 +97,19 @@ class MeasuredPairs:
             found[p] = number * kind.of_observed(unit, values)
         return np.asarray(found[self.used])
 
-    def gap(self, simulated: Observations) -> Array:
+    def gap(self, simulated: Array) -> Array:
         """Return simulated less measured in JND, as `gap_at_pairs` does."""
         return gap_at_pairs(simulated, self.observations, relative=self.level == "relative")
 
 
-def gap_at_pairs(simulated: Observations, measured: Observations, *, relative: bool) -> Array:
-    """Return simulated less measured in JND, (n_parameters, n_pairs, n_bands).
+def gap_at_pairs(simulated: Array, measured: Observations, *, relative: bool) -> Array:
+    """Return simulated values, as observed, less measured in JND, (n_parameters, n_pairs, n_bands).
 
     A relative level has its mean over each source's pairs taken off.
     """
     gaps = []
-    for name in measured.parameters:
-        model, wanted = simulated.natural(name), measured.natural(name)
+    for name, values in zip(measured.parameters, simulated, strict=True):
+        model, wanted = observable(name).natural(values), measured.natural(name)
         if name == LEVEL.key and relative:
             model = with_reference(model, wanted, measured.pairs)
         gaps.append(gap_jnd(model, wanted, name))
@@ -484,7 +484,7 @@ class Linearisation:
 
     def gaps(self) -> Array:
         """Return root mean square gaps in JND: of all that is matched, and of each parameter."""
-        gap = self.data.gap(replace(self.data.observations, values=self.values()))
+        gap = self.data.gap(self.values())
         return np.array([rms(gap), *rms(gap, axis=(1, 2))])
 
     @property
@@ -695,12 +695,12 @@ class Compared:
     @property
     def gap_before(self) -> Array:
         """Simulated less measured, with the prior, in JND, (n_parameters, n_pairs, n_bands)."""
-        return gap_at_pairs(self.before, self.measured, relative=self.relative)
+        return gap_at_pairs(self.before.values, self.measured, relative=self.relative)
 
     @property
     def gap_after(self) -> Array:
         """Simulated less measured, in JND, (n_parameters, n_pairs, n_bands)."""
-        return gap_at_pairs(self.after, self.measured, relative=self.relative)
+        return gap_at_pairs(self.after.values, self.measured, relative=self.relative)
 
     @property
     def gaps(self) -> Gaps:

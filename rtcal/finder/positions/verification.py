@@ -321,4 +321,6 @@ def _gap_in_jnd(
     A relative level has its mean over each source's pairs taken off.
     """
     measured = Observations.of_measurement(case.in_room, finding.parameters, pairs)
-    return gap_at_pairs(heard.at(measured), measured, relative=LEVEL.key in case.measured.values)
+    return gap_at_pairs(
+        heard.at(measured).values, measured, relative=LEVEL.key in case.measured.values
+    )
