@@ -28,7 +28,7 @@ from collections import Counter
 from pathlib import Path
 
 MUTMUT = Path(sys.executable).with_name("mutmut")
-ANY = "rtcal.loop.rules.x_secant__mutmut_1"  # any one mutant: mutmut makes all before it runs it
+ANY = "rtcal.loop.closed.x_secant__mutmut_1"  # any one mutant: mutmut makes all before it runs it
 LONGEST = 3.0  # s; a survivor costs the time of all tests that reach it
 STATS = Path("mutants/mutmut-stats.json")
 SURVIVED = {

@@ -10,7 +10,7 @@ from rtcal import loop as closed_loop
 from rtcal.acoustics.marks import gap_jnd
 from rtcal.calibration.problem import Calibration
 from rtcal.datasets import halls
-from rtcal.loop import rules as loop_rules
+from rtcal.loop import closed as loop_rules
 from rtcal.loop.closed import calibrate_simulator
 from rtcal.simulators.external import EquationSimulator, External
 from rtcal.simulators.path_tracing import PathTracing

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.loop import rules
+from rtcal.loop import closed as rules
 from rtcal.loop.closed import Matched
 
 LOW, HIGH, NAN = 0.01, 100.0, np.nan

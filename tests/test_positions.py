@@ -14,8 +14,7 @@ from rtcal.datasets import halls
 from rtcal.loop import control_runs
 from rtcal.loop.control_runs import MaterialScattering, scattered
 from rtcal.loop.measured_pairs import Compared
-from rtcal.loop.positions import precise
-from rtcal.loop.positions_result import PositionsResult
+from rtcal.loop.positions import PositionsResult, precise
 from rtcal.simulators import PathTracing
 from rtcal.support.errors import DataError
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.room import Room
     from rtcal.calibration.result import CalibrationResult
     from rtcal.files.saved import Result
-    from rtcal.loop.positions_result import PositionsResult
+    from rtcal.loop.positions import PositionsResult
 
 
 MAX_BYTES = 2**18
@@ -139,7 +139,7 @@ def predict(
 def fitted_folder(room: str, measured: str | None) -> PositionsResult | None:
     """Return the calibration of an `rtcal fit` folder; None for a room's file."""
     from rtcal.files.saved import load
-    from rtcal.loop.positions_result import PositionsResult
+    from rtcal.loop.positions import PositionsResult
 
     if not Path(room).is_dir():
         return None

@@ -492,8 +492,9 @@ class Scattering:
         """Return what is to be known of it; ``materials`` are the room's."""
         notes = [
             f"Scattering: {self.in_words}, fitted with alpha. It is no measurement: another seed or "
-            "more paths may give other coefficients. Of both meanings of the coefficients, random and vector, the "
-            f'fit takes the one under which the measurement is likelier: here "{self.model}".'
+            "more paths may give other coefficients. Of both meanings of the coefficients, random and "
+            "vector, the fit takes the one under which the measurement is likelier: here "
+            f'"{self.model}".'
         ]
         if self.limited:
             names = ", ".join(materials[i] for i in self.limited)

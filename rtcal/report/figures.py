@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from rtcal.finder.states.finding import StatesFinding
     from rtcal.finder.verification import Verification
     from rtcal.loop.closed import Loop
-    from rtcal.loop.positions_result import PositionsResult
+    from rtcal.loop.positions import PositionsResult
     from rtcal.modes.calibrate import ModesResult
 
 __all__ = ["gap", "rendered", "reverberation_time", "save"]

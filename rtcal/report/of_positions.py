@@ -11,7 +11,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
-from rtcal.loop.positions_result import PositionsResult, gap_table
+from rtcal.loop.positions import PositionsResult, gap_table
 from rtcal.report import figures, room_view
 from rtcal.report.document import (
     MOST_MATERIALS,

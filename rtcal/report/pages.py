@@ -17,7 +17,7 @@ from rtcal.finder.states import StatesFinding
 from rtcal.finder.verification import Verification
 from rtcal.io import workbook
 from rtcal.loop.closed import Loop
-from rtcal.loop.positions_result import PositionsResult
+from rtcal.loop.positions import PositionsResult
 from rtcal.loop.predicted import PositionsPrediction
 from rtcal.modes.calibrate import ModesResult
 from rtcal.prediction.designed import Design

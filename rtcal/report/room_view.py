@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
     from rtcal.finder.positions.finding import Place, PositionsFinding
     from rtcal.finder.verification import Verification
-    from rtcal.loop.positions_result import PositionsResult
+    from rtcal.loop.positions import PositionsResult
 
 GREY = "#c8c8c8"
 """Colour of what has no value."""

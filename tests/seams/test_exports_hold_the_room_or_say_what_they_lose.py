@@ -21,7 +21,7 @@ import rtcal as rt
 from rtcal.finder.corrected import Corrected, corrected_geometry
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
-from rtcal.loop.positions_result import PositionsResult
+from rtcal.loop.positions import PositionsResult
 from rtcal.report import figures, of_positions
 from rtcal.simulators import EquationSimulator, Polyhedron
 from rtcal.support.errors import DataError

@@ -14,8 +14,7 @@ import argparse
 import numpy as np
 
 import rtcal as rt
-from rtcal.loop.closed import calibrate_simulator
-from rtcal.loop.rules import Rule
+from rtcal.loop.closed import Rule, calibrate_simulator
 from rtcal.simulators.shoebox import ScatteringDelayNetwork
 from rtcal.support.errors import DataError
 
