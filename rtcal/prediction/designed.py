@@ -500,7 +500,7 @@ class Design(Result):
         return [
             {
                 "name": t.name,
-                "material": t.material_name,
+                "material": name_of(t.material),
                 "covers": t.covers or "",
                 "area": area,
                 "largest": t.largest,

@@ -80,8 +80,8 @@ def test_a_parameter_that_leaves_is_named(cost: float) -> None:
 
 def test_what_was_measured_is_saved_and_on_the_page() -> None:
     result = calibrated(30.0, {"c80": 1.5})
-    saved = json.loads(result.to_json())
-    np.testing.assert_allclose(saved["measured"]["c80"], 1.5)
+    saved = json.loads(result.to_json())["parameters"]
+    np.testing.assert_allclose(saved["c80"]["measured"], 1.5)
     assert "C80 / dB measured" in pages.page(result)
 
 
