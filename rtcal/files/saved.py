@@ -75,12 +75,12 @@ class Result:
 
     record_kind: ClassVar[str]
     """Value of the key ``rtcal`` in its file."""
-    numbers: ClassVar[str] = ""
+    in_file: ClassVar[str] = ""
     """Names of the attributes that `to_dict` states, some as key=path, such as room=prior.name."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return what the result says as plain numbers, lists and text, None for what is missing."""
-        named = (name.partition("=") for name in self.numbers.split())
+        named = (name.partition("=") for name in self.in_file.split())
         return {key: stated(attrgetter(path or key)(self)) for key, _, path in named}
 
     def to_json(self, folder: str | os.PathLike[str] | None = None) -> str:

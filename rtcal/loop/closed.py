@@ -316,7 +316,7 @@ class Loop(Result):
     """
 
     record_kind: ClassVar[str] = "loop 2"
-    numbers: ClassVar[str] = (
+    in_file: ClassVar[str] = (
         "room=prior.name centre_frequencies=prior.centre_frequencies matched=matched.label "
         "shares=matched.shares simulations alpha finished status=status_now gap_jnd=gap goal_jnd=goal "
         "parameters farther trust_marks notes=every_note"

@@ -711,7 +711,7 @@ class Compared:
     def to_dict(self) -> dict[str, Any]:
         """Return parameters, pairs, values in their units, and gaps, as plain numbers and text."""
         ends = {"measured": self.measured, "before": self.before, "after": self.after}
-        return stated(
+        found: dict[str, Any] = stated(
             {
                 "parameters": self.parameters,
                 "pairs": self.measured.pairs,
@@ -720,6 +720,7 @@ class Compared:
                 "gap_after_jnd": self.gap_after,
             }
         )
+        return found
 
 
 def left(gaps: Gaps) -> tuple[str, ...]:

@@ -271,7 +271,8 @@ class Fitted:
     @property
     def last(self) -> GaussNewtonStep:
         """The last step; a fit has taken one."""
-        return self.path.steps[-1]
+        step: GaussNewtonStep = self.path.steps[-1]
+        return step
 
 
 def _offset(here: Linearisation, materials: MaterialScattering | None) -> Array:
@@ -994,7 +995,7 @@ class PositionsResult(Result):
     """
 
     record_kind: ClassVar[str] = "positions 1"
-    numbers: ClassVar[str] = (
+    in_file: ClassVar[str] = (
         "room=prior.name author=prior.author simulator simulations scattering "
         "centre_frequencies=prior.centre_frequencies parameters pairs level=measured.level matched "
         "not_matched=beside held_out materials pulls misfit contradictions "

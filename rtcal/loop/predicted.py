@@ -121,7 +121,7 @@ class PositionsPrediction(Result):
     """
 
     record_kind: ClassVar[str] = "prediction at positions 1"
-    numbers: ClassVar[str] = (
+    in_file: ClassVar[str] = (
         "room=before.name name changes simulator centre_frequencies=before.centre_frequencies pairs "
         "sentences sampled parameters=of_parameters"
     )

@@ -258,7 +258,7 @@ class ModesResult(Result):
     """
 
     record_kind: ClassVar[str] = "modes 1"
-    numbers: ClassVar[str] = (
+    in_file: ClassVar[str] = (
         "room=prior.name centre_frequencies=prior.centre_frequencies modes=each frequency_scale=scale "
         "q=plausibility.q p_value=plausibility.p_value materials below_schroeder=below carried steps "
         "settled worst_certificate=certificate.worst notes=every_note"

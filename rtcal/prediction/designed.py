@@ -452,7 +452,7 @@ class Design(Result):
     """
 
     record_kind: ClassVar[str] = "design 1"
-    numbers: ClassVar[str] = (
+    in_file: ClassVar[str] = (
         "room=model.before.name promised cost treatments target=model.target probability "
         "probability_together frontier prediction"
     )

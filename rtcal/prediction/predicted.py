@@ -90,7 +90,7 @@ class Prediction(Result):
     """
 
     record_kind: ClassVar[str] = "prediction 2"
-    numbers: ClassVar[str] = (
+    in_file: ClassVar[str] = (
         "room=before.name name changes measured_states=known.n_measured equation=equation.name "
         "assumptions centre_frequencies=after.centre_frequencies before_is "
         "reverberation_time_before=time_before uncertainty_before reverberation_time=mean "
