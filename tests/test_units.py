@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -168,6 +170,9 @@ def test_q_too_small_is_said() -> None:
     exact = rt.calibrate(room(), rt.Eyring().reverberation_time(room()))
     assert agreement(exact.plausibility.p_value) == "too good"
     assert "Too good to be true" in unwrapped(exact)
+    known = room().replace(calibration=replace(exact.room.calibration, measured=""))
+    again = rt.calibrate(known, rt.Eyring().reverberation_time(room()))
+    assert "follow from a measurement of this room" in unwrapped(again)
     assert exact.verdict.level == "open"
     stated = room()
     spread = np.sqrt(stated.areas**2 @ stated.sigma**2)

@@ -941,6 +941,7 @@ class CalibrationResult(Result):
                 "raw_alpha": json_numbers(self.joint.raw_alpha[self._rows]),
             },
             "inputs": table.inputs(room, self.measured_data),
+            "stated_by": room.calibration and room.calibration.method,
         }
         return {**record, "verdict": verdict(record)._asdict()}
 

@@ -153,6 +153,13 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
             f"stands at a bound ({q}).",
         )
     agreed = agreement(p, found["p_together"])
+    if agreed == "too good" and record.get("stated_by"):
+        return CalibrationVerdict(
+            "open",
+            "The measurement agrees with coefficients that follow from a measurement of this room",
+            f"The coefficients moved less than their stated uncertainty makes likely ({q}); {asks}. "
+            "That is usual after a calibration or `rtcal apply`, and no evidence for the materials.",
+        )
     if agreed == "too good":
         return CalibrationVerdict(
             "open",
