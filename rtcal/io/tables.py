@@ -69,7 +69,6 @@ from rtcal.io.table_columns import (
 )
 from rtcal.io.text import Row, Sheet, decode, number, sheets_of_text, shown, unit_of
 from rtcal.support import checks
-from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 
@@ -640,7 +639,9 @@ class _Table:
             )
             for c in columns
         ]
-        self._refuse_twice()
+        for kind, times in Counter(c.kind for c in self.columns).items():
+            if kind not in ("value", "") and times > 1:
+                raise DataError(f"{self.place}: two columns are the {kind}")
         self.rows = self._rows(body)
         self.parameter = None if "parameter" in kinds else self._of_table()
         if self.parameter is not None:
@@ -663,21 +664,6 @@ class _Table:
         return (
             self.sheet.position if source or receiver else position_of(self.sheet.name) or ("", "")
         )
-
-    def _refuse_twice(self) -> None:
-        """Raise DataError for two columns of one meaning."""
-        for kind, times in Counter(c.kind for c in self.columns).items():
-            if kind not in ("value", "") and times > 1:
-                raise DataError(f"{self.place}: two columns are the {kind}")
-        placed = Counter(c.meaning for c in self.columns if c.receiver)
-        for column in self.columns:
-            times = placed[column.meaning]
-            if times > 1 and not self.options.repeats:
-                raise DataError(
-                    f'{self.place}: column "{shown(column.header)}" is there {times} times; if they '
-                    "are repeats of one place, state repeats=True; if tables stand beside each other, "
-                    "keep each on a sheet or in a file of its own"
-                )
 
     def _rows(self, body: Sequence[Row]) -> list[Row]:
         """Return the rows with a cell per column, without what stands below a table.
@@ -858,9 +844,11 @@ class _Table:
             for column, cell in zip(self.columns, cells, strict=True)
             if column.kind and not column.has_values
         }
+        errors = [cell for cell in cells if cell.lower() in FORMULA_ERRORS]
+        self.formula_errors += [f"{e} in line {place.rpartition(' ')[2]}" for e in errors]
         filled = self._cells_of_values(cells)
         statistic = self._statistic(entries, filled, place)
-        if statistic == "" or self._is_unused(entries) or not (filled or self._has_errors(cells)):
+        if statistic == "" or self._is_unused(entries) or not filled:
             return
         named = entries.get("parameter"), entries.get("band")
         if statistic is not None and self.has_positions and "" in named:
@@ -869,14 +857,11 @@ class _Table:
         row_band = self._row_band(entries, place)
         row_parameter = self._row_parameter(entries, place)
         for column, cell in zip(self.columns, cells, strict=True):
-            if column.has_values and cell.lower() in FORMULA_ERRORS:
-                self.formula_errors.append(f"{cell} in line {place.rpartition(' ')[2]}")
             if not column.has_values or is_missing(cell):
                 continue
             source, receiver = of_row
             if column.receiver:
                 source, receiver = column.source or source, column.receiver
-            text_name(f"{place}: a position", source + receiver)
             parameter = column.parameter or row_parameter
             if not parameter:
                 self._refuse_unnamed(entries, cell, place)
@@ -896,14 +881,9 @@ class _Table:
             for name in ("sources", "receivers"):
                 if not is_missing(entries.get(name, "")):
                     numbers[name] = number(entries[name], place)
-            if min(numbers.get(name, 0.0) for name in _SPREADS) < 0:
-                raise DataError(f"{place}: an uncertainty or standard deviation is below 0")
             if "value" in numbers:
                 self._check(parameter, numbers["value"], place)
             yield _Value(place, (source, receiver, parameter, band), numbers, statistic)
-
-    def _has_errors(self, cells: Sequence[str]) -> bool:
-        return any(cell.lower() in FORMULA_ERRORS for cell in cells)
 
     def _statistic(
         self, entries: Mapping[str, str], values: Sequence[str], place: str
@@ -1080,7 +1060,8 @@ def _values(tables: Sequence[_Table], options: _Options) -> tuple[Values, Values
                 key = next(k for k in repeats if k not in values)
             held = values.setdefault(key, options.counts)
             if held.keys() & value.numbers.keys() & {"value", "standard_deviation"}:
-                hint = "" if SUMMARY in key else "; if they are repeats, state repeats=True"
+                hint = "; if they are repeats of one place, state repeats=True"
+                hint = "" if SUMMARY in key else hint
                 raise DataError(f"{twice}{hint}")
             held.update(value.numbers)
     return single, of_several
