@@ -176,57 +176,37 @@ def fit(
     """
     factor = np.asarray(np.linalg.cholesky(data.covariance))
     in_qp = data.covariance if covariance is None else covariance
-
-    def residual(alpha: Array) -> Array:
-        return np.asarray(data.values - data.predict(alpha))
-
-    def linearised(alpha: Array) -> _LinearisedData:
-        left, matrix = residual(alpha), data.jacobian(alpha)
-        observed = Observed(matrix=matrix, values=left + matrix @ alpha.ravel(), covariance=in_qp)
+    steps, last = list[GaussNewtonStep](), False
+    while len(steps) < most and not last:
+        left, matrix = data.values - data.predict(start), data.jacobian(start)
+        observed = Observed(matrix=matrix, values=left + matrix @ start.ravel(), covariance=in_qp)
         answer = problem.solve(times, observed={term: observed}, method=method)
         objective = ModelObjective(answer, term, factor)
-        now = objective.value(alpha, left)
+        now = objective.value(start, left)
 
-        def worse(end: Array) -> bool:
+        def worse(end: Array, objective: ModelObjective = objective, now: float = now) -> bool:
             try:
-                off = residual(end)
+                off = data.values - data.predict(end)
             except (DataError, SimulatorError):
                 return True
             return objective.value(end, off) > now or (np.isfinite(now) and not allowed())
 
-        return _LinearisedData(alpha, matrix, answer, worse)
-
-    def small(step: Taken[_LinearisedData]) -> bool:
+        for share in (*0.5 ** np.arange(halvings + 1.0), 0.0):
+            end = np.asarray(start + share * (answer.alpha - start))
+            if not share or not worse(end):
+                break
+        step = GaussNewtonStep(start, matrix, float(share), answer)
+        steps.append(step)
         if settled is not None:
-            taken = step.model
-            return settled(taken.step(float(step.share[0])), taken.towards(step.share))
-        # The whole step counts: one that was shortened to little may be far from the minimum.
-        sigma = step.model.answer.prior.sigma
-        moved = np.abs(step.model.answer.alpha - step.model.start)
-        return bool((moved[sigma > 0] < SETTLED * sigma[sigma > 0]).all())
-
-    path = gauss_newton(start, linearised, most=most, halvings=halvings, settled=small, refuse=True)
-    steps = tuple(s.model.step(float(s.share[0])) for s in path.steps)
-    return GaussNewtonFit(path.end, steps, path.settled)
-
-
-@dataclass(frozen=True, eq=False)
-class _LinearisedData:
-    """Data linearised at alpha, the answer of their QP, and what refuses a point."""
-
-    start: Array
-    matrix: Array
-    answer: CalibrationResult
-    refuses: Callable[[Array], bool]
-
-    def step(self, share: float) -> GaussNewtonStep:
-        return GaussNewtonStep(self.start, self.matrix, share, self.answer)
-
-    def towards(self, share: Array) -> Array:
-        return np.asarray(self.start + float(share[0]) * (self.answer.alpha - self.start))
-
-    def worse(self, end: Array) -> NDArray[np.bool_]:
-        return np.array([self.refuses(end)])
+            last = settled(step, end)
+        else:
+            # The whole step counts: one that was shortened to little may be far from the minimum.
+            sigma, moved = answer.prior.sigma, np.abs(answer.alpha - start)
+            last = bool((moved[sigma > 0] < SETTLED * sigma[sigma > 0]).all())
+        start = end
+        if not share:
+            break
+    return GaussNewtonFit(start, tuple(steps), last)
 
 
 Point = TypeVar("Point")
