@@ -70,7 +70,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
         lambda: rt.exact.maximum_likelihood([0.1, 0.2], [-0.1, 0.1], [10, 20], 4),
         "sigma has -0.1, which is not 0 or more",
     ),
-    (lambda: rt.exact.multiplier([0.1, 0.2], [-0.1, 0.1], [10, 20], 4), "value below 0"),
+    (lambda: rt.exact.multiplier([0.1, 0.2], [-0.1, 0.1], [10, 20], 4), "not 0 or more"),
     (lambda: rt.exact.multiplier([0.1, 0.2], [0, 0], [10, 20], 4), "no coefficient there"),
     (lambda: rt.exact.least_squares([0.1, 0.2], [-10, 20], 4), "areas has -10 m²"),
     (lambda: rt.exact.scaling([0.1, 0.2], [0, 20], 4), "areas has 0 m²"),

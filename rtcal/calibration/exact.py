@@ -70,7 +70,6 @@ def solve(
     *,
     tolerance: ArrayLike = 0.0,
     uncertainty: ArrayLike = 0.0,
-    out: Array | None = None,
 ) -> Answer:
     """Return the exact minimisers of a batch of calibration QPs, one band each.
 
@@ -91,8 +90,6 @@ def solve(
         Bounds, finite.
     tolerance, uncertainty : float or array (...)
         m², 0 for an exact match; at most one of the two may be above 0.
-    out : array (..., n), optional
-        C-contiguous float64 of the answer's shape; written and returned as ``alpha``.
 
     Returns
     -------
@@ -104,10 +101,10 @@ def solve(
     Raises
     ------
     DataError
-        If shapes do not fit, a value is not a number or masked, ``out`` cannot be written to, or both
-        ``tolerance`` and ``uncertainty`` are stated. A row with NaN, a negative area, a negative
-        sigma, one above 0 and below `LEAST_SIGMA`, lower above upper or a fixed mu outside the bounds
-        raises no error: its status is 3.
+        If shapes do not fit, a value is not a number or masked, or both ``tolerance`` and
+        ``uncertainty`` are stated. A row with NaN, a negative area, a negative sigma, one above 0 and
+        below `LEAST_SIGMA`, lower above upper or a fixed mu outside the bounds raises no error: its
+        status is 3.
 
     References
     ----------
@@ -125,24 +122,10 @@ def solve(
     >>> print(status)
     [0 0]
     """
-    vectors = [
-        checks.array(name, x)
-        for x, name in (
-            (mu, "mu"),
-            (sigma, "sigma"),
-            (areas, "areas"),
-            (lower, "lower"),
-            (upper, "upper"),
-        )
-    ]
-    scalars = [
-        checks.array(name, x)
-        for x, name in (
-            (target, "target"),
-            (tolerance, "tolerance"),
-            (uncertainty, "uncertainty"),
-        )
-    ]
+    given = {"mu": mu, "sigma": sigma, "areas": areas, "lower": lower, "upper": upper}
+    vectors = [checks.array(name, x) for name, x in given.items()]
+    given = {"target": target, "tolerance": tolerance, "uncertainty": uncertainty}
+    scalars = [checks.array(name, x) for name, x in given.items()]
     if any(x.ndim == 0 for x in vectors[:3]):
         raise DataError("mu, sigma and areas need at least one axis, the coefficients: (..., n)")
     if np.any(scalars[1] != 0) and np.any(scalars[2] != 0):
@@ -156,15 +139,8 @@ def solve(
             "the shapes of mu, sigma, areas, lower, upper (..., n) and target, tolerance, "
             f"uncertainty (...) do not fit: {shapes}"
         ) from error
-    alpha = np.empty((*batch, n)) if out is None else out
-    if not isinstance(alpha, np.ndarray) or np.ma.isMaskedArray(alpha):
-        raise DataError("out is not an array that can be written to")
-    if alpha.shape != (*batch, n) or alpha.dtype != float or not alpha.flags.c_contiguous:
-        raise DataError(f"out must be C-contiguous float64 of shape {(*batch, n)}")
-    if not alpha.flags.writeable:
-        raise DataError("out is read-only; the answer is written to it")
     multiplier, status = np.empty(batch), np.empty(batch, np.int8)
-    rows = int(np.prod(batch, dtype=int))
+    rows, alpha = int(np.prod(batch, dtype=int)), np.empty((*batch, n))
     m, g, s, low, high = (_rows(x, batch, n) for x in vectors)
     b, give, slack = (_rows(x[..., np.newaxis], batch, 1)[:, 0] for x in scalars)
     a, d, code = alpha.reshape(rows, n), multiplier.reshape(rows), status.reshape(rows)
@@ -225,25 +201,20 @@ def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | fl
     >>> print(maximum_likelihood([0.6, 0.5], [0.05, 0.1], [47, 47], 37.6).round(2))
     [0.54 0.26]
     """
-    mu, areas, target = _checked(mu, areas, target)
-    sigma = _finite("sigma", sigma)
-    if sigma.shape != mu.shape:
-        raise DataError(f"sigma has shape {sigma.shape}; mu has {mu.shape}")
-    if (sigma < 0).any():
-        raise DataError(f"sigma has {sigma.min():g}, which is not 0 or more")
-    weight = _along(areas, mu) * sigma**2
-    room_to_move = areas @ weight
-    if np.any(room_to_move == 0):
-        raise DataError("all sigma of a band are 0; no coefficient there can move")
-    return np.asarray(mu - multiplier(mu, sigma, areas, target) * weight)
+    d = multiplier(mu, sigma, areas, target)
+    mu, sigma, areas = (np.asarray(x, dtype=float) for x in (mu, sigma, areas))
+    along = areas if mu.ndim == 1 else areas[:, np.newaxis]
+    return np.asarray(mu - d * along * sigma**2)
 
 
 def multiplier(mu: Array, sigma: Array, areas: Array, target: Array | float) -> Array:
     """Return D = (S'mu - b) / sum S² sigma² in 1/m², a scalar or (n_bands,) (Eqs. 23 to 25)."""
     mu, areas, target = _checked(mu, areas, target)
     sigma = _finite("sigma", sigma)
-    if sigma.shape != mu.shape or (sigma < 0).any():
-        raise DataError(f"sigma has not the shape {mu.shape} of mu, or a value below 0")
+    if sigma.shape != mu.shape:
+        raise DataError(f"sigma has shape {sigma.shape}; mu has {mu.shape}")
+    if (sigma < 0).any():
+        raise DataError(f"sigma has {sigma.min():g}, which is not 0 or more")
     spread = areas**2 @ sigma**2
     if np.any(spread == 0):
         raise DataError("all sigma of a band are 0; no coefficient there can move")
@@ -288,7 +259,3 @@ def _finite(name: str, values: object) -> Array:
     if not np.isfinite(array).all():
         raise DataError(f"{name} has a value that is not finite")
     return array
-
-
-def _along(areas: Array, mu: Array) -> Array:
-    return areas if mu.ndim == 1 else areas[:, np.newaxis]

@@ -92,32 +92,21 @@ class MeasuredTimes:
     @cached_property
     def mistyped(self) -> tuple[TrustMark, ...]:
         """Likely typing errors of T, with the room's nearest band: of values, or else of their mean."""
-        frequencies, times, measured = (
-            self.centre_frequencies,
-            self.reverberation_time,
-            self.measured,
-        )
-        if measured is None:
-            return tuple(marks.of_row(frequencies, times, "T", " s"))
-        matched = {p: v for p, v in measured.values.items() if p in self.parameter}
-        found = [
-            replace(error, frequency=float(frequencies[k]))
-            for error in marks.in_measurement(
-                Measurement(
-                    centre_frequencies=measured.centre_frequencies,
-                    values=matched,
-                    pairs=measured.pairs,
-                )
+        frequencies, of = self.centre_frequencies, self.measured
+        name, found = "T", list[TrustMark]()
+        if of is not None:
+            matched = {p: v for p, v in of.values.items() if p in self.parameter}
+            alone = Measurement(
+                centre_frequencies=of.centre_frequencies, values=matched, pairs=of.pairs
             )
-            for k in [
-                int(
-                    np.argmin(
-                        np.abs(np.log(frequencies / np.asarray(error.frequency, dtype=float)))
-                    )
-                )
-            ]
-        ]
-        return tuple(found or marks.of_row(frequencies, times, "the mean T", " s"))
+            name, found = "the mean T", marks.in_measurement(alone)
+
+        def in_room(error: TrustMark) -> TrustMark:
+            distance = np.abs(np.log(frequencies / np.asarray(error.frequency, dtype=float)))
+            return replace(error, frequency=float(frequencies[np.argmin(distance)]))
+
+        own = tuple(marks.of_row(frequencies, self.reverberation_time, name, " s"))
+        return tuple(map(in_room, found)) or own
 
 
 def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -> MeasuredTimes:

@@ -116,8 +116,9 @@ class CompiledProblem:
         self.layout, m = layout, Model(layout)
         self.model = m
         pairs = zip(terms, weights, strict=True)
-        objective = sum(weight * _expression(term, m) for term, weight in pairs)
-        stated = [(t, _constraints(t, m)) for t in constraints if not isinstance(t, Shared)]
+        objective = sum(weight * _stated(term, m, cp.Expression)[0] for term, weight in pairs)
+        kind = cp.constraints.constraint.Constraint
+        stated = [(t, _stated(t, m, kind)) for t in constraints if not isinstance(t, Shared)]
         rows = [constraint for _, of_term in stated for constraint in of_term]
         problem = cp.Problem(cp.Minimize(objective), [*rows, *m.definitions, *m.box()])
         if not problem.is_dcp(dpp=True):
@@ -215,25 +216,19 @@ class CompiledProblem:
         return QP(self, P, c, A[self._kept], b[self._general], lower, upper, scale, held)
 
 
-def _expression(term: AnyTerm, m: Model) -> Any:
-    """Return an objective term's expression; ModelError unless it is one number."""
-    expression = term(m)
-    if not isinstance(expression, cp.Expression) or not expression.is_scalar():
+def _stated(term: AnyTerm, m: Model, kind: Any) -> list[Any]:
+    """Return a term's expression of one number, or its constraints; ModelError for anything else."""
+    stated = term(m)
+    parts = list(stated) if isinstance(stated, list | tuple) else [stated]
+    minimised = kind is cp.Expression
+    if minimised and (not isinstance(stated, kind) or not stated.is_scalar()):
         raise ModelError(
-            f"{term!r} is no objective term: it returns {expression!r} in place of a cvxpy expression "
+            f"{term!r} is no objective term: it returns {stated!r} in place of a cvxpy expression "
             "of one number"
         )
-    return expression
-
-
-def _constraints(term: AnyTerm, m: Model) -> list[Any]:
-    """Return a term's constraints; ModelError unless they are."""
-    stated = term(m)
-    stated = list(stated) if isinstance(stated, list | tuple) else [stated]
-    for constraint in stated:
-        if not isinstance(constraint, cp.constraints.constraint.Constraint):
-            raise ModelError(f"{term!r} is no constraint: it returns {constraint!r}")
-    return stated
+    if wrong := [part for part in parts if not isinstance(part, kind)]:
+        raise ModelError(f"{term!r} is no constraint: it returns {wrong[0]!r}")
+    return parts
 
 
 _cached = functools.lru_cache(maxsize=16)(CompiledProblem)
@@ -299,11 +294,6 @@ class QP:
     upper: Array
     scale: Array
     fixed_area: float
-
-    def __repr__(self) -> str:
-        n_equal = np.count_nonzero(self.equal)
-        counts = f"{n_equal} equalities, {len(self.b) - n_equal} inequalities"
-        return f"<QP: {len(self.c)} variables, {counts}>"
 
     def unknowns(self, numbers: Numbers, v: Array) -> Array:
         """Return the unknowns u = mu + sigma x of a point v, (size,)."""
@@ -442,11 +432,6 @@ class Iterate:
     status: str = ""
     iterations: int = 0
     seconds: float = float("nan")
-
-    def __repr__(self) -> str:
-        stated = f", status {self.status}, {self.iterations} iterations" if self.status else ""
-        n = np.count_nonzero(self.at)
-        return f"<Iterate: {len(self.v)} variables, {n} held at a bound{stated}>"
 
     def active(self, program: QP) -> tuple[Active, Flags]:
         """Return which bounds and which rows are active: of a slack and its multiplier one is 0."""
