@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.calibration.fit import GaussNewtonFit, Taken, fit, gauss_newton
+from rtcal.calibration.fit import GaussNewtonFit, fit
 from rtcal.calibration.methods import METHODS, preset
 from rtcal.calibration.unknowns import Configurations
 from rtcal.support.errors import ModelError
@@ -424,30 +424,6 @@ def test_terms_can_be_added_by_sum() -> None:
     for other in (1, 0.5, "prior", None):
         with pytest.raises(ModelError, match="is not an objective term"):
             other + prior  # type: ignore[operator]
-
-
-class Tangent:
-    """The root of x² = 2, linearised in x."""
-
-    def __init__(self, x: np.ndarray) -> None:
-        self.x, self.step = x, (2 - x**2) / (2 * x)
-
-    def towards(self, share: np.ndarray) -> np.ndarray:
-        return self.x + share * self.step
-
-    def worse(self, end: np.ndarray) -> np.ndarray:
-        return np.abs(end**2 - 2) > np.abs(self.x**2 - 2)
-
-
-@pytest.mark.parametrize(("most", "settled"), [(9, True), (2, False)])
-def test_steps_say_whether_they_settled(most: int, settled: bool) -> None:
-    def small(taken: Taken[Tangent]) -> bool:
-        return bool(np.abs(taken.model.step).max() < 1e-6)
-
-    path = gauss_newton(np.array([1.0]), Tangent, most=most, halvings=3, settled=small)
-    assert path.settled is settled
-    assert len(path.steps) == (5 if settled else most)
-    assert path.end == pytest.approx(np.sqrt(2), abs=1e-9 if settled else 0.01)
 
 
 class Levels:

@@ -8,8 +8,8 @@ itself would rise. So no fit ends at a larger objective than it began with, and 
 its last step settled. The QP certifies its own answer, and the last step's is that of the whole.
 
 `fit` serves the calibration to every position (`rtcal.loop.positions`), to modes
-(`rtcal.modes.calibrate`), and a user's own data. That of a case with effects has unknowns of its own,
-and takes the steps alone (`gauss_newton`, `rtcal.finder.means.recalibration`).
+(`rtcal.modes.calibrate`), of a case with effects (`rtcal.finder.means.recalibration`), and a user's own
+data.
 
 References
 ----------
@@ -21,10 +21,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from rtcal.calibration.composition import Composition
@@ -207,112 +206,3 @@ def fit(
         if not share:
             break
     return GaussNewtonFit(start, tuple(steps), last)
-
-
-Point = TypeVar("Point")
-
-
-class Linearised(Protocol[Point]):
-    """A model that was linearised at a point, and the answer of its QP."""
-
-    def towards(self, share: Array) -> Point:
-        """Return the point at these shares, (n_groups,), of the way to the answer."""
-        ...
-
-    def worse(self, end: Point) -> NDArray[np.bool_]:
-        """Return of each group whether the model is farther from what was measured than before."""
-        ...
-
-
-LinearisedModel = TypeVar("LinearisedModel", bound=Linearised[Any])
-
-
-@dataclass(frozen=True, eq=False)
-class Taken(Generic[LinearisedModel]):
-    """A step: the ``model`` that was linearised, and the shares of the way that were gone.
-
-    ``share`` (n_groups,) is 0 where a step was refused, and the groups are what is shortened alone,
-    such as bands.
-    """
-
-    model: LinearisedModel
-    share: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Steps(Generic[Point, LinearisedModel]):
-    """Where the steps ended, the steps, and whether the last one settled."""
-
-    end: Point
-    steps: tuple[Taken[LinearisedModel], ...]
-    settled: bool
-
-
-def gauss_newton(
-    start: Point,
-    linearised: Callable[[Point], LinearisedModel],
-    *,
-    groups: int = 1,
-    most: int,
-    halvings: int,
-    settled: Callable[[Taken[LinearisedModel]], bool] = lambda _: False,
-    refuse: bool = False,
-) -> Steps[Point, LinearisedModel]:
-    """Take Gauss-Newton steps until one settles.
-
-    Parameters
-    ----------
-    start : Point
-    linearised : function
-        Linearises the model at a point and solves its QP.
-    groups : int
-        Of unknowns, each with a step length of its own: 1, or the bands.
-    most : int
-        Largest number of steps.
-    halvings : int
-        Largest number of halvings of a step.
-    settled : function
-        Whether a step moved so little that it is the last one.
-    refuse : bool
-        Whether a step that leads away however short it is, is not taken, and is the last one.
-
-    Returns
-    -------
-    Steps
-
-    Examples
-    --------
-    The root of x² = 2, linearised in x; no step leads away:
-
-    >>> import numpy as np
-    >>> class Tangent:
-    ...     def __init__(self, x):
-    ...         self.x, self.step = x, (2 - x**2) / (2 * x)
-    ...     def towards(self, share):
-    ...         return self.x + share * self.step
-    ...     def worse(self, end):
-    ...         return np.abs(end**2 - 2) > np.abs(self.x**2 - 2)
-    >>> path = gauss_newton(np.array([1.0]), Tangent, most=6, halvings=3)
-    >>> print(path.end.round(9), len(path.steps))
-    [1.41421356] 6
-    """
-    point, steps = start, list[Taken[LinearisedModel]]()
-    while len(steps) < most:
-        model = linearised(point)
-        share = np.ones(groups)
-        end = model.towards(share)
-        for left in reversed(range(halvings + refuse)):
-            worse = model.worse(end)
-            if not worse.any():
-                break
-            if refuse and not left:
-                end, share = point, np.zeros(groups)
-            else:
-                share = np.where(worse, share / 2, share)
-                end = model.towards(share)
-        steps.append(Taken(model, share))
-        point = end
-        last = settled(steps[-1])
-        if last or not share.any():
-            return Steps(point, tuple(steps), last)
-    return Steps(point, tuple(steps), False)
