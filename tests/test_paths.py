@@ -293,7 +293,7 @@ def test_lost_paths_are_dropped_and_the_others_weigh_more():
     # All other paths are those of the closed box, so that no time is quieter.
     assert kept.sum() == pytest.approx(whole.sum(), rel=0.002)
     assert TARGET.value(kept[0], 0.002) == pytest.approx(TARGET.value(whole[0], 0.002), rel=0.01)
-    energy, (gradient,) = leaky.energy_gradient(0, alpha, air, BIN)
+    energy, (gradient,) = leaky.gradient(0, alpha, air, BIN)
     assert energy == pytest.approx(kept[0], rel=1e-12)
     higher, lower = (leaky.energy(alpha + step, air, BIN).mean(axis=0)[0] for step in (1e-5, -1e-5))
     slope = (higher - lower)[:, 0] / 2e-5

@@ -53,6 +53,7 @@ from rtcal.simulators.geometry import (
     winding_number,
 )
 from rtcal.simulators.geometry import WELD as FINE
+from rtcal.simulators.geometry import area as area_of
 from rtcal.support import library
 from rtcal.support.errors import DataError
 from rtcal.support.text import listed, rounded
@@ -481,11 +482,6 @@ def numbered(names: Sequence[str]) -> list[str]:
         taken.add(new)
         unique.append(new)
     return unique
-
-
-def area_of(corners: Array) -> float:
-    """Return the area of a plane polygon in m²."""
-    return float(np.linalg.norm(vector_area(corners)))
 
 
 def normal_of(corners: Array) -> Array:

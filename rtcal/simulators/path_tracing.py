@@ -467,76 +467,65 @@ class Paths:
         out[..., 0] += self._direct_sound(attenuation)
         return out
 
-    def energy_gradient(
-        self, source: int, alpha: Array, air_attenuation: Array, bin_length: float
-    ) -> tuple[Array, Array]:
-        """Return the energies of one source, and their derivatives by alpha, in one sweep of its paths.
-
-        The energy is the mean over the batches, (n_receivers, n_bands, n_bins). The gradient, (1,
-        n_receivers, n_bins, n_materials, n_bands), lacks the materials beyond the last that a face has.
-        No alpha is 1.
-        """
-        counts = np.ones(2 * len(self.materials))
-        weighing = alpha, air_attenuation, bin_length
-        energy, gradient = self._swept(source, self.batches[source], weighing, counts)
-        # The kernel sums n E, n being the number of hits on the material's faces.
-        reflected = 1 - np.asarray(alpha, dtype=float)[: gradient.shape[2]]
-        return energy, gradient[np.newaxis] / -reflected
-
-    def scattering_gradient(
-        self, source: int, alpha: Array, air_attenuation: Array, bin_length: float, number: int
-    ) -> tuple[Array, Array]:
-        """Return the energies of one source and their derivatives by the scattering of each material.
-
-        A path that material j scattered d times and reflected r times without scattering has a
-        probability proportional to s^d (1 - s)^r. So its energy counts with (1 - s) d - s r in the
-        derivative by the log odds ln(s / (1 - s)) (Glynn 1990, likelihood ratios). It is 0 where s is
-        0 or 1. The shapes are those of `energy_gradient`, with the gradients of ``number`` independent
-        groups of the batches first, which divides their number.
-
-        Raises DataError if the paths were traced with another scattering model than "random".
-        """
-        if self.scattering_model != "random":
-            raise DataError(
-                f'the paths were traced with scattering_model = "{self.scattering_model}"; derivatives '
-                'by the scattering need "random"'
-            )
-        s = self.scattering[self.materials]
-        batches, weighing = self.batches[source], (alpha, air_attenuation, bin_length)
-        counts = np.concatenate([-s, 1 - s])
-        groups = [batches[group::number] for group in range(number)]
-        swept = [self._swept(source, group, weighing, counts) for group in groups]
-        energy, gradient = zip(*swept, strict=True)
-        return np.mean(energy, axis=0), np.array(gradient)
-
-    def _swept(
+    def gradient(
         self,
         source: int,
-        batches: Sequence[Batch],
-        weighing: tuple[Array, Array, float],
-        counts: Array,
+        alpha: Array,
+        air_attenuation: Array,
+        bin_length: float,
+        number: int | None = None,
     ) -> tuple[Array, Array]:
-        """Return the mean energies of some batches, and what their kernel sums.
+        """Return the energies of one source, and their derivatives, in one sweep of its paths.
 
-        ``weighing`` is alpha, air attenuation and the length of a bin. ``counts`` (2 n_faces,) is what
-        a hit of each code adds to the sum of its material.
+        Without a ``number`` they are those by alpha, which is nowhere 1. With it, they are those by the
+        scattering of each material, of as many independent groups of the batches, which it divides.
+        A path that material j scattered d times and reflected r times without scattering has a
+        probability proportional to s^d (1 - s)^r. So its energy counts with (1 - s) d - s r in the
+        derivative by the log odds ln(s / (1 - s)) (Glynn 1990, likelihood ratios). It is 0 where s is 0 or 1.
+
+        Returns
+        -------
+        energy : array (n_receivers, n_bands, n_bins)
+            Mean over the batches.
+        gradient : array (number, n_receivers, n_bins, n_materials, n_bands)
+            Without the materials beyond the last that a face has.
+
+        Raises
+        ------
+        DataError
+            For a ``number``, if the paths were traced with another scattering model than "random".
         """
         from rtcal.simulators import kernels
 
-        log_reflection, attenuation, n_bins = self._weights(*weighing)
+        log_reflection, attenuation, n_bins = self._weights(alpha, air_attenuation, bin_length)
+        batches, n_groups = self.batches[source], number or 1
+        counts = np.ones(2 * len(self.materials))
+        if number is not None:
+            if self.scattering_model != "random":
+                raise DataError(
+                    f'the paths were traced with scattering_model = "{self.scattering_model}"; '
+                    'derivatives by the scattering need "random"'
+                )
+            s = self.scattering[self.materials]
+            counts = np.concatenate([-s, 1 - s])
         n_receivers, n_bands = self.first.shape[1], len(attenuation)
-        energy = np.zeros((n_receivers, n_bands, n_bins))
-        gradient = np.zeros((n_receivers, n_bins, int(self.materials.max()) + 1, n_bands))
-        weights = log_reflection, attenuation, self.first[source], float(weighing[2])
+        n_materials = int(self.materials.max()) + 1
+        energy = np.zeros((n_groups, n_receivers, n_bands, n_bins))
+        gradient = np.zeros((n_groups, n_receivers, n_bins, n_materials, n_bands))
+        weighing = log_reflection, attenuation, self.first[source], float(bin_length)
         materials = np.tile(self.materials, 2)
-        for batch in batches:
-            kernels.histogram_gradient(batch.arrays, weights, materials, counts, energy, gradient)
-        kept = len(batches) * self.n_paths // len(self.batches[source])
-        kept -= sum(batch.lost for batch in batches)
-        energy /= kept
-        gradient /= kept
+        for group in range(n_groups):
+            some, out = batches[group::n_groups], (energy[group], gradient[group])
+            for batch in some:
+                kernels.histogram_gradient(batch.arrays, weighing, materials, counts, *out)
+            kept = len(some) * self.n_paths // len(batches) - sum(batch.lost for batch in some)
+            energy[group] /= kept
+            gradient[group] /= kept
         energy[..., 0] += self._direct_sound(attenuation)[source]
-        return energy, gradient
+        if number is None:
+            # The kernel sums n E, n being the number of hits on the material's faces.
+            gradient /= -(1 - np.asarray(alpha, dtype=float)[:n_materials])
+        return energy.mean(axis=0), gradient
 
     def energy_changed(
         self,
@@ -1134,7 +1123,7 @@ class PathTracing(Tracer):
         in the mean over seeds it does not. Raises as `simulate` does.
         """
         alpha = np.minimum(check_alpha(self, alpha), base.LARGEST_ALPHA)
-        return np.asarray(self._derivatives(alpha, match, seed, Paths.energy_gradient)[0])
+        return np.asarray(self._derivatives(alpha, match, seed, Paths.gradient)[0])
 
     def scattering_jacobian(
         self, alpha: Array, match: Sequence[str] = MATCH, *, number: int = 2, seed: int = 0
@@ -1144,7 +1133,7 @@ class PathTracing(Tracer):
         By its log odds ln(s / (1 - s)), which are changed by as much in all bands. They come from the
         paths of `observe`, of ``number`` independent groups, which divides ``n_batches``: their mean is
         the derivative, their differences its noise. Materials with s = 0 or 1 have 0. See
-        `Paths.scattering_gradient`.
+        `Paths.gradient`.
 
         Returns
         -------
@@ -1158,7 +1147,7 @@ class PathTracing(Tracer):
         """
         if self.n_batches % checks.whole("number", number, 1):
             raise DataError(f"number = {number} does not divide n_batches = {self.n_batches}")
-        gradient = partial(Paths.scattering_gradient, number=number)
+        gradient = partial(Paths.gradient, number=number)
         return self._derivatives(check_alpha(self, alpha), match, seed, gradient)
 
     def _weighing(self, alpha: Array, bands: NDArray[np.int64]) -> _Weighing:

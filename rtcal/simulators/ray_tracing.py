@@ -45,18 +45,11 @@ class RayTracing(Tracer):
 
     Parameters
     ----------
-    geometry : Polyhedron
-        Its walls have the room's materials, and it holds the room's volume within 10 %.
-    room : Room
-        Alpha has its materials and bands. The simulation takes its air and speed of sound.
-    sources, receivers : mapping of str to (x, y, z)
-        Positions in m, inside the room. Sources are omnidirectional.
+    geometry, room, sources, receivers, n_batches, scattering
+        As of `rtcal.simulators.PathTracing`. Sources are omnidirectional. Bands with equal scattering
+        coefficients are traced together.
     n_rays : int
         Rays per source.
-    n_batches : int
-        Independent batches of rays; their spread gives the standard errors.
-    scattering : float, array (n_materials,) or (n_materials, n_bands), optional
-        Scattering coefficients, by default the room's. Bands with equal ones are traced together.
     radius : float, optional
         Radius of all receivers in m, by default 0.075 times the cube root of the volume, and at
         most the distance of any receiver from the nearest wall.
