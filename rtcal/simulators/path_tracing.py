@@ -481,7 +481,8 @@ class Paths:
         scattering of each material, of as many independent groups of the batches, which it divides.
         A path that material j scattered d times and reflected r times without scattering has a
         probability proportional to s^d (1 - s)^r. So its energy counts with (1 - s) d - s r in the
-        derivative by the log odds ln(s / (1 - s)) (Glynn 1990, likelihood ratios). It is 0 where s is 0 or 1.
+        derivative by the log odds ln(s / (1 - s)) (Glynn 1990, likelihood ratios). It is 0 where s is
+        0 or 1.
 
         Returns
         -------
