@@ -13,7 +13,7 @@ import pytest
 from hypothesis import settings
 
 import rtcal as rt
-from rtcal.finder.finding import Candidate
+from rtcal.finder.claim import Candidate
 
 settings.register_profile("rtcal", derandomize=True, deadline=None, max_examples=60)
 settings.load_profile("rtcal")

@@ -492,7 +492,7 @@ def test_what_no_effect_explains_is_said_so() -> None:
     assert finding.mistake == finding.reasons[0]
 
 
-def absorbing_room(share: float, *, alike: bool, shape: bool) -> rt.finder.MeansFinding:
+def absorbing_room(share: float, *, alike: bool, shape: bool) -> rt.finder.Finding:
     """An absorber on a share of all surfaces, or its median factor of T in every band."""
     room = opened().room
     soft = np.array([0.1, 0.25, 0.6, 0.9, 0.95, 0.95, 0.95])

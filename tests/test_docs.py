@@ -148,8 +148,8 @@ def public_names() -> dict[str, object]:
 NEEDS_NO_EXAMPLE = {
     "of_kind": "for the package's own lists",
     "DecaySlope": "the base of the decay times",
-    "Candidate": "part of a rt.finder.positions.PositionsFinding",
-    "Place": "part of a rt.finder.positions.PositionsFinding",
+    "Candidate": "part of a rt.finder.Finding",
+    "Place": "part of a rt.finder.Finding",
     "Corrected": "what rt.finder.positions.verify compares",
     "Proposal": "part of a discrepancy.Plan",
     "Rule": "a type: one of three names",

@@ -14,14 +14,14 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.command.finder import read_case
 from rtcal.command.main import cli
-from rtcal.finder import Case, MeansFinding, verify
-from rtcal.finder.finding import Size
+from rtcal.finder import Case, Finding, verify
+from rtcal.finder.claim import Size
+from rtcal.finder.finding import evidence_in_words, sentence_of
 from rtcal.finder.means.engines import FOLDER
 from rtcal.finder.means.problem import distances, state
-from rtcal.finder.means.verification import concluded
 from rtcal.finder.model import predict
 from rtcal.finder.search import find
-from rtcal.finder.verification import Gap, Miss, Verification
+from rtcal.finder.verification import Gap, Miss, Verification, of_means
 from rtcal.report import of_finding
 from tests.conftest import candidates_of
 
@@ -87,9 +87,9 @@ def test_sizes_are_of_what_has_a_row_and_no_number_is_minus_zero(folder: Path) -
     nothing = replace(found.detection, score=-0.01)
     assert "size of" not in str(replace(found, probabilities=vague))
     alone = replace(found, verdict="unknown", effects={"air": found.effects["air"]})
-    assert alone.sentence == "Air does not explain it: something else is missing."
-    assert "no effect of the library" in replace(found, verdict="unknown").sentence
-    assert "+0.0 nats" in replace(found, detection=nothing).evidence_in_words
+    assert sentence_of(alone) == "Air does not explain it: something else is missing."
+    assert "no effect of the library" in sentence_of(replace(found, verdict="unknown"))
+    assert "+0.0 nats" in evidence_in_words(replace(found, detection=nothing))
 
 
 def test_evidence_without_one_band_is_without_it(kept: Path) -> None:
@@ -157,11 +157,11 @@ def test_a_room_and_its_measurement_are_a_case(folder: Path, tmp_path: Path) -> 
 
 
 @pytest.fixture(scope="module")
-def finding(folder: Path, kept: Path) -> MeansFinding:
+def finding(folder: Path, kept: Path) -> Finding:
     return find(Case.from_file(str(folder / "case.json")), cache=kept)
 
 
-def unsure(finding: MeansFinding) -> MeansFinding:
+def unsure(finding: Finding) -> Finding:
     """The same, where a material's area explains the data best and the opening hardly less."""
     first = next(iter(finding.fits.values()))
     area = replace(
@@ -192,12 +192,12 @@ def with_gap(
     uncertainty: float = 0.1,
     predictive: float = 5.0,
     misses: tuple[Miss, ...] = (),
-    finding: MeansFinding | None = None,
+    finding: Finding | None = None,
 ) -> Verification:
     """Return a verification with these gaps at what was held out, and a claimed family."""
     fitted = (g for g in seen.quantities if g.used != "held out")
     claims = replace(seen.finding, verdict="family", family="added absorption")
-    return concluded(
+    return of_means(
         finding or claims,
         (*fitted, *gaps),
         uncertainty,
@@ -216,7 +216,7 @@ def held(before: float, after: float, quantity: str = "C80") -> Gap:
 MISS = Miss("T20", "", 500.0, 0.53, 0.645, 0.013, -3.6, "s")
 
 
-def test_the_verdict_stands_beside_what_is_supported(finding: MeansFinding) -> None:
+def test_the_verdict_stands_beside_what_is_supported(finding: Finding) -> None:
     seen = verify(finding)
     sure = with_gap(seen, held(1.0, 0.1))
     assert sure.verdict == "supported"
@@ -241,7 +241,7 @@ def test_the_verdict_stands_beside_what_is_supported(finding: MeansFinding) -> N
     ],
 )
 def test_supported_means_something(
-    finding: MeansFinding, before: float, after: float, changes: dict[str, Any]
+    finding: Finding, before: float, after: float, changes: dict[str, Any]
 ) -> None:
     """Not for 1.75 to 1.74 JND, nor within its error, nor where T is missed by 3 JND."""
     seen = with_gap(verify(finding), held(before, after), **changes)
@@ -253,7 +253,7 @@ def test_supported_means_something(
 
 
 def test_what_gets_worse_at_held_out_data_is_said_and_never_supported(
-    finding: MeansFinding,
+    finding: Finding,
 ) -> None:
     """A coupled room was supported by EDT, to which it was fitted, while C80 and G got worse."""
     seen = verify(finding)
@@ -266,7 +266,7 @@ def test_what_gets_worse_at_held_out_data_is_said_and_never_supported(
     assert untested.to_dict()["before_jnd"] is None
 
 
-def test_nothing_ambiguous_is_supported(finding: MeansFinding) -> None:
+def test_nothing_ambiguous_is_supported(finding: Finding) -> None:
     torn = with_gap(verify(finding), held(1.0, 0.1), finding=unsure(finding))
     assert torn.verdict == "unproven"
     assert torn.to_dict()["finding"]["candidates"] == ["area", "opening"]

@@ -18,6 +18,7 @@ from rtcal.finder import Case, ChangedMaterial, Configuration, library, recalibr
 from rtcal.finder.claim import by_family, claimed
 from rtcal.finder.effects import Audience, CoupledRoom, Opening, People, WrongVolume
 from rtcal.finder.evidence import log_mixture
+from rtcal.finder.finding import size_of
 from rtcal.finder.means import problem as bootstrap
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import (
@@ -93,9 +94,8 @@ def test_coefficients_off_together_are_a_verdict_in_words_and_a_prior_to_go_on_f
     assert (off.ratio > 1.3).all()
     assert "of what is stated" in off.words(np.array(F))
     name = ("coefficients",)
-    sure = replace(
-        finding, verdict="named", named=name, members=name, candidates=candidates_of(*name)
-    )
+    together = tuple(c for c in finding.candidates if c.effect in name)
+    sure = replace(finding, verdict="named", named=name, members=name, candidates=together)
     assert sure.sentence == "The coefficients are off together."
     either = replace(sure, verdict="ambiguous", candidates=candidates_of("coefficients", "volume"))
     assert "one of coefficients that are off together (" in either.sentence
@@ -244,7 +244,7 @@ def test_one_size_everywhere() -> None:
     result = rt.finder.verify(finding)
     assert result.corrected.sizes["opening"] == finding.size.mean
     words = f"{finding.size.mean:.3g} m² (90 %: {finding.size.low:.3g} to {finding.size.high:.3g})"
-    for text in (finding.size_of(str(finding.best_effect)), result.corrected.effects_in_words[0]):
+    for text in (size_of(finding, str(finding.best_effect)), result.corrected.effects_in_words[0]):
         assert words in text
     assert (
         f"{finding.size.mean:.3g} m²"

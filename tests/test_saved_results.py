@@ -19,7 +19,6 @@ from rtcal.support import __version__
 from rtcal.support.errors import DataError
 from tests.test_positions import HALL, MATCH, heard, tracing
 from tests.test_where_page import finding_of, verification_of
-from tests.typed import types_by_attribute
 
 
 def back(result: Result, folder: Path) -> Any:
@@ -190,24 +189,3 @@ def test_a_comparison_of_files_sees_one_bit() -> None:
     other = dataclasses.replace(joint, measured_times=(times,))
     assert plain(joint) == plain(dataclasses.replace(joint))
     assert plain(joint) != plain(other)
-
-
-@pytest.mark.parametrize(
-    ("name", "own", "shared"),
-    [
-        ("Finding", {"case"}, {"verdict", "family", "effect", "size", "sets", "detection"}),
-    ],
-)
-def test_every_kind_has_one_type_for_one_name(name: str, own: set[str], shared: set[str]) -> None:
-    """A name has one type, but that of what was searched, or found.
-
-    `finding.parameters` was a mapping of numbers, or a tuple of names, by what was measured.
-    """
-    finder = rt.finder
-    types = types_by_attribute(
-        getattr(finder, f"Means{name}"),
-        getattr(finder.positions, f"Positions{name}"),
-        getattr(finder.states, f"States{name}"),
-    )
-    assert {n for n, stated in types.items() if len(stated) > 1} == own
-    assert shared <= types.keys()

@@ -18,12 +18,13 @@ from rtcal.finder import (
     Case,
     Configuration,
     Effect,
-    MeansFinding,
+    Finding,
     library,
 )
 from rtcal.finder import evidence as densities
 from rtcal.finder.claim import numbers_of
 from rtcal.finder.evidence import DEGREES
+from rtcal.finder.finding import sentence_of
 from rtcal.finder.means import problem
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import (
@@ -115,7 +116,7 @@ def compared_case(case: Case, effects: Sequence[Effect]) -> MeansProblem:
     return compare(MeansProblem(case, observed, predict_hypotheses(case, effects), error))
 
 
-def sought(case: Case, only: tuple[str, ...] = FEW, **more: float) -> MeansFinding:
+def sought(case: Case, only: tuple[str, ...] = FEW, **more: float) -> Finding:
     more = {"most": 3, **more}
     return find(case, only=only, controls=controls_of(case), **more)  # type: ignore[arg-type]
 
@@ -212,7 +213,7 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert set(found.members) == {"volume", "noise floor"}
     assert {"scale", "measurement"} <= {f.split(",")[0] for f in found.named_families}
     assert found.named_set == ("measurement", "scale")
-    assert "More than one thing is missing (100 %)" in found.sentence
+    assert "More than one thing is missing (100 %)" in sentence_of(found)
     assert "8 sets of families were claimed, and 5 were right" in " ".join(str(found).split())
     assert sum(found.sets.values()) == pytest.approx(1)
     assert sum(found.family_sets.values()) == pytest.approx(1)
@@ -230,7 +231,7 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert found.apply(corrected).applied == corrected.applied
     assert "size" in json.dumps(found.to_dict(), allow_nan=False)
     assert "volume" in str(found)
-    assert repr(found).startswith("<MeansFinding named: volume")
+    assert repr(found).startswith("<Finding named: volume")
 
 
 @pytest.mark.parametrize("effect", BOTH, ids=lambda e: e.name)
@@ -272,7 +273,7 @@ def test_an_unknown_effect_is_said_to_be_unknown() -> None:
     assert found.verdict == "unknown"
     assert not found.can_be_added
     # Some of the library's effects were tried.
-    assert found.sentence.startswith("None of the effects that were tried explains it")
+    assert sentence_of(found).startswith("None of the effects that were tried explains it")
     assert "(verdict unknown)" in str(found.reason_for_none)
     assert "most probable" not in str(found)
     with pytest.raises(DataError, match='the verdict is "unknown"'):

@@ -84,11 +84,11 @@ methods.calibrate = calibrate
 
 NOTHING_TO_ADD = """
 from rtcal.command import finder as commands
-from rtcal.finder import MeansFinding
+from types import SimpleNamespace
 from rtcal.report import of_finding
 
-commands.saved = lambda _: (object.__new__(MeansFinding), None)
-of_finding.correct = lambda *_: ("nothing to add", {}, {})
+commands.saved = lambda _: (SimpleNamespace(kind="means"), None)
+of_finding.correct = lambda *_, **__: ("nothing to add", {}, {})
 """
 
 

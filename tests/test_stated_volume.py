@@ -12,7 +12,7 @@ import rtcal as rt
 from rtcal.finder import Case, Configuration
 from rtcal.finder.case import ChangedMaterial
 from rtcal.finder.effects import WrongVolume
-from rtcal.finder.means.finding import MeansFinding
+from rtcal.finder.finding import Finding
 from rtcal.finder.means.problem import predict_hypotheses
 from rtcal.finder.model import RoomState, volume_sigma_of
 from rtcal.finder.prior import grid_weights
@@ -53,14 +53,14 @@ def heard(room: rt.Room, ratio: float, seed: int = 0) -> rt.Measurement:
     )
 
 
-def found(room: rt.Room, measured: rt.Measurement, tmp_path: Any) -> MeansFinding:
+def found(room: rt.Room, measured: rt.Measurement, tmp_path: Any) -> Finding:
     case = Case(room=room, configurations=[Configuration(name="A", measured=measured)])
     finding = rt.find(case, cache=tmp_path)
-    assert isinstance(finding, MeansFinding)
+    assert isinstance(finding, Finding)
     return finding
 
 
-def believed(finding: MeansFinding) -> bool:
+def believed(finding: Finding) -> bool:
     """Whether a volume is neither claimed nor the first with 0.3."""
     volume = finding.probabilities["volume"]
     first = next(name for name in finding.probabilities if name != "none")

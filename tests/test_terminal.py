@@ -104,10 +104,7 @@ CALLS: list[tuple[str, list[str], int]] = [
 def computed() -> Any:
     """The slow part of each command, once for all widths: what is tested is their text."""
     from rtcal import finder
-    from rtcal.finder import search
-
-    # It shall not import what is replaced below.
-    from rtcal.finder.positions import verification  # noqa: F401
+    from rtcal.finder import search, verification  # noqa: F401 (before what it uses is replaced)
     from rtcal.loop import control_runs
     from rtcal.loop import positions as loop_positions
     from rtcal.prediction import designed

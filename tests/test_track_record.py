@@ -12,6 +12,7 @@ import rtcal as rt
 from benchmarks import records as benchmark
 from rtcal.acoustics.observables import LEVEL
 from rtcal.finder import records
+from rtcal.finder.finding import track_record
 from rtcal.finder.records import HANDBOOK, IN_SITU, Share, record_of
 
 VERDICTS = ("none", "hint", "named", "family", "ambiguous", "unknown")
@@ -53,8 +54,8 @@ def test_a_finding_prints_the_record_of_its_own_kind_of_data(kept: Path) -> None
     assert records.data_of(times) == records.TIMES
     assert records.data_of(case.only("t20", "c80", configurations=[first])) == records.ALL
     finding = rt.find(case, cache=kept)
-    assert finding.track_record == records.record_of_means(finding.verdict, records.ALL)
-    assert finding.track_record in " ".join(str(finding).split())
+    assert track_record(finding) == records.record_of_means(finding.verdict, records.ALL)
+    assert track_record(finding) in " ".join(str(finding).split())
 
 
 @pytest.mark.parametrize("statement", [IN_SITU, HANDBOOK])

@@ -12,24 +12,25 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.room import times_of
 from rtcal.command.main import main
-from rtcal.finder.states import Differences, StatesCase, StatesFinding
+from rtcal.finder.finding import Finding
+from rtcal.finder.states import Differences, StatesCase
 from tests.two_states import BANDS, measured, room, times
 from tests.typed import wrongly_typed
 
 
 @pytest.fixture(scope="module")
-def panels() -> StatesFinding:
+def panels() -> Finding:
     """Return what is found of 12 m² of panels, from six sources."""
     return rt.find(room(), measured(times(12), 2, uneven=0.03), before=measured(times(), 1))
 
 
 @pytest.fixture(scope="module")
-def many() -> StatesFinding:
+def many() -> Finding:
     """The same of 24 m², with which T is met in every band."""
     return rt.find(room(), measured(times(24), 2, uneven=0.03), before=measured(times(), 1))
 
 
-def test_panels_are_found_with_their_amount_and_spectrum(panels: StatesFinding) -> None:
+def test_panels_are_found_with_their_amount_and_spectrum(panels: Finding) -> None:
     assert panels.verdict == "family"
     assert wrongly_typed(panels) == []
     assert panels.family is not None
@@ -46,7 +47,7 @@ def test_panels_are_found_with_their_amount_and_spectrum(panels: StatesFinding) 
     assert "on which surface" in str(panels)
 
 
-def test_what_was_added_is_removed_in_the_other_order(panels: StatesFinding) -> None:
+def test_what_was_added_is_removed_in_the_other_order(panels: Finding) -> None:
     case = panels.case
     back = rt.find(StatesCase(room=case.room, before=case.after, after=case.before))
     assert back.family is not None
@@ -99,7 +100,7 @@ def test_headline_family_and_table_agree_on_the_spectrum(only: list[str]) -> Non
         assert "removed absorption, flat" not in found.families
 
 
-def test_changes_that_cancel_have_one_orientation(panels: StatesFinding) -> None:
+def test_changes_that_cancel_have_one_orientation(panels: Finding) -> None:
     """Both orders were taken as that in which T falls, where the mean of ln T did not change."""
     change = np.array([[0.25, -0.25]])
     forth = replace(panels.case.differences, change=change, variance=np.ones((1, 2)))
@@ -119,7 +120,7 @@ def test_noise_is_no_change(noisy: int) -> None:
     assert np.median(scores) < 0
 
 
-def test_the_stated_coefficients_do_not_count(panels: StatesFinding) -> None:
+def test_the_stated_coefficients_do_not_count(panels: Finding) -> None:
     other = replace(panels.case.room, alpha=np.full((3, 6), 0.3))
     again = rt.find(other, panels.case.after, before=panels.case.before)
     # People and furniture are effects of the room, whose grid depends on alpha; their spectra do not.
@@ -176,7 +177,7 @@ def test_a_smaller_change_has_less_evidence() -> None:
     assert scores == sorted(scores)
 
 
-def test_it_is_saved_loaded_and_printed(panels: StatesFinding, tmp_path: Path) -> None:
+def test_it_is_saved_loaded_and_printed(panels: Finding, tmp_path: Path) -> None:
     again = rt.load(panels.save(tmp_path))
     assert str(again) == str(panels)
     assert again.score == panels.score
@@ -203,7 +204,7 @@ def test_states_without_a_common_pair_are_refused() -> None:
         StatesCase(room=room(), before=edt, after=shorter)
 
 
-def test_t_that_is_missed_is_never_supported(panels: StatesFinding) -> None:
+def test_t_that_is_missed_is_never_supported(panels: Finding) -> None:
     """The gap shrinks from 9 to 1 JND; T at 1 kHz is off by more than 1 JND and than it may be."""
     verification = rt.finder.verify(panels)
     assert verification.gain > verification.needed
@@ -215,9 +216,7 @@ def test_t_that_is_missed_is_never_supported(panels: StatesFinding) -> None:
     assert f"± {verification.uncertainty:.2f} JND" in verification.sentence
 
 
-def test_each_half_of_the_pairs_predicts_the_other(
-    panels: StatesFinding, many: StatesFinding
-) -> None:
+def test_each_half_of_the_pairs_predicts_the_other(panels: Finding, many: Finding) -> None:
     verification = rt.finder.verify(many)
     assert verification.verdict == "supported"
     assert verification.after < 0.5 * verification.before
@@ -231,7 +230,7 @@ def test_each_half_of_the_pairs_predicts_the_other(
         rt.finder.verify(same)
 
 
-def test_an_earlier_finding_predicts_the_pairs_that_it_had_not(many: StatesFinding) -> None:
+def test_an_earlier_finding_predicts_the_pairs_that_it_had_not(many: Finding) -> None:
     case = many.case
     some = case.before.pairs[:4]
     earlier = rt.find(case.room, case.after.select(some), before=case.before.select(some))
@@ -253,7 +252,7 @@ def test_an_earlier_finding_predicts_the_pairs_that_it_had_not(many: StatesFindi
         rt.finder.verify(earlier, before=case.before)
 
 
-def test_the_changed_room_has_t_of_the_second_state(panels: StatesFinding) -> None:
+def test_the_changed_room_has_t_of_the_second_state(panels: Finding) -> None:
     """The room spreads 12 m² on a wall over all materials, and says so."""
     changed = panels.apply()
     t = rt.Eyring().reverberation_time(changed.room)
@@ -275,7 +274,7 @@ def test_the_changed_room_has_t_of_the_second_state(panels: StatesFinding) -> No
     )
 
 
-def test_what_does_not_fit_in_the_room_is_said(panels: StatesFinding) -> None:
+def test_what_does_not_fit_in_the_room_is_said(panels: Finding) -> None:
     case = panels.case
     some = replace(
         case.after, values={"t20": np.where(BANDS > 3000, np.nan, case.after.values["t20"])}
@@ -295,7 +294,7 @@ def run(*arguments: str) -> int:
 
 
 def test_the_command_writes_numbers_and_page(
-    panels: StatesFinding, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    panels: Finding, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("jinja2")
     pytest.importorskip("matplotlib")
@@ -315,7 +314,7 @@ def test_the_command_writes_numbers_and_page(
     assert "What changed between two measurements" in page
     assert "more absorption" in page
     loaded = rt.load(names["out"])
-    np.testing.assert_allclose(loaded.change, record["change"], rtol=1e-12)
+    np.testing.assert_allclose(loaded.finding.change, record["change"], rtol=1e-12)
     assert run("report", names["out"], "--out", str(tmp_path / "p.html")) == 0
     assert (tmp_path / "p.html").read_text(encoding="utf-8") == page
     assert run(*command, "--most", "2") != 0

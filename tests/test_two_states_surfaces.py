@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.states import StatesFinding
+from rtcal.finder.finding import Finding, or_nothing
 from rtcal.finder.states.surfaces import sets_of
 from rtcal.simulators import PathTracing
 from rtcal.support.types import Array
@@ -70,12 +70,12 @@ def simulator(directivity: dict[str, rt.Directivity]) -> PathTracing:
 
 
 @pytest.fixture(scope="module")
-def finding(states: tuple[rt.Measurement, rt.Measurement]) -> StatesFinding:
+def finding(states: tuple[rt.Measurement, rt.Measurement]) -> Finding:
     model = simulator(dict.fromkeys(PLACES, POINT))
     return rt.find(model.room, states[1], model, before=states[0])
 
 
-def test_the_wall_that_changed_is_claimed_and_no_other(finding: StatesFinding) -> None:
+def test_the_wall_that_changed_is_claimed_and_no_other(finding: Finding) -> None:
     assert finding.claimed_surfaces == ("east",)
     assert 'It is on "east".' in finding.headline
     assert finding.surfaces["east"] == max(finding.surfaces.values())
@@ -84,7 +84,7 @@ def test_the_wall_that_changed_is_claimed_and_no_other(finding: StatesFinding) -
 
 @pytest.mark.long
 def test_in_the_other_order_it_is_the_same_wall(
-    finding: StatesFinding, states: tuple[rt.Measurement, rt.Measurement]
+    finding: Finding, states: tuple[rt.Measurement, rt.Measurement]
 ) -> None:
     model = finding.case.simulator
     back = rt.find(finding.case.room, states[0], model, before=states[1])
@@ -120,24 +120,22 @@ def test_another_gain_is_told_first_whether_something_changed_or_not(
 
 
 def test_where_several_surfaces_may_have_changed_their_sum_is_explained(
-    finding: StatesFinding,
+    finding: Finding,
 ) -> None:
     some = replace(finding, surfaces={"north": 0.7, "south": 0.6})
-    assert "together, so these need not add up to 100 %" in " ".join(some.sentences)
-    assert finding.or_nothing == ""
+    assert "together, so these need not add up to 100 %" in str(some).replace("\n", " ")
+    assert or_nothing(finding) == ""
     open_ = replace(finding, probabilities={**finding.probabilities, "none": 0.12})
     assert open_.headline.startswith("Changed (nothing: 12 %): ")
 
 
-def test_a_finding_with_surfaces_is_saved_and_loaded(finding: StatesFinding, tmp_path) -> None:
+def test_a_finding_with_surfaces_is_saved_and_loaded(finding: Finding, tmp_path) -> None:
     again = rt.load(finding.save(tmp_path))
     assert again.surfaces == finding.surfaces
     assert str(again) == str(finding)
 
 
-def test_the_changed_room_has_the_claimed_wall_as_a_material(
-    finding: StatesFinding, tmp_path
-) -> None:
+def test_the_changed_room_has_the_claimed_wall_as_a_material(finding: Finding, tmp_path) -> None:
     changed = finding.apply()
     assert changed.surfaces == ("east",)
     room = changed.room

@@ -12,7 +12,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.main import main
-from rtcal.finder.positions import PositionsFinding
+from rtcal.finder.finding import Finding
 from rtcal.finder.verification import Verification
 from rtcal.loop import control_runs
 from tests.test_where import RECEIVERS, SOURCES, measured, stated, tracing
@@ -32,13 +32,13 @@ def run(*arguments: str) -> int:
     return stop.value.code
 
 
-def some() -> PositionsFinding:
+def some() -> Finding:
     shares = {"floor": 0.6, "wall 0": 0.25, "ceiling": 0.15}
     return finding_of(shares, (("floor", "wall 0"), ("wall 1", "wall 2")))
 
 
 @pytest.fixture
-def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> PositionsFinding:
+def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Finding:
     """The slow part, which is not what these tests are about."""
     finding = some()
 
@@ -56,9 +56,7 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> PositionsFinding:
     return finding
 
 
-def test_the_next_position_is_proposed(
-    found: PositionsFinding, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_next_position_is_proposed(found: Finding, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("plan", FOUND, "--json") == 0
     record = json.loads(capsys.readouterr().out)
     assert record["places"] == [
@@ -71,12 +69,12 @@ def test_the_next_position_is_proposed(
 
 
 def test_nothing_found_is_said_and_nothing_is_written(
-    found: PositionsFinding,
+    found: Finding,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    nothing = replace(found, verdict="none", effect=None, family=None)
+    nothing = replace(found, verdict="none", named=(), family=None)
     monkeypatch.setattr("rtcal.finder.search.find", lambda *_, **__: nothing)
     assert run("find", *FILES, "--out", "page") == 0
     assert run("apply", "page", "--out", "corrected") == 6

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder.claim import Candidate
 from rtcal.finder.corrected import corrected_geometry
-from rtcal.finder.finding import Candidate
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import of_geometry, patched
 from rtcal.io import catt, geometry_files, obj, odeon

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder.claim import Detection
 from rtcal.finder.effects import library
-from rtcal.finder.finding import Detection
-from rtcal.finder.positions.finding import detection_in_words
+from rtcal.finder.finding import detection_in_words
 from rtcal.finder.positions.problem import (
     NOISE,
     POSITION,

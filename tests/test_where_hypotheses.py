@@ -10,7 +10,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.observables import observable
-from rtcal.finder.finding import Candidate
+from rtcal.finder.claim import Candidate
 from rtcal.finder.positions.problem import (
     Likelihood,
     ScatteringLevels,

@@ -15,8 +15,10 @@ import pytest
 from numpy.typing import ArrayLike
 
 import rtcal as rt
-from rtcal.finder.finding import Candidate, Detection
-from rtcal.finder.positions import Place, PositionsFinding, verification
+from rtcal.finder import verification
+from rtcal.finder.claim import Candidate, Detection
+from rtcal.finder.finding import Finding
+from rtcal.finder.positions import Place
 from rtcal.finder.verification import Verification
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report import figures, of_finding, room_view
@@ -31,19 +33,17 @@ pytest.importorskip("jinja2", reason="needs the extra report")
 PLACE = Place(point=(6.5, 3.0, 1.2), source="S", nats=2.5)
 
 
-def finding_of(
-    shares: dict[str, float], groups: tuple[tuple[str, ...], ...] = ()
-) -> PositionsFinding:
+def finding_of(shares: dict[str, float], groups: tuple[tuple[str, ...], ...] = ()) -> Finding:
     """Return a finding in an L-shaped room; its candidates are a porous layer on each surface."""
     case = case_in(triangulated(prism(L_PLAN)))
     candidates = tuple(
         replace(candidate(name, 6.0), probability=0.9 * p) for name, p in shares.items()
     )
     shape = (2, len(case.simulator.pairs), 2)
-    return PositionsFinding(
+    return Finding(
         case=case,
         verdict="named",
-        effect="porous",
+        named=("porous",),
         family="added absorption",
         surface=None,
         surfaces=shares | {n: 0.0 for n in case.faces if n not in shares},
@@ -65,7 +65,7 @@ def finding_of(
 
 
 @pytest.fixture(scope="module")
-def finding() -> PositionsFinding:
+def finding() -> Finding:
     shares = {"wall 5": 0.6, "wall 0": 0.25, "ceiling": 0.15}
     return finding_of(shares, (("wall 5", "wall 0"), ("wall 1", "wall 2")))
 
@@ -100,7 +100,7 @@ def verification_of(
     every = np.stack([sign * (g + noise * rng.standard_normal(shape)) for g in gaps.values()])
     changes(every[-1])
     halves = (finding.pairs[:1], finding.pairs[1:])
-    return verification.concluded(finding, every, added, halves, (0, 1, 2))
+    return verification.at_positions(finding, every, added, halves, (0, 1, 2))
 
 
 SIX = [("S", f"R{i}") for i in range(6)]
@@ -170,14 +170,12 @@ def test_a_gap_that_hardly_shrinks_supports_nothing_however_sure_it_is() -> None
 
 
 @pytest.mark.parametrize("verdict", ["none", "hint", "named", "family", "ambiguous", "unknown"])
-def test_attributes_have_one_type_whatever_was_found(
-    finding: PositionsFinding, verdict: str
-) -> None:
+def test_attributes_have_one_type_whatever_was_found(finding: Finding, verdict: str) -> None:
     nothing = verdict == "none"
     found = replace(
         finding,
         verdict=verdict,
-        effect="porous" if verdict == "named" else None,
+        named=("porous",) if verdict == "named" else (),
         family="added absorption" if verdict in ("named", "family") else None,
         surface=None if nothing else "wall 5",
         surfaces={} if nothing else finding.surfaces,
@@ -199,14 +197,14 @@ def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven() -> None:
 
 
 def test_what_is_predicted_scatters_as_it_was_calibrated(
-    finding: PositionsFinding, monkeypatch: pytest.MonkeyPatch
+    finding: Finding, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The scattering was fitted with alpha, and then forgotten: another simulator was predicted."""
     tracer = finding.case.simulator
     fitted = replace(tracer, scattering=0.9)
     result = SimpleNamespace(tracer=fitted, alpha=tracer.room.alpha)
     monkeypatch.setattr(verification, "calibrate_positions", lambda *_, **__: result)
-    heard = verification.heard_calibrated(finding.case, tracer, finding, 0)
+    heard = verification.calibrated_at(finding.case, tracer, finding, 0)
     alpha = tracer.room.alpha
     assert np.array_equal(heard.values, fitted.observe(alpha, finding.parameters, seed=0).values)
     assert not np.array_equal(
@@ -224,14 +222,14 @@ def test_the_room_is_looked_at_so_that_the_surface_is_seen(surface: str) -> None
     assert (normals @ axes_of(turn, ABOVE)[2] > 0).all()
 
 
-def test_pairs_and_bands_that_were_not_measured_are_left_out(finding: PositionsFinding) -> None:
+def test_pairs_and_bands_that_were_not_measured_are_left_out(finding: Finding) -> None:
     gaps = finding.map.copy()
     gaps[0, 1] = np.nan
     figure = figures.disagreement(replace(finding, map=gaps))
     assert sum(t.get_text() == "nan" for t in texts(figure)) == 0
 
 
-def test_the_page_begins_with_the_three_bars(finding: PositionsFinding, tmp_path: Path) -> None:
+def test_the_page_begins_with_the_three_bars(finding: Finding, tmp_path: Path) -> None:
     result = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.99}, 1.0)
     of_finding.write(finding, result, tmp_path, place=PLACE)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

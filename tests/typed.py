@@ -86,13 +86,3 @@ def wrongly_typed(result: Result) -> list[str]:
         if not fits(kind, value):
             wrong.append(f"{type(result).__name__}.{name} = {value!r:.60} is no {annotation}")
     return wrong
-
-
-def types_by_attribute(*kinds: type) -> dict[str, set[str]]:
-    """Return the types that classes state of an attribute of one name, without what may be None."""
-    found: dict[str, set[str]] = {}
-    for kind in kinds:
-        for name, (annotation, _) in stated_types(kind).items():
-            if "ClassVar" not in annotation:
-                found.setdefault(name, set()).add(annotation.removesuffix(" | None"))
-    return found

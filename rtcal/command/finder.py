@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -30,14 +29,15 @@ from rtcal.command.console import (
     takes,
     tell,
 )
-from rtcal.files.disk import spare, write_all
+from rtcal.files.disk import command, make_folder, spare, write_all
 from rtcal.files.saved import Result, load
 from rtcal.support.blocks import Block, Note, Row, Table, lines
 from rtcal.support.errors import DataError
 from rtcal.support.speed import bar
 
 if TYPE_CHECKING:
-    from rtcal.finder.positions import Place, PositionsFinding
+    from rtcal.finder.finding import Finding
+    from rtcal.finder.positions import Place
     from rtcal.report.document import Heading
 
 CHANGE = 0.2
@@ -69,16 +69,6 @@ def files_of(options: Mapping[str, Any]) -> list[str]:
     if options.get("measured") is None:
         return [os.fspath(path) for path in files_of_case(options["case"])]
     return [*stated(options, "case", "measured", "before", "simulated").values()]
-
-
-def words(options: Mapping[str, Any]) -> list[str]:
-    """Return the words that search the same again, with what is stated."""
-    out = [*stated(options, "case", "measured").values()]
-    chosen = stated(options, "before", *_OF_POSITIONS) | {"seed": options["seed"]}
-    for name, value in {**chosen, **stated(options, "without", "only", *_OF_MEANS)}.items():
-        for one in value if isinstance(value, tuple) else (value,):
-            out += [f"--{name}", f"{one:g}" if isinstance(one, float) else str(one)]
-    return out
 
 
 def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) -> Any:
@@ -215,9 +205,8 @@ def _is_saved(path: Path) -> bool:
 def verified(finding: Any, cache: Path) -> Any:
     """Return the gaps before and after; at pairs that were not fitted over `SEEDS`."""
     from rtcal import finder
-    from rtcal.finder.positions import PositionsFinding
 
-    if not isinstance(finding, PositionsFinding):
+    if finding.kind != "positions":
         return finder.verify(finding)
     with _progress("model") as progress:
         return finder.verify(finding, seeds=SEEDS, cache=cache, progress=progress)
@@ -302,10 +291,8 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     verification = (
         verified(finding, kept_beside(options["case"])) if finding.can_be_verified else None
     )
-    command = shlex.join(["rtcal", "find", *words(options), "--out", str(out)])
-    again = of_finding.Reproduction(command, files_of(options), options["seed"])
     place = next(iter(_further_places(finding)), None)
-    of_finding.write(finding, verification, target, heading, again, place)
+    of_finding.write(finding, verification, target, heading, command(), place)
     record, said = finding.to_dict(), str(finding)
     if verification is not None:
         record["verification"] = verification.to_dict()
@@ -335,12 +322,10 @@ def verify(found: str, before: str | None, after: str | None) -> None:
     Example: rtcal verify found
     """
     from rtcal import finder
-    from rtcal.finder.means.finding import MeansFinding
-    from rtcal.finder.states import StatesFinding
 
     finding, verification = saved(found)
     if before is not None or after is not None:
-        if not isinstance(finding, StatesFinding):
+        if finding.kind != "states":
             raise DataError("--before and --after are of a finding of two states")
         if before is None or after is None:
             raise DataError("--before and --after belong together: the same pairs in both states")
@@ -348,8 +333,9 @@ def verify(found: str, before: str | None, after: str | None) -> None:
         verification = finder.verify(finding, **measured)
     if verification is None:
         nothing = finding.reason_for_none
-        if isinstance(finding, MeansFinding) and nothing is None and not finding.can_be_verified:
-            nothing = f"Not verified: {as_options(finding.undecided, ['effect'])}"
+        if nothing is None and finding.kind == "means" and not finding.can_be_verified:
+            together = "several effects were found together; search with --most 1"
+            nothing = f"Not verified: {as_options(finding.undecided or together, ['effect'])}"
         if nothing is not None:
             tell(nothing, {"verdict": None, "sentence": nothing, "finding": finding.to_dict()})
             return
@@ -413,44 +399,39 @@ def apply(
     Example: rtcal apply found \\
         --out corrected.json --room corrected.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    from rtcal.finder.means.finding import MeansFinding
-    from rtcal.finder.states import StatesFinding
+    from rtcal.report import of_finding
 
     finding, _ = saved(found)
-    if isinstance(finding, MeansFinding):
-        from rtcal.report.of_finding import correct
-
+    target = Path(out)
+    if finding.kind == "means":
         refuse({"form": form, "at": at}, _NO_SURFACE)
-        if Path(out).suffix != ".json":
+        if target.suffix != ".json":
             raise DataError(
                 f"--out {out}: the case is written as JSON, and read as TOML by a name that does not "
-                f"end in .json: --out {Path(out).with_suffix('.json')}"
+                f"end in .json: --out {target.with_suffix('.json')}"
             )
-        with errors_name_options("effect"):
-            said, record, files = correct(finding, out, room, effect)
-        write_all(files)
-        tell(said, record)
-        if not files:
-            raise click.exceptions.Exit(NOTHING_TO_ADD)
-        return
-    two = isinstance(finding, StatesFinding)
-    of = "of two states" if two else "with a geometry"
-    if os.path.isfile(out):
-        raise DataError(f"--out {out} is a file; {of} it is a folder")
-    if Path(out).suffix in _ENDINGS:
-        name = Path(out).with_suffix("")
-        raise DataError(f"--out {out} has the ending of a file; {of} it is a folder: --out {name}")
-    if two:
-        refuse({"form": form, "at": at, "room": room, "effect": effect}, " is not of two states")
     else:
+        of = "of two states" if finding.kind == "states" else "with a geometry"
+        if target.is_file():
+            raise DataError(f"--out {out} is a file; {of} it is a folder")
+        if target.suffix in _ENDINGS:
+            name = target.with_suffix("")
+            raise DataError(
+                f"--out {out} has the ending of a file; {of} it is a folder: --out {name}"
+            )
+        if finding.kind == "states":
+            refused = {"form": form, "at": at, "room": room, "effect": effect}
+            refuse(refused, " is not of two states")
         refuse({"room": room}, ": with a geometry the room is written into the folder of --out")
-    if (nothing := finding.reason_for_none) is not None:
-        tell(f"{nothing}\nNothing is written.", finding.to_dict())
-        raise click.exceptions.Exit(NOTHING_TO_ADD)
     with errors_name_options("effect", "at"):
-        made = finding.apply() if two else finding.apply(form or "patch", at=at, effect=effect)
-    made.save(Path(out))
-    tell("\n".join([finding.headline, *made.in_words]), {**finding.to_dict(), **made.to_dict()})
+        chosen: Any = {"effect": effect, "form": form or "patch", "at": at}
+        said, record, files = of_finding.correct(finding, target, room, **chosen)
+    if files and finding.kind != "means":
+        make_folder(target)
+    write_all(files)
+    tell(said, record)
+    if not files:
+        raise click.exceptions.Exit(NOTHING_TO_ADD)
 
 
 @click.command(short_help="Which effects the data could tell apart; what to measure next.")
@@ -488,12 +469,11 @@ def plan(case: str, change: float | None, further: str | None, costs: tuple[str,
     """
     from rtcal.finder import Case
     from rtcal.finder import plan as planned_with
-    from rtcal.finder.means.finding import MeansFinding
 
     finding = None
     if _is_saved(Path(case)):
         finding, _ = saved(case)
-        if not isinstance(finding, MeansFinding):
+        if finding.kind != "means":
             refused = {"relative-change": change, "cost": costs or None, "case": further}
             refuse(refused, ": with a geometry a place for a receiver is proposed")
             _tell_places(finding)
@@ -524,17 +504,14 @@ def _further_places(finding: Any) -> tuple[Place, ...]:
     """Return places for a further receiver, the one that tells most first; none without a question."""
     from rtcal.finder import positions
 
-    if not isinstance(finding, positions.PositionsFinding):
-        return ()
-    if not finding.can_be_added or finding.surface is not None:
-        return ()
+    asked = finding.kind == "positions" and finding.can_be_added and finding.surface is None
     try:
-        return positions.next_position(finding)
+        return positions.next_position(finding) if asked else ()
     except DataError:  # at most one surface is in question, or the room is too small for a grid
         return ()
 
 
-def _tell_places(finding: PositionsFinding) -> None:
+def _tell_places(finding: Finding) -> None:
     """Print where a further receiver would tell the surfaces apart that are in question."""
     places = _further_places(finding)[:PROPOSED]
     said: list[Block] = [Note(finding.headline), Note("")]

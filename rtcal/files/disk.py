@@ -84,6 +84,11 @@ def one_set(command: str) -> Iterator[None]:
         _current = outer
 
 
+def command() -> str:
+    """Return the running command as it was typed; "" outside one."""
+    return "" if _current is None else _current.command
+
+
 @contextmanager
 def at_once() -> Iterator[None]:
     """Write what is written in the block at once, apart from the running command's set."""

@@ -340,7 +340,7 @@ class Case:
         the room states (`rtcal.acoustics.directions.facing`); a material of which nothing says it
         has a third each.
     applied : sequence of AppliedEffect
-        Effects that `MeansFinding.apply` has added.
+        Effects that `Finding.apply` has added.
     climate_uncertainty : (float, float)
         Standard uncertainties of a stated climate: K, and % of relative humidity.
 

@@ -1,18 +1,22 @@
-"""Probabilities of each effect and family, and what is claimed of them.
+"""Probabilities and sizes of what explains the data, and what is claimed of it.
 
 Of all observation models. `rtcal.finder.records` says how often such claims were right.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
-from typing import TypeVar
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from scipy.special import logsumexp
 
-from rtcal.finder.effects import Effect
+from rtcal.files.disk import json_numbers
+from rtcal.finder.effects import CoupledRoom, Effect
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, Prior
+from rtcal.support.errors import ModelError
 from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
 
@@ -23,6 +27,10 @@ SAID = 0.03
 """Probability below which an effect is not printed."""
 CREDIBLE = 0.9
 """Probability, given that something is missing, that the candidates hold together."""
+LIKELY = 0.7
+"""Probability that the likely surfaces hold."""
+MOST = 0.5
+"""Probability, or share of one, from which something holds most."""
 DISTINCT_NATS = 2.3
 """Evidence in nats from which two effects, or two surfaces, are told apart: odds of ten to one."""
 _ABSORPTION = "added absorption"
@@ -119,7 +127,7 @@ def by_family_sets(
 
 def numbers_of(sets: Mapping[Names, float]) -> tuple[float, ...]:
     """Return the probabilities of 0, 1, 2, ... effects."""
-    out = [0.0] * (1 + max(map(len, sets)))
+    out = [0.0] * (1 + max(map(len, sets), default=0))
     for names, p in sets.items():
         out[len(names)] += p
     return tuple(out)
@@ -216,3 +224,227 @@ def credible_set(probabilities: Mapping[str, float]) -> tuple[str, ...]:
         if held >= CREDIBLE * total:
             break
     return tuple(out)
+
+
+End = Literal["", "least", "most"]
+"""At which end of what is tried the data allow any size."""
+
+
+def amount(value: float, unit: str, interval: tuple[float, float] | None = None) -> str:
+    """Return a size with its unit and its 90 % interval; a ratio as so many times.
+
+    Examples
+    --------
+    >>> amount(2.0, "of the stated area"), amount(12.3, "m²", (8.0, 17.0))
+    ('2 times the stated area', '12.3 m² (90 %: 8 to 17)')
+    >>> amount(0.875, "of its area covered", (0.47, 1.0))
+    '0.875 of its area covered (90 %: 0.47 to 1)'
+    """
+    times = unit.replace("of the stated ", "times the stated ")
+    ends = "" if interval is None else f" (90 %: {interval[0]:.3g} to {interval[1]:.3g})"
+    return f"{value:.3g} {times}{ends}"
+
+
+@dataclass(frozen=True)
+class Size:
+    """Size of an effect: mean and 90 % interval, in ``unit``.
+
+    ``end`` is "least" where the data allow any size above ``low``, "most" where they allow any below
+    ``high``: the evidence does not fall within what is tried, and physics does not end there.
+    """
+
+    mean: float
+    low: float
+    high: float
+    unit: str
+    end: End = ""
+
+    @property
+    def words(self) -> str:
+        """The size with its interval.
+
+        Examples
+        --------
+        >>> Size(12.3, 8.0, 17.0, "m²").words
+        '12.3 m² (90 %: 8 to 17)'
+        >>> Size(61.0, 26.0, 109.0, "m²", "least").words
+        'at least 26 m² (95 %)'
+        """
+        if self.end:
+            value = self.low if self.end == "least" else self.high
+            return f"at {self.end} {amount(value, self.unit)} (95 %)"
+        return amount(self.mean, self.unit, (self.low, self.high))
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """The fields of a `Candidate` of this size."""
+        return {"size": self.mean, **{k: v for k, v in vars(self).items() if k != "mean"}}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        ends = {name: json_numbers(getattr(self, name)) for name in ("mean", "low", "high")}
+        return {**vars(self), **ends, "end": self.end or None}
+
+
+Point = tuple[float, float, float]
+LOCATED = 0.5
+"""Share of a candidate's probability from which a part of its surface is where it stands."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """An effect that explains the data, of positions in one place.
+
+    Attributes
+    ----------
+    effect, family : str
+    surface : str or None
+        None for the whole room, the measurement, and of means over positions.
+    place : str
+        The surface's name; of the measurement's errors "receiver R1", "source S1" or "S1 to R1"; "" for
+        the whole room.
+    called : str
+        What a sentence calls it, where that is not effect and place.
+    probability : float
+    size, low, high : float
+        Posterior mean and 90 % interval, in ``unit``; NaN for coefficients off together and for
+        "unknown".
+    unit, end : str, as of a `Size`
+    parameters : mapping of str to float
+        The most probable ones.
+    spectrum : array (n_bands,) or (0,)
+        Posterior mean alpha of what stands on the surface.
+    parts : tuple of (middle, probability)
+        Of a large surface: the middle (x, y, z) of each part in m, and the probability that it stands
+        on this part alone. With the rest of its probability it is spread over the surface.
+    """
+
+    effect: str
+    family: str
+    probability: float
+    surface: str | None = None
+    place: str = ""
+    called: str = ""
+    size: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    unit: str = ""
+    end: End = ""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    spectrum: Array = field(default_factory=lambda: np.zeros(0))
+    parts: tuple[tuple[Point, float], ...] = ()
+
+    @property
+    def middle(self) -> Point | None:
+        """Middle in m of the part that holds at least half of the probability; None without one."""
+        middle, probability = max(self.parts, key=lambda part: part[1], default=(None, 0.0))
+        return middle if probability >= LOCATED * self.probability else None
+
+    @property
+    def about(self) -> str:
+        """The middle in words; "" without one."""
+        if self.middle is None:
+            return ""
+        return f", most probably about ({', '.join(f'{x:.1f}' for x in self.middle)}) m"
+
+    @property
+    def title(self) -> str:
+        """Effect and place, as a sentence names them."""
+        if self.surface is not None:
+            return f'{self.effect} on "{self.surface}"'
+        return self.called or (f"{self.effect} of {self.place}" if self.place else self.effect)
+
+    @property
+    def kind(self) -> str:
+        """The family, all of added absorption as one."""
+        return self.family.split(",")[0]
+
+    @property
+    def can_be_added(self) -> bool:
+        """Whether it stands on a surface and a room of one geometry can have it."""
+        return self.surface is not None and self.effect != CoupledRoom.name
+
+    @property
+    def sized(self) -> Size | None:
+        """The size with its interval; None where there is none."""
+        if not np.isfinite(self.size):
+            return None
+        return Size(self.size, self.low, self.high, self.unit, self.end)
+
+    @property
+    def in_words(self) -> str:
+        """Size with its interval; "" where there is none."""
+        return "" if self.sized is None else self.sized.words
+
+    @property
+    def likely(self) -> str:
+        """Its title, with its probability in percent."""
+        return f"{self.title} ({percent(self.probability)})"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        return {
+            **{k: v for k, v in vars(self).items() if k != "called"},
+            **{k: json_numbers(getattr(self, k)) for k in ("size", "low", "high", "spectrum")},
+            "parameters": dict(self.parameters),
+            "parts": [{"middle": list(m), "probability": p} for m, p in self.parts],
+        }
+
+
+def percent(probability: float) -> str:
+    """Return a probability in percent, as sentences have it."""
+    return f"{100 * probability:.0f} %"
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Evidence in nats that something is other than stated, whatever it is.
+
+    Attributes
+    ----------
+    score : float
+    threshold : float
+        Score that few rooms exceed in which nothing is other than stated.
+    noise : float or None
+        Of positions, that a single pair is noisier than assumed and nothing else is other; None where
+        that was not tried.
+    means : float or None
+        Of means over positions, where positions decide; None where they were not asked.
+    parts : mapping of str to Detection
+        Of means over positions, the same from a part of the data, by what it is: what a part detects is
+        detected. The score and threshold above are those of all data.
+
+    Raises
+    ------
+    ModelError
+        For a score that is no finite number.
+    """
+
+    score: float
+    threshold: float
+    noise: float | None = None
+    means: float | None = None
+    parts: Mapping[str, Detection] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("score", "noise", "means"):
+            value = getattr(self, name)
+            if value is not None and not np.isfinite(value):
+                raise ModelError(
+                    f"the evidence that something is other than stated ({name}) is {value} nats, no "
+                    "finite number: the errors of the model or of the measurement cannot be weighed"
+                )
+
+    @property
+    def deciding(self) -> str | None:
+        """The part of the data that detects most where all data detect nothing; None without one."""
+        excess = {words: part.score - part.threshold for words, part in self.parts.items()}
+        most = max(excess, key=lambda words: excess[words], default="")
+        return most if self.score <= self.threshold and excess.get(most, 0.0) > 0 else None
+
+    @property
+    def verdict(self) -> str | None:
+        """The verdict where nothing is detected, "none" or "hint"; None where something is."""
+        if self.score > self.threshold or self.deciding is not None:
+            return None
+        return "hint" if max(self.score, self.noise or 0.0) > 0 else "none"

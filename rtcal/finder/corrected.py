@@ -26,7 +26,7 @@ from rtcal.acoustics.scene import POSITION, Directivity, Scene
 from rtcal.calibration.methods import calibrate
 from rtcal.files import disk
 from rtcal.files.disk import make_folder, write_all
-from rtcal.finder.finding import Candidate
+from rtcal.finder.claim import Candidate
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import NEAR, face_at, of_geometry, patched
 from rtcal.finder.states.case import StatesCase
@@ -128,6 +128,14 @@ class Corrected:
             "lost": {name: list(lost) for name, lost in self.lost.items()},
         }
 
+    def contents(self, folder: Path) -> dict[Path, bytes]:
+        """Return the content of each file of the room in a folder, as `save` writes them."""
+        made = {ROOM: self._with_scene(folder / MESH).to_text(folder).encode()}
+        if self.geometry is not None:
+            made[MESH] = self.geometry.to_text().encode()
+        made |= {name: content for name, (content, _) in self._lists.items()}
+        return {folder / name: content for name, content in made.items()}
+
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write the room's files into a folder, all or none, and return their paths.
 
@@ -137,13 +145,10 @@ class Corrected:
         name has an underscore in place of a character that CATT does not read.
         """
         where = checks.path("folder", folder)
-        contents = {ROOM: self._with_scene(where / MESH).to_text(where).encode()}
-        if self.geometry is not None:
-            contents[MESH] = self.geometry.to_text().encode()
-        contents |= {name: content for name, (content, _) in self._lists.items()}
+        contents = self.contents(where)
         make_folder(where)
-        write_all({where / name: content for name, content in contents.items()})
-        return [where / name for name in contents]
+        write_all(contents)
+        return [*contents]
 
     def _with_scene(self, mesh: Path) -> Room:
         """Return the room with its mesh, sources and receivers, as its file states it."""
@@ -215,7 +220,7 @@ class Corrected:
 def corrected_geometry(
     case: PositionsCase, added: Candidate, form: str = "patch", at: Sequence[float] | None = None
 ) -> Corrected:
-    """Return room and geometry with a candidate on its surface; see `PositionsFinding.apply`."""
+    """Return room and geometry with a candidate on its surface; see `rtcal.finder.Finding.apply`."""
     if form not in ("patch", "material"):
         raise DataError(f'form = "{form}" is not "patch" or "material"')
     if added.surface is None:
@@ -354,13 +359,13 @@ def _stated(room: Room, simulator: PathTracing) -> Room:
 def changed_room(
     case: StatesCase, area: Array, change: Array, surfaces: Sequence[str], kinds: Sequence[str]
 ) -> Corrected:
-    """Return the room of the second state; see `StatesFinding.apply`.
+    """Return the room of the second state; see `rtcal.finder.Finding.apply`.
 
     Parameters
     ----------
     case : Case
     area, change : array (n_bands,), (3, n_bands)
-        Absorption area before and its change in m², as of `StatesFinding`.
+        Absorption area before and its change in m², as of `Finding`.
     surfaces : sequence of str
         Those that are claimed.
     kinds : sequence of str

@@ -58,6 +58,14 @@ class Share:
         low, high = self.interval
         return f"{100 * low:.0f} to {100 * high:.0f} %, 95 % interval"
 
+    def said(self, of: str, was: str) -> str:
+        """Return it as a clause: "3 of 18 rooms were flagged (4 to 41 %, 95 % interval)"."""
+        return f"{self.count} of {self.of} {of} {was} ({self.in_words})"
+
+    def claimed(self, kind: str, was: str = "were right") -> str:
+        """Return claims made and claims right, in a sentence without its beginning."""
+        return f"{self.of} {kind} were claimed, and {self.count} {was} ({self.in_words})."
+
 
 @cache
 def stored() -> Mapping[str, Any]:
@@ -93,6 +101,9 @@ def data_of(case: Case) -> str:
     return ALL if others or not {*LEVELS}.isdisjoint(first.measured.values) else TIMES
 
 
+_ROOMS = "In simulated rooms {}that were not used to make the finder"
+
+
 def record_of_means(verdict: str, data: str) -> str:
     """Return how often such a verdict was right with such data, `TIMES` or `ALL`.
 
@@ -101,49 +112,33 @@ def record_of_means(verdict: str, data: str) -> str:
 T20, EDT and T30 of one configuration, 10 of 359 rooms that lack nothing were flagged (1 to 5 %, 95 % \
 interval).
     """
-    record = record_of("means", data)
-    rooms = (
-        "In simulated rooms that were not used to make the finder, by an earlier version of it with "
-        f"{data},"
-    )
-    flagged, detected = record["flagged"], record["detected"]
+    record, rooms = record_of("means", data), _ROOMS.format("")
+    rooms += f", by an earlier version of it with {data},"
     if verdict == "unknown":
-        return (
-            f"{rooms} {flagged.count} of {flagged.of} rooms that lack nothing were flagged "
-            f"({flagged.in_words})."
-        )
+        return f"{rooms} {record['flagged'].said('rooms that lack nothing', 'were flagged')}."
     if verdict not in record:
-        missed = Share(detected.of - detected.count, detected.of)
-        return (
-            f"{rooms} {missed.count} of {missed.of} hidden effects were not detected "
-            f"({missed.in_words}), so this is no proof that nothing is missing."
-        )
+        missed = Share(record["detected"].of - record["detected"].count, record["detected"].of)
+        not_detected = missed.said("hidden effects", "were not detected")
+        return f"{rooms} {not_detected}, so this is no proof that nothing is missing."
     if verdict == "ambiguous":
-        return f"{rooms} {_given(record[verdict], 'sets of candidates', 'held the truth')}"
+        return f"{rooms} {record[verdict].claimed('sets of candidates', 'held the truth')}"
     kind = {"named": "effects", "family": "families"}[verdict]
     measured = stored()["measured"]
     wrong = Share(measured["wrong"], measured["claims"])
     was = {0: "none was", 1: "1 was"}.get(wrong.count, f"{wrong.count} were")
     return (
-        f"{rooms} {_given(record[verdict], kind, 'were right')} In measured rooms, {wrong.of} effects "
+        f"{rooms} {record[verdict].claimed(kind)} In measured rooms, {wrong.of} effects "
         f"or families were claimed in {measured['cases']} cases, and {was} wrong (error rate "
         f"{wrong.in_words})."
     )
 
 
-def _given(right: Share, kind: str, was: str) -> str:
-    """Return claims made, claims right, and the interval, in a sentence without its beginning."""
-    return f"{right.of} {kind} were claimed, and {right.count} {was} ({right.in_words})."
-
-
 def record_of_several(claimed: Sequence[str]) -> str:
     """Return how often claims beside others were right: "families", "sets of families"."""
-    rooms = (
-        "In simulated rooms with one or two effects that were not used to make the finder, by an "
-        "earlier version of it,"
+    rooms = f"{_ROOMS.format('with one or two effects ')}, by an earlier version of it,"
+    return " ".join(
+        f"{rooms} {Share(*stored()['several'][kind]).claimed(kind)}" for kind in claimed
     )
-    said = [f"{rooms} {_given(Share(*stored()['several'][k]), k, 'were right')}" for k in claimed]
-    return " ".join(said)
 
 
 def statement_of(room: Room) -> str:
@@ -158,12 +153,12 @@ def record_of_positions(room: Room, match: Sequence[str]) -> str:
     """Return how often hidden effects were detected and empty rooms flagged, with such data."""
     stated, data = statement_of(room), WITH_LEVEL if LEVEL.key in match else WITHOUT_LEVEL
     record = record_of("positions", stated, data)
-    detected, flagged, surface = record["detected"], record["flagged"], record["surface"]
+    surface = record["surface"]
     return (
-        f"In simulated rooms with coefficients {stated} that were not used to make the finder, "
-        f"{detected.count} of {detected.of} hidden effects were detected ({detected.in_words}), and "
-        f"{flagged.count} of {flagged.of} rooms that lack nothing were flagged ({flagged.in_words}). "
-        f"{_given(record['family'], 'effects or families', 'were right')} "
-        f"{_given(record['surface claimed'], 'surfaces', 'were right')} Of {surface.of} absorbers that "
+        f"{_ROOMS.format(f'with coefficients {stated} ')}, "
+        f"{record['detected'].said('hidden effects', 'were detected')}, and "
+        f"{record['flagged'].said('rooms that lack nothing', 'were flagged')}. "
+        f"{record['family'].claimed('effects or families')} "
+        f"{record['surface claimed'].claimed('surfaces')} Of {surface.of} absorbers that "
         f"were detected, {surface.count} are on the most probable surface ({surface.in_words})."
     )

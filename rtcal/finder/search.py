@@ -1,23 +1,19 @@
-"""Find what a model misses, and verify it: by what was measured at every position, or by means."""
+"""Find what a model misses: by means over positions, at every position, or between two states."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias, overload
+from typing import Any, TypeAlias
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.finder import positions, states
 from rtcal.finder.case import Case, Configuration
-from rtcal.finder.means.finding import MeansFinding
+from rtcal.finder.finding import Finding
 from rtcal.finder.means.search import find as find_by_means
-from rtcal.finder.means.verification import verify as verify_by_means
 from rtcal.finder.positions.search import find as find_at_positions
-from rtcal.finder.positions.verification import verify as verify_at_pairs
 from rtcal.finder.states.search import find as find_between
-from rtcal.finder.states.verification import verify as verify_states
-from rtcal.finder.verification import Verification
 from rtcal.io import geometry_files
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
@@ -69,20 +65,6 @@ def case_of(
     return Case(room=room, configurations=[Configuration(name="as measured", measured=measured)])
 
 
-@overload
-def find(room: Case, **options: Any) -> MeansFinding: ...
-@overload
-def find(room: positions.PositionsCase, **options: Any) -> positions.PositionsFinding: ...
-@overload
-def find(room: states.StatesCase, **options: Any) -> states.StatesFinding: ...
-@overload
-def find(
-    room: Room, measured: Measurement, *, before: Measurement, **options: Any
-) -> states.StatesFinding: ...
-@overload
-def find(
-    room: Room, measured: Measurement, simulator: PathTracing | None = None, **options: Any
-) -> MeansFinding | positions.PositionsFinding: ...
 def find(
     room: Room | AnyCase,
     measured: Measurement | None = None,
@@ -92,7 +74,7 @@ def find(
     tracing: Mapping[str, Any] | None = None,
     seed: int = 0,
     **options: Any,
-) -> MeansFinding | positions.PositionsFinding | states.StatesFinding:
+) -> Finding:
     """Find what the model of a room lacks, and where the positions tell on which surface.
 
     Two models of what is observed, one library of effects. With a simulator, or a room that states its
@@ -134,7 +116,7 @@ def find(
 
     Returns
     -------
-    MeansFinding, PositionsFinding or states.StatesFinding
+    Finding
 
     Raises
     ------
@@ -177,33 +159,5 @@ def find(
             raise DataError(f"{name} is not of a search {kind}")
     every = {"seed": seed, **options}
     some = {name: value for name, value in every.items() if name in possible}
-    found: MeansFinding | positions.PositionsFinding | states.StatesFinding = search(case, **some)
+    found: Finding = search(case, **some)
     return found
-
-
-def verify(
-    finding: MeansFinding | positions.PositionsFinding | states.StatesFinding,
-    case: Case | None = None,
-    **options: Any,
-) -> Verification:
-    """Verify a finding: by the gaps that alpha cannot close, or at pairs that were not fitted.
-
-    Parameters
-    ----------
-    finding : MeansFinding, PositionsFinding or states.StatesFinding
-    case : Case, optional
-        Of a finding by means: the case in which it is verified; by default its own.
-    **options
-        Of a finding at positions: ``seeds``, ``cache`` and ``progress``, as
-        `rtcal.finder.positions.verification.verify` takes them. Of two states: ``seed``.
-
-    Raises
-    ------
-    DataError
-        Where there is nothing to add, and as these do.
-    """
-    if isinstance(finding, positions.PositionsFinding):
-        return verify_at_pairs(finding, **options)
-    if isinstance(finding, states.StatesFinding):
-        return verify_states(finding, **options)
-    return verify_by_means(finding, case, **options)

@@ -37,9 +37,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rtcal.calibration.result import CalibrationResult
-    from rtcal.finder.means.finding import MeansFinding
-    from rtcal.finder.positions.finding import Place, PositionsFinding
-    from rtcal.finder.states.finding import StatesFinding
+    from rtcal.finder.finding import Finding
+    from rtcal.finder.positions.places import Place
     from rtcal.finder.verification import Verification
     from rtcal.loop.closed import Loop
     from rtcal.loop.positions import PositionsResult
@@ -633,7 +632,7 @@ def frontier(costs: Mapping[float, float], promised: float, cost: float) -> Any:
     return figure
 
 
-def states(finding: StatesFinding) -> Any:
+def states(finding: Finding) -> Any:
     """Return T(f) before and after a change."""
     found = finding.case.differences
     k, f = found.measured, found.centre_frequencies[found.measured]
@@ -644,7 +643,7 @@ def states(finding: StatesFinding) -> Any:
     return figure
 
 
-def change(finding: StatesFinding) -> Any:
+def change(finding: Finding) -> Any:
     """Return the change of the absorption area by band, with its interval."""
     k = finding.case.differences.measured
     figure, axes = new_figure()
@@ -669,34 +668,34 @@ _CORRECTED: dict[str, Any] = {"color": BLUE, "marker": "D"}
 
 def corrected_times(verification: Verification) -> Any:
     """Return T(f) of the first configuration: measured, prior, plainly calibrated, corrected."""
-    from rtcal.finder.means.verification import reverberation_times
+    from rtcal.finder.finding import best_title
+    from rtcal.finder.verification import reverberation_times
 
     finding = verification.finding
     f = finding.case.room.centre_frequencies
-    times = reverberation_times(finding, verification.plain, verification.corrected)[0]
+    times = reverberation_times(finding, *verification.calibrations)[0]
     figure, axes = new_figure()
     jnd_band(axes, f, times["measured"])
     axes.plot(f, times["measured"], **MEASURED, label="measured")
     for name, style, label in (
         ("prior", BEFORE, "prior"),
         ("plain", {**_PLAIN, "linestyle": ":"}, "plainly calibrated"),
-        ("corrected", _CORRECTED, f"with {finding.title}, calibrated"),
+        ("corrected", _CORRECTED, f"with {best_title(finding)}, calibrated"),
     ):
         axes.plot(f, times[name], **style, fillstyle="none", label=shown(label))
     _times_axes(axes, f, "Reverberation time T")
     return figure
 
 
-def residuals(finding: MeansFinding, verification: Verification | None = None) -> Any:
+def residuals(finding: Finding, verification: Verification | None = None) -> Any:
     """Return the residual map: feature by band and configuration; before, and after the effect."""
-    from rtcal.finder.means.finding import feature_names
-    from rtcal.finder.means.verification import residual_map
+    from rtcal.finder.finding import best_title, feature_names
+    from rtcal.finder.verification import residual_map
 
     maps = [("The model as stated", finding.residuals)]
     if verification is not None:
-        maps.append(
-            (f"The model with {finding.title}", residual_map(finding, verification.corrected))
-        )
+        _, corrected = verification.calibrations
+        maps.append((f"The model with {best_title(finding)}", residual_map(finding, corrected)))
     known = np.argwhere(np.isfinite(finding.residuals).any(axis=2)).tolist()
     configurations = finding.case.configurations
     labels = [
@@ -725,7 +724,7 @@ def residuals(finding: MeansFinding, verification: Verification | None = None) -
     return figure
 
 
-def evidence(finding: MeansFinding) -> Any:
+def evidence(finding: Finding) -> Any:
     """Return the evidence of every effect as bars, with the threshold."""
     names = list(finding.evidence)
     values = np.array([finding.evidence[n] for n in names])
@@ -755,7 +754,7 @@ def evidence(finding: MeansFinding) -> Any:
     return figure
 
 
-def probabilities(finding: MeansFinding) -> Any:
+def probabilities(finding: Finding) -> Any:
     """Return the figure of the probability of each effect that it is there at all."""
     from rtcal.finder.claim import CLAIMED, SAID
     from rtcal.finder.prior import NONE
@@ -775,7 +774,7 @@ def probabilities(finding: MeansFinding) -> Any:
 
 def bends(verification: Verification) -> bool:
     """Whether the effect bends the decay: whether EDT/T20 or T30/T20 change visibly."""
-    shapes = [model.features[:, 1:3] for model in (verification.plain, verification.corrected)]
+    shapes = [model.features[:, 1:3] for model in verification.calibrations]
     return bool(np.abs(shapes[1] - shapes[0]).max() > _BENT)
 
 
@@ -794,9 +793,10 @@ def decay(verification: Verification) -> Any:
             line = {"color": BLACK, "linestyle": style, "linewidth": 3, "alpha": 0.5}
             label = f"measured {slope.label} {value:.2f} s"
             axes.plot(-levels / 60 * value, levels, **line, label=label)
+    plain, corrected = verification.calibrations
     for model, colour, style, label in (
-        (verification.plain, GREEN, "-.", "plainly calibrated"),
-        (verification.corrected, BLUE, "-", f"with {finding.best_effect}"),
+        (plain, GREEN, "-.", "plainly calibrated"),
+        (corrected, BLUE, "-", f"with {finding.best_effect}"),
     ):
         level = _level(model.case, model.alpha, band, t)
         axes.plot(t, level, color=colour, linestyle=style, label=shown(label))
@@ -830,7 +830,7 @@ def corrected_shifts(verification: Verification) -> Any:
     whose absorption area moved most.
     """
     room, f = verification.finding.case.room, verification.finding.case.room.centre_frequencies
-    models = (verification.plain, verification.corrected)
+    models = verification.calibrations
     moved = np.max([np.abs(x.alpha - room.alpha).max(1) for x in models], axis=0) * room.areas
 
     def draw(axes: Any, i: int) -> None:
@@ -867,7 +867,7 @@ _KINDS = {
 }
 
 
-def likely_shares(finding: PositionsFinding) -> dict[str, float]:
+def likely_shares(finding: Finding) -> dict[str, float]:
     """Return the probability of each surface, 0 where hardly anything stands on one."""
     none = finding.verdict == "none" or not finding.likely_surfaces
     return {n: 0.0 if none else finding.surfaces.get(n, 0.0) for n in finding.case.faces}
@@ -882,7 +882,7 @@ def _mark(axes: Axes, point: Sequence[float], marker: str, colour: str) -> None:
     axes.plot(point[0], point[1], marker=marker, color=colour, **style)
 
 
-def plan(finding: PositionsFinding, place: Place | None = None, axes: Any = None) -> Any:
+def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
     """Return the map on the plan: which pairs disagree, and which surfaces could mend it.
 
     A line joins source and receiver. It is as dark as the root mean square of the pair's residuals in
@@ -954,7 +954,7 @@ def plan(finding: PositionsFinding, place: Place | None = None, axes: Any = None
     return axes.figure
 
 
-def disagreement(finding: PositionsFinding) -> Any:
+def disagreement(finding: Finding) -> Any:
     """Return the map as tables, in standard deviations: pairs by parameters, parameters by bands."""
     names = [parameter_label(p) for p in finding.parameters]
     of_pairs, of_bands = rms(finding.map, (2,)).T, rms(finding.map, (1,))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.observables import parameter_label
@@ -14,14 +16,21 @@ from rtcal.acoustics.room import MAX_BYTES
 from rtcal.calibration.methods import calibrate
 from rtcal.files.disk import make_folder, write_all
 from rtcal.files.saved import NUMBERS
-from rtcal.finder.claim import CLAIMED
+from rtcal.finder.claim import CLAIMED, percent
+from rtcal.finder.finding import (
+    Finding,
+    added,
+    best_title,
+    or_nothing,
+    rivals,
+    runner_up,
+    sentence_of,
+    sentences,
+)
 from rtcal.finder.means.corrected import corrected_room, not_in_room
-from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.means.verdict import TWO
-from rtcal.finder.positions.finding import Place, PositionsFinding, strongest
-from rtcal.finder.states.finding import StatesFinding
-from rtcal.finder.states.verification import verify
+from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification
 from rtcal.report import figures, of_calibration, room_view
 from rtcal.report.document import (
@@ -46,68 +55,59 @@ from rtcal.support.blocks import lines as lines_of
 from rtcal.support.errors import MissingAirWarning
 from rtcal.support.text import as_sentence, listed
 
-Found = MeansFinding | PositionsFinding | StatesFinding
 PAGE = "report.html"
-_MEANS = ("evidence", "probabilities", "residuals", "reverberation_time", "decay", "shifts")
-WRITTEN = (NUMBERS, PAGE, *(f"{name}.png" for name in ("map", "plan", "gap", *_MEANS)))
+_FIGURES = {
+    "means": ("evidence", "probabilities", "residuals", "reverberation_time", "decay", "shifts"),
+    "positions": ("map", "plan", "gap"),
+}
+WRITTEN = (NUMBERS, PAGE, *(f"{name}.png" for names in _FIGURES.values() for name in names))
 """The files of a finding, each kind some of them."""
+_SUBJECTS = {
+    "means": "what the room-acoustic model may lack",
+    "positions": "what is other than stated, and on which surface",
+    "states": "what changed between two measurements",
+}
 _LEVELS = {"supported": "agrees", "withdrawn": "contradicts", "unproven": "open"}
 """Kind of the box that a verification stands in."""
 
 
-@dataclass(frozen=True)
-class Reproduction:
-    """The data that reproduce a finding: shell command, the case's files, seed."""
-
-    command: str
-    files: Sequence[str]
-    seed: int
-
-
 def page(
-    finding: Found,
-    verification: Any = None,
-    reproduction: Reproduction | None = None,
+    finding: Finding,
+    verification: Verification | None = None,
+    command: str = "",
     place: Place | None = None,
 ) -> Page:
     """Return the page of a finding of any kind.
 
-    ``verification`` is the finding's, or None. ``reproduction`` is printed on the page. ``place`` is a
-    further receiver that would tell the surfaces apart.
+    ``verification`` is the finding's, or None. ``command`` reproduces it, and is printed. ``place`` is
+    a further receiver that would tell the surfaces apart.
     """
     room = finding.case.room
-    if isinstance(finding, MeansFinding):
-        blocks = _of_means(finding, verification, reproduction)
-        return Page(room.name, room.author, "what the room-acoustic model may lack", blocks)
-    if isinstance(finding, StatesFinding):
-        if verification is None and finding.can_be_verified:
-            verification = verify(finding)
-        changed = "what changed between two measurements"
-        return Page(room.name, room.author, changed, _of_states(finding, verification))
-    command = "" if reproduction is None else reproduction.command
-    where = "what is other than stated, and on which surface"
-    return Page(room.name, room.author, where, _where(finding, verification, command, place))
+    if finding.kind == "means":
+        blocks = _of_means(finding, verification, command)
+    elif finding.kind == "states":
+        blocks = _of_states(finding, verification)
+    else:
+        blocks = _where(finding, verification, command, place)
+    return Page(room.name, room.author, _SUBJECTS[finding.kind], blocks)
 
 
 def pictures(
-    finding: Found, verification: Any = None, place: Place | None = None
+    finding: Finding, verification: Verification | None = None, place: Place | None = None
 ) -> dict[str, Picture]:
     """Return the figures of a finding by the names of their files; none of two states."""
-    if isinstance(finding, MeansFinding):
+    if finding.kind == "means":
         return _pictures_of_means(finding, verification)
-    return (
-        _pictures_of_where(finding, verification, place)
-        if isinstance(finding, PositionsFinding)
-        else {}
-    )
+    at_positions = finding.kind == "positions"
+    return _pictures_of_where(finding, verification, place) if at_positions else {}
 
 
 def write(
-    finding: Found,
-    verification: Any,
+    finding: Finding,
+    verification: Verification | None,
     folder: Path,
     heading: Heading | None = None,
-    reproduction: Reproduction | None = None,
+    command: str = "",
     place: Place | None = None,
 ) -> None:
     """Write `page`, numbers and figures, all or none; the arguments are those of `page`.
@@ -119,10 +119,8 @@ def write(
     DataError
         If the folder cannot be made, or a file cannot be written.
     """
-    text = render(page(finding, verification, reproduction, place), heading)
-    # A page of two states is made of the finding alone.
-    alone = verification is None or isinstance(finding, StatesFinding)
-    saved = finding if alone else verification
+    text = render(page(finding, verification, command, place), heading)
+    saved = finding if verification is None else verification
     contents = {folder / PAGE: text.encode(), folder / NUMBERS: saved.to_json(folder).encode()}
     for name, picture in pictures(finding, verification, place).items():
         contents[folder / f"{name}.png"] = figures.rendered(picture.draw(), "png")
@@ -130,9 +128,13 @@ def write(
     write_all(contents)
 
 
-def _of_means(
-    finding: MeansFinding, verification: Verification | None, reproduction: Reproduction | None
-) -> list[Any]:
+def _chances(table: Mapping[str, float], further: Sequence[str]) -> list[Row]:
+    """Return a row for each name with its probability in percent, and a further column."""
+    rows = zip(table.items(), further, strict=True)
+    return [Row(name, [f"{100 * p:.0f}", also]) for (name, p), also in rows]
+
+
+def _of_means(finding: Finding, verification: Verification | None, command: str) -> list[Any]:
     """Return the blocks of a finding by means; those of the calibration without the effect are last."""
     drawn = _pictures_of_means(finding, verification)
     level = {"none": "agrees", "hint": "open"}.get(finding.verdict, "contradicts")
@@ -141,17 +143,16 @@ def _of_means(
     usable = finding.verdict in ("none", "hint")
     plain = f'plain calibration to {_time(finding)} of "{finding.case.configurations[0].name}"'
     if verification is not None and verification.verdict == "supported":
-        lacking = listed([finding.title, *finding.rivals], last="or")
+        lacking = listed([best_title(finding), *(c.effect for c in rivals(finding))], last="or")
         plain += f": not to be used, the model lacks something ({lacking})"
     first = next(
         drawn[n] for n in ("reverberation_time", "probabilities", "residuals") if n in drawn
     )
-    tried = (
-        ": probability that it is there at all, and its odds alone" if finding.likely_sets else ""
-    )
+    there = ": probability that it is there at all, and its odds alone"
+    alone = [odds(finding.evidence.get(name, 0.0)) for name in finding.probabilities]
     return [
         Section("The finding", "finding"),
-        Box(level, as_sentence(f"{finding.sentence}{finding.or_nothing}")),
+        Box(level, as_sentence(f"{sentence_of(finding)}{or_nothing(finding)}")),
         Section("What it rests on", "basis", 3),
         Items(rests_on(finding, verification)),
         SideBySide(
@@ -180,16 +181,13 @@ def _of_means(
         ),
         Table(
             ["Probability / %", "Odds"],
-            [
-                Row(name, [f"{100 * p:.0f}", odds(finding.evidence.get(name, 0.0))])
-                for name, p in finding.probabilities.items()
-            ],
-            f"Every effect that was tried{tried}",
+            _chances(finding.probabilities, alone),
+            f"Every effect that was tried{there if finding.likely_sets else ''}",
             "Effect",
         ),
         SideBySide([[drawn["evidence"]], *residuals]),
         *([Section("Notes", "notes", 3), Items(finding.notes)] if finding.notes else []),
-        *_reproduced(finding, reproduction),
+        *_reproduced(finding, command),
         Section(
             "The calibration" if usable else "The plain calibration: the model lacks something",
             "plain",
@@ -199,7 +197,7 @@ def _of_means(
     ]
 
 
-def _plain(finding: MeansFinding) -> Any:
+def _plain(finding: Finding) -> Any:
     """Return the calibration of the first configuration without the effect."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MissingAirWarning)  # among the finding's notes
@@ -211,19 +209,19 @@ def _plain(finding: MeansFinding) -> Any:
         )
 
 
-def _time(finding: MeansFinding) -> str:
-    return finding.case.configurations[0].measured.time_label
+def _time(finding: Finding) -> str:
+    return str(finding.case.configurations[0].measured.time_label)
 
 
-def rests_on(finding: MeansFinding, verification: Verification | None) -> list[str]:
+def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
     """Return what the verdict rests on, a sentence each."""
     rule = (
         "An effect or a family is claimed if the probability that it is there is at least "
-        f"{100 * CLAIMED:.0f} %, and if it passes the checks. More than one is claimed from "
-        f"{100 * TWO:.0f} % for more than one effect."
+        f"{percent(CLAIMED)}, and if it passes the checks. More than one is claimed from "
+        f"{percent(TWO)} for more than one effect."
     )
     return [
-        *map(as_sentence, finding.sentences),
+        *map(as_sentence, sentences(finding)),
         *([] if verification is None else [verification.sentence]),
         *([rule] if finding.more_than_one else []),
     ]
@@ -247,20 +245,15 @@ _QUOTE = {
 """What may be done with the corrected calibration, and with its coefficients, by verification."""
 
 
-def to_do(finding: MeansFinding, verification: Verification | None) -> list[str]:
+def to_do(finding: Finding, verification: Verification | None) -> list[str]:
     """Return what to do, a sentence each: the next measurement, and which coefficients to use."""
     steps = [] if finding.verdict == "none" else [as_sentence(finding.advice)]
     if finding.undecided:
-        return [
-            *steps,
-            f"Put none of the effects into the model before one is confirmed. {finding.undecided}",
-        ]
+        confirm = "Put none of the effects into the model before one is confirmed."
+        return [*steps, f"{confirm} {finding.undecided}"]
     if verification is not None:
-        return [
-            *steps,
-            _USE[verification.verdict],
-            *filter(None, [verification.misses_in_words]),
-        ]
+        misses = verification.misses_in_words
+        return [*steps, _USE[verification.verdict], *([misses] if misses else [])]
     if finding.can_be_added:
         return [
             *steps,
@@ -276,7 +269,7 @@ def to_do(finding: MeansFinding, verification: Verification | None) -> list[str]
 
 
 def _corrected(
-    finding: MeansFinding, verification: Verification | None, drawn: dict[str, Picture]
+    finding: Finding, verification: Verification | None, drawn: dict[str, Picture]
 ) -> list[Any]:
     """Return the coefficients with the effect or the set in the model; nothing where none is added."""
     if not finding.can_be_added or finding.undecided:
@@ -285,16 +278,16 @@ def _corrected(
     if verification is None:
         corrected = recalibrate(finding.with_effects(), finding.discrepancy)
     else:
-        corrected, use = verification.corrected, _QUOTE[verification.verdict]
+        (_, corrected), use = verification.calibrations, _QUOTE[verification.verdict]
         if verification.misses:
             use = "Not to be used: with them the model misses T."
     of = listed([f'"{c.name}"' for c in finding.case.configurations])
-    title = f"with {finding.title} in the model, calibrated to {_time(finding)} of {of}"
+    with_it = f"with {best_title(finding)} in the model, calibrated to {_time(finding)} of {of}"
     return [
         Section("The corrected calibration", "corrected", new_sheet=True),
         Note(f"In the model: {'; '.join(corrected.effects_in_words)}. {use}", kind="keep"),
         coefficients(
-            f"Corrected coefficients, {title}: stated → calibrated, below it the 90 % interval",
+            f"Corrected coefficients, {with_it}: stated → calibrated, below it the 90 % interval",
             finding.case.room,
             corrected.alpha,
             corrected.interval,
@@ -303,28 +296,27 @@ def _corrected(
     ]
 
 
-def _unknowable(finding: MeansFinding, verification: Verification | None) -> str:
+def _unknowable(finding: Finding, verification: Verification | None) -> str:
     """Return the sentence on what no calibration can show: whether the name is right."""
     if len(finding.members) > 1:
         return (
             "What cannot be known: whether these are the right names. Other effects of the same family "
             "explain the measurement about as well."
         )
-    next_to = f"the next best is {finding.second_best}"
-    if finding.rivals:
-        next_to = f"{listed(finding.rivals)} would explain the data about as well"
-    shrinks = ""
+    second = runner_up(finding)
+    next_to = f"the next best is {second} {finding.percent(second)}"
+    if others := [c.effect for c in rivals(finding)]:
+        next_to = f"{listed(others)} would explain the data about as well"
+    said = f"What cannot be known: whether it is {best_title(finding)}."
+    said += f" The name may be wrong; {next_to}."
     if verification is not None and verification.verdict == "supported":
-        shrinks = (
+        said += (
             " That the gap shrinks says that the model is better, not which effect is in the room."
         )
-    return (
-        f"What cannot be known: whether it is {finding.title}. The name may be wrong; {next_to}."
-        f"{shrinks}"
-    )
+    return said
 
 
-def _pictures_of_means(finding: MeansFinding, verified: Verification | None) -> dict[str, Picture]:
+def _pictures_of_means(finding: Finding, verified: Verification | None) -> dict[str, Picture]:
     """Return the figures by name; those of shifts, T and decay need a verification."""
     shown = {
         "evidence": Picture(
@@ -366,22 +358,15 @@ def _pictures_of_means(finding: MeansFinding, verified: Verification | None) -> 
     return shown
 
 
-def _reproduced(finding: MeansFinding, reproduction: Reproduction | None) -> list[Any]:
-    """Return command, files, seed and engines; of a saved finding its case, and the command for it.
+def _reproduced(finding: Finding, command: str) -> list[Any]:
+    """Return the command that searched; of a saved finding its case, and the command for it.
 
     Nothing if the case is too large for a page.
     """
     title = Section("How to reproduce the finding", "reproduce-finding")
-    if reproduction is not None:
-        return [
-            title,
-            Note(
-                f"It comes from {', '.join(reproduction.files)}, seed {reproduction.seed}, with "
-                f"control rooms of {' and '.join(finding.engines)}:",
-                kind="keep",
-            ),
-            Code(reproduction.command),
-        ]
+    if command:
+        rooms = f"The control rooms are those of {' and '.join(finding.engines)}:"
+        return [title, Note(rooms, kind="keep"), Code(command)]
     case = finding.case.to_json().encode()
     if len(case) > MAX_BYTES:
         return []
@@ -393,7 +378,7 @@ def _reproduced(finding: MeansFinding, reproduction: Reproduction | None) -> lis
 
 
 def _where(
-    finding: PositionsFinding,
+    finding: Finding,
     verification: Verification | None,
     command: str,
     place: Place | None,
@@ -406,11 +391,28 @@ def _where(
         Note(said, kind="lead"),
         Note("There is nothing to add to a surface, so there is no second model to compare."),
     ]
+    by_model: list[Any] = []
     if verification is not None:
         verdict, _, why = verification.sentence.partition(": ")
         box = Box(_LEVELS[verification.verdict], verdict, [as_sentence(why), verification.notes[0]])
         better = "A gap that shrinks shows that the model is better, not that the name is right."
         gap = [SideBySide([[drawn["gap"]], [box, Note(better)]])]
+        title = "Mean gap in JND, ± its standard deviation over the simulator's seeds"
+        by_model = [
+            Section("The gaps by parameter and by pair", "gaps"),
+            replace(verification.table, title=title, corner=""),
+            Items(list(verification.notes[1:])),
+        ]
+    further = []
+    if place is not None:
+        x, y, z = place.point
+        further = [
+            Note(
+                f"To tell the surfaces apart, measure at ({x:.1f}, {y:.1f}, {z:.1f}) m with source "
+                f"{place.source}: of the places that were tried it is expected to tell most, with odds "
+                f"of {odds(place.nats)}. It is the star in the plan."
+            )
+        ]
     return [
         Section("The gap at positions that were not fitted", "gap"),
         *gap,
@@ -419,43 +421,21 @@ def _where(
         *room_view.of_finding(finding, verification, place),
         *(replace(probable, title="Candidates") for probable in tables(finding.blocks())),
         *map(Note, others),
-        *_next(place),
+        *further,
         Section("Where the model disagrees", "map"),
         SideBySide([[drawn["plan"]], [drawn["map"]]]),
-        *([] if verification is None else _gaps(verification)),
+        *by_model,
         *([Section("How to reproduce", "reproduce"), Code(command)] if command else []),
     ]
 
 
-def _next(place: Place | None) -> list[Note]:
-    if place is None:
-        return []
-    x, y, z = place.point
-    return [
-        Note(
-            f"To tell the surfaces apart, measure at ({x:.1f}, {y:.1f}, {z:.1f}) m with source "
-            f"{place.source}: of the places that were tried it is expected to tell most, with odds of "
-            f"{odds(place.nats)}. It is the star in the plan."
-        )
-    ]
-
-
-def _gaps(verification: Verification) -> list[Any]:
-    """Return the gaps of each model by parameter and by pair."""
-    title = "Mean gap in JND, ± its standard deviation over the simulator's seeds"
-    return [
-        Section("The gaps by parameter and by pair", "gaps"),
-        replace(verification.table, title=title, corner=""),
-        Items(list(verification.notes[1:])),
-    ]
-
-
 def _pictures_of_where(
-    finding: PositionsFinding, verification: Verification | None, place: Place | None
+    finding: Finding, verification: Verification | None, place: Place | None
 ) -> dict[str, Picture]:
     """Return the figures with what they show in words and numbers."""
-    p, i, k = strongest(finding.map)
-    likely = "; ".join(f"{n} {100 * finding.surfaces[n]:.0f} %" for n in finding.likely_surfaces)
+    strongest = int(np.nanargmax(np.abs(finding.map)))
+    p, i, k = np.unravel_index(strongest, finding.map.shape)
+    likely = "; ".join(f"{n} {percent(finding.surfaces[n])}" for n in finding.likely_surfaces)
     coloured = (
         f"coloured are {likely}"
         if finding.verdict != "none" and likely
@@ -491,17 +471,14 @@ def _pictures_of_where(
     return drawn
 
 
-def _of_states(finding: StatesFinding, verification: Any) -> list[Any]:
+def _of_states(finding: Finding, verification: Verification | None) -> list[Any]:
     """Return the blocks of a finding between two states."""
     headline, *others = notes(finding.blocks())
     kinds = finding.candidates if finding.best is not None else ()
     n = len(finding.case.differences.pairs)
     verified = [] if verification is None else [Note(f"Verification: {verification.sentence}")]
-    surfaces = [
-        Row(s, [f"{100 * p:.0f}", "claimed" if s in finding.claimed_surfaces else ""])
-        for s, p in finding.surfaces.items()
-    ]
-    added = (
+    claims = ["claimed" if s in finding.claimed_surfaces else "" for s in finding.surfaces]
+    apply = (
         "The room of the second state, to calibrate, export and predict with: "
         "rtcal apply FOUND --out FOLDER."
     )
@@ -516,11 +493,16 @@ def _of_states(finding: StatesFinding, verification: Any) -> list[Any]:
         Items(others),
         Table(
             ["Probability / %", "Absorption area, 500 Hz to 2 kHz"],
-            [Row(c.effect, [f"{100 * c.probability:.0f}", c.in_words]) for c in kinds],
+            _chances({c.effect: c.probability for c in kinds}, [c.in_words for c in kinds]),
             "What it may be",
             "Change",
         ),
-        Table(["Probability that it changed / %", ""], surfaces, "On which surface", "Surface"),
+        Table(
+            ["Probability that it changed / %", ""],
+            _chances(finding.surfaces, claims),
+            "On which surface",
+            "Surface",
+        ),
         Section("By band", "bands"),
         Picture(
             lambda: figures.states(finding),
@@ -530,32 +512,34 @@ def _of_states(finding: StatesFinding, verification: Any) -> list[Any]:
         Section("What was assumed", "assumed"),
         Note(
             f"{finding.case.equation.name}'s equation; {n} pair{'s' * (n != 1)}. Both states have "
-            "the same "
-            "positions and equipment. The first calibrates, so the stated coefficients do not count."
+            "the same positions and equipment. The first calibrates, so the stated coefficients do not "
+            "count."
         ),
-        *([Note(added)] if finding.can_be_added else []),
+        *([Note(apply)] if finding.can_be_added else []),
         Note(f"rtcal {__version__}."),
     ]
 
 
-_KEPT = ("verdict", "effect", "named", "family", "candidates", "sets", "probabilities", "evidence")
-"""Entries of a finding that are stored with the correction."""
-
-
 def correct(
-    finding: MeansFinding, case_path: str, room_path: str | None = None, effect: str | None = None
-) -> tuple[str, dict[str, Any], dict[str, bytes]]:
-    """Add the named effects, or the most probable ones, to a finding's case, and calibrate it.
+    finding: Finding,
+    out: Path,
+    room: str | None = None,
+    *,
+    effect: str | None = None,
+    form: str = "patch",
+    at: Sequence[float] | None = None,
+) -> tuple[str, dict[str, Any], dict[Path, bytes]]:
+    """Add what was found to the model: the case calibrated with it, or a room and its lists.
 
     Parameters
     ----------
-    finding : MeansFinding
-    case_path : str
-        Path of the case with the effect (JSON).
-    room_path : str, optional
-        Path of the room with the effect (TOML).
-    effect : str, optional
-        The candidate to add.
+    finding : Finding
+    out : Path
+        Of means, the case with the effect (JSON); else a folder.
+    room : str, optional
+        Of means, the room with the effect (TOML).
+    effect, form, at
+        As `Finding.apply` takes them.
 
     Returns
     -------
@@ -565,32 +549,33 @@ def correct(
     Raises
     ------
     DataError
-        As `MeansFinding.apply`.
+        As `Finding.apply`.
     """
-    said = finding.to_dict()
-    record: dict[str, Any] = {k: said[k] for k in _KEPT if k in said}
+    record = finding.to_dict()
     if (nothing := finding.reason_for_none) is not None:
         return f"{nothing}\nNothing is written.", {**record, "sentence": nothing}, {}
+    if finding.kind != "means":
+        made = finding.apply(effect=effect, form=form, at=at)
+        said = "\n".join([finding.headline, *made.in_words])
+        return said, {**record, **made.to_dict()}, made.contents(out)
     members = finding.chosen(effect)
-    corrected = finding.with_effects(members=members)
-    calibrated = recalibrate(corrected, finding.discrepancy)
-    files = {case_path: corrected.to_json().encode()}
-    absent: list[str] = []
-    if room_path is not None:
-        files[room_path] = corrected_room(corrected).to_text(Path(room_path).parent).encode()
-        absent = not_in_room(corrected)
-    sentence = finding.added(members)
+    case = finding.with_effects(members=members)
+    calibrated = recalibrate(case, finding.discrepancy)
+    files, absent = {out: case.to_json().encode()}, list[str]()
+    if room is not None:
+        files[Path(room)] = corrected_room(case).to_text(Path(room).parent).encode()
+        absent = not_in_room(case)
+    sentence = added(finding, members)
     lines = [
         sentence,
         *lines_of(calibrated.blocks()),
         *(f"  note: {note}" for note in finding.notes),
-        *(f"  not in {room_path}: {line}" for line in absent),
+        *(f"  not in {room}: {line}" for line in absent),
     ]
     record |= {
         "sentence": sentence,
-        "present": [p.to_dict() for p in corrected.applied],
+        "present": [p.to_dict() for p in case.applied],
         "calibrated": calibrated.to_dict(),
-        "notes": list(finding.notes),
         "not_in_room": absent,
     }
     return "\n".join(lines), record, files

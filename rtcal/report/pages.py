@@ -11,9 +11,7 @@ from typing import Any
 from rtcal.calibration.result import CalibrationResult
 from rtcal.files.disk import write_bytes
 from rtcal.files.saved import load
-from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.positions.finding import PositionsFinding
-from rtcal.finder.states import StatesFinding
+from rtcal.finder.finding import Finding
 from rtcal.finder.verification import Verification
 from rtcal.io import workbook
 from rtcal.loop.closed import Loop
@@ -36,7 +34,7 @@ _PAGES: dict[type, Callable[[Any], Page]] = {
     Loop: of_loop.page,
     PositionsResult: of_positions.page,
     **dict.fromkeys((Prediction, PositionsPrediction, Predictions, Design), of_prediction.page),
-    **dict.fromkeys((MeansFinding, PositionsFinding, StatesFinding), of_finding.page),
+    Finding: of_finding.page,
     Verification: lambda verified: of_finding.page(verified.finding, verified),
 }
 

@@ -33,7 +33,8 @@ from rtcal.support.types import Array
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
-    from rtcal.finder.positions.finding import Place, PositionsFinding
+    from rtcal.finder.finding import Finding
+    from rtcal.finder.positions.places import Place
     from rtcal.finder.verification import Verification
     from rtcal.loop.positions import PositionsResult
 
@@ -467,7 +468,7 @@ def of_positions(result: PositionsResult) -> list[Any]:
 
 
 def of_finding(
-    finding: PositionsFinding,
+    finding: Finding,
     verification: Verification | None,
     place: Place | None = None,
 ) -> list[Any]:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.positions import PositionsCase, PositionsFinding
+from rtcal.finder.finding import Finding
+from rtcal.finder.positions import PositionsCase
 from tests.test_where import heard, stated, tracing
 
 pytestmark = pytest.mark.long  # three searches, each with control runs of its own sources
@@ -19,7 +20,7 @@ LOBE = np.linspace(1, 8, 3)
 
 
 @pytest.fixture(scope="module")
-def findings(kept: Path) -> dict[str, PositionsFinding]:
+def findings(kept: Path) -> dict[str, Finding]:
     """Return what is found of a room with nothing hidden, measured with aimed loudspeakers."""
     base = tracing(stated(), n_paths=1600)
     aimed = {name: rt.Directivity(index=LOBE, aim=(0.3, 1, -0.2)) for name in base.sources}
@@ -35,7 +36,7 @@ def findings(kept: Path) -> dict[str, PositionsFinding]:
 
 
 def test_where_nothing_is_stated_nothing_is_claimed_and_the_lobes_are_said(
-    findings: dict[str, PositionsFinding],
+    findings: dict[str, Finding],
 ) -> None:
     """It was an alarm: "none" had less than 0.1 before lobes counted as far as they are likely."""
     found = findings["omnidirectional"]
@@ -43,14 +44,14 @@ def test_where_nothing_is_stated_nothing_is_claimed_and_the_lobes_are_said(
     assert any("So they are not taken as omnidirectional." in note for note in found.notes)
 
 
-def test_stated_nothing_is_claimed(findings: dict[str, PositionsFinding]) -> None:
+def test_stated_nothing_is_claimed(findings: dict[str, Finding]) -> None:
     found = findings["stated"]
     assert found.verdict == "none"
     assert not any("omnidirectional" in note for note in found.notes)
 
 
 def test_unknown_nothing_is_claimed_and_times_alone_are_asked(
-    findings: dict[str, PositionsFinding],
+    findings: dict[str, Finding],
 ) -> None:
     found = findings["unknown"]
     assert found.parameters == ("t20",)

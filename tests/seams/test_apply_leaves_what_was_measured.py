@@ -17,10 +17,9 @@ import pytest
 import rtcal as rt
 from rtcal.finder import AppliedEffect, Case, corrected_room
 from rtcal.finder.effects import Effect, checked_grid, library
+from rtcal.finder.finding import Finding
 from rtcal.finder.means.corrected import not_in_room
-from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.problem import state
-from rtcal.finder.positions import PositionsFinding
 from rtcal.report import of_finding
 from rtcal.support.errors import DataError
 from tests.test_where_page import finding_of
@@ -35,7 +34,7 @@ def case() -> Case:
 
 
 @pytest.fixture(scope="module")
-def finding(kept: Path, case: Case) -> MeansFinding:
+def finding(kept: Path, case: Case) -> Finding:
     return rt.find(case, cache=kept)
 
 
@@ -87,7 +86,7 @@ def test_the_order_of_two_absorbers_leaves_the_total(case: Case) -> None:
     )
 
 
-def with_odds(finding: MeansFinding, verdict: str, **probabilities: float) -> MeansFinding:
+def with_odds(finding: Finding, verdict: str, **probabilities: float) -> Finding:
     """Return the finding with other probabilities of its best candidates, not claimed by name."""
     best, *others = finding.candidates
     changed = [
@@ -104,7 +103,7 @@ def with_odds(finding: MeansFinding, verdict: str, **probabilities: float) -> Me
     )
 
 
-def test_an_improbable_candidate_is_added_only_by_its_name(finding: MeansFinding) -> None:
+def test_an_improbable_candidate_is_added_only_by_its_name(finding: Finding) -> None:
     """Nine of 41 first candidates with less than 0.3 were right."""
     unsure = with_odds(finding, "ambiguous", first=0.29, second=0.2)
     names = [c.effect for c in unsure.candidates]
@@ -120,14 +119,14 @@ def test_an_improbable_candidate_is_added_only_by_its_name(finding: MeansFinding
     assert [p.name for p in sure.apply().applied] == [sure.best_effect]
 
 
-def test_no_page_advises_an_improbable_candidate(finding: MeansFinding, tmp_path: Path) -> None:
+def test_no_page_advises_an_improbable_candidate(finding: Finding, tmp_path: Path) -> None:
     unsure = with_odds(finding, "ambiguous", first=0.29, second=0.2)
     assert of_finding._corrected(unsure, None, {}) == []
     said = " ".join(of_finding.to_do(unsure, None))
     assert "Put none of the effects into the model" in said
     assert "Use the corrected" not in said
     with pytest.raises(DataError, match="No effect is stated"):
-        of_finding.correct(unsure, str(tmp_path / "case.json"))
+        of_finding.correct(unsure, tmp_path / "case.json")
 
 
 def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case, kept: Path) -> None:
@@ -154,7 +153,7 @@ def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case, kept: P
     assert corrected_room(claimed.apply()).volume == pytest.approx(1.3 * case.room.volume)
 
 
-def torn_at_positions(first: float, verdict: str = "ambiguous") -> PositionsFinding:
+def torn_at_positions(first: float, verdict: str = "ambiguous") -> Finding:
     """Return a finding whose best candidate has a probability, two of one family on another wall."""
     found = finding_of({"wall 5": 1.0, "wall 0": 1.0, "ceiling": 1.0})
     wall, other, ceiling = found.candidates
@@ -164,7 +163,7 @@ def torn_at_positions(first: float, verdict: str = "ambiguous") -> PositionsFind
         replace(other, effect="curtain", family="added absorption, rising", probability=0.1),
         replace(ceiling, effect="area", family="scale", probability=0.14),
     ]
-    return replace(found, verdict=verdict, effect=None, family=None, candidates=tuple(every))
+    return replace(found, verdict=verdict, named=(), family=None, candidates=tuple(every))
 
 
 def test_at_positions_an_improbable_candidate_is_added_only_where_it_is_stated() -> None:

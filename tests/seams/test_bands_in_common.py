@@ -42,13 +42,13 @@ def with_values(measured: rt.Measurement, bands: ArrayLike, columns: np.ndarray)
 
 
 @pytest.fixture(scope="module")
-def searched(kept: Path) -> Callable[[str], positions.PositionsFinding]:
+def searched(kept: Path) -> Callable[[str], rt.finder.Finding]:
     """Return the finding in the shipped room, whose file has other bands."""
     room = rt.Room.from_file(str(examples.path("where_room/room.toml")))
     measured = rt.Measurement.from_file(str(examples.path("where_room/pairs.csv")))
     curtain = [e for e in library() if e.name == "curtain"]
 
-    def of(bands: str) -> positions.PositionsFinding:
+    def of(bands: str) -> rt.finder.Finding:
         case = positions.PositionsCase.from_room(
             room, IN_BANDS[bands](measured), tracing={"n_paths": 600}
         )
@@ -60,7 +60,7 @@ def searched(kept: Path) -> Callable[[str], positions.PositionsFinding]:
 
 
 @pytest.fixture(scope="module")
-def gaps(searched: Callable[[str], positions.PositionsFinding], kept: Path) -> np.ndarray:
+def gaps(searched: Callable[[str], rt.finder.Finding], kept: Path) -> np.ndarray:
     return rt.finder.verify(searched("alike"), cache=kept).gaps
 
 
@@ -68,7 +68,7 @@ def gaps(searched: Callable[[str], positions.PositionsFinding], kept: Path) -> n
 @pytest.mark.parametrize("bands", ["one more", "thirds", "one fewer"])
 def test_bands_in_common_are_compared(
     bands: str,
-    searched: Callable[[str], positions.PositionsFinding],
+    searched: Callable[[str], rt.finder.Finding],
     gaps: np.ndarray,
     kept: Path,
 ) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.states import StatesFinding
+from rtcal.finder.finding import Finding
 from rtcal.support.types import Array
 from tests.test_two_states_surfaces import PLACES, POINT, simulator, two_states
 
@@ -35,7 +35,7 @@ def without_level(state: rt.Measurement) -> rt.Measurement:
     return of_values(state, {k: v for k, v in state.values.items() if k != "level"})
 
 
-def found(before: rt.Measurement, after: rt.Measurement) -> StatesFinding:
+def found(before: rt.Measurement, after: rt.Measurement) -> Finding:
     model = simulator(dict.fromkeys(PLACES, POINT))
     return rt.find(model.room, after, model, before=before)
 

@@ -13,7 +13,8 @@ import pytest
 import rtcal as rt
 from benchmarks.studies.means import real_data
 from benchmarks.studies.states import two_states
-from rtcal.finder.states import StatesCase, StatesFinding
+from rtcal.finder.finding import Finding
+from rtcal.finder.states import StatesCase
 from rtcal.report.pages import page as page_of_result
 from tests.two_states import ALPHA, AREAS, BANDS, measured, room, times
 
@@ -59,7 +60,7 @@ def exchanged(table: Mapping[str, float]) -> dict[str, float]:
     return {" ".join(other.get(word, word) for word in k.split(" ")): v for k, v in table.items()}
 
 
-def assert_mirrored(there: StatesFinding, back: StatesFinding) -> None:
+def assert_mirrored(there: Finding, back: Finding) -> None:
     """Assert that two findings are of the same states in the two orders."""
     assert back.verdict == there.verdict
     assert back.score == pytest.approx(there.score, rel=1e-9)
@@ -78,7 +79,7 @@ def assert_mirrored(there: StatesFinding, back: StatesFinding) -> None:
     assert back.climate == pytest.approx(there.climate, abs=1e-12)
 
 
-def both_ways(two: Two) -> tuple[StatesFinding, StatesFinding]:
+def both_ways(two: Two) -> tuple[Finding, Finding]:
     stated, before, after = two
     return rt.find(stated, after, before=before), rt.find(stated, before, before=after)
 
@@ -165,7 +166,7 @@ def test_the_order_of_pairs_and_of_effects_changes_nothing() -> None:
     np.testing.assert_allclose(turned.change, there.change, rtol=1e-6)
 
 
-def in_climates(seed: int, panels: float) -> StatesFinding:
+def in_climates(seed: int, panels: float) -> Finding:
     """Return the finding of panels that were added, each state in a climate as it is stated."""
     rng = np.random.default_rng(seed)
     two = [

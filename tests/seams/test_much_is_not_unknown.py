@@ -12,9 +12,9 @@ import pytest
 import rtcal as rt
 from benchmarks.studies.geometric_world.load import IN_SITU, load, truth
 from rtcal.finder import library
-from rtcal.finder.claim import CLAIMED
-from rtcal.finder.finding import Candidate
-from rtcal.finder.positions import PositionsCase, PositionsFinding
+from rtcal.finder.claim import CLAIMED, Candidate
+from rtcal.finder.finding import Finding
+from rtcal.finder.positions import PositionsCase
 from rtcal.finder.positions.problem import PositionsHypotheses, PositionsProblem, shifts
 from rtcal.finder.positions.search import (
     TOLD_TEMPER,
@@ -102,9 +102,7 @@ def test_what_no_effect_explains_is_as_probable_alone_as_beside_one() -> None:
         assert told.unexplained == pytest.approx(1.0, abs=1e-6)
 
 
-def unknown(
-    shares: dict[str, float], families: Sequence[str] = ("added absorption",)
-) -> PositionsFinding:
+def unknown(shares: dict[str, float], families: Sequence[str] = ("added absorption",)) -> Finding:
     """Return a finding that is "unknown" with 0.6, and the rest on some surfaces."""
     finding = finding_of(shares)
     alone = Candidate(effect=UNKNOWN, family=UNKNOWN, probability=0.6)
@@ -115,7 +113,7 @@ def unknown(
     return replace(
         finding,
         verdict="unknown",
-        effect=None,
+        named=(),
         family=None,
         candidates=(alone, *known),
         probabilities={UNKNOWN: 0.6, "porous": 0.36, "none": 0.04},

@@ -17,6 +17,7 @@ from rtcal.finder.effects import (
     WrongArea,
     checked_grid,
 )
+from rtcal.finder.finding import sentence_of
 from rtcal.finder.means.problem import predict_hypotheses, state
 from rtcal.finder.means.verdict import Objection, doubted
 from rtcal.finder.positions.problem import LEAST, RATIO, areas_tried
@@ -83,9 +84,9 @@ def test_a_doubt_about_the_size_leaves_the_family_and_the_amount_leads() -> None
     base = state(case, case.configurations[0])
     added = 60 * (1 - base.areas @ base.alpha / base.total_area)
     percent = 100 * (added / (base.areas @ base.alpha + 4 * base.air * base.volume).mean()).mean()
-    said = float(finding.sentence.removeprefix("The room has ").split(" %")[0])
+    said = float(sentence_of(finding).removeprefix("The room has ").split(" %")[0])
     assert said == pytest.approx(percent, rel=0.5)
-    assert finding.sentence.startswith(finding.amount)
+    assert sentence_of(finding).startswith(finding.to_dict()["amount"])
 
 
 def test_only_a_doubt_about_the_effect_leaves_a_hint() -> None:

@@ -10,8 +10,9 @@ from types import SimpleNamespace
 import pytest
 
 import rtcal as rt
-from rtcal.finder.finding import Candidate
-from rtcal.finder.positions import PositionsCase, PositionsFinding
+from rtcal.finder.claim import Candidate
+from rtcal.finder.finding import Finding
+from rtcal.finder.positions import PositionsCase
 from rtcal.report import figures
 from tests.test_where import heard, stated, tracing
 
@@ -36,12 +37,12 @@ def case() -> PositionsCase:
 
 
 @pytest.fixture(scope="module")
-def finding(kept: Path) -> PositionsFinding:
+def finding(kept: Path) -> Finding:
     return rt.find(case(), cache=kept)
 
 
 def test_the_doubt_of_means_about_what_is_stated_leads(
-    finding: PositionsFinding, monkeypatch: pytest.MonkeyPatch
+    finding: Finding, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     doubt = "T is 0.3 times the model's: look for a mistake"
     search = sys.modules["rtcal.finder.positions.search"]
@@ -53,7 +54,7 @@ def test_the_doubt_of_means_about_what_is_stated_leads(
     assert doubt not in finding.headline
 
 
-def test_a_whole_ceiling_of_foam_is_tried(finding: PositionsFinding) -> None:
+def test_a_whole_ceiling_of_foam_is_tried(finding: Finding) -> None:
     """It was 13 m² on a wall: no area beyond 1.4 times the stated absorption area had been tried."""
     assert finding.detected
     best = next(c for c in finding.candidates if c.surface is not None)
@@ -61,7 +62,7 @@ def test_a_whole_ceiling_of_foam_is_tried(finding: PositionsFinding) -> None:
     assert best.low < best.high == pytest.approx(finding.case.areas["ceiling"])
 
 
-def test_likely_surfaces_are_told_where_something_stands_on_one(finding: PositionsFinding) -> None:
+def test_likely_surfaces_are_told_where_something_stands_on_one(finding: Finding) -> None:
     """Beside a receiver that stood elsewhere, 58 %, and "unknown", 42 %, the ceiling was listed."""
     assert finding.likely_surfaces
     receiver = Candidate(

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.finder import Case, MeansFinding, control_rooms, library
+from rtcal.finder import Case, Finding, control_rooms, library
 from rtcal.finder.means.engines import ENGINES, ControlRooms
 from rtcal.finder.records import Share
 
@@ -46,7 +46,7 @@ def kept_controls(case: Case, path: Path) -> list[ControlRooms]:
     return [ControlRooms(c.engine, c.errors.astype(np.float32).astype(float)) for c in rooms]
 
 
-def row_of(finding: MeansFinding) -> dict[str, Any]:
+def row_of(finding: Finding) -> dict[str, Any]:
     """The finding as plain values."""
     size = finding.size
     return {
@@ -65,7 +65,7 @@ def row_of(finding: MeansFinding) -> dict[str, Any]:
     }
 
 
-def excess(finding: MeansFinding) -> float:
+def excess(finding: Finding) -> float:
     """Return by how many nats a threshold is exceeded, of T20 or of all data; below 0, neither."""
     every = (finding.detection, *finding.detection.parts.values())
     return max(d.score - d.threshold for d in every)

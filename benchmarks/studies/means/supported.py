@@ -46,7 +46,7 @@ from benchmarks.studies.means.judging import (
     row_of,
 )
 from rtcal.files.disk import json_numbers
-from rtcal.finder import Case, Configuration, MeansFinding, verify
+from rtcal.finder import Case, Configuration, Finding, verify
 from rtcal.finder.case import ChangedMaterial
 from rtcal.finder.search import find
 
@@ -364,7 +364,7 @@ def make(folder: Path, population: int, indices: range) -> None:
     print()
 
 
-def judged(finding: MeansFinding) -> dict[str, Any]:
+def judged(finding: Finding) -> dict[str, Any]:
     """Return what the finding and its verification say, as plain values."""
     row = row_of(finding)
     kept = {k: row[k] for k in ("verdict", "effect", "family", "candidates", "score", "threshold")}

@@ -29,8 +29,8 @@ from benchmarks.studies.fits.positions_table import bootstrap
 from benchmarks.studies.geometric_world.load import IN_SITU, load
 from benchmarks.studies.pairs.where import case_of, prepared
 from benchmarks.studies.pairs.where_figures import ABSORBERS, DATA
+from rtcal.finder.claim import LIKELY
 from rtcal.finder.evidence import log_sums
-from rtcal.finder.positions.finding import LIKELY
 from rtcal.finder.positions.problem import (
     COUPLED,
     POSITION,

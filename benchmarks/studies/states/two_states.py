@@ -17,7 +17,8 @@ import numpy as np
 
 import rtcal as rt
 from benchmarks.studies.means.real_data import lines
-from rtcal.finder.states import StatesCase, StatesFinding
+from rtcal.finder.finding import Finding
+from rtcal.finder.states import StatesCase
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.types import Array
@@ -120,7 +121,7 @@ def studio() -> rt.Room:
     )
 
 
-def line(name: str, finding: StatesFinding) -> bool:
+def line(name: str, finding: Finding) -> bool:
     """Print a change; return whether it was detected."""
     found, case = finding.case.differences, finding.case
     area = [case.equation.absorption_area(case.room, t) for t in (found.before, found.after)]
@@ -168,7 +169,7 @@ def real() -> None:
         print(f"{title}: detected {sum(done)} of {len(done)}\n")
 
 
-def drawn(state: str, seed: int, aimed: bool, noisy: int) -> StatesFinding:
+def drawn(state: str, seed: int, aimed: bool, noisy: int) -> Finding:
     """Return what is found between two measurements of a state, with the noise of both drawn."""
     measured = laboratory(state, aimed)
     t = np.nanmedian(measured.values["t20"], axis=0)

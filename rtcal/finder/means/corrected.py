@@ -22,8 +22,8 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Material, Room, Surface
 from rtcal.finder.case import Case, Configuration
+from rtcal.finder.claim import amount
 from rtcal.finder.effects import AppliedEffect
-from rtcal.finder.finding import amount
 from rtcal.finder.means.problem import distances, state, with_applied
 from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions, predict
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
@@ -97,7 +97,7 @@ def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Si
     Parameters
     ----------
     case : Case
-        With the effects that `MeansFinding.apply` has added.
+        With the effects that `Finding.apply` has added.
     make : function, optional
         Builds a simulator for a room of the stated materials, with the air, volume and areas of the
         finding: ``lambda room: PathTracing(room=room, geometry=..., ...)``. Absorbers are spread over

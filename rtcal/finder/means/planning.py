@@ -26,7 +26,7 @@ from rtcal.finder.case import Case, ChangedMaterial, Configuration
 from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.effects import AppliedEffect, Effect, Porous, checked_effects, judged_effects
 from rtcal.finder.evidence import student
-from rtcal.finder.means.finding import MeansFinding
+from rtcal.finder.finding import Finding
 from rtcal.finder.means.problem import (
     MeansHypotheses,
     MeansProblem,
@@ -222,7 +222,7 @@ def plan(
     effects: Sequence[Effect] | None = None,
     change: float = 0.2,
     *,
-    finding: MeansFinding | None = None,
+    finding: Finding | None = None,
     costs: Mapping[str, float] | None = None,
     planned: Sequence[Configuration] = (),
 ) -> Plan:
@@ -241,7 +241,7 @@ def plan(
     change : float
         Relative change of T20 in the band that the effect changes most, above 0 and at most 1. Each
         effect has the size that comes nearest to it.
-    finding : MeansFinding, optional
+    finding : Finding, optional
         Of this case, as `find` returns it; its control rooms say how far the model errs, which is
         `GENERIC_UNCERTAINTY` without.
     costs : mapping of str to float, optional

@@ -30,7 +30,7 @@ from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import LinearObservations, PriorDeviation
 from rtcal.files.saved import Result
 from rtcal.finder.case import Case, Configuration
-from rtcal.finder.finding import amount
+from rtcal.finder.claim import amount
 from rtcal.finder.means.corrected import corrected_room
 from rtcal.finder.means.problem import (
     ModelDiscrepancy,

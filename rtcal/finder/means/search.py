@@ -11,16 +11,23 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import parameter_label
 from rtcal.finder.case import Case
-from rtcal.finder.claim import by_family, credible_set, family_of, posterior, too_weak
+from rtcal.finder.claim import (
+    Candidate,
+    Detection,
+    by_family,
+    credible_set,
+    family_of,
+    posterior,
+    too_weak,
+)
 from rtcal.finder.effects import AppliedEffect, Effect, checked_effects, judged_effects
-from rtcal.finder.finding import Candidate, Detection
+from rtcal.finder.finding import Finding
 from rtcal.finder.means.engines import (
     DEFAULT_ENGINES,
     ControlRooms,
     checked_controls,
     control_rooms,
 )
-from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.problem import (
     LEVELS,
     MOST,
@@ -50,6 +57,7 @@ from rtcal.finder.means.verdict import (
 )
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import (
+    COEFFICIENTS,
     EXPECTED,
     NONE,
     Prior,
@@ -77,7 +85,7 @@ def find(
     controls: Sequence[ControlRooms] | None = None,
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
-) -> MeansFinding:
+) -> Finding:
     """Find what the case's model lacks.
 
     Parameters
@@ -108,7 +116,7 @@ def find(
 
     Returns
     -------
-    MeansFinding
+    Finding
 
     Raises
     ------
@@ -189,7 +197,7 @@ def _conclude(
     notes: Sequence[str],
     most: int,
     expected: float,
-) -> MeansFinding:
+) -> Finding:
     """Compare the hypotheses' evidence and return the finding."""
     case, observed = problem.case, problem.observed
     parts = steps(case, observed.used)
@@ -220,14 +228,16 @@ def _conclude(
         verdict = replace(verdict, reasons=(weak, *verdict.reasons))
     else:
         verdict = of_sets(evidence, sets, probabilities, families)
+    fits = verdict.fits
     told_apart = verdict.names if most == 1 or detected is not None else credible_set(of_one)
-    return MeansFinding(
+    return Finding(
         case=case,
         **{k: v for k, v in vars(verdict).items() if k != "names"},
         candidates=tuple(
-            _candidate(name, verdict.fits.get(name), probabilities, effects)
+            _candidate(case, name, verdict.fits.get(name), probabilities, effects)
             for name in verdict.names
         ),
+        size=fits[verdict.names[0]].size if verdict.names and verdict.names[0] in fits else None,
         evidence={k: over[k] for k in sorted(over, key=lambda k: -over[k])},
         probabilities=probabilities,
         families=families,
@@ -247,18 +257,23 @@ def _conclude(
 
 
 def _candidate(
-    name: str, fit: Fit | None, probabilities: Mapping[str, float], effects: Mapping[str, Effect]
+    case: Case,
+    name: str,
+    fit: Fit | None,
+    probabilities: Mapping[str, float],
+    effects: Mapping[str, Effect],
 ) -> Candidate:
     found = Candidate(
         effect=name, family=family_of(name, effects), probability=probabilities.get(name, 0.0)
     )
+    if name == COEFFICIENTS:
+        found = replace(found, called="coefficients that are off together")
     if fit is None:
         return found
     found = replace(found, parameters=fit.parameters)
-    s = fit.size
-    if s is None:
-        return found
-    return replace(found, size=s.mean, low=s.low, high=s.high, unit=s.unit, end=s.end)
+    if name in effects:
+        found = replace(found, called=effects[name].title(fit.parameters, case.room))
+    return found if fit.size is None else replace(found, **fit.size.fields)
 
 
 def _applied(predicted: MeansHypotheses, rows: Members) -> tuple[AppliedEffect, ...]:

@@ -25,7 +25,9 @@ from rtcal.finder.case import Case
 from rtcal.finder.claim import (
     CLAIMED,
     DISTINCT_NATS,
+    End,
     Names,
+    Size,
     by_family_sets,
     claimed,
     credible_set,
@@ -35,7 +37,6 @@ from rtcal.finder.claim import (
     over_frequency,
 )
 from rtcal.finder.effects import AppliedEffect, Effect, Parameters, changed_states, columns
-from rtcal.finder.finding import End, Size
 from rtcal.finder.means.problem import (
     NEGLIGIBLE,
     MeansEvidence,
@@ -254,7 +255,7 @@ class Fit:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """The verdict; its fields are those of `rtcal.finder.MeansFinding`; ``names`` the candidates'."""
+    """The verdict; its fields are those of `rtcal.finder.Finding`; ``names`` the candidates'."""
 
     verdict: str
     family: str | None = None

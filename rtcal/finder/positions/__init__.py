@@ -13,8 +13,7 @@ from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.finder.positions.case import PositionsCase as PositionsCase
-    from rtcal.finder.positions.finding import Place as Place
-    from rtcal.finder.positions.finding import PositionsFinding as PositionsFinding
-    from rtcal.finder.positions.finding import next_position as next_position
+    from rtcal.finder.positions.places import Place as Place
+    from rtcal.finder.positions.places import next_position as next_position
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

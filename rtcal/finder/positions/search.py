@@ -30,11 +30,17 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, observable
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.finder.case import PARAMETERS, Case, Configuration, spread_where_unknown
-from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claimed, most_probable_first, with_added
+from rtcal.finder.claim import (
+    CLAIMED,
+    DISTINCT_NATS,
+    MOST,
+    claimed,
+    most_probable_first,
+    with_added,
+)
 from rtcal.finder.effects import Effect, checked_effects
 from rtcal.finder.evidence import log_mixture
-from rtcal.finder.finding import Candidate, Detection
-from rtcal.finder.means.finding import MeansFinding
+from rtcal.finder.finding import Finding
 from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions import surfaces as of_room
@@ -49,7 +55,6 @@ from rtcal.finder.positions.case import (
     lobes_in_words,
     with_index,
 )
-from rtcal.finder.positions.finding import MOST, PositionsFinding
 from rtcal.finder.positions.problem import (
     COUPLED,
     NOISE,
@@ -203,7 +208,7 @@ def evidence_of_means(
     case: PositionsCase,
     effects: Sequence[Effect] | None = None,
     cache: str | os.PathLike[str] | None = None,
-) -> MeansFinding | None:
+) -> Finding | None:
     """Return what `rtcal.find` says of the means over positions.
 
     None where that finder has nothing to compare: no T, or none that can be trusted.
@@ -214,7 +219,7 @@ def evidence_of_means(
         return None
 
 
-def unconfirmed(means: MeansFinding) -> str:
+def unconfirmed(means: Finding) -> str:
     """Return what means over positions claim where positions claim nothing; "" without that."""
     name = means.effect or means.family
     if name is None:
@@ -260,7 +265,7 @@ _SPACING = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """Probabilities of everything that may be other than stated; see `PositionsFinding`.
+    """Probabilities of everything that may be other than stated; see `Finding`.
 
     ``on_surfaces`` is the probability that something stands on a surface, ``unexplained`` that of
     something that no effect explains, alone or beside an effect.
@@ -411,7 +416,7 @@ def find(
     only: Sequence[str] = (),
     without: Sequence[str] = (),
     progress: TaskProgress | None = None,
-) -> PositionsFinding:
+) -> Finding:
     """Return whether a room is other than stated, in what, and where; see `rtcal.find`.
 
     ``only`` and ``without`` have names of `tried`.
@@ -487,8 +492,8 @@ def find_by_positions(
     seed: int,
     left_out: Sequence[str],
     progress: TaskProgress | None = None,
-    means: MeansFinding | None = None,
-) -> PositionsFinding:
+    means: Finding | None = None,
+) -> Finding:
     """Return what the positions say; ``means`` as `evidence_of_means`, None if they were not asked."""
     if controls is None:
         controls = controls_of(case, seed, cache, progress and partial(progress, "control runs"))
@@ -570,7 +575,7 @@ def every_hypothesis(
 
 def _finding(
     search: _Search, posterior: Array, detected: Detection, effects: Sequence[Effect]
-) -> PositionsFinding:
+) -> Finding:
     case, numbers = search.case, search.numbers
     likelihood = numbers.likelihoods()[0].with_one_level()
     summary = summary_of(case, search.hypotheses, posterior)
@@ -592,10 +597,10 @@ def _finding(
     off = np.where(
         numbers.used, -numbers.residual / np.sqrt(np.diag(likelihood.covariance)), np.nan
     )
-    return PositionsFinding(
+    return Finding(
         case=case,
         verdict=verdict,
-        effect=next(e for e in known if e != NONE) if verdict == "named" else None,
+        named=(next(e for e in known if e != NONE),) if verdict == "named" else (),
         family=family,
         surface=first if is_claimed and sure and not reasons else None,
         surfaces=summary.surfaces,

@@ -7,6 +7,5 @@ from rtcal import support
 if TYPE_CHECKING:
     from rtcal.finder.states.case import Differences as Differences
     from rtcal.finder.states.case import StatesCase as StatesCase
-    from rtcal.finder.states.finding import StatesFinding as StatesFinding
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -15,14 +15,22 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
-from rtcal.finder.claim import SAID, claimed, most_probable_first, over_frequency, unexplained
+from rtcal.finder.claim import (
+    SAID,
+    Candidate,
+    Detection,
+    Size,
+    claimed,
+    most_probable_first,
+    over_frequency,
+    unexplained,
+)
 from rtcal.finder.effects import Effect, checked_effects
-from rtcal.finder.finding import Candidate, Detection, Size
+from rtcal.finder.finding import Finding
 from rtcal.finder.prior import NO_EFFECT, NONE, UNKNOWN, left_out_of
 from rtcal.finder.states import evidence
 from rtcal.finder.states.case import StatesCase
 from rtcal.finder.states.evidence import ADDED, AIR, REMOVED, Baseline, Fits, Grid, grid
-from rtcal.finder.states.finding import StatesFinding
 from rtcal.finder.states.surfaces import Located, locate
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
@@ -42,7 +50,7 @@ def find(
     seed: int = 0,
     only: Sequence[str] = (),
     without: Sequence[str] = (),
-) -> StatesFinding:
+) -> Finding:
     """Return what changed between two states of a room, from T20 (or T30) alone; see `rtcal.find`.
 
     Examples
@@ -129,7 +137,7 @@ def find(
         case, family, families, change, variance, degrees, seed, AIR not in left_out
     )
     with_air = float((of_surfaces * tried.of_air).sum() / of_surfaces.sum()) if len(middle) else 0.0
-    return StatesFinding(
+    return Finding(
         case=case,
         verdict=verdict,
         family=family,
@@ -291,8 +299,5 @@ def _candidate(name: str, tried: Grid, probability: float, samples: Array) -> Ca
         effect=name,
         family=tried.families[tried.names.index(name)],
         probability=probability,
-        size=size.mean,
-        low=size.low,
-        high=size.high,
-        unit=size.unit,
+        **size.fields,
     )

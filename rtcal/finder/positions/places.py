@@ -1,0 +1,146 @@
+"""Places for a further receiver that would tell the surfaces apart that are in question."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from rtcal.finder.claim import Candidate
+from rtcal.finder.finding import Finding
+from rtcal.finder.positions.case import PositionsCase
+from rtcal.finder.positions.weighing import Weighing
+from rtcal.support import checks
+from rtcal.support.errors import DataError
+from rtcal.support.types import Array
+
+MARGIN = 0.7
+"""Least distance in m of a proposed place from walls, and from sources."""
+_RIVALS = 3
+"""Most surfaces that are compared."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place for a further receiver.
+
+    Attributes
+    ----------
+    point : (x, y, z)
+        In m, at the mean height of the receivers.
+    source : str
+    nats : float
+        What a measurement there is expected to add to the evidence between the two most probable
+        surfaces.
+    """
+
+    point: tuple[float, float, float]
+    source: str
+    nats: float
+
+
+def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple[Place, ...]:
+    """Return places for a further receiver, the one that tells most first.
+
+    Parameters
+    ----------
+    finding : Finding
+        With at least two surfaces that may be it.
+    number : int
+        Places that are tried, on a grid over the room.
+    seed : int
+
+    Raises
+    ------
+    DataError
+        If at most one surface is in question, or no place of the grid is free.
+    """
+    checks.whole("number", number, 1)
+    rivals = _rivals(finding)
+    case = finding.case
+    places = _grid(case, number)
+    tracer = replace(
+        case.simulator,
+        geometry=case.divided.geometry,
+        receivers={f"place {i + 1}": p for i, p in enumerate(places)},
+    )
+    weighing = Weighing(tracer, finding.parameters, seed)
+    alpha = weighing.alpha
+    stated = weighing.observe(alpha)
+    shifts = [weighing.observe(_with(case, alpha, rival)) - stated for rival in rivals]
+    weights = [finding.surfaces[str(rival.surface)] for rival in rivals[1:]]
+    precision = np.linalg.inv(_error(finding))
+    nats = np.zeros(len(tracer.pairs))
+    for shift, weight in zip(shifts[1:], weights, strict=True):
+        apart = np.moveaxis(shifts[0] - shift, 1, 0).reshape(len(nats), -1)
+        nats += weight / sum(weights) * 0.5 * np.einsum("in,nm,im->i", apart, precision, apart)
+    points = dict(zip(tracer.receivers, places.tolist(), strict=True))
+    every = [
+        Place((points[r][0], points[r][1], points[r][2]), s, float(n))
+        for (s, r), n in zip(tracer.pairs, nats, strict=True)
+    ]
+    return tuple(sorted(every, key=lambda place: -place.nats))
+
+
+def _rivals(finding: Finding) -> list[Candidate]:
+    """Return the most probable candidate on each surface that is in question."""
+    out = []
+    for name in list(finding.surfaces)[:_RIVALS]:
+        best = next((c for c in finding.candidates if c.surface == name), None)
+        if best is not None and finding.surfaces[name] > 0:
+            out.append(best)
+    if len(out) < 2:
+        raise DataError("at most one surface is in question; there is nothing to tell apart")
+    return out
+
+
+def _grid(case: PositionsCase, number: int) -> Array:
+    """Return up to ``number`` free places, (n, 3), spread over the room."""
+    corners = case.geometry.vertices
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    height = float(np.mean([p[2] for p in case.simulator.receivers.values()]))
+    sources = np.array(list(case.simulator.sources.values()))
+    for steps in range(2, 40):
+        across = (np.arange(steps) + 0.5) / steps
+        plan = [low[:2] + np.array(at) * (high - low)[:2] for at in product(across, across)]
+        points = np.array([[*at, height] for at in plan])
+        apart = np.linalg.norm(points[:, np.newaxis] - sources, axis=2).min(axis=1)
+        free = points[
+            case.geometry.contains(points)
+            & (case.geometry.wall_distance(points) > MARGIN)
+            & (apart > MARGIN)
+        ]
+        if len(free) >= number:
+            chosen = np.linspace(0, len(free) - 1, number).round().astype(int)
+            return np.asarray(free[chosen])
+    raise DataError(f"the room has no {number} places {MARGIN:g} m from walls and sources")
+
+
+def _with(case: PositionsCase, alpha: Array, rival: Candidate) -> Array:
+    """Return alpha (n_faces, n_bands) of the divided geometry with a candidate.
+
+    It is spread over the part that holds at least half of its probability, else over its surface.
+    """
+    divided = case.divided
+    faces = divided.surfaces[list(case.faces).index(str(rival.surface))]
+    if rival.middle is not None:
+        faces = next(part.faces for part in divided.parts if part.middle == rival.middle)
+    share = min(rival.size / float(divided.geometry.face_areas[faces].sum()), 1.0)
+    out = alpha.copy()
+    out[faces] += share * (rival.spectrum - out[faces])
+    return np.clip(out, 0.0, 0.99)
+
+
+def _error(finding: Finding) -> Array:
+    """Return the covariance of a pair's error, (n, n), n = parameters x bands.
+
+    What all pairs have in common is known from those that were measured. So it is that of the control
+    runs within a run; the noise of the tracing stands for that of a response.
+    """
+    errors = finding.controls.at(finding.parameters, finding.pairs).errors
+    within = errors - errors.mean(axis=2, keepdims=True)
+    rows = np.moveaxis(within, 2, 1).reshape(len(errors) * errors.shape[2], -1)
+    sample = rows.T @ rows / max(len(rows) - len(errors), 1)
+    # Far from singular: a tenth of the variance is each value's own.
+    return np.asarray(0.9 * sample + 0.1 * np.diag(np.diag(sample)) + 1e-9 * np.eye(len(sample)))
