@@ -34,6 +34,8 @@ from rtcal.finder.claim import (
     CLAIMED,
     DISTINCT_NATS,
     MOST,
+    Candidate,
+    Detection,
     claimed,
     most_probable_first,
     with_added,
