@@ -26,7 +26,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from rtcal.acoustics import bands
@@ -42,7 +41,6 @@ from rtcal.acoustics.observables import (
     parameters,
 )
 from rtcal.files.disk import json_numbers, read_text, write_text
-from rtcal.files.schema import FileTable, Number, read
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import text_name
@@ -619,7 +617,10 @@ class Measurement:
 
         Raises DataError for an unknown key, for a value that is no number, and as `Measurement` does.
         """
-        return cls(**msgspec.structs.asdict(read(MeasurementData, data)))
+        try:
+            return cls(**checks.mapped("measurement", data))
+        except TypeError as error:
+            raise DataError(f"a measurement cannot be made so: {error}") from error
 
     @classmethod
     def from_file(cls, path: str) -> Measurement:
@@ -671,23 +672,6 @@ _OPTIONAL_COLUMNS = (
     "sources",
     "receivers",
 )
-
-Rows = list[list[Number | None]]
-PerBand = list[Number | None]
-
-
-class MeasurementData(FileTable):
-    """A measurement as plain values, as `rtcal.Measurement.to_dict` returns them; None is missing."""
-
-    centre_frequencies: list[Number]
-    values: dict[str, Rows]
-    pairs: tuple[tuple[str, str], ...] = ((SUMMARY, SUMMARY),)
-    uncertainty: dict[str, Rows] = {}
-    common_uncertainty: dict[str, PerBand] = {}
-    standard_deviation: dict[str, PerBand] = {}
-    n_sources: int | None = None
-    n_receivers: int | None = None
-
 
 _OF_PAIRS = ("values", "uncertainty")
 _TABLES = (*_OF_PAIRS, "common_uncertainty", "standard_deviation")

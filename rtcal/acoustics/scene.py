@@ -91,26 +91,27 @@ class Scene:
     surfaces: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        def put(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
         if self.mesh is not None:
-            object.__setattr__(self, "mesh", os.fspath(checks.path("mesh", self.mesh)))
+            put("mesh", os.fspath(checks.path("mesh", self.mesh)))
             if not str(self.mesh).strip():
                 raise DataError(f"mesh = {self.mesh!r} is not the name of a mesh's file")
-        object.__setattr__(self, "unit", checks.positive("unit", self.unit, "m"))
+        put("unit", checks.positive("unit", self.unit, "m"))
         if self.mesh is None and self.unit != 1:
             raise DataError(f"unit = {self.unit:g} is that of a mesh, and none is stated")
-        for kind in _POINTS:
-            object.__setattr__(self, kind, _points(kind, getattr(self, kind)))
         for kind, other in (_POINTS, _POINTS[::-1]):
+            put(kind, _points(kind, getattr(self, kind)))
             if getattr(self, kind) and not getattr(self, other):
                 raise DataError(f"{other} is empty, and {kind} is not; state both or neither")
-        object.__setattr__(self, "directivity", directivities(self.directivity, self.sources))
-        uncertainty = checked_uncertainty(self.position_uncertainty)
-        object.__setattr__(self, "position_uncertainty", uncertainty)
+        put("directivity", directivities(self.directivity, self.sources))
+        put("position_uncertainty", checked_uncertainty(self.position_uncertainty))
         surfaces = {}
         for name, faces in checks.mapped("surfaces", self.surfaces).items():
             place = f'surfaces["{text_name("surfaces", name)}"]'
             surfaces[name] = tuple(text_name(place, face) for face in checks.listed(place, faces))
-        object.__setattr__(self, "surfaces", surfaces)
+        put("surfaces", surfaces)
 
     def __bool__(self) -> bool:
         """Whether anything is stated."""
@@ -145,17 +146,11 @@ class Scene:
 
     def to_dict(self) -> dict[str, Any]:
         """Return its tables as plain values, without those that are not stated."""
-        geometry: dict[str, Any] = {}
-        if self.mesh is not None:
-            geometry["mesh"] = self.mesh
-        if self.unit != 1:
-            geometry["unit"] = self.unit
-        if self.position_uncertainty != POSITION:
-            geometry["position_uncertainty"] = self.position_uncertainty
-        if self.surfaces:
-            geometry["surfaces"] = {name: list(faces) for name, faces in self.surfaces.items()}
+        stated = {name: getattr(self, name) for name in GeometryTable.__struct_fields__}
+        stated["surfaces"] = {name: list(faces) for name, faces in self.surfaces.items()}
+        unstated = msgspec.structs.asdict(GeometryTable())
         tables = {
-            "geometry": geometry,
+            "geometry": {k: v for k, v in stated.items() if v != unstated[k]},
             **{kind: {n: list(p) for n, p in getattr(self, kind).items()} for kind in _POINTS},
             "directivity": plain_directivities(self.directivity),
         }
