@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from rtcal.acoustics.equations import Millington as Millington
     from rtcal.acoustics.equations import Sabine as Sabine
     from rtcal.acoustics.measurement import Measurement as Measurement
+    from rtcal.acoustics.room import Directivity as Directivity
     from rtcal.acoustics.room import Material as Material
     from rtcal.acoustics.room import Room as Room
+    from rtcal.acoustics.room import Scene as Scene
     from rtcal.acoustics.room import Surface as Surface
-    from rtcal.acoustics.scene import Directivity as Directivity
-    from rtcal.acoustics.scene import Scene as Scene
     from rtcal.calibration import archive as archive
     from rtcal.calibration import exact as exact
     from rtcal.calibration import posterior as posterior

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.scene import Directivity
+from rtcal.acoustics.room import Directivity
 from rtcal.datasets import halls
 from rtcal.io import balloon, geometry_files
 from rtcal.simulators import kernels

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import sofar
 
-from rtcal.acoustics.scene import Directivity
+from rtcal.acoustics.room import Directivity
 from rtcal.command.main import main
 from rtcal.io import balloon as balloons
 from rtcal.io import impulse_responses, sofa

@@ -21,13 +21,13 @@ from rtcal.acoustics.room import (
     Material,
     MaterialTable,
     Room,
+    Scene,
     StatedSigma,
     air,
     material,
     of_materials,
     refuse_repeats,
 )
-from rtcal.acoustics.scene import Scene
 from rtcal.acoustics.targets import Target, TargetTable, target_of
 from rtcal.files.schema import FileTable, Number, read, toml_table
 from rtcal.support import checks

@@ -366,7 +366,7 @@ def _with_scene(
     room: Room, mesh: str, model: Mended, unit: float | None, out: str, mended: str | None
 ) -> Room:
     """Return the room with its mesh, which is written where the tracers do not read it as it is."""
-    from rtcal.acoustics.scene import Scene
+    from rtcal.acoustics.room import Scene
 
     if mended is None:
         as_it_is = all(d.kind == "gap" for d in model.defects)

@@ -16,8 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import Scene
+from rtcal.acoustics.room import Room, Scene
 from rtcal.datasets.examples import path
 from rtcal.io import obj
 from rtcal.simulators.geometry import Polyhedron

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.acoustics.changes import Further, new_name, with_materials
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.acoustics.room import CHANGED, Material, Room
-from rtcal.acoustics.scene import POSITION, Directivity, Scene
+from rtcal.acoustics.room import CHANGED, POSITION, Directivity, Material, Room, Scene
 from rtcal.calibration.methods import calibrate
 from rtcal.files import disk
 from rtcal.files.disk import make_folder, write_all

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.scene import UPWARDS, Directivity
+from rtcal.acoustics.room import UPWARDS, Directivity
 from rtcal.files.disk import read_bytes
 from rtcal.io import sofa, text
 from rtcal.support import checks

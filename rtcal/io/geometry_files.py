@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import Directivity
+from rtcal.acoustics.room import Directivity, Room
 from rtcal.io import balloon, obj
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing, area_doubt, volume_doubt

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from rtcal.acoustics.measurement import SAME_PLACE
-from rtcal.acoustics.scene import Scene
+from rtcal.acoustics.room import Scene
 from rtcal.io import budget
 from rtcal.support import checks, library
 from rtcal.support.errors import DataError

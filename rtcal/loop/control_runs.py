@@ -34,8 +34,7 @@ from scipy.linalg import solve_triangular
 
 from rtcal.acoustics import bands, observables
 from rtcal.acoustics.observables import REVERBERATION
-from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import POSITION, checked_uncertainty, plain_directivities
+from rtcal.acoustics.room import POSITION, Room, checked_uncertainty, plain_directivities
 from rtcal.files import disk
 from rtcal.simulators.base import Observations, Simulator, complete, observe
 from rtcal.simulators.geometry import Polyhedron

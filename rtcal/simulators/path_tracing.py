@@ -32,8 +32,7 @@ from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.marks import OFF_VOLUME
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET, DecaySlope, gradients, longest
-from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import Directivity, directivities
+from rtcal.acoustics.room import Directivity, Room, directivities
 from rtcal.simulators import base
 from rtcal.simulators.base import Observations, RoomSimulator, check_alpha
 from rtcal.simulators.geometry import Polyhedron, first_hit

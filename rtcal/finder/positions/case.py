@@ -36,8 +36,14 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import LEVEL, MATCH, observable, parameter_label
-from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import LARGEST_INDEX, POSITION, UNKNOWN, Directivity, checked_uncertainty
+from rtcal.acoustics.room import (
+    LARGEST_INDEX,
+    POSITION,
+    UNKNOWN,
+    Directivity,
+    Room,
+    checked_uncertainty,
+)
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Divided, Faces
 from rtcal.io import geometry_files

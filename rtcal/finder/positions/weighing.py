@@ -34,8 +34,7 @@ from scipy.signal import lfilter
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import MATCH, TARGET, longest
-from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import Directivity, plain_directivities
+from rtcal.acoustics.room import Directivity, Room, plain_directivities
 from rtcal.files import disk
 from rtcal.finder.effects import HARD
 from rtcal.finder.positions.case import (

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, REVERBERATION, SUMMARY, parameter_label
-from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import Directivity
+from rtcal.acoustics.room import Directivity, Room
 from rtcal.calibration.measured import notes_of_bands
 from rtcal.finder.case import CLIMATE_UNCERTAINTY, checked_climate_uncertainty
 from rtcal.simulators import base
