@@ -40,7 +40,6 @@ from rtcal.acoustics.changes import Change, Variant, changed, name_of
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET, observable, parameter_label
 from rtcal.acoustics.room import POSITION, Room, checked_uncertainty, refuse_repeats
 from rtcal.acoustics.room_errors import Assumptions, value_changes
-from rtcal.acoustics.room import POSITION, checked_uncertainty
 from rtcal.files.saved import Result
 from rtcal.loop.control_runs import (
     GROUPS,

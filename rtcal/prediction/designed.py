@@ -24,10 +24,9 @@ from scipy.special import ndtri
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.changed_time import KnownRoom
-from rtcal.acoustics.changes import Treatment, check_treatments, name_of
+from rtcal.acoustics.changes import Target, Treatment, check_treatments, name_of
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
-from rtcal.acoustics.targets import Target
 from rtcal.files.saved import Result
 from rtcal.prediction import words
 from rtcal.prediction.predicted import JND, Calibrated, Prediction, known_room, predict

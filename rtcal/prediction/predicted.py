@@ -17,11 +17,10 @@ from scipy.stats import multivariate_normal
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.changed_time import KnownRoom, TimeChange, probability_within
-from rtcal.acoustics.changes import Change, Placed, Variant, placed
+from rtcal.acoustics.changes import Change, Placed, Target, Variant, placed
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room, refuse_repeats
 from rtcal.acoustics.room_errors import Assumptions
-from rtcal.acoustics.targets import Target
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.prediction import words
