@@ -33,7 +33,7 @@ from rtcal.acoustics.marks import gap_jnd, rms
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import LEVEL, MATCH, observable, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.acoustics.room import CalibrationRecord, POSITION, Room, checked_uncertainty
+from rtcal.acoustics.room import POSITION, CalibrationRecord, Room, checked_uncertainty
 from rtcal.acoustics.room_errors import Assumptions, in_words, prior_covariance, value_changes
 from rtcal.calibration.fit import GaussNewtonStep, ModelObjective, fit
 from rtcal.calibration.problem import Calibration

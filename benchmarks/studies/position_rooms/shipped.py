@@ -20,7 +20,8 @@ from benchmarks.studies.position_rooms.rooms import OFF, REFLECTIONS, WIDTH, att
 from benchmarks.studies.position_rooms.tracer import Scene, trace
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.room import Room, Scene, StatedScene, as
+from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Scene as StatedScene
 from rtcal.datasets.examples import path
 from rtcal.simulators.geometry import Polyhedron
 
