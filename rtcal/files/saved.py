@@ -25,6 +25,7 @@ import numpy as np
 from rtcal.files.disk import json_text, make_folder, read_text, write_all
 from rtcal.files.schema import json_object
 from rtcal.support import __version__, checks
+from rtcal.support.blocks import Block, lines, notebook
 from rtcal.support.errors import DataError
 
 NUMBERS = "result.json"
@@ -82,6 +83,18 @@ class Result:
         """Return what the result says as plain numbers, lists and text, None for what is missing."""
         named = (name.partition("=") for name in self.in_file.split())
         return {key: stated(attrgetter(path or key)(self)) for key, _, path in named}
+
+    def blocks(self) -> list[Block]:
+        """Return what the result shows, as tables and notes."""
+        return []
+
+    def __str__(self) -> str:
+        return "\n".join(lines(self.blocks())) or repr(self)
+
+    def _repr_html_(self) -> str | None:
+        """Return the tables, shaded, and the notes for a notebook."""
+        shown = self.blocks()
+        return notebook(repr(self).strip("<>"), shown) if shown else None
 
     def to_json(self, folder: str | os.PathLike[str] | None = None) -> str:
         """Return the text of its file: the numbers of `to_dict`, and the result itself.

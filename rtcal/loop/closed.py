@@ -59,7 +59,7 @@ from rtcal.loop.measured_pairs import (
 )
 from rtcal.modes.calibrate import ModesResult, above_schroeder, of_room
 from rtcal.simulators.base import Simulator, at_places, check_alpha, check_fits, lost_paths, run
-from rtcal.support import blocks, checks, text
+from rtcal.support import checks, text
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError, OtherBandsWarning, RtcalError, SimulatorError
 from rtcal.support.text import as_sentence, shortened
@@ -773,23 +773,12 @@ class Loop(Result):
     # What is shown
 
     def __repr__(self) -> str:
-        return f"<{self._description}>"
-
-    @property
-    def _description(self) -> str:
         n, of = self.simulations, self.simulator or self.prior.name
         converged = self.status.count("converged") if self.steps else 0
         return (
-            f'Loop "{shortened(of)}": {n} simulation{"s" * (n != 1)}, {converged} of '
-            f"{np.isfinite(self.wanted).sum()} bands converged"
+            f'<Loop "{shortened(of)}": {n} simulation{"s" * (n != 1)}, {converged} of '
+            f"{np.isfinite(self.wanted).sum()} bands converged>"
         )
-
-    def __str__(self) -> str:
-        return "\n".join(blocks.lines(self.blocks()))
-
-    def _repr_html_(self) -> str:
-        """Return the tables with shaded gaps: orange for a T that is too long, blue for too short."""
-        return blocks.notebook(self._description, self.blocks()[1:])
 
     @property
     def status_now(self) -> tuple[str, ...]:

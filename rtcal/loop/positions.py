@@ -89,7 +89,7 @@ from rtcal.simulators.base import (
 )
 from rtcal.simulators.path_tracing import PathTracing, ScatteringModel
 from rtcal.support import __version__, checks, text
-from rtcal.support.blocks import Block, Note, Row, Table, lines, notebook
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError, FewPathsWarning, SimulatorError, TooShortError
 from rtcal.support.speed import Progress
 from rtcal.support.types import Array
@@ -1199,21 +1199,10 @@ class PositionsResult(Result):
         )
 
     def __repr__(self) -> str:
-        return f"<{self._description}>"
-
-    @property
-    def _description(self) -> str:
         return (
-            f'PositionsResult of "{text.shortened(self.simulator)}": {len(self.pairs)} pairs, '
-            f"{', '.join(map(parameter_label, self.parameters))}, {len(self.steps)} steps"
+            f'<PositionsResult of "{text.shortened(self.simulator)}": {len(self.pairs)} pairs, '
+            f"{', '.join(map(parameter_label, self.parameters))}, {len(self.steps)} steps>"
         )
-
-    def __str__(self) -> str:
-        return "\n".join(lines(self.blocks()))
-
-    def _repr_html_(self) -> str:
-        """Return the tables; that of the materials is darker where more was learned."""
-        return notebook(self._description, self.blocks()[bool(self.warning) :])
 
     def blocks(self) -> list[Block]:
         """Return what the calibration says."""

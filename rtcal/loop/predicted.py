@@ -60,7 +60,7 @@ from rtcal.simulators.base import Simulator, checked_parameters, complete, jacob
 from rtcal.simulators.geometry import WELD, Plane, Polyhedron, convex_parts
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks, text
-from rtcal.support.blocks import Block, Note, Row, lines
+from rtcal.support.blocks import Block, Note, Row
 from rtcal.support.errors import DataError
 from rtcal.support.speed import Progress
 from rtcal.support.types import Array
@@ -223,9 +223,6 @@ class PositionsPrediction(Result):
             f"{parameter_label(first)} {self.change(first)[-1].mean():+.1f} "
             f"JND, ± {np.median(self.half_width(first)[-1]):.1f} JND>"
         )
-
-    def __str__(self) -> str:
-        return "\n".join(lines(self.blocks()))
 
     def blocks(self) -> list[Block]:
         """Return what the prediction says: means over the pairs by band."""

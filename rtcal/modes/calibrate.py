@@ -45,7 +45,7 @@ from rtcal.modes.model import ABOVE, RoomPoles
 from rtcal.modes.responses import modes_in
 from rtcal.modes.room_modes import DECAY
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.support import blocks, checks, text
+from rtcal.support import checks, text
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
 from rtcal.support.text import as_sentence
@@ -466,29 +466,10 @@ class ModesResult(Result):
         return [note for note in self.notes if note.startswith("Doubtful")]
 
     def __repr__(self) -> str:
-        return f"<{self._description}>"
-
-    @property
-    def _description(self) -> str:
         return (
-            f'ModesResult of "{text.shortened(self.prior.name)}": {len(self.used)} of '
-            f"{len(self.modes.frequencies)} measured modes used, {self.steps} steps"
+            f'<ModesResult of "{text.shortened(self.prior.name)}": {len(self.used)} of '
+            f"{len(self.modes.frequencies)} measured modes used, {self.steps} steps>"
         )
-
-    def __str__(self) -> str:
-        parts = (x[:, self.below] for x in (self.prior.alpha, self.alpha, *self.interval))
-        cells = [
-            [f"{a:.2f} > {b:.2f} ({c:.2f}-{d:.2f})" for a, b, c, d in zip(*row, strict=True)]
-            for row in zip(*parts, strict=True)
-        ]
-        low = bands.labels(self.prior.centre_frequencies[self.below])
-        rows = [Row(m, c) for m, c in zip(self.prior.materials, cells, strict=True)]
-        first, *rest = self.blocks()
-        return "\n".join(blocks.lines([first, Table(low, rows, corner="alpha (90 %)"), *rest]))
-
-    def _repr_html_(self) -> str:
-        """Return the table of the modes."""
-        return blocks.notebook(self._description, self.blocks())
 
     def blocks(self) -> list[Block]:
         """Return what the result says.
@@ -509,8 +490,21 @@ class ModesResult(Result):
             )
             for i, d, before, after, walls in shown
         ]
+        ends = (x[:, self.below] for x in (self.prior.alpha, self.alpha, *self.interval))
+        low = [
+            Row(
+                name,
+                [f"{a:.2f} > {b:.2f} ({c:.2f}-{d:.2f})" for a, b, c, d in zip(*of, strict=True)],
+            )
+            for name, *of in zip(self.prior.materials, *ends, strict=True)
+        ]
         notes = [Note(note, hanging="    ") for note in self.every_note]
-        return [Table(_HEADER[1:], rows, corner=_HEADER[0]), *notes]
+        columns = bands.labels(self.prior.centre_frequencies[self.below])
+        tables = [
+            Table(_HEADER[1:], rows, corner=_HEADER[0]),
+            Table(columns, low, "Below the Schroeder frequency", corner="alpha (90 %)"),
+        ]
+        return [*tables, *notes]
 
     @property
     def every_note(self) -> list[str]:

@@ -30,7 +30,7 @@ from rtcal.acoustics.room_errors import Assumptions
 from rtcal.files.saved import Result
 from rtcal.prediction import words
 from rtcal.prediction.predicted import JND, Calibrated, Prediction, known_room, predict
-from rtcal.support import blocks, checks
+from rtcal.support import checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError, InfeasibleError, SolverError
 from rtcal.support.text import shortened
@@ -565,9 +565,6 @@ class Design(Result):
             ),
             *map(Note, made.sentences),
         ]
-
-    def __str__(self) -> str:
-        return "\n".join(blocks.lines(self.blocks()))
 
 
 def design(

@@ -355,9 +355,6 @@ class Prediction(Result):
             Note(words.REMARK.format(" and for the T before that is stated")),
         ]
 
-    def __str__(self) -> str:
-        return "\n".join(blocks.lines(self.blocks()))
-
 
 def predict(
     known: Known,
