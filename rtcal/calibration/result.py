@@ -63,7 +63,8 @@ from rtcal.calibration.verdict import CalibrationVerdict, verdict
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.prediction.predicted import Prediction, predict
-from rtcal.support import __version__, blocks
+from rtcal.support import __version__
+from rtcal.support.blocks import Block
 from rtcal.support.errors import ModelError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only_view
@@ -958,12 +959,9 @@ class CalibrationResult(Result):
             f"{gaps[1]:.1f} JND after>"
         )
 
-    def __str__(self) -> str:
-        return "\n".join(blocks.lines(blocks_of(self.to_dict())))
-
-    def _repr_html_(self) -> str:
+    def blocks(self) -> list[Block]:
         """Return the tables of the bands and the coefficients, shaded by gap and by shift."""
-        return blocks.notebook("", blocks_of(self.to_dict()))
+        return blocks_of(self.to_dict())
 
 
 def _at_one(numbers: Numbers, other: Numbers, place: int) -> Numbers:

@@ -13,6 +13,7 @@ import json
 import math
 import os
 import sys
+from abc import ABC
 from collections.abc import Mapping
 from contextlib import suppress
 from importlib import import_module
@@ -71,7 +72,7 @@ class CannotBeSavedError(DataError):
     """An object that no file can hold, such as a function or a simulator of the user's own class."""
 
 
-class Result:
+class Result(ABC):  # some kinds have methods that each of them must have
     """A result that can be saved and loaded again; it is a frozen dataclass of what it rests on."""
 
     record_kind: ClassVar[str]

@@ -547,9 +547,6 @@ class Finding(Result):
         """Return the headline, and what else is printed."""
         return _SAID[self.kind][1](self)
 
-    def __str__(self) -> str:
-        return "\n".join(blocks.lines(self.blocks()))
-
     def _repr_html_(self) -> str:
         return blocks.notebook(self.headline, self.blocks()[1:])
 

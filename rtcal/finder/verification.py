@@ -66,7 +66,7 @@ from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.base import Observations
 from rtcal.simulators.base import observe as observe_pairs
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import blocks, checks
+from rtcal.support import checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress, single_threaded_blas
@@ -300,12 +300,6 @@ class Verification(Result):
         if np.isfinite(self.before) and not len(self.gaps):
             rows.append(Row("all that was held out", [self.before, self.after], ".2f"))
         return Table(self.models, rows, corner="mean gap / JND")
-
-    def __str__(self) -> str:
-        return "\n".join(blocks.lines(self.blocks()))
-
-    def _repr_html_(self) -> str:
-        return blocks.notebook(f"Verification: {self.verdict}", self.blocks())
 
     def blocks(self) -> list[Block]:
         """Return what the result says."""
