@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from operator import add
 from typing import Any
@@ -1688,8 +1688,8 @@ _LEAST_SHARE = 0.05
 """Least volume of the room, as a share of that of the box around the solids."""
 
 
-def room_between(drawn: Faces, weld: float) -> tuple[Faces, tuple[Defect]] | None:
-    """Return the faces around the largest cavity between closed solids, and what was done.
+def room_between(part: FaceSet) -> FaceSet | None:
+    """Return the faces around the largest cavity between closed solids, which is noted.
 
     None if the faces are not several closed solids, or if one is a room that may hold the others.
 
@@ -1700,11 +1700,7 @@ def room_between(drawn: Faces, weld: float) -> tuple[Faces, tuple[Defect]] | Non
     MissingDependencyError
         Without manifold3d.
     """
-    mend = Mending(drawn, weld)
-    try:
-        part = welded(mend)
-    except DataError:  # a corner that is not finite, or nothing but slivers: `mended` says so
-        return None
+    mend, drawn = part.mend, part.mend.drawn
     groups = _solids(part.faces)
     if groups is None or len(groups) < 2:
         return None
@@ -1724,7 +1720,7 @@ def room_between(drawn: Faces, weld: float) -> tuple[Faces, tuple[Defect]] | Non
             f"{drawn.path}: the faces bound {len(solids)} solids, such as walls and slabs, and these "
             "enclose no cavity: what is inside them is material and not air, so no room can be made. "
             "In your program, close the openings and gaps between the solids, or draw the room's "
-            f"inner faces; --weld {rounded(10 * weld, 2)} closes gaps of that width in m"
+            f"inner faces; --weld {rounded(10 * mend.weld, 2)} closes gaps of that width in m"
         )
     room, *others = cavities
     materials, names = ([of[i] for i in room.faces] for of in (part.materials, part.names))
@@ -1732,10 +1728,10 @@ def room_between(drawn: Faces, weld: float) -> tuple[Faces, tuple[Defect]] | Non
     if others:
         sizes = listed([f"{rounded(c.volume, 3)} m³" for c in others])
         done += f", the largest; {'another' if len(others) == 1 else 'others'} of {sizes} left out"
-    first = tuple(part.names[group[0]] for group in groups[:MOST_PLACES])
-    defect = Defect("solids", len(groups), 0.0, 0.0, 0.0, 0.0, first, done)
     faces = Faces(drawn.path, list(room.triangles), materials, names, drawn.notes, drawn.unit)
-    return faces, (defect,)
+    mend = Mending(faces, mend.weld, mend.largest_hole)
+    mend.found("solids", done, [part.names[group[0]] for group in groups])
+    return welded(mend)
 
 
 def _solids(faces: Sequence[Sequence[int]]) -> list[list[int]] | None:
@@ -1829,19 +1825,17 @@ def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = Non
         raise DataError(f"{faces.path}: {len(faces.polygons)} faces; at most {20 * MOST_FACES}")
     if (closed := _closed_as_drawn(faces, weld)) is not None:
         return closed
-    between = room_between(faces, weld)
-    faces, solids = (faces, ()) if between is None else between
-    mend = Mending(faces, max(weld, SAME), largest_hole)
-    part = without_repetitions(welded(mend))
-    part = flattened(snapped(joined(part)))
+    drawn = welded(Mending(faces, max(weld, SAME), largest_hole))
+    part = room_between(drawn) or drawn
+    mend = part.mend
+    part = flattened(snapped(joined(without_repetitions(part))))
     shell, others = shell_of(part)
     geometry = _closed(shell, others)
     if any(geometry.contains([point])[0] for point in mend.buried):
         raise mend.refused(
             "two closed rooms have a wall in common: leave one of them out, or delete that wall"
         )
-    done = mend.result(without_contacts(mend, geometry))
-    return replace(done, defects=(*solids, *done.defects))
+    return mend.result(without_contacts(mend, geometry))
 
 
 def _closed(shell: FaceSet, others: Sequence[FaceSet]) -> Polyhedron:
