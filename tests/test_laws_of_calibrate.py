@@ -160,3 +160,50 @@ def test_one_verdict_decides_what_text_page_and_record_say(monkeypatch) -> None:
             assert "agrees" not in plain
             assert "of 5 bands" in plain or "in no band" in plain
     assert levels == {"agrees", "open", "contradicts"}
+
+
+def test_where_a_held_coefficient_would_be_without_its_bound() -> None:
+    """One surface, so that the unbounded estimate is (mu / sigma² + a / s²) / (1 / sigma² + 1 / s²)."""
+    room = rt.Room(
+        name="one surface",
+        volume=60,
+        materials=["wall"],
+        areas=[94],
+        alpha=[[0.05]],
+        sigma=[[0.04]],
+        alpha_min=[[0.04]],
+        centre_frequencies=[1000],
+    )
+    t = rt.Eyring().time(room, 94 * np.array([0.01]))
+    joint = rt.calibrate(room, t, method="soft").joint
+    assert joint.active[0, 0] == -1
+    measured, u = joint.target[0, 0] / 94, joint.numbers.target_uncertainty[0, 0] / 94
+    precision = 1 / 0.04**2 + 1 / u**2
+    wanted = (0.05 / 0.04**2 + measured / u**2) / precision
+    assert wanted < 0.03
+    assert joint.unbounded(joint.estimate_sigma)[0] == pytest.approx(wanted, abs=1e-9)
+
+
+def test_what_is_known_before_a_change_is_measured_where_t_was() -> None:
+    room, measured = rt.datasets.bras_cr2()
+    t = measured.reverberation_time.copy()
+    t[1] = np.nan
+    known = rt.calibrate(room, t).known
+    assert known.measured.tolist() == [True, False, True, True, True, True]
+
+
+def test_a_record_has_the_uncertainties_that_the_room_and_the_measurement_state() -> None:
+    room, measured = rt.datasets.bras_cr2()
+    result = rt.calibrate(room.replace(volume_sigma=0.05), measured)
+    record = result.to_dict()
+    assert record["target_uncertainty"] == pytest.approx(result.target_uncertainty.tolist())
+    assert [m["name"] for m in record["materials"]] == list(room.materials)
+    assert record["room_uncertainty"] in str(result).replace("\n  ", " ")
+
+
+def test_another_room_of_a_problem_has_its_bands() -> None:
+    room, measured = rt.datasets.bras_cr2()
+    problem = rt.Calibration(rt.terms.PriorDeviation()).build(room)
+    other = room.replace(centre_frequencies=[100, 200, 400, 800, 1600, 3150])
+    with pytest.raises(rt.errors.DataError, match="other bands than the one built with: 100 Hz"):
+        problem.solve(measured, other)

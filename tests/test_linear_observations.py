@@ -137,7 +137,8 @@ def test_rounding_beside_the_diagonal_is_no_asymmetry():
         ({"values": np.zeros(4)}, "shape"),
         ({"covariance": np.zeros((9, 9))}, "not positive definite"),
         ({"covariance": np.triu(np.ones((9, 9)))}, "not symmetric"),
-        ({"matrix": np.zeros((3, 6))}, "a row for each"),
+        ({"matrix": np.zeros((3, 6))}, "matrix has shape"),
+        ({"values": []}, "is empty"),
     ],
 )
 def test_wrong_numbers_are_refused(changes, said):

@@ -297,6 +297,7 @@ REFUSED: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: terms.AddedAbsorption("x", [1, 1], 0.0), DataError, "sigma"),
     (lambda: terms.AtMost("a", "a"), DataError, '"a"'),
     (lambda: terms.AtMost("a", 5), DataError, "AtMost: 5"),
+    (lambda: terms.AtMost(5, "a"), DataError, "AtMost: 5"),
     (lambda: terms.AtMost("a", "b", band=0), DataError, "band = 0"),
     (lambda: terms.GroupAbsorption(["a"]), DataError, "one of them"),
     (lambda: terms.GroupAbsorption([], least=1), DataError, "material"),

@@ -338,22 +338,14 @@ class Observed:
     factor: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("matrix", "values", "covariance"):
-            array = read_only(checks.array(f"observed {name}", getattr(self, name)))
+        n = np.size(self.values)
+        if n == 0:
+            raise DataError("observed values is empty; there is at least one")
+        for name, shape in (("values", (n,)), ("covariance", (n, n)), ("matrix", (n, "any"))):
+            array = checks.shaped(f"observed {name}", getattr(self, name), *shape)
             if not np.isfinite(array).all():
                 raise DataError(f"observed {name} has a number that is not finite")
             object.__setattr__(self, name, array)
-        n = self.values.size
-        for name, shape in (("values", (n,)), ("covariance", (n, n))):
-            if getattr(self, name).shape != shape:
-                raise DataError(
-                    f"observed {name} has shape {getattr(self, name).shape}, not {shape}"
-                )
-        if n == 0 or self.matrix.ndim != 2 or len(self.matrix) != n:
-            raise DataError(
-                f"observed matrix has shape {self.matrix.shape}; it has a row for each of the {n} "
-                "values, of which there is at least one"
-            )
         # Beside the diagonal: a covariance near 0 may be the rounding of a difference.
         sigma = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         if (np.abs(self.covariance - self.covariance.T) > 1e-9 * np.outer(sigma, sigma)).any():
