@@ -350,7 +350,6 @@ BUILT: list[tuple[Any, list[Any], type[Exception], str]] = [
     (P(), [terms.AtMost("m0", "no")], DataError, '"no"'),
     (P(), [terms.AtMost("m0", "m1", band=8000)], DataError, "8000 Hz"),
     (P(), [terms.Shared("m2", "m3"), terms.GroupAbsorption(["m2"], most=5)], ModelError, '"m3"'),
-    (P(), [terms.GroupAbsorption(["m2"], most=5, configuration=1)], ModelError, "configuration=1"),
     (P() + not_dpp, [], ModelError, "not DPP"),
     (P() + (lambda m: cp.norm(m.deviation[0])), [], ModelError, "no QP"),
     (P() + (lambda m: -cp.sum_squares(m.deviation)), [], ModelError, "not convex"),

@@ -216,10 +216,8 @@ class Evidence:
         """The negative logarithm of the marginal likelihood times the spread's prior."""
         used = np.s_[:, :] if rows is None else np.ix_(rows, rows)
         miss = self.miss if rows is None else self.miss[rows]
-        factor, low = cho_factor(self.covariance(_spread(x))[used], lower=True)
-        quadratic = miss @ cho_solve((factor, low), miss)
-        penalty = np.sum(((x - _CENTRE) / _WIDTH) ** 2)
-        return float(np.sum(np.log(np.diag(factor))) + 0.5 * quadratic + 0.5 * penalty)
+        penalty = float(np.sum(((x - _CENTRE) / _WIDTH) ** 2))
+        return 0.5 * penalty - _log_density(miss, self.covariance(_spread(x))[used])
 
     def posterior(self, spread: Spread, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Return the entries' means (n_materials, n_bands) from ``rows``, and their covariance.

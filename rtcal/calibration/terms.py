@@ -853,7 +853,7 @@ class AtMost:
 
 @dataclass(frozen=True)
 class GroupAbsorption:
-    """least <= S'alpha over a group of materials <= most, in m².
+    """least <= S'alpha over a group of materials <= most, in m² of the first configuration.
 
     When to use it: when the total of a group is known better than its members, such as all seating
     from a table of audience absorption.
@@ -865,15 +865,12 @@ class GroupAbsorption:
         m²; at least one of them.
     band : float, optional
         Only this band, by its centre frequency in Hz.
-    configuration : int
-        Whose areas count.
     """
 
     materials: Sequence[str]
     least: float | None = None
     most: float | None = None
     band: float | None = None
-    configuration: int = 0
 
     def __post_init__(self) -> None:
         materials = checks.texts("GroupAbsorption: materials", self.materials)
@@ -884,7 +881,6 @@ class GroupAbsorption:
             for name, v in (("least", self.least), ("most", self.most))
             if v is not None
         ]
-        checks.whole("GroupAbsorption: configuration", self.configuration, 0)
         if not given or min(given) < 0 or given != sorted(given) or not np.isfinite(given).all():
             raise DataError(
                 f"GroupAbsorption: least = {self.least}, most = {self.most} m²; it needs "
@@ -896,18 +892,13 @@ class GroupAbsorption:
     def __call__(self, m: Model) -> list[Any]:
         """One or two inequalities per band, or one equality if the two limits are the same."""
         layout = m.layout
-        if self.configuration >= layout.n_configurations:
-            raise ModelError(
-                f"GroupAbsorption(configuration={self.configuration}): there are "
-                f"{layout.n_configurations}"
-            )
         members = sorted({int(layout.index(m)[0]) // layout.n_bands for m in self.materials})
         for name, row in zip(layout.materials, layout.alpha_rows, strict=True):
             if row in members and name not in self.materials:
                 raise ModelError(
                     f'GroupAbsorption: "{name}" shares its coefficients with a member; name it too'
                 )
-        area = m.group_area(members, self.configuration)[self._bands(layout)]
+        area = m.group_area(members, 0)[self._bands(layout)]
         least, most = (
             None if limit is None else np.full(area.size, limit)
             for limit in (self.least, self.most)
