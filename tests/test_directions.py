@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import rtcal as rt
-from rtcal.acoustics.directions import enough_known, facing, kind_of
+from rtcal.acoustics.changes import enough_known, facing, kind_of
 from rtcal.acoustics.room import Surface
 from rtcal.finder import Case, Configuration, control_rooms
 from rtcal.report import of_finding

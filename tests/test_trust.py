@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 import rtcal as rt
-from rtcal.acoustics.directions import facing
+from rtcal.acoustics.changes import facing
 from rtcal.acoustics.marks import plausibility, trust_marks, uneven_marks
 from rtcal.report.pages import page
 from rtcal.simulators.geometry import Polyhedron

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.bands import hertz, mid_frequency_time, schroeder_frequency
-from rtcal.acoustics.directions import enough_known
+from rtcal.acoustics.changes import enough_known
 from rtcal.acoustics.equations import ArauPuchades, Eyring
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import (
@@ -506,7 +506,7 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     room : Room
         With the coefficients to compare by.
     shares : array (n_materials, 3)
-        Directions of each material, as `rtcal.acoustics.directions.facing` returns them. Where most of
+        Directions of each material, as `rtcal.acoustics.changes.facing` returns them. Where most of
         the absorption has no known direction there is no mark; the rest counts a third each.
 
     Examples
@@ -515,7 +515,7 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     >>> room = rt.Room(name="classroom", volume=180, materials=["ceiling", "floor", "walls"],
     ...                areas=[60, 60, 96], alpha=[[0.8], [0.04], [0.03]],
     ...                sigma=[[0.1], [0.01], [0.01]], centre_frequencies=[500])
-    >>> from rtcal.acoustics.directions import facing
+    >>> from rtcal.acoustics.changes import facing
     >>> uneven_marks(room, facing(room))[0].text[:66]
     "the absorption is uneven: Arau-Puchades' equation gives 0.89 s for"
     """

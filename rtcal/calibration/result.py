@@ -23,8 +23,7 @@ from rtcal.acoustics.changed_time import (
     correlation_of,
     normal_quantiles,
 )
-from rtcal.acoustics.changes import Change
-from rtcal.acoustics.directions import facing
+from rtcal.acoustics.changes import Change, facing
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.marks import (
     Plausibility,
@@ -590,7 +589,7 @@ class CalibrationResult(Result):
     joint : JointResult
     configuration : int
     shares : array (n_materials, 3), optional
-        Directions of the materials, as `rtcal.acoustics.directions.facing` returns them of a mesh.
+        Directions of the materials, as `rtcal.acoustics.changes.facing` returns them of a mesh.
         Without it, those that the room itself states.
     """
 

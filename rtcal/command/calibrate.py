@@ -70,7 +70,7 @@ def calibrate(
 
     `rtcal report calibrated` makes a page of the results.
     """
-    from rtcal.acoustics.directions import facing
+    from rtcal.acoustics.changes import facing
     from rtcal.acoustics.room import Room
     from rtcal.calibration import methods
     from rtcal.io import geometry_files

@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.directions import enough_known, facing
+from rtcal.acoustics.changes import enough_known, facing
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable
@@ -337,7 +337,7 @@ class Case:
         "eyring", "sabine", "kuttruff" or "millington".
     facing : array (n_materials, 3), optional
         Share of each material's area whose normal is along x, y and z. By default it follows from what
-        the room states (`rtcal.acoustics.directions.facing`); a material of which nothing says it
+        the room states (`rtcal.acoustics.changes.facing`); a material of which nothing says it
         has a third each.
     applied : sequence of AppliedEffect
         Effects that `Finding.apply` has added.

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.directions import NOT_KNOWN
+from rtcal.acoustics.changes import NOT_KNOWN
 from rtcal.acoustics.equations import Eyring, MeanEquation, Millington, Sabine, mean_equation
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import LARGEST, Room

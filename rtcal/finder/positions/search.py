@@ -25,7 +25,7 @@ from functools import partial
 import numpy as np
 from scipy.special import logsumexp
 
-from rtcal.acoustics.directions import facing
+from rtcal.acoustics.changes import facing
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, observable
 from rtcal.acoustics.priors import NORMAL_90
