@@ -18,7 +18,7 @@ from rtcal.finder import Case, ChangedMaterial, Configuration, library, recalibr
 from rtcal.finder.claim import by_family, claimed
 from rtcal.finder.effects import Audience, CoupledRoom, Opening, People, WrongVolume
 from rtcal.finder.evidence import log_mixture
-from rtcal.finder.finding import size_of
+from rtcal.finder.finding import sentence_of, size_of
 from rtcal.finder.means import problem as bootstrap
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import (
@@ -96,9 +96,9 @@ def test_coefficients_off_together_are_a_verdict_in_words_and_a_prior_to_go_on_f
     name = ("coefficients",)
     together = tuple(c for c in finding.candidates if c.effect in name)
     sure = replace(finding, verdict="named", named=name, members=name, candidates=together)
-    assert sure.sentence == "The coefficients are off together."
-    either = replace(sure, verdict="ambiguous", candidates=candidates_of("coefficients", "volume"))
-    assert "one of coefficients that are off together (" in either.sentence
+    assert sentence_of(sure) == "The coefficients are off together."
+    either = replace(sure, verdict="ambiguous", candidates=(*together, *candidates_of("volume")))
+    assert "one of coefficients that are off together (" in sentence_of(either)
     assert "look for another source" in str(sure)
     moved = sure.apply()
     assert moved.applied == ()

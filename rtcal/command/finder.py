@@ -424,7 +424,7 @@ def apply(
             refuse(refused, " is not of two states")
         refuse({"room": room}, ": with a geometry the room is written into the folder of --out")
     with errors_name_options("effect", "at"):
-        chosen: Any = {"effect": effect, "form": form or "patch", "at": at}
+        chosen: Any = {"effect": effect, "form": form, "at": at}
         said, record, files = of_finding.correct(finding, target, room, **chosen)
     if files and finding.kind != "means":
         make_folder(target)

@@ -39,7 +39,7 @@ from rtcal.finder.claim import (
     percent,
     unexplained,
 )
-from rtcal.finder.corrected import changed_room, corrected_geometry, surface_at
+from rtcal.finder.corrected import Corrected, changed_room, corrected_geometry, surface_at
 from rtcal.finder.effects import AppliedEffect, CoupledRoom, Effect, WrongVolume, checked_effects
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.positions.case import PositionsCase
@@ -409,9 +409,9 @@ class Finding(Result):
         case: Case | None = None,
         *,
         effect: str | None = None,
-        form: str = "patch",
+        form: str | None = None,
         at: Sequence[float] | None = None,
-    ) -> Any:
+    ) -> Case | Corrected:
         """Return what was found in the model: of means the case with it, else the `Corrected` room.
 
         Of means the most probable effects are added, each with its size beside the others; of an
@@ -427,10 +427,10 @@ class Finding(Result):
             Of means, to which it is added; by default the finding's own.
         effect : str, optional
             The candidate to add instead of the most probable one.
-        form : {"patch", "material"}
-            At positions, a patch of the candidate's size as a new material; or the whole surface as a
-            new material that absorbs as much. A patch that does not fit becomes a material: see
-            `Corrected.notes`.
+        form : {"patch", "material"}, optional
+            At positions, by default a patch of the candidate's size as a new material; or the whole
+            surface as a new material that absorbs as much. A patch that does not fit becomes a
+            material: see `Corrected.notes`.
         at : (x, y, z), optional
             At positions, the middle of the patch in m; by default the candidate's ``middle``, or
             without one the middle of the surface. The surface is the one at this place.
@@ -440,7 +440,7 @@ class Finding(Result):
         DataError
             If there is nothing to add; if ``effect`` is no candidate; if none is stated and the most
             probable one has less than 0.3; for a volume that is not claimed; if ``at`` is on no
-            surface, or on one on which nothing was found.
+            surface, or on one on which nothing was found; for what belongs to another kind of data.
 
         Examples
         --------
@@ -456,15 +456,28 @@ class Finding(Result):
         >>> print(abs(now / [0.9, 0.7] - 1) < 0.1)  # within 10 %
         [ True  True]
         """
-        if self.kind == "means":
-            return self.with_effects(case, self.chosen(effect))
+        if self.kind != "means":
+            _refuse(self, case=case)
+            return self.corrected(effect=effect, form=form, at=at)
+        _refuse(self, form=form, at=at)
+        return self.with_effects(case, self.chosen(effect))
+
+    def corrected(
+        self,
+        *,
+        effect: str | None = None,
+        form: str | None = None,
+        at: Sequence[float] | None = None,
+    ) -> Corrected:
+        """Return the room with what was found at positions or between two states, as `apply`."""
         if (nothing := self.reason_for_none) is not None:
             raise DataError(nothing)
         if self.kind == "states":
+            _refuse(self, effect=effect, form=form, at=at)
             kinds = [c.effect for c in self.candidates]
             return changed_room(self.case, self.area, self.change, self.claimed_surfaces, kinds)
         best = self._candidate(at, effect)
-        made = corrected_geometry(self.case, best, form, at)
+        made = corrected_geometry(self.case, best, form or "patch", at)
         return replace(made, support=support(self, best))
 
     def chosen(self, effect: str | None = None) -> Names:
@@ -583,6 +596,14 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float | np.ndarray):
         return json_numbers(value)
     return value.to_dict() if isinstance(value, Size) else value
+
+
+def _refuse(f: Finding, **stated: object) -> None:
+    """Raise DataError for what is stated, and belongs to another kind of data."""
+    of = {"means": "means over positions", "positions": "positions", "states": "two states"}
+    for name, value in stated.items():
+        if value is not None:
+            raise DataError(f"{name} is not of a finding of {of[f.kind]}")
 
 
 def or_nothing(f: Finding) -> str:

@@ -164,9 +164,21 @@ class Miss:
         )
 
 
-def _is_miss(jnd: Array, uncertainty: Array) -> Array:
-    """Return where a gap in JND exceeds 1 JND and its standard uncertainty, which is in JND, too."""
-    return np.asarray(np.abs(jnd) > np.maximum(1.0, np.nan_to_num(uncertainty)))
+def _missed(
+    quantity: str,
+    place: str,
+    unit: str,
+    bands_and_values: tuple[Array, Array, Array, Array],
+    jnd: Array,
+    error: Array,
+) -> list[Miss]:
+    """Return the bands whose gap in JND exceeds 1 JND and its standard ``error``, which is in JND, too.
+
+    Centre frequencies, model, measured and uncertainty are of all bands, (n_bands,).
+    """
+    far = np.isfinite(jnd) & (np.abs(jnd) > np.maximum(1.0, np.nan_to_num(error)))
+    columns = zip(*(of[far].tolist() for of in (*bands_and_values, jnd)), strict=True)
+    return [Miss(quantity, place, *column, unit) for column in columns]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -580,28 +592,21 @@ def _misses_of_means(
     case: Case, observed: ObservedFeatures, bias: Array, corrected: Recalibrated
 ) -> tuple[Miss, ...]:
     """Return the T to which the corrected model was matched and which it misses."""
-    spread = np.full(observed.used.shape, np.nan)
-    spread[observed.used] = np.sqrt(np.diag(observed.covariance))
-    out = []
+    u = np.full(observed.used.shape, np.nan)
+    u[observed.used] = np.sqrt(np.diag(observed.covariance))
+    out, several = list[Miss](), len(case.configurations) > 1
     for c, configuration in enumerate(case.configurations):
         model = corrected.features[c, _T20] + bias[c, _T20]
-        measured, u = observed.features[c, _T20], spread[c, _T20]
-        jnd = gap_in_jnd(_T20, measured, model)
-        missed = observed.used[c, _T20] & _is_miss(jnd, u / TARGET.jnd)
-        for k in np.flatnonzero(missed).tolist():
-            time = float(np.exp(measured[k]))
-            out.append(
-                Miss(
-                    configuration.measured.time_label,
-                    configuration.name if len(case.configurations) > 1 else "",
-                    float(case.room.centre_frequencies[k]),
-                    float(np.exp(model[k])),
-                    time,
-                    float(time * u[k]),
-                    float(jnd[k]),
-                    "s",
-                )
-            )
+        measured = np.where(observed.used[c, _T20], observed.features[c, _T20], np.nan)
+        time, spread = np.exp(measured), u[c, _T20]
+        out += _missed(
+            configuration.measured.time_label,
+            configuration.name if several else "",
+            "s",
+            (case.room.centre_frequencies, np.exp(model), time, time * spread),
+            gap_in_jnd(_T20, measured, model),
+            spread / TARGET.jnd,
+        )
     return tuple(out)
 
 
@@ -748,19 +753,8 @@ def _misses_over_pairs(
             one = of.scatter(frequencies, times) * (measured if of.logarithmic else 1.0)
             error = np.fmax(error, one / step / np.sqrt(len(pairs)))
         error = np.hypot(error, prediction)
-        for k in np.flatnonzero(_is_miss(mean, error) & np.isfinite(mean)).tolist():
-            out.append(
-                Miss(
-                    of.label,
-                    "",
-                    float(frequencies[k]),
-                    float(measured[k] + step[k] * mean[k]),
-                    float(measured[k]),
-                    float(step[k] * np.nan_to_num(error[k])),
-                    float(mean[k]),
-                    of.unit,
-                )
-            )
+        values = (frequencies, measured + step * mean, measured, step * np.nan_to_num(error))
+        out += _missed(of.label, "", of.unit, values, mean, error)
     return tuple(out)
 
 

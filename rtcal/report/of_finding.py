@@ -526,7 +526,7 @@ def correct(
     room: str | None = None,
     *,
     effect: str | None = None,
-    form: str = "patch",
+    form: str | None = None,
     at: Sequence[float] | None = None,
 ) -> tuple[str, dict[str, Any], dict[Path, bytes]]:
     """Add what was found to the model: the case calibrated with it, or a room and its lists.
@@ -555,7 +555,7 @@ def correct(
     if (nothing := finding.reason_for_none) is not None:
         return f"{nothing}\nNothing is written.", {**record, "sentence": nothing}, {}
     if finding.kind != "means":
-        made = finding.apply(effect=effect, form=form, at=at)
+        made = finding.corrected(effect=effect, form=form, at=at)
         said = "\n".join([finding.headline, *made.in_words])
         return said, {**record, **made.to_dict()}, made.contents(out)
     members = finding.chosen(effect)
