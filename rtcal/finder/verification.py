@@ -177,8 +177,11 @@ def _missed(
     Centre frequencies, model, measured and uncertainty are of all bands, (n_bands,).
     """
     far = np.isfinite(jnd) & (np.abs(jnd) > np.maximum(1.0, np.nan_to_num(error)))
-    columns = zip(*(of[far].tolist() for of in (*bands_and_values, jnd)), strict=True)
-    return [Miss(quantity, place, *column, unit) for column in columns]
+    columns = (of[far].tolist() for of in (*bands_and_values, jnd))
+    return [
+        Miss(quantity, place, f, model, measured, u, by, unit)
+        for f, model, measured, u, by in zip(*columns, strict=True)
+    ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
