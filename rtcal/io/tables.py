@@ -44,6 +44,7 @@ from rtcal.io.table_columns import (
     DECAY_TIMES_OF_RT60,
     DOUBTFUL,
     FORMULA_ERRORS,
+    LEAST_BAND,
     OPEN,
     WHOLE_RANGES,
     Column,
@@ -90,6 +91,7 @@ _NUMBER = re.compile(
 )
 _UNUSED = "left out, since rtcal has no use for it"
 _BARE_NUMBER = re.compile(r"[\d.,]+")
+_DECIMAL = re.compile(r"\d+[.,]\d+")
 _WORD = re.compile(r"[A-Za-z]")
 _INDEX = re.compile(r"Unnamed: \d+")
 """The header of a column of row numbers that pandas has written and read again."""
@@ -394,7 +396,9 @@ def _header(rows: Sequence[Row], extra: Collection[str]) -> tuple[int, bool]:
         if complete and all_named and count:
             return i, True
         complete &= count < 2
-        if filled > 1 and not frequency_of(cells[0]):  # a band begins a row of values
+        decimals = (frequency_of(c) for c in cells[1:] if _DECIMAL.fullmatch(c))
+        of_values = frequency_of(cells[0]) or not all(f and nearest_band(f) for f in decimals)
+        if filled > 1 and not of_values:
             counts[i] = count
     most = max(counts, key=lambda i: counts[i], default=None)
     return (most if most is not None and counts[most] else (several or [0])[0]), False
@@ -447,7 +451,7 @@ def _table(sheet: Sheet, rows: list[Row], options: _Options) -> _Table:
         name = column.header if column else header[k]
         found[k] = _by_its_cells(column, name, cells, of_bands, options)
     first = body[0][0] if body else line + 1
-    _refuse_header(header, found, rows[at - 1] if at else (0, []), (sheet.place, line, first))
+    _refuse_header(header, found, body, rows[at - 1] if at else (0, []), (sheet.place, line, first))
     columns = [c for c in found if c]
     if _has_corner(columns):
         corner, across = columns[0], next(c for c in columns[1:] if c.has_values)
@@ -534,30 +538,59 @@ def _names_parameter(cell: str) -> bool:
 
 def _proposal(columns: Sequence[Column | None], first: int) -> str:
     """Return ``columns`` for a table whose values begin in the line ``first``."""
-    known = any(c and c.kind for c in columns)
+    known = any(c and c.has_values for c in columns)
     meanings = [(c.meaning if c.kind else "-") if c else "-" if known else "?" for c in columns]
     return f'columns="from line {first}: {"; ".join(meanings)}"'.replace('\\"', "'")
 
 
+def _guessed(name: str, cells: Sequence[str], columns: Sequence[Column | None]) -> Column | None:
+    """Return what an unknown column may hold, for a proposal; None if nothing speaks for it.
+
+    Where no column is known to hold values, those of numbers may be positions, or bands.
+    """
+    if not cells or statistic_of(name) is not None or any(c and c.has_values for c in columns):
+        return None
+    if not all(_NUMBER.fullmatch(cell.removesuffix(unit_of(cell)).strip()) for cell in cells):
+        return Column("receiver") if all(map(position_of, cells)) else None
+    words = name.split()
+    parameter = next((word for word in words if parameter_of(word)), "")
+    band = next((word for word in words if (frequency_of(word) or 0) >= LEAST_BAND), "")
+    of_band = column_of(band) if band else None
+    if of_band is None and not any(c and c.kind == "band" for c in columns):
+        return None
+    place = "" if of_band else " ".join(word for word in words if word != parameter)
+    column = of_band or Column("value")
+    return replace(column, header=name, parameter=parameter_of(parameter), receiver=place)
+
+
 def _refuse_header(
-    header: Sequence[str], columns: Sequence[Column | None], above: Row, at: tuple[str, int, int]
+    header: Sequence[str],
+    columns: Sequence[Column | None],
+    body: Sequence[Row],
+    above: Row,
+    at: tuple[str, int, int],
 ) -> None:
     """Raise DataError for a header that is not understood, with the columns that are.
 
     ``above`` is the row above, ``at`` the sheet's place, the header's line and the first of values.
     """
-    (path, line, first), proposed = at, [*columns]
+    (path, line, first), proposed, over = at, [*columns], above[1]
     unknown = [name for name, c in zip(header, columns, strict=False) if c is None and name]
     placed = any(c.receiver or c.kind in ("source", "receiver") for c in columns if c)
-    position = next(filter(position_of, above[1]), "")
-    if wrong := next((c.wrong for c in columns if c and c.wrong), ""):
-        problem, proposed = wrong, [None if c and c.wrong else c for c in columns]
-    elif not any(c and c.kind for c in columns) and all(map(_BARE_NUMBER.fullmatch, unknown)):
+    position = next(filter(position_of, over), "")
+    alike = Counter(c.meaning for c in columns if c and c.has_values)
+    named = any(c and c.kind and not _BARE_NUMBER.fullmatch(c.header) for c in columns)
+    if not named and all(map(_BARE_NUMBER.fullmatch, unknown)):
         problem = "no line names columns by a parameter, a band or a position"
-        first, proposed = line, [Column("band"), *columns[1:]]
+        first, proposed = line, [Column("band"), *[None] * (len(columns) - 1)]
+    elif wrong := next((c.wrong for c in columns if c and c.wrong), ""):
+        problem, proposed = wrong, [None if c and c.wrong else c for c in columns]
     elif unknown:
         are = f"{_quoted(unknown)} {'is' if len(unknown) == 1 else 'are'}"
         problem = f"column{'s' * (len(unknown) > 1)} {are} no parameter, band, source or receiver; "
+        for k, name in enumerate(header):
+            cells = [row[k] for _, row in body if len(row) > k and not is_missing(row[k])]
+            proposed[k] = columns[k] or _guessed(name, cells, columns)
         if any(map(repeat_of, unknown)):
             problem += "if they are repeats of one place, state repeats=True"
         else:
@@ -565,18 +598,18 @@ def _refuse_header(
             problem += f"read the rows of one room or state only with {selected}"
     elif None in columns:
         problem = f"column {columns.index(None) + 1} has values and no name"
-    elif position and not placed and sum(map(bool, above[1][1:])) > 1:
-        line, over = above[0], [*above[1], *[""] * len(columns)][: len(columns)]
-        other = next((c for c in above[1] if c and not position_of(c)), position)
-        problem = f'"{shown(position)}" is a position, and "{shown(other)}" none'
+    elif not placed and sum(map(bool, over[1:])) > 1 and (position or max(alike.values()) > 1):
+        line, over = above[0], [*over, *[""] * len(columns)][: len(columns)]
+        other = next((c for c in over if c and not position_of(c)), position)
+        problem = f'"{shown(other)}" stands above columns, and names no position'
+        if position:
+            problem = f'"{shown(position)}" is a position, and "{shown(other)}" none'
         for k, column in enumerate(columns):
             over[k] = over[k] or over[max(k - 1, 0)]
             if column and column.has_values and over[k]:
                 source, receiver = position_of(over[k]) or ("", over[k])
-                of_place = statistic_of(over[k]) is None
-                proposed[k] = (
-                    replace(column, source=source, receiver=receiver) if of_place else None
-                )
+                of_place = replace(column, source=source, receiver=receiver)
+                proposed[k] = of_place if statistic_of(over[k]) is None else None
     else:
         return
     raise DataError(
