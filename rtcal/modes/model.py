@@ -23,7 +23,7 @@ Paris 1928, Phil. Mag. 5; Kuttruff 2009, Room Acoustics, Eq. 2.41 and 2.42.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -113,6 +113,7 @@ CORRELATION = 0.8
 ABOVE = 1.08
 """Modes are calculated up to this times the highest frequency that is asked of them."""
 _STEP = 10.0
+_MOST_KEPT = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +171,6 @@ class RoomPoles:
 
     room: Room
     modes: RoomModes
-    known: dict[bytes, Poles] = field(default_factory=dict)
 
     @classmethod
     def of(cls, room: Room, largest: float, geometry: Polyhedron | None = None) -> RoomPoles:
@@ -202,21 +202,19 @@ class RoomPoles:
     @cached_property
     def calculated(self) -> Poles:
         """All poles with the room's own coefficients."""
-        known, key = self.modes.known, self.at.mean[self.rows].tobytes()
-        if key not in known:
-            known.clear()
-            known[key] = self.modes.poles(self._admittances(self.room.alpha))
-        return known[key]
+        return self.poles(self.room.alpha)
 
     def poles(self, alpha: Array) -> Poles:
-        """Return all poles, with the shapes of those `calculated`."""
-        if np.array_equal(alpha, self.room.alpha):
-            return self.calculated
-        key = alpha.tobytes()
-        if key not in self.known:
-            shapes = self.calculated.mixtures
-            self.known[key] = self.modes.poles(self._admittances(alpha), shapes)
-        return self.known[key]
+        """Return all poles, with the shapes of those `calculated`; the modes keep the last ones."""
+        own = np.array_equal(alpha, self.room.alpha)
+        walls = [of[self.rows].tobytes() for of in (self.at.mean, self.at.alpha(alpha))]
+        known, key = self.modes.known, walls[0] if own else b"".join(walls)
+        if key not in known:
+            like = None if own else self.calculated.mixtures
+            if len(known) >= _MOST_KEPT:
+                known.pop(next(iter(known)))
+            known[key] = self.modes.poles(self._admittances(alpha), like)
+        return known[key]
 
     def _admittances(self, alpha: Array) -> Admittances:
         """Return the walls' admittances; between the modes' frequencies they are interpolated."""

@@ -75,7 +75,7 @@ class RoomModes:
     shapes : function
         Of points (n_points, 3) in m: the modes' values there, (n_points, n_modes + 1), in m^(-3/2).
     known : dict
-        The last poles that were asked of stated coefficients, by these: kept for the next responses.
+        The last poles that were asked, by the coefficients: kept for the next responses.
 
     Examples
     --------
