@@ -29,7 +29,7 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.files.saved import Result
 from rtcal.prediction import words
-from rtcal.prediction.predicted import JND, Calibrated, Prediction, known_room, predict
+from rtcal.prediction.predicted import JND, Known, Prediction, known_room, predict
 from rtcal.support import checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError, InfeasibleError, SolverError
@@ -568,7 +568,7 @@ class Design(Result):
 
 
 def design(
-    result: Calibrated | KnownRoom,
+    result: Known,
     treatments: Sequence[Treatment],
     target: Target,
     probability: float = LEAST,
@@ -626,7 +626,7 @@ def design(
 
 
 def design_model(
-    result: Calibrated | KnownRoom,
+    result: Known,
     treatments: Sequence[Treatment],
     target: Target,
     assumptions: Assumptions | None = None,

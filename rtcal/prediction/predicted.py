@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.special import ndtri
@@ -40,17 +40,8 @@ _SURE = 1e-12
 """Standard deviation of ln T from which on T is not known exactly."""
 
 
-@runtime_checkable
-class Calibrated(Protocol):
-    """A result that says what is known of its room, such as a `CalibrationResult`."""
-
-    @property
-    def known(self) -> KnownRoom:
-        """The room as it is known before it is changed."""
-
-
-Known = Calibrated | KnownRoom | Room
-"""What `predict` takes."""
+Known = Any
+"""What `predict` takes: a result that has ``known``, such as a `CalibrationResult`, or a Room."""
 
 
 def known_room(known: Known, equation: LinearEquation | None = None) -> KnownRoom:
