@@ -123,7 +123,7 @@ def test_a_table_without_a_header_is_not_taken_for_one(tmp_path: Path, capsys) -
     path = tmp_path / "in.csv"
     path.write_text("500,0.9\n1000,0.8\n")
     assert run("table", path, "--parameter", "t20") == 2
-    assert 'column "0.9" is no band' in capsys.readouterr().err
+    assert 'with --columns "from line 1: band; ?"' in capsys.readouterr().err
     path.write_text("12.5,16,20\n1.3,0.8,0.7\n")
     assert run("table", path, "--parameter", "t20") == 0
 

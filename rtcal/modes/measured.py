@@ -47,7 +47,7 @@ __dir__ = __all__.copy
 _SINGLE = (1.0, 1000.0)
 """Hz within which rooms have single modes."""
 _UNITS = {
-    "frequency": {"hz": 1.0, "khz": 1000.0},
+    "frequency": {"Hz": 1.0, "kHz": 1000.0},
     "decay": {"1/s": 1.0, "s^-1": 1.0, "s-1": 1.0},
     "T": {"s": 1.0, "ms": 1e-3},
 }
@@ -63,7 +63,7 @@ _WORDS = dict.fromkeys((word for word, kind in COLUMNS.items() if kind == "band"
 _WORDS |= dict.fromkeys(("decay", "delta", "δ", "abklingkonstante", "decayconstant"), "decay")
 _WORDS |= dict.fromkeys((*OPEN_DECAY_TIMES, "mt60", "decaytime"), "T")
 _RELATIVE = ("%", "percent")
-_UNIT_WORDS = {*_RELATIVE, "-", *(unit for units in _UNITS.values() for unit in units)}
+_UNIT_WORDS = {*_RELATIVE, "-", *(unit.lower() for units in _UNITS.values() for unit in units)}
 _NUMBERS = ("frequencies", "decays", "decay_uncertainty", "frequency_uncertainty")
 _OF_MODES = (*_NUMBERS, "amplitudes", "calculated")
 
@@ -311,6 +311,7 @@ def _columns(header: Sequence[str], place: str) -> dict[str, tuple[int, str]]:
         if name in found:
             raise DataError(f'{place}: the column "{name}" stands there twice')
         known = [*_UNITS[whole], *(_RELATIVE if name != whole else ())]
+        unit = next((u for u in known if u.lower() == unit), unit)
         if unit not in ("", *known):
             raise DataError(
                 f'{place}: the unit of "{shown(cell)}" is not known; known are {", ".join(known)}'
