@@ -550,9 +550,9 @@ class Measurement:
         >>> thirds.in_bands([500, 1000]).values["t20"].tolist()
         [[1.5, nan]]
         """
-        conversion = bands.Conversion(self.centre_frequencies, wanted, missing=True)
-        if np.array_equal(conversion.old, conversion.new):
+        if np.array_equal(self.centre_frequencies, wanted):  # type: ignore[arg-type]
             return self
+        conversion = bands.Conversion(self.centre_frequencies, wanted, missing=True)
         if not bands.obtainable(conversion.old, conversion.new).size:
             raise DataError(
                 f"the measurement ({bands.hertz(conversion.old)}) and the room "

@@ -372,15 +372,13 @@ class System:
         scale = np.concatenate([free, self._unit])
         entries = np.concatenate([program.P, program.A, program.A, np.zeros(n)])
         entries *= scale[rows] * scale[columns]
-        data = np.bincount(place, entries)
-        self._matrix = sp.csc_matrix((data, *structure), (n, n))
         shift = np.where(np.arange(n) < len(free), self._SHIFT, -self._SHIFT)
-        data = data.copy()
-        data[place[-n:]] += np.where(self._on, shift, 1.0)
-        shifted = sp.csc_matrix((data, *structure), (n, n))
+        self._shift = np.where(self._on, shift, 1.0)
+        entries[-n:] = self._shift
+        self._matrix = sp.csc_matrix((np.bincount(place, entries), *structure), (n, n))
         try:
             self._factors = splu(
-                shifted, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}
+                self._matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}
             )
         except RuntimeError as error:
             raise SolverError("the optimality conditions are singular") from error
@@ -397,7 +395,7 @@ class System:
             solution = solution + self._factors.solve(residual)
             if not refine:
                 break
-            residual = right - self._matrix @ solution
+            residual = right - self._matrix @ solution + (solution.T * self._shift).T
             before, off = off, np.max(np.abs(residual), initial=0.0)
             if not off < before / 2:
                 break
@@ -647,9 +645,10 @@ def solve(
     y, below, above = np.split(np.asarray(z), [n, n + len(low)])
     v, y, where = start, y * unit, np.flatnonzero(on)
     v[on] += x
-    if (at != 0).any():  # the rows of what was left out have multipliers, too
+    z = np.zeros(len(v))
+    if (at != 0).any():  # what was left out has multipliers, too, and its rows
         y = _nearest_to_zero(program, v, y, (norm == 0) & (program.row_size > 0), at)
-    z = _of_bounds(program.force(v, y), at)
+        z = _of_bounds(program.force(v, y), at)
     z[where[high]] += np.maximum(above, 0.0)
     z[where[low]] -= np.maximum(below, 0.0)
     return Iterate(v, y, z, at, None, status, iterations, seconds)
