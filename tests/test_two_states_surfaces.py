@@ -10,7 +10,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder.finding import Finding, or_nothing
-from rtcal.finder.states.surfaces import sets_of
+from rtcal.finder.states.search import sets_of
 from rtcal.simulators import PathTracing
 from rtcal.support.types import Array
 from tests.test_where import heard, stated, tracing

@@ -134,5 +134,5 @@ def test_drawn_rooms_scatter_as_the_likelihood_says(
     for _ in range(20):
         hidden, residuals = where_ideal.drawn(numbers, likelihood, every, rng)
         empty = [column for column, what in enumerate(hidden) if what is None]
-        squares += likelihood.with_one_level().of(residuals[:, empty]).square.tolist()
+        squares += likelihood.with_one_level().of(residuals[:, empty])[1].tolist()
     assert np.mean(squares) == pytest.approx(likelihood.number, rel=0.05)

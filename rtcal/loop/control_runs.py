@@ -416,27 +416,30 @@ def _key(
     n_paths: int,
 ) -> str:
     """Return a hash of all that the errors depend on."""
-    geometry = base.geometry
     settings = {
         name: value
         for name, value in vars(simulator).items()
         if isinstance(value, (int, float, str, bool, type(None)))
     }
-    content = [
-        simulator.name,
-        settings,
-        [room.to_dict()[name] for name in ("alpha", "sigma", "centre_frequencies", "air")],
-        room.band_correlation,
+    of_room = [room.to_dict()[name] for name in ("alpha", "sigma", "centre_frequencies", "air")]
+    numbers = [seed, uncertainty, RUNS, n_paths, room.band_correlation]
+    return key_of(base, simulator.name, settings, of_room, list(match), numbers)
+
+
+def key_of(tracer: PathTracing, *content: object) -> str:
+    """Return a hash of a tracing's geometry, positions and scattering, and of further content."""
+    geometry, points = tracer.geometry, {**tracer.sources, **tracer.receivers}
+    every = [
+        __version__,
         geometry.vertices.tolist(),
         [list(map(int, face)) for face in geometry.faces],
         list(geometry.materials),
-        {name: list(map(float, p)) for name, p in {**base.sources, **base.receivers}.items()},
-        np.asarray(base.scattering).tolist(),
-        plain_directivities(base.directivity),
-        list(match),
-        [seed, uncertainty, RUNS, n_paths, __version__],
+        {name: list(map(float, point)) for name, point in points.items()},
+        np.asarray(tracer.scattering).tolist(),
+        plain_directivities(tracer.directivity),
+        *content,
     ]
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+    return hashlib.sha256(json.dumps(every, sort_keys=True).encode()).hexdigest()[:32]
 
 
 OWN, COMMON = 0.8, 1.0

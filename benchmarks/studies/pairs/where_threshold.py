@@ -100,7 +100,7 @@ def standardised(
     changes = likelihood.changes(shift).reshape(len(shift.weights), -1)
     square = np.einsum("hv,hv->h", changes @ likelihood.inverse, changes)
     size = np.sqrt(np.maximum(square, 1e-12))
-    return np.asarray(changes @ residuals.pull / size[:, np.newaxis])
+    return np.asarray(changes @ residuals[0] / size[:, np.newaxis])
 
 
 def of_room(index: int, statement: str, data: str, cache: Path) -> dict[str, Any]:

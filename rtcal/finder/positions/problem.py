@@ -448,25 +448,28 @@ def shifts(
 ) -> list[ShiftHypothesis]:
     """Return the hypotheses of the room, but for some effects."""
     tried = {effect.name: effect for effect in effects if effect.name not in without}
-    out = [each for effect in on_surfaces([*tried.values()]) for each in _covering(case, effect)]
-    out += _apertures(case) if COUPLED.name in tried else []
+    standing = [*on_surfaces([*tried.values()]), *([COUPLED] if COUPLED.name in tried else [])]
+    out = [each for effect in standing for each in _standing(case, effect)]
     out += materials(case) if COEFFICIENTS not in without else []
     return out + [make(case) for name, make in WHOLE.items() if name in tried]
 
 
-def _covering(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
-    """Return an effect on each surface that can have it."""
-    frequencies, areas = case.room.centre_frequencies, np.array(list(case.areas.values()))
+def _standing(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
+    """Return an effect on each surface that can have it; an aperture leads to each second room."""
+    room, areas = case.room, np.array(list(case.areas.values()))
+    frequencies, middle = room.centre_frequencies, middle_absorption(stated_room(case))
     possible = np.array([k in effect.stands_on for k in case.kinds])
+    coupled, covers = effect.name == COUPLED.name, bool(effect.shares)
     spectra = effect.on_surface(frequencies)
-    middle = middle_absorption(stated_room(case))
-    covers = bool(effect.shares)
+    if coupled:
+        rooms = [{"aperture": 0.0, "volume": v * room.volume, "alpha": a} for v, a in SECOND_ROOMS]
+        spectra = [(of_room, np.ones(room.n_bands)) for of_room in rooms]
     made = []
     for j in np.flatnonzero(possible):
         stated = case.surface_alpha[j]
         tried = np.array(effect.shares) * areas[j] if covers else areas_tried(middle, areas[j])
-        every = [  # change of alpha, spectrum and parameters of each
-            (area / areas[j] * (spectrum - stated), spectrum, {**settings, "area": float(area)})
+        every = [  # change of alpha, spectrum, area and parameters of each
+            (area / areas[j] * (spectrum - stated), spectrum, area, settings)
             for settings, spectrum in spectra
             for area in tried
         ]
@@ -476,75 +479,36 @@ def _covering(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
             every = [each for each in every if (-each[0] >= least).any()]
         if not every:
             continue
-        moved, alpha, parameters = zip(*every, strict=True)
-        used = np.array([p["area"] for p in parameters])
+        moved, alpha, used, settings = zip(*every, strict=True)
+        weights, sizes = towards(np.array(moved), stated), np.array(used)
+        if coupled:
+            share = np.repeat(tried[:, np.newaxis] / areas[j], room.n_bands, axis=1)
+            of_one = interpolation(OPEN, share)
+            weights = np.vstack([np.kron(row, of_one) for row in np.eye(len(SECOND_ROOMS))])
         fitting = [areas[possible & (areas >= (0 if covers else area))].sum() for area in used]
         made.append(
             ShiftHypothesis(
                 effect=effect.name,
                 family=effect.family,
                 surface=int(j),
-                response=f"surface {j}",
-                weights=towards(np.array(moved), stated),
-                odds=areas[j] / np.array(fitting) / len(spectra),
-                sizes=used,
+                response=f"{'aperture' if coupled else 'surface'} {j}",
+                weights=weights,
+                odds=areas[j] / np.array(fitting),
+                sizes=sizes,
                 unit="m²",
-                parameters=parameters,
+                parameters=[
+                    {**of, "aperture" if coupled else "area": float(area)}
+                    for of, area in zip(settings, used, strict=True)
+                ],
                 spectra=np.array(alpha),
                 error=effect.error_over_bands(frequencies),
-                uneven=unevenness(used / areas[j]),
-                size_error=effect.size_error,
-                divisible=not covers,
-            )
-        )
-    return _normalised(made, effect.prior_odds(case.room))
-
-
-def _normalised(shifts: Sequence[ShiftHypothesis], odds: float) -> list[ShiftHypothesis]:
-    """Return an effect's hypotheses with odds whose sum is the effect's."""
-    total = sum(s.odds.sum() for s in shifts)
-    return [replace(s, odds=s.odds * odds / total) for s in shifts]
-
-
-def _apertures(case: PositionsCase) -> list[ShiftHypothesis]:
-    """Return an aperture to a second room on each wall and ceiling."""
-    room, areas = case.room, np.array(list(case.areas.values()))
-    middle, n_bands, n_rooms = (
-        middle_absorption(stated_room(case)),
-        room.n_bands,
-        len(SECOND_ROOMS),
-    )
-    possible = np.array([k in COUPLED.stands_on for k in case.kinds])
-    made = []
-    for j in np.flatnonzero(possible):
-        area = areas_tried(middle, areas[j])
-        if not len(area):
-            continue
-        share = interpolation(OPEN, np.repeat(area[:, np.newaxis] / areas[j], n_bands, axis=1))
-        odds = areas[j] / np.array([areas[possible & (areas >= a)].sum() for a in area])
-        sizes = np.tile(area, n_rooms)
-        made.append(
-            ShiftHypothesis(
-                effect=COUPLED.name,
-                family=COUPLED.family,
-                surface=int(j),
-                response=f"aperture {j}",
-                weights=np.vstack([np.kron(row, share) for row in np.eye(n_rooms)]),
-                odds=np.tile(odds, n_rooms),
-                sizes=sizes,
-                unit=COUPLED.unit,
-                parameters=[
-                    {"aperture": float(a), "volume": volume * room.volume, "alpha": alpha}
-                    for volume, alpha in SECOND_ROOMS
-                    for a in area
-                ],
-                spectra=np.ones((len(sizes), n_bands)),
-                error=COUPLED.error_over_bands(room.centre_frequencies),
                 uneven=unevenness(sizes / areas[j]),
-                size_error=COUPLED.size_error,
+                size_error=effect.size_error,
+                divisible=not (covers or coupled),
             )
         )
-    return _normalised(made, COUPLED.odds)
+    total, odds = sum(s.odds.sum() for s in made), effect.prior_odds(room)
+    return [replace(s, odds=s.odds * odds / total) for s in made]
 
 
 def on_parts(case: PositionsCase, shifts: Sequence[ShiftHypothesis]) -> list[ShiftHypothesis]:
@@ -650,20 +614,11 @@ class ScatteringLevels:
         return cls(np.zeros((n, 1)), np.zeros(1))
 
 
-@dataclass(frozen=True, eq=False)
-class Residuals:
-    """Sets of residuals as one likelihood takes them, at each level one after the other.
+Residuals = tuple[Array, Array]
+"""K⁻¹ r and r' K⁻¹ r of residuals r under a covariance K, at each level one after the other.
 
-    Attributes
-    ----------
-    pull : array (n, n_levels n_draws)
-        K⁻¹ r, K the covariance.
-    square : array (n_levels n_draws,)
-        r' K⁻¹ r.
-    """
-
-    pull: Array
-    square: Array
+(n, n_levels n_draws) and (n_levels n_draws,).
+"""
 
 
 @dataclass(eq=False)
@@ -712,7 +667,7 @@ class Likelihood:
         by_level = residuals[:, np.newaxis] - self.levels.shifts[..., np.newaxis]
         measured = np.where(self.used[:, np.newaxis], by_level.reshape(len(residuals), -1), 0.0)
         pull = np.asarray(self.inverse @ measured)
-        return Residuals(pull, np.asarray(np.einsum("nm,nm->m", measured, pull)))
+        return pull, np.asarray(np.einsum("nm,nm->m", measured, pull))
 
     def with_one_level(self) -> Likelihood:
         """Return the normal likelihood whose covariance has that of the levels."""
@@ -725,15 +680,15 @@ class Likelihood:
 
     def stated(self, residuals: Residuals) -> Array:
         """Return the log density if nothing is other than stated, (n_draws,)."""
-        return self._log(residuals.square, self.half)
+        return self._log(residuals[1], self.half)
 
     def spread(self, spread: SpreadHypothesis, residuals: Residuals) -> Array:
         """Return the log density with some errors wider, (n_hypotheses, n_draws)."""
         kept, scales = self.used[spread.rows], spread.scales[:, np.newaxis, np.newaxis]
-        rows, columns = spread.rows[kept], spread.columns[kept]
-        across, inner = columns.T @ residuals.pull[rows], self.inverse[np.ix_(rows, rows)]
+        rows, columns, (pull, square) = spread.rows[kept], spread.columns[kept], residuals
+        across, inner = columns.T @ pull[rows], self.inverse[np.ix_(rows, rows)]
         inner = scales**2 * (columns.T @ inner @ columns)
-        return self._log(*with_columns(residuals.square, self.half, scales * across, inner))
+        return self._log(*with_columns(square, self.half, scales * across, inner))
 
     def shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
         """Return the log density by hypothesis, (n_hypotheses, n_draws)."""
@@ -743,7 +698,7 @@ class Likelihood:
 
     def each_shifted(self, shifts: Sequence[ShiftHypothesis], residuals: Residuals) -> Array:
         """Return `shifted` of each, one after the other."""
-        n_draws = len(residuals.square) // len(self.levels.log_weights)
+        n_draws = len(residuals[1]) // len(self.levels.log_weights)
         return np.concatenate(
             [np.zeros((0, n_draws)), *(self.shifted(s, residuals) for s in shifts)]
         )
@@ -759,13 +714,13 @@ class Likelihood:
         The errors' columns are d in one band with the factor of `ShiftHypothesis.error`, and W in a
         band by its change, W being `uneven`.
         """
-        columns, products = self._of_response(shift.response)
+        (pull, of_stated), (columns, products) = residuals, self._of_response(shift.response)
         (n_bands, n_nodes), by_band = shift.weights.shape[1:], shift.weights.swapaxes(0, 1)
-        pulled = columns.swapaxes(1, 2) @ residuals.pull.reshape(*columns.shape[:2], -1)
+        pulled = columns.swapaxes(1, 2) @ pull.reshape(*columns.shape[:2], -1)
         turned = (by_band @ products).reshape(*by_band.shape[:2], n_bands, -1)  # (l, h, k, a)
         projected = (by_band @ pulled[:, :n_nodes]).swapaxes(0, 1)  # d' K⁻¹ r, by band
         forms = np.einsum("hkn,lhkn->hkl", shift.weights, turned[..., :n_nodes])  # d' K⁻¹ d
-        square = residuals.square - 2 * projected.sum(1) + forms.sum((1, 2))[:, np.newaxis]
+        square = of_stated - 2 * projected.sum(1) + forms.sum((1, 2))[:, np.newaxis]
         error = np.asarray(np.linalg.cholesky(shift.error + 1e-9 * np.eye(n_bands)))
         across = error.T @ (projected - forms.sum(2)[..., np.newaxis])
         inner = error.T @ forms @ error

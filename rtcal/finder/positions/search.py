@@ -21,6 +21,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -235,21 +236,18 @@ def unconfirmed(means: Finding) -> str:
 
 def of_means(case: PositionsCase) -> Case:
     """Return the case without its geometry; DataError where it has no T that can be trusted."""
-    measured, tracer = case.in_room, case.simulator
-    names = [observable(name).stand_in or name for name in case.match]
-    rows = [measured.pairs.index(pair) for pair in case.pairs]
+    measured, tracer = case.in_room.select(case.pairs), case.simulator
+    names = {observable(name).stand_in or name for name in case.match} & {*PARAMETERS}
 
-    def some(table: dict[str, Array]) -> dict[str, Array]:
-        return {n: np.asarray(v)[rows] for n, v in table.items() if n in PARAMETERS and n in names}
+    def some(table: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: values for name, values in table.items() if name in names}
 
     kept = Measurement(
         centre_frequencies=measured.centre_frequencies,
-        values=some(dict(measured.values)),
-        pairs=case.pairs,
-        uncertainty=some(dict(measured.uncertainty)),
-        common_uncertainty={
-            n: v for n, v in measured.common_uncertainty.items() if n in PARAMETERS and n in names
-        },
+        values=some(measured.values),
+        pairs=measured.pairs,
+        uncertainty=some(measured.uncertainty),
+        common_uncertainty=some(measured.common_uncertainty),
     )
     distances = [math.dist(tracer.sources[s], tracer.receivers[r]) for s, r in case.pairs]
     return Case(

@@ -19,8 +19,6 @@ a source, convolved with h(t), is what comes back to all of them:
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +32,7 @@ from scipy.signal import lfilter
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import MATCH, TARGET, longest
-from rtcal.acoustics.room import Directivity, Room, plain_directivities
+from rtcal.acoustics.room import Directivity, Room
 from rtcal.files import disk
 from rtcal.finder.effects import HARD
 from rtcal.finder.positions.case import (
@@ -45,6 +43,7 @@ from rtcal.finder.positions.case import (
     lobes,
 )
 from rtcal.finder.positions.surfaces import Faces
+from rtcal.loop import control_runs
 from rtcal.loop.control_runs import scattered, share_of_signal
 from rtcal.loop.measured_pairs import Pair
 from rtcal.simulators.base import LARGEST_ALPHA, Observations, observe, values_of_decays
@@ -57,7 +56,7 @@ from rtcal.simulators.path_tracing import (
     eyring_seconds,
     of_all_bands,
 )
-from rtcal.support import __version__, checks
+from rtcal.support import checks
 from rtcal.support.errors import DataError, TooShortError
 from rtcal.support.speed import Progress, TaskProgress
 from rtcal.support.types import Array
@@ -666,27 +665,18 @@ def _apertures(
 
 def key_of(case: PositionsCase, seed: int) -> str:
     """Return a hash of all that the shifts depend on."""
-    tracer, room, geometry = case.simulator, case.room, case.geometry
-    content = [
+    tracer, room = case.simulator, case.room
+    of_room = [room.to_dict()[name] for name in ("centre_frequencies", "air")]
+    return control_runs.key_of(
+        tracer,
         "where, all paths",
-        tracer.name,
         tracer.scattering_model,
         [tracer.n_paths, tracer.n_batches, tracer.radius, tracer.bin_width],
-        [
-            np.minimum(room.alpha, LARGEST_ALPHA).tolist(),
-            *(room.to_dict()[name] for name in ("centre_frequencies", "air")),
-        ],
-        geometry.vertices.tolist(),
-        [list(map(int, face)) for face in geometry.faces],
-        list(geometry.materials),
+        [np.minimum(room.alpha, LARGEST_ALPHA).tolist(), *of_room],
         {n: f.tolist() for n, f in case.faces.items()},
         [part.faces.tolist() for part in case.divided.parts],
-        {name: list(map(float, p)) for name, p in {**tracer.sources, **tracer.receivers}.items()},
-        np.asarray(tracer.scattering).tolist(),
-        plain_directivities(tracer.directivity),
         list(parameters(case)),
         [TRACINGS, BASE, DENSER, LARGER, STEP, seed],
         [LOBE_INDEX, INDEX_ERROR, OWN_INDEX_ERROR],
-        [SHARES, SECOND_ROOMS, AIR, VOLUME, TRACED, MOVE, __version__],
-    ]
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+        [SHARES, SECOND_ROOMS, AIR, VOLUME, TRACED, MOVE],
+    )

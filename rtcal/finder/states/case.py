@@ -37,10 +37,8 @@ class Differences:
     ----------
     centre_frequencies : array (n_bands,)
         Hz.
-    parameter : tuple of str (n_bands,)
-        "t20" or "t30", the same in both states; "" where a band has neither.
     before, after : array (n_bands,)
-        Mean T in s over the pairs that both states have.
+        Mean T20, or else T30, in s over the pairs that both states have.
     pairs : tuple of (source, receiver)
         ``(("*", "*"),)`` of means over positions.
     change : array (n_pairs, n_bands)
@@ -55,7 +53,6 @@ class Differences:
     """
 
     centre_frequencies: Array
-    parameter: tuple[str, ...]
     before: Array
     after: Array
     pairs: tuple[tuple[str, str], ...]
@@ -89,17 +86,14 @@ class Differences:
                 "before and after have no source and receiver in common; two states are measured at "
                 f"the same positions, and these are {_pairs_of(before)} and {_pairs_of(after)}"
             )
-        notes = [
-            *_by_state(*("; ".join(notes_of_bands(room, m)) for m in (before, after))),
-        ]
+        notes = _by_state(*("; ".join(notes_of_bands(room, m)) for m in (before, after)))
         for state, name in zip(states, ("before", "after"), strict=True):
             if others := [" to ".join(p) for p in state.pairs if p not in pairs]:
                 notes.append(f"Only {name} has {first_of(others, 1)}: left out.")
         chosen = [m.select(pairs) for m in states]
         shape = (len(pairs), room.n_bands)
         change, variance = np.full(shape, np.nan), np.full(shape, np.nan)
-        times, names = np.full((2, room.n_bands), np.nan), [""] * room.n_bands
-        unstated = False
+        times, unstated = np.full((2, room.n_bands), np.nan), False
         for o in reversed(REVERBERATION):  # the first replaces the others
             if not all(o.key in m.values for m in chosen):
                 continue
@@ -118,13 +112,11 @@ class Differences:
                     stated = m.uncertainty.get(o.key, np.zeros(shape)) / v
                     u = np.fmax(theory, stated)
                 relative = relative + u**2
-            for k in np.flatnonzero(some).tolist():
-                names[k] = o.key
-                times[:, k] = means[0][k], means[1][k]
-                # Of states that are exchanged it is the same to the last digit, of the other sign.
-                of_log = np.log(values[1][:, k]) - np.log(values[0][:, k])
-                change[:, k] = np.where(both[:, k], of_log, np.nan)
-                variance[:, k] = np.where(both[:, k], relative[:, k], np.nan)
+            # Of states that are exchanged it is the same to the last digit, of the other sign.
+            of_log = np.log(values[1]) - np.log(values[0])
+            times[:, some] = np.array(means)[:, some]
+            change[:, some] = np.where(both, of_log, np.nan)[:, some]
+            variance[:, some] = np.where(both, relative, np.nan)[:, some]
         if not np.isfinite(change).any():
             labels = " or ".join(parameter_label(o.key) for o in REVERBERATION)
             raise DataError(
@@ -138,7 +130,7 @@ class Differences:
                 "A mean T states neither its uncertainty nor of how many positions it is: it is taken "
                 "as that of one position (ISO 3382-2). State either, or give the pairs."
             )
-        named = (wanted, tuple(names), times[0], times[1], tuple(pairs))
+        named = (wanted, times[0], times[1], tuple(pairs))
         return cls(*named, change, variance, tuple(notes), (chosen[0], chosen[1]))
 
     @property
