@@ -28,7 +28,6 @@ from rtcal.finder.finding import sentence_of
 from rtcal.finder.means import problem
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import (
-    Kept,
     MeansProblem,
     Screen,
     acting_order,
@@ -299,7 +298,7 @@ def test_likely_pairs_are_evaluated_deeply_enough(monkeypatch: pytest.MonkeyPatc
     c = compared_case(case, [e for e in library() if e.name in ("volume", "coupled room", "air")])
     prior = prior_of(case.room, list(c.predicted.effects.values()), {})
     some = posterior_of_sets(c, prior, most=2).sets
-    monkeypatch.setattr("rtcal.finder.means.problem.KEPT", (Kept(0.0, 1.0, 10_000),))
+    monkeypatch.setattr("rtcal.finder.means.problem.KEPT", ((0.0, 1.0, 10_000),))
     every = posterior_of_sets(c, prior, most=2).sets
     assert sum(abs(p - some[s]) for s, p in every.items()) < 0.02
 

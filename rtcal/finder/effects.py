@@ -256,7 +256,8 @@ class AbsorbingObject(Effect):
     """An effect that adds absorption in proportion to its size, and can be taken out of the room.
 
     Sizes are tried that have from ``least`` to ``most`` times the room's absorption area at 500 to
-    2000 Hz, where one has ``of_one`` m². Objects need no wall, so that any size is possible.
+    2000 Hz, where one has ``of_one`` m². Objects need no wall, so that any size is possible. A size of
+    1 has the absorption area ``each`` in m², at 63 Hz to 8 kHz.
     """
 
     removable: ClassVar[bool] = True
@@ -264,6 +265,7 @@ class AbsorbingObject(Effect):
     most: ClassVar[float] = 1.2
     steps: ClassVar[int] = 10
     of_one: ClassVar[float] = 1.0
+    each: ClassVar[Sequence[float]] = (1.0,) * 8
 
     def limits(self, room: Room | None) -> Limits:
         """Return 0 or more, and the limits of the other parameters."""
@@ -274,6 +276,11 @@ class AbsorbingObject(Effect):
         sizes = np.geomspace(self.least, self.most, self.steps) * middle_absorption(state)
         sizes = (sizes / self.of_one).tolist()
         return [{**kind, self.size: a} for kind, a in product(self.kinds, sizes)]
+
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
+        """Return the room with the objects."""
+        each = interpolate_octaves(state.frequencies, self.each)
+        return state.with_objects(parameters[self.size] * each)
 
     def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
         """Return the difference of the absorption areas in m², (n_bands,)."""
@@ -524,11 +531,7 @@ class People(AbsorbingObject):
     least: ClassVar[float] = 0.08
     most: ClassVar[float] = 1.3
     of_one: ClassVar[float] = AT_1_KHZ
-
-    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room with the people."""
-        each = interpolate_octaves(state.frequencies, PER_PERSON)
-        return state.with_objects(parameters["persons"] * each)
+    each: ClassVar[Sequence[float]] = PER_PERSON
 
 
 SEATED_ALPHA = 0.86
@@ -580,14 +583,9 @@ class Furniture(AbsorbingObject):
     size: ClassVar[str] = "absorption_area"
     unit: ClassVar[str] = _AREA_AT_1_KHZ
     parameters: ClassVar[Mapping[str, Parameter]] = Audience.parameters
-    SPECTRUM: ClassVar[tuple[float, ...]] = (0.45, 0.6, 0.75, 0.88, 1.0, 1.08, 1.1, 1.1)
+    each: ClassVar[Sequence[float]] = (0.45, 0.6, 0.75, 0.88, 1.0, 1.08, 1.1, 1.1)
     most: ClassVar[float] = 1.1
     steps: ClassVar[int] = 12
-
-    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room with the objects."""
-        spectrum = interpolate_octaves(state.frequencies, self.SPECTRUM)
-        return state.with_objects(parameters["absorption_area"] * spectrum)
 
 
 @dataclass(frozen=True)

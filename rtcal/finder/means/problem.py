@@ -1449,27 +1449,9 @@ def covariance_with_alpha(compared: MeansProblem, sets: Sequence[Members]) -> Ar
 MOST = 3
 
 
-@dataclass(frozen=True)
-class Kept:
-    """The parameters of two effects that are evaluated, if these have the probability ``least``.
-
-    The most probable ones of the screen, until they have a ``share`` of the two effects' probability;
-    at most so many. The screen estimates the others' share.
-    """
-
-    least: float
-    share: float
-    most: int
-
-    def last(self, log_others: Array) -> int:
-        """Return the last row, of ln of the evidence of all over that of the rows up to each."""
-        enough = np.flatnonzero(log_others <= -np.log(self.share))
-        return min(int(enough[0]) if len(enough) else len(log_others) - 1, self.most - 1)
-
-
-KEPT = (Kept(0.0, 0.5, 16), Kept(1e-3, 0.99, 96))
-"""How many parameters of two effects are evaluated: few of each two, more of those that are probable
-among the pairs."""
+KEPT = ((0.0, 0.5, 16), (1e-3, 0.99, 96))
+"""Which parameters of two effects are evaluated: of pairs that are at least so probable among pairs,
+the most probable ones until they have such a share of the pair's probability, at most so many."""
 UNEXPLAINED = 0.05
 """Probability of the residuals under the best pair below which three effects are tried: the usual level
 of a test of fit."""
@@ -1647,19 +1629,20 @@ class _Tables:
             first, second = self._rows[a], self._rows[b]
             table = screen.pairs(first, second)
             table = table + self._weights[first][:, None] + self._weights[second]
-            likeliest = np.argsort(-table, axis=None)[: KEPT[-1].most]
+            likeliest = np.argsort(-table, axis=None)[: KEPT[-1][2]]
             i, j = np.unravel_index(likeliest, table.shape)
             rows: list[Members] = list(zip(first[i].tolist(), second[j].tolist(), strict=True))
             # Of each row, ln of the evidence of all over that of the rows up to it.
             share = logsumexp(table) - np.logaddexp.accumulate(table[i, j])
             screened[a, b] = np.asarray(share), rows
-        for kept in KEPT:
-            # Those that are probable enough, among the pairs.
-            likely = self._likely_pairs(kept.least) if kept.least else list(screened)
-            last = {s: kept.last(screened[s][0]) for s in likely}
+        for least, share, most in KEPT:
+            last = {}
+            for s in self._likely_pairs(least) if least else list(screened):
+                enough = np.flatnonzero(screened[s][0] <= -np.log(share))
+                last[s] = min(int(enough[0]) if len(enough) else len(screened[s][0]) - 1, most - 1)
             self._evaluate(
-                {s: screened[s][1][: last[s] + 1] for s in likely},
-                {s: float(screened[s][0][last[s]]) for s in likely},
+                {s: screened[s][1][: i + 1] for s, i in last.items()},
+                {s: float(screened[s][0][i]) for s, i in last.items()},
             )
         if self._unknown:
             self._add_unknown()

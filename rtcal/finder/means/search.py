@@ -91,32 +91,19 @@ def find(
     Parameters
     ----------
     case : Case
-    effects : sequence of Effect, optional
-        The effects to try; the whole library if not given.
     most : int
         Largest number of effects that may be missing at once, from 1 to 3.
     expected : float, optional
         Expected number of effects where ``most`` is above 1: the mean of a Poisson distribution, 0.7
         unless given.
-    without, only : sequence of str
-        Names of effects that are not tried, or of the ones that are. ``without`` may have
-        "coefficients" and "unknown".
     prior : mapping of str to float, optional
         Prior odds of effects against the others, in place of their own: ``{"opening": 2.0}``. Those
         of "none" are against anything missing, those of "coefficients" against coefficients as stated.
         Where ``most`` is above 1, ``expected`` takes the place of those of "none".
     engines : sequence of str
         At least two simulators that the control rooms go through.
-    controls : sequence of ControlRooms, optional
-        Control rooms that were simulated before.
-    cache : path, optional
-        Folder in which control rooms are kept, as `rtcal.finder.control_rooms` says.
-    progress : callable, optional
-        Called with an engine's name, the number of finished control rooms and their total.
-
-    Returns
-    -------
-    Finding
+    effects, without, only, controls, cache, progress
+        As `rtcal.find` takes them; ``without`` may have "coefficients" and "unknown".
 
     Raises
     ------
