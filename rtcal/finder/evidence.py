@@ -41,17 +41,16 @@ def with_columns(
     """
     factor = np.linalg.cholesky(inner + np.eye(inner.shape[-1]))
     whitened = np.array(across.swapaxes(-2, -1), order="C")
-    every = (each.reshape(-1, *each.shape[-2:]) for each in (factor, whitened))
-    for matrix, rows in zip(*every, strict=True):
-        _whiten(matrix, rows)
+    _whiten(*(each.reshape(-1, *each.shape[-2:]) for each in (factor, whitened)))
     more = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)[..., np.newaxis]
     return square - np.einsum("...mr,...mr->...m", whitened, whitened), half + more
 
 
-def _whiten(factor: Array, rows: Array) -> None:
-    """Replace rows x (d, m) by L⁻¹ x, of a lower factor L (m, m)."""
+def _whiten(factors: Array, rows: Array) -> None:
+    """Replace rows x (n, d, m) by L⁻¹ x, of lower factors L (n, m, m)."""
     # LAPACK sees the transpose of a matrix in C order, so its upper factor is the lower one.
-    dtrtrs(factor.T, rows.T, lower=0, trans=1, overwrite_b=1)
+    for factor, each in zip(factors, rows, strict=True):
+        dtrtrs(factor.T, each.T, lower=0, trans=1, overwrite_b=1)
 
 
 DEGREES = 5.0
@@ -138,8 +137,7 @@ class Factorization:
         """
         whitened, begin = np.ascontiguousarray(rows), 0
         if whitened.size:
-            for matrix, right in zip(self._lower, whitened, strict=True):
-                _whiten(matrix, right)
+            _whiten(self._lower, whitened)
         square, across, inner = np.zeros(()), np.zeros(()), np.zeros(())
         for end in ends:
             z, w = whitened[:, :first, begin:end], whitened[:, first:, begin:end]
