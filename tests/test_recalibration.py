@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import rtcal as rt
 from rtcal.finder.means.recalibration import plain
+from tests.test_discrepancy import case_with, made
 
 
 def millington_case(time: float) -> rt.finder.Case:
@@ -37,3 +40,11 @@ def test_a_time_that_no_alpha_reaches_gets_the_nearest() -> None:
     calibrated = plain(millington_case(9.0))
     np.testing.assert_array_equal(calibrated.alpha, 0)
     assert np.isfinite(calibrated.features[0, 0]).all()
+
+
+def test_a_time_five_times_as_long_is_matched() -> None:
+    """The steps' targets were within a factor of 4.5, and an equation of the mean took one step."""
+    times = 5 * 6 * np.log(10) / made().rate
+    case = case_with(times)
+    calibrated = plain(replace(case, room=case.room.replace(air=None)))
+    np.testing.assert_allclose(np.exp(calibrated.features[0, 0]), times, rtol=1e-6)

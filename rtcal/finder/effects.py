@@ -340,7 +340,8 @@ class Absorber(AbsorbingObject):
         """Return the room with the absorber in place of wall, for each set of parameters."""
         if type(self).change is not Absorber.change:
             return super().changes(state, grid)
-        kinds = [tuple(v for name, v in theta.items() if name != self.size) for theta in grid]
+        others = [name for name in grid[0] if name != self.size]
+        kinds = list(map(itemgetter(*others), grid)) if others else [()] * len(grid)
         spectra = {
             kind: self._checked_alpha(state.frequencies, theta)
             for kind, theta in dict(zip(kinds, grid, strict=True)).items()
@@ -1254,7 +1255,7 @@ def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters])
     for name in _RULES:
         before, values = getattr(state, name), list(map(attrgetter(name), made))
         new = [i for i, value in enumerate(values) if value is not before and value is not None]
-        if _obey(name, [values[i] for i in new], state):
+        if not new or _obey(name, [values[i] for i in new], state):
             continue
         i = next(i for i in new if not _obey(name, [values[i]], state))
         with_what = ", ".join(f"{k} {v:.3g}" for k, v in grid[i].items())
@@ -1274,8 +1275,6 @@ def added(effect: Effect, state: RoomState, grid: Sequence[Parameters]) -> list[
 
 def _obey(name: str, values: Sequence[Any], state: RoomState) -> bool:
     """Return whether all values of a field have its shape and are within its ends."""
-    if not values:
-        return True
     try:
         together = np.array(values)
     except ValueError:  # of several shapes

@@ -41,7 +41,8 @@ def with_columns(
     """
     factor = np.linalg.cholesky(inner + np.eye(inner.shape[-1]))
     whitened = np.array(across.swapaxes(-2, -1), order="C")
-    _whiten(*(each.reshape(-1, *each.shape[-2:]) for each in (factor, whitened)))
+    shape = whitened.shape[-2:]
+    _whiten(factor.reshape(-1, *factor.shape[-2:]), whitened.reshape(-1, *shape))
     more = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)[..., np.newaxis]
     return square - np.einsum("...mr,...mr->...m", whitened, whitened), half + more
 
