@@ -39,7 +39,7 @@ def with_columns(
     inner : array (..., n_columns, n_columns)
         U' C⁻¹ U.
     """
-    factor = np.linalg.cholesky(inner + np.eye(inner.shape[-1]))
+    factor = np.asarray(np.linalg.cholesky(inner + np.eye(inner.shape[-1])), dtype=float)
     whitened = np.array(across.swapaxes(-2, -1), order="C")
     shape = whitened.shape[-2:]
     _whiten(factor.reshape(-1, *factor.shape[-2:]), whitened.reshape(-1, *shape))
