@@ -384,11 +384,15 @@ class Candidate:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
         return {
-            **{k: v for k, v in vars(self).items() if k != "called"},
-            **{k: json_numbers(getattr(self, k)) for k in ("size", "low", "high", "spectrum")},
+            **{k: v for k, v in vars(self).items() if k not in _CONVERTED},
+            **{k: json_numbers(getattr(self, k)) for k in ("size", "low", "high")},
             "parameters": dict(self.parameters),
+            "spectrum": json_numbers(self.spectrum),
             "parts": [{"middle": list(m), "probability": p} for m, p in self.parts],
         }
+
+
+_CONVERTED = ("called", "size", "low", "high", "spectrum", "parameters", "parts")
 
 
 def percent(probability: float) -> str:

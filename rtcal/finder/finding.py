@@ -570,21 +570,22 @@ class Finding(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
+        made = _RECORDS[self.kind](self)
         names = f"{_RECORDED['all']} {_RECORDED[self.kind]}".split()
-        return {
-            **{name: _plain(getattr(self, name)) for name in names},
-            **_RECORDS[self.kind](self),
-        }
+        return {n: made[n] if n in made else _plain(getattr(self, n)) for n in names}
 
 
 _RECORDED = {
     "all": "verdict family probabilities families score threshold reasons notes",
-    "means": "effect named named_families named_set members numbers evidence stand_ins alpha engines "
-    "size advice not_judged",
-    "positions": "effect surface unexplained surfaces likely_surfaces groups parameters pairs map",
-    "states": "surfaces claimed_surfaces size change",
+    "means": "detected_by effect named named_families named_set members undecided amount candidates "
+    "numbers sets evidence sizes sizes_alone stand_ins alpha coefficients engines parameters material "
+    "size runner_up advice not_judged residuals",
+    "positions": "effect surface mistake unexplained surfaces likely_surfaces groups candidates "
+    "nats_of_noise nats_of_means parameters pairs centre_frequencies map",
+    "states": "surfaces claimed_surfaces sets size bands_of_size kinds centre_frequencies before after "
+    "absorption_area_before change pairs",
 }
-"""Attributes that a record has as they are, by kind of data."""
+"""Entries of a record in their order: what `_RECORDS` makes, else attributes as they are."""
 
 
 def _plain(value: Any) -> Any:
