@@ -580,7 +580,8 @@ def _refuse_header(
     position = next(filter(position_of, over), "")
     alike = Counter(c.meaning for c in columns if c and c.has_values)
     named = any(c and c.kind and not _BARE_NUMBER.fullmatch(c.header) for c in columns)
-    if not named and all(map(_BARE_NUMBER.fullmatch, unknown)):
+    unread = any(c is None or c.wrong for c in columns)
+    if unread and not named and all(map(_BARE_NUMBER.fullmatch, unknown)):
         problem = "no line names columns by a parameter, a band or a position"
         first, proposed = line, [Column("band"), *[None] * (len(columns) - 1)]
     elif wrong := next((c.wrong for c in columns if c and c.wrong), ""):
