@@ -28,7 +28,6 @@ import numpy as np
 
 import rtcal as rt
 from rtcal.calibration.posterior import distribution
-from rtcal.calibration.problem import CalibrationProblem
 from rtcal.finder import (
     AppliedEffect,
     Case,
@@ -179,7 +178,7 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "EquationSimulator": simulator,
         "Loop": loop,
         "Loop of a simulator": rt.calibrate_simulator(simulator, room, measured),
-        "CalibrationProblem": CalibrationProblem(calibration, room, rt.Eyring()),
+        "CalibrationProblem": calibration.build(room),
         "Posterior": distribution(result),
         "Calibrated": result,
         "Optimal": result,
