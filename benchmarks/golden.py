@@ -53,7 +53,7 @@ import numpy as np
 import rtcal as rt
 from benchmarks.studies.fits.positions import MATCH
 from benchmarks.studies.geometric_world import load as geometric
-from benchmarks.studies.means import second_world
+from benchmarks.studies.means import judged
 from benchmarks.studies.means.judging import one
 from benchmarks.studies.means.real_cases import every_case
 from benchmarks.studies.position_rooms import load as positions
@@ -669,7 +669,7 @@ def of_worlds(every: bool) -> list[Task]:
     """Rooms of both worlds: in the short form one of each kind, as many as are affordable."""
     tasks = []
     for world, number in SHORT_MEANS.items():
-        cases, truths = (second_world.WORLDS[world].read(0, part) for part in ("case", "truth"))
+        cases, truths = (judged.WORLDS[world].read(0, part) for part in ("case", "truth"))
         kinds: dict[str, int] = {}
         for i, truth in enumerate(truths):
             kinds.setdefault(str(truth["kind"] if world == 2 else truth["seed"][1]), i)

@@ -3,9 +3,8 @@
     python -m benchmarks.records   # print the counts
     python -m benchmarks.records write  # write the file
 
-Means over positions: the table "Both worlds together" and the tables of several effects of
-docs/discrepancy_study.md, whose rows are not stored (`benchmarks.studies.means.second_world both`,
-`benchmarks.studies.means.several_effects table`). Measured rooms: the judging cases of
+Means over positions: the stored rows of `benchmarks.studies.means.judged` and of
+`benchmarks.studies.means.several_effects`. Measured rooms: the judging cases of
 `benchmarks.studies.means.real_rooms`. Positions: the stored rows of
 `benchmarks.studies.pairs.where`. Every judged room of a statement counts once.
 """
@@ -13,15 +12,14 @@ docs/discrepancy_study.md, whose rows are not stored (`benchmarks.studies.means.
 from __future__ import annotations
 
 import json
-import re
 import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from benchmarks.studies.geometric_world import rooms
-from benchmarks.studies.means import real_rooms
-from benchmarks.studies.means.judging import FLAGS
+from benchmarks.studies.means import judged, real_rooms, several_effects
+from benchmarks.studies.means.judging import FLAGS, UNKNOWN
 from benchmarks.studies.means.real_cases import every_case
 from benchmarks.studies.pairs import where
 from benchmarks.studies.pairs.where_figures import (
@@ -36,7 +34,6 @@ from benchmarks.studies.pairs.where_figures import (
 from rtcal.finder import records
 
 ROOT = Path(__file__).parents[1]
-STUDY = ROOT / "docs" / "discrepancy_study.md"
 FILE = ROOT / "rtcal" / "finder" / records.FILE
 OF_STATEMENT = {
     records.IN_SITU: (where.IN_SITU, ("sixth", "seventh", "eighth", "ninth", "tenth")),
@@ -49,43 +46,30 @@ Counts = tuple[int, int]
 """A number of rooms or claims, and of how many it is."""
 
 
-def of_means(page: str) -> dict[str, Any]:
-    """Return the counts of means over positions, by kind of data, from the study's table."""
-
-    def row(label: str) -> tuple[Counts, Counts]:
-        """Return both columns of a row, the second number first."""
-        found = re.search(rf"^\| {label} \| (\d+); (\d+) \| (\d+); (\d+) \|$", page, re.MULTILINE)
-        if found is None:
-            raise LookupError(f'{STUDY} has no row "{label}"')
-        of, count, of_all, count_all = map(int, found.groups())
-        return (count, of), (count_all, of_all)
-
-    claims = {
-        "named": row("single names claimed; right"),
-        "family": row("families claimed; right"),
-        "ambiguous": row("sets of candidates; with the truth"),
-    }
-    missed, flagged = row("something hidden; missed"), row("nothing hidden; flagged")
-    return {
-        data: {
-            "detected": (missed[i][1] - missed[i][0], missed[i][1]),
-            "flagged": flagged[i],
-            "right": {claimed: counts[i] for claimed, counts in claims.items()},
-        }
-        for i, data in enumerate((records.TIMES, records.ALL))
-    }
-
-
-def of_several(page: str) -> dict[str, Counts]:
-    """Return claims that were right, and claims, of a search for several effects."""
+def of_means() -> dict[str, Any]:
+    """Return the counts of means over positions, by kind of data, in the rooms of both worlds."""
+    rows = judged.rows_of()
     out = {}
-    for kind, label in (("families", "families claimed"), ("sets of families", "sets claimed")):
-        pattern = rf"^\| {label} that were right, all 110 rooms \| \| (\S+) \[.*\] of (\d+) \|$"
-        found = re.search(pattern, page, re.MULTILINE)
-        if found is None:
-            raise LookupError(f'{STUDY} has no row "{label}"')
-        out[kind] = (round(float(found[1]) * int(found[2])), int(found[2]))
+    for data, words in zip(judged.DATA, (records.TIMES, records.ALL), strict=True):
+        rooms = judged.judged(rows, data, judged.BOTH)
+        hidden = [r for r in rooms if not r.nothing and UNKNOWN not in r.truths]
+        claimed = {v: [r for r in rooms if r.row["verdict"] == v] for v in FLAGS[:3]}
+        out[words] = {
+            "detected": counted(r.flagged for r in hidden),
+            "flagged": counted(r.flagged for r in rooms if r.nothing),
+            "right": {v: counted(r.truth_in_set for r in some) for v, some in claimed.items()},
+        }
     return out
+
+
+def of_several() -> dict[str, Counts]:
+    """Return claims that were right, and claims, of a search for several effects."""
+    rooms = several_effects.judged("all")
+    claims = [f.split(",")[0] in r.families for r in rooms for f in r.row["named_families"]]
+    return {
+        "families": counted(claims),
+        "sets of families": counted(r.both_claimed for r in rooms if r.row["named_set"]),
+    }
 
 
 def of_measured() -> dict[str, int]:
@@ -127,11 +111,10 @@ def of_positions(statement: str, data: str) -> dict[str, Any]:
 
 def counts() -> dict[str, Any]:
     """Return the contents of the file."""
-    page = STUDY.read_text(encoding="utf-8")
     words = dict(zip(DATA, (records.WITHOUT_LEVEL, records.WITH_LEVEL), strict=True))
     return {
-        "means": of_means(page),
-        "several": of_several(page),
+        "means": of_means(),
+        "several": of_several(),
         "measured": of_measured(),
         "positions": {
             statement: {words[data]: of_positions(statement, data) for data in DATA}

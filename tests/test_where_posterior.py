@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import sys
-from gzip import decompress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,13 +11,12 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import rtcal as rt
-from benchmarks.studies.pairs import where_ideal, where_temper
+from benchmarks.studies.pairs import where_ideal
 from rtcal.finder.effects import library
 from rtcal.finder.positions.problem import PositionsHypotheses, ScatteringLevels, shifts
 from rtcal.finder.positions.search import (
     LEAST_BY_MEANS,
     MEANS_POWER,
-    THRESHOLD,
     TOLD_TEMPER,
     weights,
     with_families,
@@ -74,29 +71,6 @@ def test_a_finding_names_the_family_that_means_know_of(
     assert flat.families.get("scale", 0.0) < scale.families["scale"]
     assert flat.score == pytest.approx(scale.score)
     assert sum(flat.probabilities.values()) == pytest.approx(1)
-
-
-@pytest.mark.parametrize("data", ["without", "level"])
-def test_no_other_temper_scores_better_in_the_rooms_that_chose_it(data: str) -> None:
-    lines = decompress(where_temper.STORED.read_bytes()).splitlines()
-    rows = [row for row in map(json.loads, lines) if row["data"] == data]
-    rows = [row for row in rows if row["score"] > THRESHOLD]
-    by_temper = {
-        temper: sum(where_temper.scores(rows, temper, MEANS_POWER))
-        for temper in where_temper.TEMPERS
-    }
-    assert by_temper[TOLD_TEMPER] > max(by_temper.values()) - 0.03  # nats per room
-    assert by_temper[TOLD_TEMPER] > max(by_temper[1.25], by_temper[3.0])
-
-
-def test_the_stored_rows_are_pooled_as_a_finding_is() -> None:
-    row = {
-        "means": {"field": 0.25, "none": 0.01},
-        "positions": {"3.0": [["field", 1, 0.2], ["scale", -1, 0.6], ["none", -1, 0.2]]},
-    }
-    pooled = where_temper.pooled(row, 3.0, MEANS_POWER)
-    weight = np.array([0.2 * 0.5, 0.6 * LEAST_BY_MEANS**0.5, 0.2 * 0.1])
-    assert list(pooled.values()) == pytest.approx(weight / weight.sum())
 
 
 def test_the_means_of_a_drawn_room_have_the_density_of_means(

@@ -18,7 +18,8 @@ from benchmarks.studies.geometric_world import load as geometric_rooms
 from benchmarks.studies.geometric_world import rooms as drawn_geometric
 from benchmarks.studies.hidden_world import generate as hidden
 from benchmarks.studies.hidden_world import populations, shipped, tracer
-from benchmarks.studies.means import hidden_effects
+from benchmarks.studies.means import judged
+from benchmarks.studies.means.judging import FLAGS
 from benchmarks.studies.position_rooms import generate as positions
 from benchmarks.studies.position_rooms import load as position_rooms
 from benchmarks.studies.position_rooms import parameters, rooms, shapes
@@ -32,7 +33,7 @@ from rtcal.simulators import PathTracing
 from tests.imports import imported_by
 
 FOLDER = Path(studies.__file__).parent
-SAMPLE = hidden_effects.sample_rows()
+JUDGED = judged.rows_of()
 C, SIDE, WIDTH = 343.2, 6.0, 0.002
 SOURCE = np.array([1.5, 2.0, 1.2])
 RECEIVERS = np.array([[4.0, 4.5, 1.5], [4.5, 1.5, 3.0], [1.5, 4.5, 4.2]])
@@ -229,21 +230,19 @@ def test_told_the_truth_of_a_geometric_room_the_package_simulates_the_same() -> 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("row", SAMPLE[:4], ids=lambda row: str(row["index"]))
+@pytest.mark.parametrize("row", JUDGED[:6], ids=lambda row: f"{row['world']}-{row['index']}")
 def test_stored_findings_are_found_again(row: dict[str, Any], tmp_path: Path) -> None:
-    """Rooms of the stored sample of the first hidden world, with T20, EDT and T30 and with all data."""
-    hidden_effects.load(1)
-    again = hidden_effects.sampled(row["index"], tmp_path)
-    for data in {"one", "all"} & set(row):
+    """Judged rooms, with T20, EDT and T30 and with all data."""
+    again = judged.judge(row["world"], row["population"], row["index"], tmp_path / "controls.npz")
+    for data in judged.DATA:
         was, now = row[data], again[data]
         assert (now["verdict"], now["candidates"]) == (was["verdict"], was["candidates"])
         # On another processor a path of a control room may part from its twin in the last digit.
         assert now["threshold"] == pytest.approx(was["threshold"], rel=0.02, abs=0.06)
-        for name, nats in was["evidence"].items():
-            if nats > -20:
-                assert now["evidence"][name] == pytest.approx(nats, rel=0.02, abs=0.1), name
+        assert now["score"] == pytest.approx(was["score"], rel=0.02, abs=0.1)
 
 
-def test_no_more_rooms_of_the_sample_are_flagged_than_asked() -> None:
-    rows = [row["one"]["verdict"] for row in SAMPLE if row["kind"] == 0]
-    assert sum(verdict in hidden_effects.FLAGS for verdict in rows) <= max(1, 0.05 * len(rows))
+@pytest.mark.parametrize("data", judged.DATA)
+def test_no_more_empty_rooms_are_flagged_than_asked(data: str) -> None:
+    empty = [r for r in judged.judged(JUDGED, data) if r.nothing]
+    assert sum(r.row["verdict"] in FLAGS for r in empty) <= 0.05 * len(empty)

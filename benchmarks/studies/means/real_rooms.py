@@ -3,8 +3,6 @@
     python -m benchmarks.studies.means.real_rooms list --more folder
     python -m benchmarks.studies.means.real_rooms run --more folder --out rows [--part judging]
     python -m benchmarks.studies.means.real_rooms table --out rows
-    # what any finder could name
-    python -m benchmarks.studies.means.real_rooms bound --more folder --out rows
 
 Without --out the stored rows are printed.
 
@@ -27,7 +25,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.studies.means import known_effect_test
 from benchmarks.studies.means.judging import (
     FLAGS,
     NOTHING,
@@ -37,8 +34,7 @@ from benchmarks.studies.means.judging import (
     rate,
     row_of,
 )
-from benchmarks.studies.means.real_cases import COEFFICIENTS, RealCase, case, every_case
-from rtcal.finder import AppliedEffect, Case
+from benchmarks.studies.means.real_cases import COEFFICIENTS, RealCase, every_case
 from rtcal.finder.search import find
 
 STORED = Path(__file__).parent / "real_rooms.json"
@@ -155,42 +151,9 @@ def table(rows: dict[str, dict[str, Any]], part: str) -> dict[str, int]:
     }
 
 
-def truth_of(each: RealCase, made: Case, row: dict[str, Any]) -> list[Case]:
-    """The case as its room was, per configuration: with the size that was found where none is known."""
-    rooms = each.true_rooms()
-    if rooms:
-        return [case(room, *made.configurations) for room in rooms]
-    (name,) = each.names
-    return [replace(made, applied=(AppliedEffect(name, row["parameters"]),))]
-
-
-def told_of(each: RealCase, more: Path, out: Path) -> None:
-    """Add to a case's row what a test sees that is told what was left out."""
-    path = out / f"{each.file}.json"
-    row = json.loads(path.read_text(encoding="utf-8"))
-    if "told" not in row:
-        made = each.make(more)
-        controls = kept_controls(made, out / "controls" / f"{each.file}.npz")
-        told = known_effect_test.told(
-            made, truth_of(each, made, row), controls, each.names | each.also
-        )
-        path.write_text(json.dumps({**row, "told": told.to_dict()}), encoding="utf-8")
-
-
-def bound(rows: dict[str, dict[str, Any]], part: str) -> None:
-    """Print what a test that is told what was left out could name, and what find named."""
-    hidden = [c for c in every_case() if c.part == part and "told" in rows.get(c.name, {})]
-    told = [known_effect_test.Told(**rows[c.name]["told"]) for c in hidden]
-    print(f"\n== {part}: {len(hidden)} cases with something left out ==")
-    said = [outcome(c, rows[c.name]) for c in hidden]
-    known_effect_test.show([c.name for c in hidden], told, said)
-    others = sum(c.part == part and c.control and c.name in rows for c in every_case())
-    known_effect_test.shares(told, said.count("right"), others)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("list", "run", "table", "store", "bound"))
+    parser.add_argument("what", choices=("list", "run", "table", "store"))
     parser.add_argument("--more", type=Path, default=Path("."), help="folder of further data")
     parser.add_argument("--out", type=Path, help="folder of the rows")
     parser.add_argument("--part", choices=("development", "judging"))
@@ -205,13 +168,7 @@ def main() -> None:
         STORED.write_text(json.dumps(rows_of(given.out), indent=0) + "\n", encoding="utf-8")
     else:
         for part in ("development", "judging") if given.part is None else (given.part,):
-            if given.what == "bound":
-                hidden = [c for c in every_case() if c.part == part and not c.control]
-                for each in hidden if given.out else ():
-                    told_of(each, given.more, given.out)
-                bound(rows_of(given.out), part)
-            else:
-                table(rows_of(given.out), part)
+            table(rows_of(given.out), part)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.studies.hidden_world.populations import KINDS, build
-from benchmarks.studies.means.hidden_effects import NAMES
+from benchmarks.studies.means.judged import NAMES
 from rtcal.finder import Case
 from rtcal.finder.search import find
 

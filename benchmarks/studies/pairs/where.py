@@ -1,17 +1,13 @@
 """The verdicts of `finder.positions` on rooms that hide something at a place that nobody stated.
 
-    python -m benchmarks.studies.pairs.where list
     # can be resumed
     python -m benchmarks.studies.pairs.where run --folder out --number 40 --statement "in situ"
     # at held-out pairs, the same rooms
     python -m benchmarks.studies.pairs.where gaps --folder out --number 40
     # means over positions, the same rooms
     python -m benchmarks.studies.pairs.where means --folder out --number 40
-    # what the present finder gives
     python -m benchmarks.studies.pairs.where table --statement "in situ"
-    python -m benchmarks.studies.pairs.where table --rooms fourth  # as judged by an earlier finder
     python -m benchmarks.studies.pairs.where store --folder out  # the run that the study shows
-    python -m benchmarks.studies.pairs.where speed --folder out  # first and second run of one room
 
 studies/geometric_world describes the rooms. Each is judged on T20, EDT, C80 and Ts ("without level"),
 and with G beside them ("level"). Control runs and weighings are kept in the folder's `controls`, so
@@ -30,7 +26,6 @@ import gzip
 import json
 import time
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +34,6 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
-from benchmarks.studies.geometric_world import rooms
 from benchmarks.studies.geometric_world.generate import HERE
 from benchmarks.studies.geometric_world.load import (
     HANDBOOK,
@@ -64,7 +58,7 @@ PATHS = 8000
 STATEMENTS = IN_SITU, HANDBOOK
 MATCH = ("t20", "edt", "c80", "ts", "level")
 PRESENT = "sixth"
-"""The largest set of rooms that one finder judged: of an earlier version."""
+"""The largest set of rooms that one finder judged."""
 
 
 def population_of(which: str) -> int:
@@ -267,10 +261,7 @@ def kept(statement: str, which: str = PRESENT) -> tuple[list[dict[str, Any]], li
     """Return the stored rows of some of the rooms (`ROOMS`), as `results` does."""
     rows = [r for r in read(stored_in(which)) if r["statement"] == statement]
     found = [r for r in chosen(rows, which) if r["finder"] == "where"]
-    # Means were not run a second time.
-    earlier = {"third": "second", "fifth": "fresh"}.get(which, "")
-    means = chosen(rows, which) + chosen(rows, earlier)
-    return found, [r for r in means if r["finder"] == "means"]
+    return found, [r for r in chosen(rows, which) if r["finder"] == "means"]
 
 
 def store(folder: Path, which: str) -> None:
@@ -291,33 +282,6 @@ def store(folder: Path, which: str) -> None:
     file.write_bytes(gzip.compress("\n".join(lines).encode(), mtime=0))
 
 
-def listed() -> None:
-    for population in rooms.COUNTS:
-        kinds = Counter(rooms.order(population))
-        print(f"population {population}: {sum(kinds.values())} rooms,", end=" ")
-        print(f"{len(stored(population, 'truth'))} built;", end=" ")
-        print(", ".join(f"{n} {kind}" for kind, n in kinds.items()))
-
-
-def speed(folder: Path, population: int) -> None:
-    """Print the seconds of the first and of the second run: 12 pairs, 8 bands, the most surfaces."""
-    every = {i: load(population, i) for i in stored(population, "truth")}
-    most = max(
-        (i for i, r in every.items() if r.room.n_bands == 8),
-        key=lambda i: len(case_of(every[i], "level").faces),
-    )
-    warm = min(every, key=lambda i: every[i].room.n_materials)
-    rt.find(case_of(every[warm], "level"))  # compiles
-    for which in ("first", "second"):
-        case = case_of(every[most], "level")
-        clock, processor = time.perf_counter(), time.process_time()
-        rt.find(case, cache=folder / "speed")
-        print(
-            f"{len(case.faces)} surfaces, 8 bands, {len(case.pairs)} pairs: {which} run "
-            f"{time.perf_counter() - clock:.1f} s, {time.process_time() - processor:.1f} s of processor"
-        )
-
-
 STEPS: dict[str, Callable[[Judging, int, str], dict[str, Any]]] = {
     "run": judged,
     "gaps": verified,
@@ -328,7 +292,7 @@ STEPS: dict[str, Callable[[Judging, int, str], dict[str, Any]]] = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("command", choices=("list", *STEPS, "table", "store", "speed"))
+    parser.add_argument("command", choices=(*STEPS, "table", "store"))
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--population", type=int, default=3)
     parser.add_argument("--statement", choices=STATEMENTS, default=HANDBOOK)
@@ -340,9 +304,7 @@ def main() -> None:
     parser.add_argument("--paths", type=int, default=PATHS, help="from each source")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
-    if given.command == "list":
-        listed()
-    elif given.command == "table":
+    if given.command == "table":
         if given.folder is None:
             print(f"rooms {ROOMS[given.rooms]}; coefficients: {given.statement}")
             table(*kept(given.statement, given.rooms), population_of(given.rooms))
@@ -353,8 +315,6 @@ def main() -> None:
         parser.error("--folder is needed")
     elif given.command == "store":
         store(given.folder, given.rooms)
-    elif given.command == "speed":
-        speed(given.folder, given.population)
     else:
         judging = Judging(given.population, given.statement, given.folder, given.paths)
         every = sorted(

@@ -21,22 +21,15 @@ MODELS = ("before", "plain", "corrected")
 LARGE = 0.10
 """The gap is judged where the effect changes T by more, on average over the bands."""
 ROOMS = {
-    "eleventh": "from 75 of population 3, where T changes by 0.2 and more: judged once, 4,000 paths, "
-    'by the rule that "unknown" is what no effect explains',
-    "tenth": "30 to 36 of population 4: the same with twice the paths in control runs",
-    "ninth": "24 to 29 of population 4: judged once, at the defaults, by the present rule",
-    "eighth": "15 to 23 of population 4: judged once, at the defaults, by the rule before it",
-    "seventh": "0 to 14 of population 4: judged once, at the defaults, by a still earlier rule",
-    "sixth": "of population 3: judged once, by a still earlier rule",
-    "fifth": "127 to 144 and from 154, where means detect something: the rule that they decide",
-    "fresh": "128 to 144 and from 154: means alone, for the same rule",
-    "fourth": "104 to 153: judged once, by the sum of the means and a quarter of the positions",
-    "third": "43 to 113: judged by the finder that asked the positions alone, 43 to 84 a second time",
-    "second": "43 to 84: judged by the finder before the error common to all pairs was smaller",
-    "first": "0 to 42: judged by the finder before it had apertures, parts and errors of a place",
+    "sixth": "0 to 70, 72 and 74 of population 3",
+    "eleventh": "from 75 of population 3, where T changes by 0.2 and more, with 4,000 paths",
+    "tenth": "30 to 36 of population 4, with twice the paths in control runs",
+    "ninth": "24 to 29 of population 4",
+    "eighth": "15 to 23 of population 4",
+    "seventh": "0 to 14 of population 4",
+    "first": "0 to 42 of population 1, with a handbook's coefficients",
 }
-"""Which rooms the stored rows are of, and which finder judged them. All but the first are of
-population 1."""
+"""The rooms that the stored rows are of. Each set was judged once, by the finder of its day."""
 
 
 OF_KIND = {

@@ -1,0 +1,250 @@
+"""The finder in rooms in which an effect is hidden: what it claims, and how often that is right.
+
+    python -m benchmarks.studies.means.judged run --folder out  # an hour of one core; can be resumed
+    python -m benchmarks.studies.means.judged store --folder out
+    python -m benchmarks.studies.means.judged table  # of the stored rows, or --folder out
+
+The rooms are those of three worlds that share no code with rtcal's finder (`hidden_world`,
+`second_world`, `third_world`), in one random order. A case is judged cut down to T20, EDT and T30 in
+one configuration ("one"), and as it is stated ("all": C80 and G as well, and every second room in two
+configurations). Where something can be added to the model, it is, and the error of the calibrated
+coefficients is kept: as stated, calibrated without it, and with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import json
+import warnings
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.studies.hidden_world import generate as first_world
+from benchmarks.studies.hidden_world.populations import TOGGLED
+from benchmarks.studies.means.judging import (
+    FLAGS,
+    NOTHING,
+    Judged,
+    first_of,
+    kept_controls,
+    one,
+    print_confusion,
+    print_rates,
+    rate,
+    row_of,
+)
+from benchmarks.studies.second_world import generate as second_world
+from benchmarks.studies.second_world.rooms import KINDS
+from benchmarks.studies.third_world import generate as third_world
+from rtcal.finder import Case, verify
+from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.search import find
+
+WORLDS = {1: first_world, 2: second_world, 3: third_world}
+POPULATIONS = ((1, 1), (1, 3), (2, 1), (3, 1), (3, 2), (3, 3), (3, 13))
+"""World and population of the rooms that judge."""
+BOTH = (1, 2)
+"""The worlds whose claims a finding states: the third has one kind of room for each effect."""
+STORED = Path(__file__).with_name("judged.jsonl.gz")
+DATA = {"one": "T20, EDT, T30; one configuration", "all": "the case as it is stated"}
+KEPT = (
+    "verdict", "effect", "family", "candidates", "score", "threshold", "excess", "probabilities",
+    "families", "size", "rmse", "verification",
+)  # fmt: skip
+"""What is stored of a finding."""
+NAMES = {
+    1: "air",
+    2: "opening",
+    3: "audience",
+    4: "furniture",
+    5: "porous",
+    6: "resonator",
+    7: "area",
+    8: "volume",
+    9: "formula",
+    10: "coupled room",
+    11: "non-diffuse field",
+    12: "noise floor",
+    13: "unknown",
+}
+"""Kinds of the first world as the finder names them."""
+PERSONS = "persons"
+"""What a hidden audience states that stands: it is `People` to the finder."""
+SAID_AS = {"nothing": NOTHING, "material": "coefficients"}
+"""How a finding names what the second and the third world hide by another name."""
+
+
+def name_of(hidden: dict[str, Any]) -> str:
+    """The finder's name of an effect that is hidden in the first world."""
+    return "people" if PERSONS in hidden else NAMES[hidden["kind"]]
+
+
+def truth_of(world: int, truth: dict[str, Any]) -> tuple[frozenset[str], str] | None:
+    """The right names and how the uncertainty is stated; None for what is not judged here.
+
+    Left out of the first world: rooms with two effects, and those made to look like others.
+    """
+    if world > 1:
+        name = SAID_AS.get(truth["kind"], truth["kind"])
+        return frozenset({"people" if PERSONS in truth else name}), truth["statement"]
+    kind = TOGGLED.get(truth["seed"][1], truth["seed"][1])
+    if kind == 0:
+        return frozenset({NOTHING}), ""
+    if kind not in NAMES:
+        return None
+    return frozenset({name_of(truth["effects"][0]) if truth["effects"] else NAMES[kind]}), ""
+
+
+def jobs() -> list[tuple[int, int, int]]:
+    """World, population and number of every room that judges, in one random order."""
+    every = [
+        (world, population, index)
+        for world, population in POPULATIONS
+        for index, truth in enumerate(WORLDS[world].read(population, "truth"))
+        if truth_of(world, truth) is not None
+    ]
+    return [every[i] for i in np.random.default_rng(60).permutation(len(every))]
+
+
+def rmse(alpha: Any, truth: dict[str, Any]) -> float:
+    """Area-weighted root mean square error of alpha."""
+    area = np.array(truth["areas"])[:, None]
+    off = np.asarray(alpha) - np.array(truth["alpha"])
+    return float(np.sqrt((area * off**2).sum() / area.sum() / off.shape[1]))
+
+
+def searched(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) -> dict[str, Any]:
+    """The finding as plain values; where an effect can be added, what verifying it gives."""
+    finding = find(case, controls=controls)
+    row = row_of(finding)
+    if finding.can_be_added:
+        seen = verify(finding)
+        row["verification"] = seen.verdict
+        if "alpha" in truth:
+            tables = (case.room.alpha, seen.plain.alpha, seen.corrected.alpha)
+            row["rmse"] = [rmse(alpha, truth) for alpha in tables]
+    return row
+
+
+def judge(world: int, population: int, index: int, controls: Path) -> dict[str, Any]:
+    """Search one room with both sets of data; its control rooms are kept in a file."""
+    case = Case.from_dict(WORLDS[world].read(population, "case")[index])
+    truth = WORLDS[world].read(population, "truth")[index]
+    made = kept_controls(case, controls)
+    return {
+        "world": world,
+        "population": population,
+        "index": index,
+        "one": searched(one(case), first_of(made), truth),
+        "all": searched(case, made, truth),
+    }
+
+
+def run(folder: Path) -> None:
+    """Search every room that is not there yet."""
+    warnings.simplefilter("ignore")
+    (folder / "rows").mkdir(parents=True, exist_ok=True)
+    every = jobs()
+    for n, job in enumerate(every, 1):
+        name = "_".join(map(str, job))
+        path = folder / "rows" / f"{name}.json"
+        if not path.exists():
+            row = judge(*job, folder / "controls" / f"{name}.npz")
+            path.write_text(json.dumps(row), encoding="utf-8")
+        print(f"\r{n}/{len(every)}", end="", flush=True)
+    print()
+
+
+def rows_of(folder: Path | None = None) -> list[dict[str, Any]]:
+    """The stored rows, or those of a run."""
+    if folder is None:
+        return [json.loads(line) for line in gzip.decompress(STORED.read_bytes()).splitlines()]
+    paths = sorted((folder / "rows").glob("*.json"))
+    return [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+
+
+def store(folder: Path) -> None:
+    """Store the rows of a run."""
+    lines = []
+    for row in rows_of(folder):
+        cut = {data: {k: row[data][k] for k in KEPT if k in row[data]} for data in DATA}
+        lines.append(json.dumps({**row, **cut}, separators=(",", ":")))
+    STORED.write_bytes(gzip.compress("\n".join(lines).encode(), mtime=0))
+
+
+def judged(
+    rows: Iterable[dict[str, Any]], data: str, worlds: Sequence[int] = tuple(WORLDS)
+) -> list[Judged]:
+    """The judged rooms of some worlds, with one set of data."""
+    truths = {key: WORLDS[key[0]].read(key[1], "truth") for key in POPULATIONS}
+    out = []
+    for row in rows:
+        world, population = row["world"], row["population"]
+        known = truth_of(world, truths[world, population][row["index"]])
+        if world in worlds and known is not None:
+            out.append(Judged(known[0], row[data], known[1]))
+    return out
+
+
+def table(rows: Sequence[dict[str, Any]]) -> None:
+    """Print rates and confusion by world, then of both worlds together."""
+    names = [*NAMES.values(), *(k for k in KINDS if k not in ("nothing", *NAMES.values()))]
+    names.insert(names.index("audience") + 1, "people")
+    for worlds in ((1,), (2,), (3,), BOTH):
+        for data, words in DATA.items():
+            rooms = judged(rows, data, worlds)
+            if not rooms:
+                continue
+            print(f"\n== world {' and '.join(map(str, worlds))}: {words}; {len(rooms)} rooms ==")
+            print_rates(rooms)
+            print_confusion(rooms, [NOTHING, *names])
+            print_errors(rooms)
+
+
+def print_errors(rooms: Sequence[Judged]) -> None:
+    """Print the error of alpha where an effect was added to the model, and what verifying gave."""
+    hidden = [r for r in rooms if not r.nothing and "rmse" in r.row]
+    if hidden:
+        stated, plain, corrected = np.array([r.row["rmse"] for r in hidden]).T
+        print(
+            f"alpha's RMSE, medians of {len(hidden)}: stated {np.median(stated):.4f}, calibrated "
+            f"{np.median(plain):.4f}, with the effect {np.median(corrected):.4f}; "
+            f"with / without {np.median(corrected / plain):.2f}"
+        )
+        print("  with the effect no worse than without", rate(corrected <= plain))
+    for verdict in ("supported", "unproven", "withdrawn", "not tested"):
+        of = [r for r in rooms if r.row.get("verification") == verdict]
+        if of:
+            print(
+                f"  {verdict}: {len(of)}; the truth in what is named in",
+                rate(r.truth_in_set for r in of),
+            )
+
+
+def most_probable(room: Judged) -> str:
+    """The most probable effect of a flagged room, "not detected" of another."""
+    if room.row["verdict"] not in FLAGS:
+        return "not detected"
+    effects = {k: v for k, v in room.row["probabilities"].items() if k != NOTHING}
+    return max(effects, key=effects.__getitem__)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("run", "store", "table"))
+    parser.add_argument("--folder", type=Path)
+    given = parser.parse_args()
+    if given.what == "run":
+        run(given.folder)
+    elif given.what == "store":
+        store(given.folder)
+    else:
+        table(rows_of(given.folder))
+
+
+if __name__ == "__main__":
+    main()
