@@ -60,7 +60,6 @@ LONG = {
         "report",
         "where",
         "design",
-        "discrepancy_study",
         "qp",
         *(
             f"api/{n}"

@@ -17,7 +17,7 @@ def test_page_shows_the_judged_rooms():
     seeds = [r["seed"] for r in rows]
     assert sorted(set(seeds)) == seeds
     assert set(seeds) <= set(range(5000, 5060))
-    page = (ROOT / "docs" / "modes_study.md").read_text()
+    page = (ROOT / "benchmarks" / "studies" / "room_modes" / "README.md").read_text()
     found = summary(rows)
     for name, value in found.items():
         assert f"| {name} | {value} |" in page

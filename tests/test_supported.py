@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.studies.means import supported
 
-PAGE = (Path(__file__).parents[1] / "docs" / "discrepancy_study.md").read_text(encoding="utf-8")
+PAGE = (Path(supported.__file__).with_name("README.md")).read_text(encoding="utf-8")
 
 
 def row_of(label: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Designs beside exhaustive search: the numbers of docs/prediction_study.md.
+"""Designs beside exhaustive search: the numbers of benchmarks/studies/predictions/README.md.
 
     python -m benchmarks.studies.predictions.designs exhaustive --rooms 40
     python -m benchmarks.studies.predictions.designs time

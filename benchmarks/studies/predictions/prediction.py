@@ -1,4 +1,4 @@
-"""The quality of predictions: the numbers of docs/prediction_study.md.
+"""The quality of predictions: the numbers of benchmarks/studies/predictions/README.md.
 
     python -m benchmarks.studies.predictions.prediction toggles  # real rooms in several states
     # drawn changes, by two tracers
