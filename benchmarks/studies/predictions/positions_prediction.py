@@ -5,7 +5,7 @@
     # what is stored
     python -m benchmarks.studies.predictions.positions_prediction told --rows third.jsonl
 
-The rule stands in benchmarks/studies/predictions/README.md and was written first. The hidden tracer is that of
+The rule stands in this folder's README.md and was written first. The hidden tracer is that of
 `studies.position_rooms`, which shares no code with rtcal: all states of a room weigh the same rays.
 """
 

@@ -3,7 +3,7 @@
     python -m benchmarks.studies.states.two_states [real] [surfaces] [worlds] [controls] [hidden]
         [climates] [time]
 
-benchmarks/studies/states/README.md has its output. The data are read from the shared folder beside the checkout.
+This folder's README.md has its output. The data are read from the shared folder beside the checkout.
 """
 
 from __future__ import annotations

@@ -1,0 +1,84 @@
+"""What commands print, as the pages show it: `python -m benchmarks.shown docs/design.md ...` stores it.
+
+A block of ```text below a block of ```console is what the last of its commands prints. The commands of
+a page run one after the other in an empty folder. A line "[...]" stands for lines that are not shown.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+LEFT_OUT = "[...]"
+_BLOCKS = re.compile(r"^```console\n(.*?)^```\n(?:\n```text\n(.*?)^```\n)?", re.M | re.S)
+
+
+def printed(commands: str, folder: Path) -> tuple[str, Path]:
+    """Run the commands of a block; return what the last prints, and the folder where they end."""
+    text = ""
+    for line in commands.splitlines():
+        prompt, _, command = line.partition("$ ")
+        words = shlex.split(command)
+        if prompt or not words:
+            raise ValueError(f"{line!r} is no command: begin it with '$ '")
+        if words[0] == "cd":
+            folder = folder / words[1]
+            continue
+        if words[0] != "rtcal":
+            raise ValueError(f"{line!r}: only rtcal and cd can be run")
+        files = [str(p) for w in words[1:] for p in (sorted(folder.glob(w)) if "*" in w else [])]
+        arguments = [w for w in words[1:] if "*" not in w]
+        run = subprocess.run(
+            [sys.executable, "-m", "rtcal", *arguments[:1], *files, *arguments[1:]],
+            cwd=folder,
+            env={**os.environ, "COLUMNS": "100"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if run.returncode not in (0, 3):  # 3: printed, with a caution
+            raise RuntimeError(f"{line!r} ended with {run.returncode}: {run.stderr}")
+        text = run.stdout
+    return "".join(f"{line.rstrip()}\n" for line in text.splitlines()), folder
+
+
+def outputs(page: Path) -> Iterator[tuple[str, str, str]]:
+    """Yield the commands of each block that shows what they print, that text, and what is shown."""
+    blocks = _BLOCKS.findall(page.read_text(encoding="utf-8"))
+    last = max((i for i, (_, shown) in enumerate(blocks) if shown), default=-1)
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        for commands, shown in blocks[: last + 1]:
+            text, folder = printed(commands, folder)
+            if shown:
+                yield commands, text, shown
+
+
+def agrees(text: str, shown: str) -> bool:
+    """Whether the shown lines are those printed, but for what a line "[...]" leaves out."""
+    parts = [re.escape(part) for part in re.split(rf"(?m)^{re.escape(LEFT_OUT)}\n", shown)]
+    return re.fullmatch("(?:.*\n)*".join(parts), text) is not None
+
+
+def store(page: Path) -> None:
+    """Put what the commands print into a page; blocks that leave lines out are not changed."""
+    content = page.read_text(encoding="utf-8")
+    for commands, text, shown in outputs(page):
+        if LEFT_OUT not in shown:
+            block = f"```console\n{commands}```\n\n```text\n"
+            content = content.replace(f"{block}{shown}```\n", f"{block}{text}```\n")
+        elif not agrees(text, shown):
+            print(f"{page}: {commands!r} prints\n{text}")
+    page.write_text(content, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:]:
+        store(Path(name))

@@ -1,0 +1,30 @@
+"""The pages show what their commands print."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks import shown
+
+PAGES = [p for p in sorted((shown.ROOT / "docs").glob("*.md")) if "```text" in p.read_text("utf-8")]
+
+pytestmark = pytest.mark.skipif(
+    not (shown.ROOT / "README.md").exists(), reason="needs the source tree"
+)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_a_page_shows_what_its_commands_print(page: Path) -> None:
+    for commands, text, on_page in shown.outputs(page):
+        assert shown.agrees(text, on_page), f"{commands}prints\n{text}"
+
+
+def test_lines_may_be_left_out_and_none_may_be_added() -> None:
+    text = "a\nb\nc\nd\n"
+    assert shown.agrees(text, "a\n[...]\nd\n")
+    assert shown.agrees(text, text)
+    assert not shown.agrees(text, "a\nb\nd\n")
+    assert not shown.agrees(text, "a\n[...]\ne\n")
