@@ -3,6 +3,7 @@
     python -m benchmarks.studies.means.judged run --folder out  # an hour of one core; can be resumed
     python -m benchmarks.studies.means.judged store --folder out
     python -m benchmarks.studies.means.judged table  # of the stored rows, or --folder out
+    python -m benchmarks.studies.means.judged report  # the table of README.md
 
 The rooms are those of three worlds that share no code with rtcal's finder (`hidden_world`,
 `second_world`, `third_world`), in one random order. A case is judged cut down to T20, EDT and T30 in
@@ -17,7 +18,7 @@ import argparse
 import gzip
 import json
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,10 @@ from benchmarks.studies.hidden_world.populations import TOGGLED
 from benchmarks.studies.means.judging import (
     FLAGS,
     NOTHING,
+    UNKNOWN,
     Judged,
     first_of,
+    interval,
     kept_controls,
     one,
     print_confusion,
@@ -124,7 +127,7 @@ def searched(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) ->
     if finding.can_be_added:
         seen = verify(finding)
         row["verification"] = seen.verdict
-        if "alpha" in truth:
+        if {"alpha", "areas"} <= truth.keys():
             tables = (case.room.alpha, seen.plain.alpha, seen.corrected.alpha)
             row["rmse"] = [rmse(alpha, truth) for alpha in tables]
     return row
@@ -225,6 +228,52 @@ def print_errors(rooms: Sequence[Judged]) -> None:
             )
 
 
+def report(rows: Sequence[dict[str, Any]]) -> str:
+    """Return the table of README.md, in Markdown."""
+    columns = [judged(rows, data, worlds) for worlds in ((1,), (2,), (3,)) for data in DATA]
+    lines = [
+        "| | first world, T20 EDT T30 | all data | second, T20 EDT T30 | all data | third, T20 EDT T30 | all data |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for label, hits in LINES.items():
+        cells = [in_words([bool(h) for h in hits(rooms)]) for rooms in columns]
+        lines.append("| " + " | ".join([label, *cells]) + " |")
+    return "\n".join(lines)
+
+
+def hidden_in(rooms: Iterable[Judged]) -> list[Judged]:
+    """The rooms in which something of the library is hidden."""
+    return [r for r in rooms if not r.nothing and UNKNOWN not in r.truths]
+
+
+LINES: dict[str, Callable[[list[Judged]], Iterable[bool]]] = {
+    "nothing hidden, flagged": lambda rooms: (r.flagged for r in rooms if r.nothing),
+    "hidden, detected": lambda rooms: (r.flagged for r in hidden_in(rooms)),
+    "a single name claimed: right": lambda rooms: (r.truth_in_set for r in rooms if r.single),
+    "a family claimed: right": lambda rooms: (
+        r.truth_in_set for r in rooms if r.row["verdict"] == "family"
+    ),
+    "candidates only: the truth among them": lambda rooms: (
+        r.truth_in_set for r in rooms if r.row["verdict"] == "ambiguous"
+    ),
+    "in no library: a name or family claimed": lambda rooms: (
+        r.row["verdict"] in FLAGS[:2] for r in rooms if UNKNOWN in r.truths
+    ),
+    "alpha with the effect no worse than without": lambda rooms: (
+        r.row["rmse"][2] <= r.row["rmse"][1] for r in hidden_in(rooms) if "rmse" in r.row
+    ),
+}
+"""The lines of `report`: of each judged room that counts, whether it does."""
+
+
+def in_words(hits: Sequence[bool]) -> str:
+    """A share as README.md has it: "3 of 40 [0.02, 0.20]"."""
+    if not hits:
+        return "-"
+    low, high = interval(sum(hits), len(hits))
+    return f"{sum(hits)} of {len(hits)} [{low:.2f}, {high:.2f}]"
+
+
 def most_probable(room: Judged) -> str:
     """The most probable effect of a flagged room, "not detected" of another."""
     if room.row["verdict"] not in FLAGS:
@@ -235,13 +284,15 @@ def most_probable(room: Judged) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("run", "store", "table"))
+    parser.add_argument("what", choices=("run", "store", "table", "report"))
     parser.add_argument("--folder", type=Path)
     given = parser.parse_args()
     if given.what == "run":
         run(given.folder)
     elif given.what == "store":
         store(given.folder)
+    elif given.what == "report":
+        print(report(rows_of(given.folder)))
     else:
         table(rows_of(given.folder))
 
