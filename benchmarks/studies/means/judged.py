@@ -232,7 +232,7 @@ def report(rows: Sequence[dict[str, Any]]) -> str:
     """Return the table of README.md, in Markdown."""
     columns = [judged(rows, data, worlds) for worlds in ((1,), (2,), (3,)) for data in DATA]
     lines = [
-        "| | first world, T20 EDT T30 | all data | second, T20 EDT T30 | all data | third, T20 EDT T30 | all data |",
+        "| | first world: times | all data | second: times | all data | third: times | all data |",
         "|---|---|---|---|---|---|---|",
     ]
     for label, hits in LINES.items():

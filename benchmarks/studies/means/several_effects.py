@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rtcal.finder.means.sets import MOST
+from rtcal.finder.means.problem import MOST
 
 from benchmarks.studies.hidden_world.populations import COUNTS, DOUBLE, build
 from benchmarks.studies.means.judged import DATA, name_of, rmse
