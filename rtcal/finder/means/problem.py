@@ -71,7 +71,6 @@ from rtcal.finder.effects import (
     AppliedEffect,
     Effect,
     Parameters,
-    WrongVolume,
     added,
     beyond,
     changed_states,
@@ -220,6 +219,9 @@ class MeansHypotheses(PredictedFeatures):
     names : tuple of str (n,)
         The effects; the first hypothesis is "none".
     parameters : tuple of mappings (n,)
+    possible : bool array (n,)
+        Whether T, C80 and G are finite. A room whose sound ends within 80 ms has no C80, and the data
+        exclude it: its weight is 0, and its predictions are those of "none".
     spectrum_errors : array (n, n_bands, n_errors)
         Relative errors of the effect's change over bands, one standard deviation each.
     formula_errors : array (n,)
@@ -232,6 +234,7 @@ class MeansHypotheses(PredictedFeatures):
 
     names: tuple[str, ...]
     parameters: tuple[Parameters, ...]
+    possible: NDArray[np.bool_]
     spectrum_errors: Array
     formula_errors: Array
     applied: Array
@@ -253,7 +256,7 @@ class MeansHypotheses(PredictedFeatures):
         base = state(self.case, self.case.configurations[0])
         weights = [grid_weights(e, self.grid(name), base) for name, e in self.effects.items()]
         with np.errstate(divide="ignore"):
-            return np.asarray(np.log(np.concatenate([np.ones(1), *weights])))
+            return np.asarray(np.log(self.possible * np.concatenate([np.ones(1), *weights])))
 
 
 def predict_hypotheses(
@@ -266,11 +269,11 @@ def predict_hypotheses(
     Raises
     ------
     DataError
-        If an effect breaks a rule, or T, C80 or G of a hypothesis is not finite.
+        If an effect breaks a rule, or T, C80 or G of no set of its parameters is finite.
     """
     base = [state(case, c) for c in case.configurations]
     if grids is None:
-        grids = [_grid(effect, base, case) for effect in effects]
+        grids = [checked_grid(effect, base[0], case.room) for effect in effects]
     check_size(case, 1 + sum(map(len, grids)))
     names, states = [NONE], [[b] for b in base]
     parameters: list[Parameters] = [{}]
@@ -286,36 +289,28 @@ def predict_hypotheses(
             column += [unchanged] * len(grid) if absent else changed_states(effect, unchanged, grid)
     predicted = predict_states(case, states)
     finite = np.isfinite(predicted.features) & np.isfinite(predicted.slopes)
-    if not finite.all():
-        i = int(np.argmin(finite.all((1, 2, 3))))
-        culprit = "the case's model" if i == 0 else f'effect "{names[i]}" with {parameters[i]}'
-        raise DataError(
-            f"{culprit} has no finite T, C80 and G in a room of {case.room.volume:g} m³ with "
-            f"{case.room.total_area:g} m² of walls"
-        )
+    possible = finite.all((1, 2, 3))
+    if not possible.all():
+        alive = {name for name, of in zip(names, possible, strict=True) if of}
+        lost = next((i for i, name in enumerate(names) if name not in alive), None)
+        if lost is not None:
+            culprit = "the case's model" if lost == 0 else f'effect "{names[lost]}"'
+            raise DataError(
+                f"{culprit} has no finite T, C80 and G with {parameters[lost] or 'what is stated'} in "
+                f"a room of {case.room.volume:g} m³ with {case.room.total_area:g} m² of walls"
+            )
+        for array in (predicted.features, predicted.slopes, predicted.jacobian, predicted.climate):
+            array[~possible] = array[0]
     return MeansHypotheses(
         **vars(predicted),
         names=tuple(names),
         parameters=tuple(parameters),
+        possible=possible,
         spectrum_errors=np.concatenate(errors),
         formula_errors=np.array(alone),
         applied=_applied(case),
         effects={e.name: e for e in effects},
     )
-
-
-def _grid(effect: Effect, states: Sequence[RoomState], case: Case) -> Sequence[Parameters]:
-    """Return the effect's grid in the first configuration, without volumes too small for a further one.
-
-    What is added there may leave a room that is much smaller no sound after 80 ms.
-    """
-    grid = checked_grid(effect, states[0], case.room)
-    if not isinstance(effect, WrongVolume):
-        return grid
-    for other in states[1:]:
-        possible = checked_grid(effect, other, case.room)
-        grid = [theta for theta in grid if theta in possible]
-    return grid
 
 
 def check_size(case: Case, n_hypotheses: int) -> None:
@@ -1038,13 +1033,20 @@ def evaluate_leading(
     y = np.atleast_2d(problem.observed.values if values is None else values)
     alpha, other = problem.covariance_of(0)
     unknown = unknown_evidence(problem.residual(0, y), alpha + other, problem.observed.used, ends)
-    parts = [*problem.log_likelihood(y, ends, off=prior_off > 0), unknown]
+    likelihoods = problem.log_likelihood(y, ends, off=prior_off > 0)
+    for likelihood in likelihoods:
+        likelihood[:, ~problem.predicted.possible] = _IMPOSSIBLE
+    parts = [*likelihoods, unknown]
     if values is None:
         parts = [part[..., 0] for part in parts]
     return [
         MeansEvidence(problem, stated, off, unknown, prior_off)
         for stated, off, unknown in zip(*parts, strict=True)
     ]
+
+
+_IMPOSSIBLE = -1e4
+"""Log likelihood in nats of a hypothesis that the data exclude. It is finite: sizes have a density."""
 
 
 def evaluate_beyond(
