@@ -10,6 +10,7 @@ with one of every kind in turn, none of which is stored. Both kinds are searched
 from __future__ import annotations
 
 import argparse
+import contextlib
 import gzip
 import json
 import time
@@ -37,6 +38,7 @@ from rtcal.finder import Case, recalibrate
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.recalibration import plain
 from rtcal.finder.search import find
+from rtcal.support.errors import DataError
 
 POPULATION = 1
 STORED = Path(__file__).with_name("several_effects.jsonl.gz")
@@ -90,7 +92,9 @@ def searched(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) ->
     if len(truth["effects"]) == 2:
         simple = rmse(plain(case).alpha, truth)
         added = simple
-        if found.can_be_added:
+        with contextlib.suppress(
+            DataError
+        ):  # nothing found, or nothing probable enough to be added
             added = rmse(recalibrate(found.apply(), found.discrepancy).alpha, truth)
         row["rmse"] = [rmse(case.room.alpha, truth), simple, added, rmse(found.alpha, truth)]
     return row

@@ -289,7 +289,7 @@ def predict_hypotheses(
             column += [unchanged] * len(grid) if absent else changed_states(effect, unchanged, grid)
     predicted = predict_states(case, states)
     finite = np.isfinite(predicted.features) & np.isfinite(predicted.slopes)
-    possible = finite.all((1, 2, 3))
+    possible = np.asarray(finite.all((1, 2, 3)))
     if not possible.all():
         alive = {name for name, of in zip(names, possible, strict=True) if of}
         lost = next((i for i, name in enumerate(names) if name not in alive), None)
