@@ -31,7 +31,7 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Assumptions:
-    """Standard deviations of what a prediction cannot know; docs/prediction_study.md tests them.
+    """Standard deviations of what a prediction cannot know; benchmarks/studies/predictions tests them.
 
     Parameters
     ----------

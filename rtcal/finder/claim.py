@@ -173,7 +173,7 @@ def claimed(
 FAIR = 1 / 3
 """A fair part of the probability. Where nothing missing has it, as before the measurement
 (`rtcal.finder.prior.NO_EFFECT`), or no effect and no family does, the data do not say enough to call
-something missing. `python -m benchmarks.studies.means.chain weak` shows what it costs and saves."""
+something missing. Chosen on development rooms."""
 
 
 def too_weak(probabilities: Mapping[str, float], families: Mapping[str, float]) -> str:

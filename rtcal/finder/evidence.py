@@ -63,8 +63,8 @@ COARSENING = 50.0
 
 No model is exact, and the covariance of its errors is estimated from few control rooms, so n features
 say less than n independent ones would. A density of the data being near the model's, instead of equal
-to them, has this power (Miller & Dunson 2019, the coarsened posterior). Chosen by
-`python -m benchmarks.studies.means.calibrated likelihood` on development rooms of both worlds."""
+to them, has this power (Miller & Dunson 2019, the coarsened posterior). Chosen on
+development rooms of both worlds."""
 
 
 def student(square: Array, half: Array | float, n: int, *, coarsened: bool = True) -> Array:

@@ -68,8 +68,8 @@ _LEAST = 1e-3
 """Probability below which nothing is added to a surface, even where the user names it."""
 BY_SEED = 0.5
 """Standard deviation in nats of the score at positions by random numbers, in a development room in
-which something is detected (`python -m benchmarks.studies.pairs.where_seeds --rooms 0.7 --seeds
-0,1,2,3`)."""
+which something is detected (room 0.7 of
+benchmarks/studies/geometric_world, four seeds)."""
 
 Kind = Literal["means", "positions", "states"]
 

@@ -36,15 +36,14 @@ UNKNOWN_ODDS = 1.0
 OFF_TOGETHER = 0.2
 """Prior probability that coefficients of handbook uncertainty are off together. Catalogues agree to
 some 30 % for a material, and a room's absorption area after them is off by 23 to 34 % in three
-measured rooms (docs/discrepancy_study.md): more than independent errors of so many materials."""
+measured rooms (benchmarks/studies/means): more than independent errors of so many materials."""
 EXPECTED = 0.7
 """Expected number of effects that a model lacks, where several are sought at once."""
 SHARPER = 0.4
 """How much the power of the probabilities grows towards a sigma of 0: it is 1 at a handbook's sigma,
 and 1.4 at 0. Where coefficients were measured, the most probable answer is right more often than
 evidence times prior says: rooms err less than the evidence assumes, and the library has effects
-that they do not have. Chosen on development rooms (`python -m benchmarks.studies.means.calibrated
-probabilities`), as the temperature of a classifier is (Guo, Pleiss, Sun & Weinberger 2017)."""
+that they do not have. Chosen on development rooms, as the temperature of a classifier is (Guo, Pleiss, Sun & Weinberger 2017)."""
 
 
 @dataclass(frozen=True)
@@ -186,8 +185,7 @@ NULL_POWER = 4.0
 """The power with which errors in common fall in the rooms that set the threshold; in the evidence it is
 `room_errors.POWER`. The evidence allows for more than is likely, so that a common error is not taken
 for an effect. The threshold is right only if its rooms err as real ones do.
-`python -m benchmarks.studies.means.second_world null` shows it on development rooms of both worlds
-(docs/discrepancy_study.md)."""
+Chosen on development rooms of both worlds."""
 SCALES = ((2.0, 0.6), (4.0, 0.4))
 """Where coefficients are off together: factors on these standard deviations, with probabilities."""
 

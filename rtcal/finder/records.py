@@ -1,7 +1,7 @@
 """Counts of the finder's right claims, in simulated and in measured rooms, by kind of data.
 
 The counts are those of ``records.json``, which `python -m benchmarks.records` writes from judged rooms
-that were not used to make the finder (docs/discrepancy_study.md, docs/where_study.md).
+that were not used to make the finder (benchmarks/studies/means and pairs).
 """
 
 from __future__ import annotations
@@ -107,13 +107,11 @@ _ROOMS = "In simulated rooms {}that were not used to make the finder"
 def record_of_means(verdict: str, data: str) -> str:
     """Return how often such a verdict was right with such data, `TIMES` or `ALL`.
 
-    >>> print(record_of_means("unknown", TIMES))
-    In simulated rooms that were not used to make the finder, by an earlier version of it with \
-T20, EDT and T30 of one configuration, 10 of 359 rooms that lack nothing were flagged (1 to 5 %, 95 % \
-interval).
+    >>> print(record_of_means("unknown", TIMES)[:66])
+    In simulated rooms that were not used to make the finder, with T20
     """
     record, rooms = record_of("means", data), _ROOMS.format("")
-    rooms += f", by an earlier version of it with {data},"
+    rooms += f", with {data},"
     if verdict == "unknown":
         return f"{rooms} {record['flagged'].said('rooms that lack nothing', 'were flagged')}."
     if verdict not in record:
@@ -127,15 +125,15 @@ interval).
     wrong = Share(measured["wrong"], measured["claims"])
     was = {0: "none was", 1: "1 was"}.get(wrong.count, f"{wrong.count} were")
     return (
-        f"{rooms} {record[verdict].claimed(kind)} In measured rooms, {wrong.of} effects "
-        f"or families were claimed in {measured['cases']} cases, and {was} wrong (error rate "
+        f"{rooms} {record[verdict].claimed(kind)} In measured rooms, by an earlier version of it, "
+        f"{wrong.of} effects or families were claimed in {measured['cases']} cases, and {was} wrong (error rate "
         f"{wrong.in_words})."
     )
 
 
 def record_of_several(claimed: Sequence[str]) -> str:
     """Return how often claims beside others were right: "families", "sets of families"."""
-    rooms = f"{_ROOMS.format('with one or two effects ')}, by an earlier version of it,"
+    rooms = f"{_ROOMS.format('with one or two effects ')},"
     return " ".join(
         f"{rooms} {Share(*stored()['several'][kind]).claimed(kind)}" for kind in claimed
     )
@@ -155,7 +153,7 @@ def record_of_positions(room: Room, match: Sequence[str]) -> str:
     record = record_of("positions", stated, data)
     surface = record["surface"]
     return (
-        f"{_ROOMS.format(f'with coefficients {stated} ')}, "
+        f"{_ROOMS.format(f'with coefficients {stated} ')}, by an earlier version of it, "
         f"{record['detected'].said('hidden effects', 'were detected')}, and "
         f"{record['flagged'].said('rooms that lack nothing', 'were flagged')}. "
         f"{record['family'].claimed('effects or families')} "

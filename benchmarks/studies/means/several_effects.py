@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rtcal.finder.means.problem import MOST
 
 from benchmarks.studies.hidden_world.populations import COUNTS, DOUBLE, build
 from benchmarks.studies.means.judged import DATA, name_of, rmse
@@ -36,6 +35,7 @@ from benchmarks.studies.means.judging import (
 )
 from rtcal.finder import Case, recalibrate
 from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.problem import MOST
 from rtcal.finder.means.recalibration import plain
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError

@@ -225,7 +225,7 @@ TWO = 0.98
 """Probability of two or more effects from which more than one family is claimed. An absorber hides the
 wall behind it and makes the field less even, and a formula knows neither. So one effect of the room
 leaves what a second one explains. Chosen on development rooms of the first hidden
-world (docs/discrepancy_study.md)."""
+world (benchmarks/studies/means)."""
 _LARGER = SCALES[0][0]
 
 

@@ -6,8 +6,8 @@ its names.
 Sources of which nothing is stated are omnidirectional, or loudspeakers that are aimed. A lobe moves the
 level and the early parameters, and T hardly at all. So does much that a room may lack: taken as
 omnidirectional, twelve aimed loudspeakers in a laboratory with nothing hidden passed for a second room
-(docs/where_study.md). So what is detected with omnidirectional sources is compared with the same where
-the sources have some lobe. It is an error of what is simulated: its index is of the order of
+(benchmarks/studies/pairs). So what is detected with omnidirectional sources is compared with the same
+where the sources have some lobe. It is an error of what is simulated: its index is of the order of
 `LOBE_INDEX` and varies from band to band, its aim is any, and all sources may aim at the receivers
 together. The evidence is the mean of both. Where lobes are certain, the directivities are unknown.
 

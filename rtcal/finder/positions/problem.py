@@ -7,8 +7,8 @@ a surface is traced, not calculated.
 A hypothesis spreads an absorber over its surface. In truth it hangs somewhere: receivers near it
 lose more than others, and T changes by more or less. Neither is known before the place is, so it is
 an error of the hypothesis, in proportion to its change of the absorption. The shares come from
-patches on walls of development boxes, which are weighed on the same paths (`python -m
-benchmarks.studies.pairs.where_patches`). They are over sqrt(1 / s - 1), s being the part of the
+patches on walls of development boxes, which are weighed on the same paths
+(benchmarks/studies/pairs). They are over sqrt(1 / s - 1), s being the part of the
 surface that is covered.
 
 How much the whole room scatters is not known, nor how far each material departs from that, nor how

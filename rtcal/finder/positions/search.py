@@ -92,20 +92,20 @@ from rtcal.support.speed import Progress, TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
 
 TEMPER = 1.25
-"""Divisor of log evidences: the mean square of a hypothesis' standardised projection in control rooms
-(`python -m benchmarks.studies.pairs.where_threshold`). It would be 1 if few control runs told their
+"""Divisor of log evidences: the mean square of a hypothesis' standardised projection in control rooms of
+development rooms. It would be 1 if few control runs told their
 covariance without error."""
 
 
 TOLD_TEMPER = 2.0
 """Divisor of log evidences where effects and surfaces are told apart. Their probabilities are then as
-often right as they say (`python -m benchmarks.studies.pairs.where_temper`). The shifts of two
+often right as they say in 79 rooms that had been read. The shifts of two
 surfaces differ by less than the simulator errs by, in ways that control runs do not show."""
 
 
 MEANS_POWER = 0.5
 """Power of the families' probabilities by means over positions, which are multiplied into those of the
-positions (`python -m benchmarks.studies.pairs.where_temper`). Both see the same T, so neither
+positions, chosen in the same rooms. Both see the same T, so neither
 counts in full."""
 
 
@@ -199,7 +199,7 @@ def with_families(
 
 THRESHOLD = 2.5
 """Of the evidence of the positions, in nats. In situ 1 of 23 rooms for development with nothing hidden
-exceeds it without level, and 1 with it (`python -m benchmarks.studies.pairs.where_decides`)."""
+exceeds it without level, and 1 with it."""
 
 
 OF_PROGRAMS = 13.0
@@ -395,14 +395,14 @@ _ANYWHERE = (
     "one was detected, its aperture was on another surface than the most probable one. A room that "
     "scatters less than assumed has such decays, too: compare with a lower --scattering."
 )
-"""Why the surface of an aperture is not claimed (docs/where_study.md). A box with scattering of 0.05,
-assumed to have 0.3, had been named a coupled room."""
+"""Why the surface of an aperture is not claimed (benchmarks/studies/pairs). A box with
+scattering of 0.05, assumed to have 0.3, had been named a coupled room."""
 
 
 MORE_PATHS = 3
 """Factor of the number of paths of the control runs. Over 16 pairs of seeds the score of four empty
 development rooms had a standard deviation of at most 0.2 nats, and that of a room with an absorber one
-of 0.47. With 6 it had 0.32; the shipped room then takes 1.4 times as long (docs/where_study.md)."""
+of 0.47. With 6 it had 0.32; the shipped room then takes 1.4 times as long."""
 
 
 @single_threaded_blas()

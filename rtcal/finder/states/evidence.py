@@ -310,7 +310,7 @@ _MOST_COVERED = 30.0
 
 PAIR, COMMON = 0.15, 0.1
 """Error of a pair's shift, and of all pairs' in a band, over the predicted shift; this and what follows
-was chosen on the development part, `docs/two_states_study.md`."""
+was chosen on the development part, `benchmarks/studies/states`."""
 REMEASURED = 0.01
 """Standard deviation of ln T by which a band differs if nothing changed: climate, equipment."""
 DEGREES, OF_MEANS = 5.0, 15.0
