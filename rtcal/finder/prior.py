@@ -43,7 +43,8 @@ SHARPER = 0.4
 """How much the power of the probabilities grows towards a sigma of 0: it is 1 at a handbook's sigma,
 and 1.4 at 0. Where coefficients were measured, the most probable answer is right more often than
 evidence times prior says: rooms err less than the evidence assumes, and the library has effects
-that they do not have. Chosen on development rooms, as the temperature of a classifier is (Guo, Pleiss, Sun & Weinberger 2017)."""
+that they do not have. Chosen on development rooms, as the temperature of a
+classifier is (Guo, Pleiss, Sun & Weinberger 2017)."""
 
 
 @dataclass(frozen=True)

@@ -126,8 +126,8 @@ def record_of_means(verdict: str, data: str) -> str:
     was = {0: "none was", 1: "1 was"}.get(wrong.count, f"{wrong.count} were")
     return (
         f"{rooms} {record[verdict].claimed(kind)} In measured rooms, by an earlier version of it, "
-        f"{wrong.of} effects or families were claimed in {measured['cases']} cases, and {was} wrong (error rate "
-        f"{wrong.in_words})."
+        f"{wrong.of} effects or families were claimed in {measured['cases']} cases, and {was} wrong "
+        f"(error rate {wrong.in_words})."
     )
 
 

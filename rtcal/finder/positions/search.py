@@ -92,9 +92,8 @@ from rtcal.support.speed import Progress, TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
 
 TEMPER = 1.25
-"""Divisor of log evidences: the mean square of a hypothesis' standardised projection in control rooms of
-development rooms. It would be 1 if few control runs told their
-covariance without error."""
+"""Divisor of log evidences: the mean square of a hypothesis' standardised projection in control rooms
+of development rooms. It would be 1 if few control runs gave their covariance without error."""
 
 
 TOLD_TEMPER = 2.0
