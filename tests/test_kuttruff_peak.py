@@ -115,9 +115,8 @@ def test_near_the_peak_there_is_an_answer_for_every_method(
     assert np.isfinite(result.alpha).all()
     assert np.isfinite(result.posterior_sigma).all()
     assert str(result)
-    for solver in ("osqp", "highs"):
-        other = rt.calibrate(given, t, method, KUTTRUFF, solver=solver)
-        np.testing.assert_allclose(other.alpha, result.alpha, rtol=0, atol=1e-8)
+    other = rt.calibrate(given, t, method, KUTTRUFF, solver="osqp")
+    np.testing.assert_allclose(other.alpha, result.alpha, rtol=0, atol=1e-8)
 
 
 def test_an_uncertain_climate_is_linearised_as_the_volume_is() -> None:

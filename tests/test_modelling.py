@@ -109,7 +109,7 @@ def test_solvers_agree_on_every_preset(method: str) -> None:
             room = room.replace(alpha=np.clip(room.alpha - 0.25, 0.01, 1))
         t = true_times(rng, room, EYRING)
         problem = preset(method).build(room)
-        found = [problem.solve(t, solver=s) for s in ("clarabel", "osqp", "highs")]
+        found = [problem.solve(t, solver=s) for s in ("clarabel", "osqp")]
         share = found[0].target / room.total_area
         assert ((share > 1e-3) & (share < 1 - 1e-3)).all()
         for result in found:

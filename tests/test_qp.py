@@ -129,7 +129,7 @@ def test_missing_band_keeps_its_prior_and_says_so() -> None:
     assert result.to_dict()["gap_after_jnd"][1] is None
 
 
-@pytest.mark.parametrize("solver", ["clarabel", "osqp", "highs", "scs"])
+@pytest.mark.parametrize("solver", ["clarabel", "osqp"])
 def test_active_bounds_meet_the_optimality_conditions(solver: str) -> None:
     """Hard walls and a T too long for their prior: several stand at 0 in the answer."""
     room = rt.Room(
@@ -227,7 +227,7 @@ def test_every_solver_cold_or_warm_has_one_answer_to_the_last_bit() -> None:
         cold = rt.calibrate(room, t, solver="osqp", warm_start=False)
         warm = rt.calibrate(room, t, solver="osqp")
         assert warm.raw.iterations == 5 < cold.raw.iterations
-        others = [cold, warm, rt.calibrate(room, t, solver="highs"), rt.calibrate(room, t, "mle")]
+        others = [cold, warm, rt.calibrate(room, t, "mle")]
         for other in others:
             assert other.polished
             for name in ("alpha", "multipliers", "active"):
@@ -270,7 +270,6 @@ def test_osqp_starts_at_the_optimum_also_where_an_end_holds_coefficients(method:
         ("clarabel", {"max_iter": 1}),
         ("osqp", {"max_iter": 5}),
         ("osqp", {"eps_abs": 3e-2, "eps_rel": 3e-2, "polishing": False}),
-        ("scs", {"max_iters": 10}),
     ],
 )
 @pytest.mark.parametrize("method", ["mle", "soft", "robust"])
@@ -297,12 +296,12 @@ def test_an_answer_that_fails_the_certificate_is_not_returned(cr2, monkeypatch) 
 
 def test_what_a_solver_does_not_know_is_refused(cr2) -> None:
     for options, error, place in (
-        ({"solver": "no"}, rt.errors.MissingDependencyError, '"no" is not installed'),
+        ({"solver": "scs"}, rt.errors.ModelError, "solver = 'scs' is not"),
         ({"solver": 5}, rt.errors.ModelError, "solver = 5"),
-        ({"settings": {"no": 1}}, rt.errors.ModelError, '"no"'),
+        ({"settings": {"no": 1}}, rt.errors.ModelError, "no=1"),
         ({"settings": {"max_iter": "many"}}, rt.errors.ModelError, "many"),
         ({"solver": "osqp", "settings": {"no": 1}}, rt.errors.ModelError, "no=1"),
-        ({"solver": "highs", "settings": 5}, rt.errors.ModelError, "settings = 5"),
+        ({"solver": "osqp", "settings": 5}, rt.errors.ModelError, "settings = 5"),
         ({"warm_start": "closed"}, rt.errors.DataError, "warm_start"),
         ({"unreachable": "no"}, rt.errors.DataError, "unreachable"),
     ):

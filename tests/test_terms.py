@@ -80,6 +80,7 @@ def value_of(term: Any, numbers: Numbers, x: np.ndarray) -> float:
     held = numbers.alpha(numbers.sigma) > 0
     at = [m.deviation[held] == m.deviation.value[held]]
     at += [] if m.effects is None else [m.effects == m.effects.value]
+    at += [variable >= 0 for variable in m.nonnegative]
     problem = cp.Problem(cp.Minimize(expression), [*m.definitions, *at])
     problem.solve(solver="CLARABEL", tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
     return float(problem.value)

@@ -277,7 +277,7 @@ to find. "Within tolerance" counts solved problems within qpbenchmark's toleranc
 "high". "–" means that the route gives no duals. The rows of 1e-3 and 1e-6 ("low", "mid") are in the stored table. The default
 of an rtcal route is rtcal's own. In its other row the solver's tolerances are replaced.
 
-A route is a package and a solver. rtcal itself takes Clarabel, OSQP and the other solvers of cvxpy's; qpsolvers serves this comparison alone. "raw" is rtcal's solver before the polish.
+A route is a package and a solver. rtcal itself takes Clarabel and OSQP; qpsolvers serves this comparison alone. "raw" is rtcal's solver before the polish.
 
 {accuracy(rows)}
 

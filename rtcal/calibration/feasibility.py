@@ -239,7 +239,7 @@ def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
     for term, stated in compiled.rows_of:
         label = getattr(term, "label", lambda row, _, term=term: f"{term!r}, row {row + 1}")
         for i, row in ((i, row) for rows in stated for i, row in enumerate(rows.tolist())):
-            for side in (1, -1) if row >= 0 and compiled.equal[row] else (1,) * (row >= 0):
+            for side in (1, -1) if compiled.equal[row] else (1,):
                 word = "higher" if side * (above[row] - below[row]) >= 0 else "lower"
                 text = f"{label(i, layout)} has to be {{:.4g}} {word}"
                 relaxed.append((row, side * size[row], text))

@@ -148,7 +148,7 @@ def calibrate(
     equation : Equation, optional
         `rtcal.Eyring` with the room's air if not given.
     **options
-        ``solver``: ``"clarabel"`` (the default), ``"osqp"``, or another solver of cvxpy's.
+        ``solver``: ``"clarabel"`` (the default) or ``"osqp"``.
         ``unreachable``: ``"raise"`` (the default), or ``"nearest"`` to take the nearest T within
         reach and list the band in the result. ``warm_start``: whether OSQP starts from the closed
         form. ``settings``: a mapping of the solver's own settings. See

@@ -211,14 +211,13 @@ class CalibrationProblem(Composition, Generic[R]):
             The numbers of each such term.
         method : str
             The name that the result carries.
-        solver : str
-            ``"clarabel"``, ``"osqp"``, or another solver of cvxpy's.
+        solver : {"clarabel", "osqp"}
         unreachable : {"raise", "nearest"}
             What to do where no coefficients within the bounds give the measured T. ``"raise"`` raises
             InfeasibleError; ``"nearest"`` takes the nearest T within reach and lists the band in the
             result.
         warm_start : bool
-            Whether OSQP starts from the closed form. No other solver takes a start.
+            Whether OSQP starts from the closed form; Clarabel takes no start.
         settings : mapping, optional
             The solver's own settings by name, beside `rtcal.calibration.qp.SETTINGS`.
 
@@ -232,8 +231,8 @@ class CalibrationProblem(Composition, Generic[R]):
         SolverError
             If no answer passes the certificate.
         """
-        if not isinstance(solver, str):
-            raise ModelError(f'solver = {solver!r} is not a name such as "clarabel"')
+        if solver not in list(qp.SETTINGS):
+            raise ModelError(f'solver = {solver!r} is not "clarabel" or "osqp"')
         checks.choice("unreachable", unreachable, ("raise", "nearest"))
         checks.flag("warm_start", warm_start)
         if settings is not None and not (

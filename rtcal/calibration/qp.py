@@ -20,8 +20,7 @@ from __future__ import annotations
 import functools
 import threading
 import time
-import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
@@ -33,8 +32,8 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from rtcal.calibration.terms import AddedAbsorption, AnyTerm, Model, Shared, Term
-from rtcal.calibration.unknowns import Flags, Layout, Numbers
-from rtcal.support.errors import MissingDependencyError, ModelError, SolverError
+from rtcal.calibration.unknowns import Flags, Integers, Layout, Numbers
+from rtcal.support.errors import ModelError, SolverError
 from rtcal.support.types import Array
 
 _EPS = np.finfo(float).eps
@@ -56,9 +55,8 @@ SETTINGS: dict[str, dict[str, Any]] = {
         # At its default of 25 iterations, a start at the optimum is noticed 20 iterations late.
         "check_termination": 5,
     },
-    "scs": {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 100_000},
 }
-"""Settings by solver, beside its own defaults."""
+"""The solvers, with the settings that differ from their own defaults."""
 
 
 class CompiledProblem:
@@ -79,8 +77,7 @@ class CompiledProblem:
     layout : Layout
     model : Model
     rows_of : list
-        Each constraint but `Shared`, with its rows of A by cvxpy constraint that it states; -1 for one
-        that became a bound.
+        Each constraint but `Shared`, with its rows of A by cvxpy constraint that it states.
     size : int
         Number of variables v.
     equal : array (n_rows,) of bool
@@ -120,7 +117,7 @@ class CompiledProblem:
         kind = cp.constraints.constraint.Constraint
         stated = [(t, _stated(t, m, kind)) for t in constraints if not isinstance(t, Shared)]
         rows = [constraint for _, of_term in stated for constraint in of_term]
-        problem = cp.Problem(cp.Minimize(objective), [*rows, *m.definitions, *m.box()])
+        problem = cp.Problem(cp.Minimize(objective), [*rows, *m.definitions])
         if not problem.is_dcp(dpp=True):
             raise ModelError(
                 "the composed problem is not DPP, a convex problem that cvxpy compiles once: a term is "
@@ -134,15 +131,38 @@ class CompiledProblem:
             raise ModelError(
                 "the composed problem is no QP: a term is neither linear nor quadratic"
             )
-        self._program = data["param_prob"]
-        self._keep_structure(int(data["dims"].zero), len(data["b"]))
+        self._program = program = data["param_prob"]
+        self._parameters = [
+            (program.param_id_to_col[p.id], compute)
+            for p, compute in m.parameters
+            if p.id in program.param_id_to_col
+        ]
+        self._theta = np.ones(program.total_param_size + 1)  # its last entry is what is constant
+        self.size, n = program.x.size, len(data["b"])
+        self.equal = np.arange(n) < int(data["dims"].zero)
+        (self.P_rows, self.P_columns), _ = self._entries_of(program.reduced_P)
+        (self.A_rows, self.A_columns), self._b_rows = self._entries_of(program.reduced_A)
+
+        def places(variables: list[Any]) -> Integers:
+            first = program.var_id_to_col
+            return np.array([first[v.id] + i for v in variables for i in range(v.size)], np.intp)
+
+        self.places = places([m.x] if m.effects is None else [m.x, m.effects])
+        self._nonnegative = places(m.nonnegative)
+        every = np.arange(self.size + n)
+        below = self.size + self.A_rows
+        kkt = np.concatenate([self.P_rows, below, self.A_columns, every])
+        across = np.concatenate([self.P_columns, self.A_columns, below, every])
+        key, place = np.unique(across * len(every) + kkt, return_inverse=True)
+        starts = np.searchsorted(key // len(every), np.append(every, len(every)))
+        self.kkt = (kkt, across, place), key % len(every), starts
         # cvxpy unpacks the numbers of the rows once: where it puts them is where the multipliers go.
-        numbered = np.arange(len(self._row_of), dtype=float)
+        numbered = np.arange(n, dtype=float)
         answer = SimpleNamespace(x=np.zeros(self.size), z=numbered, s=numbered)
         answer.status, answer.obj_val, answer.solve_time, answer.iterations = "Solved", 0.0, 0.0, 0
         problem.unpack_results(answer, chain, inverse)
         self.rows_of = [
-            (t, [self._row_of[np.abs(np.ravel(c.dual_value)).astype(int)] for c in of_term])
+            (t, [np.abs(np.ravel(c.dual_value)).astype(int) for c in of_term])
             for t, of_term in stated
         ]
 
@@ -150,70 +170,35 @@ class CompiledProblem:
         """Pickle what it is compiled of."""
         return compile_once, self._arguments
 
-    def _entries(self, values: Iterable[tuple[int, Array]]) -> tuple[Array, Array, Array, Array]:
-        """P, c, A with the bounds' rows, and b, by the values of the parameters: P and A as entries."""
-        program, theta = self._program, self._theta.copy()
-        for place, value in values:
-            flat = np.ravel(value, order="F")
-            theta[place : place + len(flat)] = flat
-        b, of_A = np.zeros(len(self._row_of)), program.reduced_A.reduced_mat @ theta
-        b[self._rows[len(self._columns) :]] = of_A[len(self._columns) :]  # its last column is b
-        P, c = program.reduced_P.reduced_mat @ theta, program.q @ theta
-        # cvxpy's rows are A v + b = 0 and A v + b >= 0; here they are A v = b and A v <= b.
-        return P, c[: self.size], -of_A[: len(self._columns)], b
-
-    def _keep_structure(self, n_equal: int, n_rows: int) -> None:
-        """Keep the places of entries, and which variables have bounds.
-
-        Of cvxpy's ``n_rows`` rows the first ``n_equal`` are equalities. An inequality of one variable
-        with a constant factor is a bound of it and no row of A: two draws of the parameters tell which
-        factors are constant.
-        """
-        program, m, rng = self._program, self.model, np.random.default_rng(0)
-        program.reduced_A.cache()
-        program.reduced_P.cache()
-        start = program.param_id_to_col
-        self._parameters = [(start[p.id], f) for p, f in m.parameters if p.id in start]
-        drawn = [(start[p.id], rng.random((2, p.size))) for p, _ in m.parameters if p.id in start]
-        self._theta = np.ones(program.total_param_size + 1)  # its last entry is what is constant
-        self._rows, starts, _ = program.reduced_A.problem_data_index
-        size = self.size = len(starts) - 2
-        columns = self._columns = np.repeat(np.arange(size), np.diff(starts[:-1]))
-        rows, self._row_of = self._rows[: len(columns)], np.full(n_rows, -1)
-        A, other = (self._entries((at, values[i]) for at, values in drawn)[2] for i in range(2))
-        alone = (np.bincount(rows, minlength=n_rows) == 1) & (np.arange(n_rows) >= n_equal)
-        single = alone[rows] & (other == A) & (A != 0)
-        self._bounds = rows[single], columns[single], A[single]
-        self._general, self._kept = np.setdiff1d(np.arange(n_rows), rows[single]), ~single
-        self._row_of[self._general] = np.arange(len(self._general))
-        self.equal = self._general < n_equal
-        self.A_rows, self.A_columns = self._row_of[rows[~single]], columns[~single]
-        self.P_rows, starts, _ = program.reduced_P.problem_data_index
-        self.P_columns = np.repeat(np.arange(size), np.diff(starts))
-        first = program.var_id_to_col
-        self.places = np.concatenate(
-            [first[v.id] + np.arange(v.size) for v in (m.x, m.effects) if v is not None]
-        )
-        every = np.arange(size + len(self.equal))
-        below = size + self.A_rows
-        kkt = np.concatenate([self.P_rows, below, self.A_columns, every])
-        across = np.concatenate([self.P_columns, self.A_columns, below, every])
-        key, place = np.unique(across * len(every) + kkt, return_inverse=True)
-        starts = np.searchsorted(key // len(every), np.append(every, len(every)))
-        self.kkt = (kkt, across, place), key % len(every), starts
+    def _entries_of(self, reduced: Any) -> tuple[tuple[Integers, Integers], Integers]:
+        """Rows and columns of the entries of a matrix, and the rows of those beyond, which are b's."""
+        reduced.cache()
+        none = np.zeros(0, np.intp), np.zeros(self.size + 1, np.intp), None
+        rows, starts, _ = reduced.problem_data_index or none
+        columns = np.repeat(np.arange(self.size), np.diff(starts[: self.size + 1]))
+        return (rows[: len(columns)], columns), rows[len(columns) :]
 
     def filled(self, numbers: Numbers) -> QP:
         """Return the QP of a set of numbers."""
-        P, c, A, b = self._entries((at, compute(numbers)) for at, compute in self._parameters)
-        rows, columns, factor = self._bounds
+        program, theta = self._program, self._theta.copy()
+        for place, compute in self._parameters:
+            flat = np.ravel(compute(numbers), order="F")
+            theta[place : place + len(flat)] = flat
+        P, c = program.reduced_P.reduced_mat @ theta, (program.q @ theta)[: self.size]
+        # cvxpy's rows are A v + b = 0 and A v + b >= 0; here they are A v = b and A v <= b.
+        A, of_b = np.split(program.reduced_A.reduced_mat @ theta, [len(self.A_rows)])
+        b = np.zeros(len(self.equal))
+        b[self._b_rows] = of_b
         lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
-        limit, above = b[rows] / factor, factor > 0
-        np.maximum.at(lower, columns[~above], limit[~above])
-        np.minimum.at(upper, columns[above], limit[above])
+        lower[self._nonnegative] = 0.0
+        moves = numbers.sigma > 0  # elsewhere alpha is mu whatever x is
+        for bound, end in ((lower, numbers.lower), (upper, numbers.upper)):
+            distance = (end - numbers.mu) * numbers.inverse_sigma
+            bound[self.places[moves]] = distance[moves]
         scale = np.ones(self.size)
         scale[self.places] = numbers.sigma
         held = float(numbers.areas.max(axis=0).sum()) if (numbers.sigma == 0).any() else 0.0
-        return QP(self, P, c, A[self._kept], b[self._general], lower, upper, scale, held)
+        return QP(self, P, c, -A, b, lower, upper, scale, held)
 
 
 def _stated(term: AnyTerm, m: Model, kind: Any) -> list[Any]:
@@ -489,14 +474,12 @@ def polish(program: QP, at: Active, tight: Flags) -> Iterate | None:
             tight = tight | beyond
             continue
         alone = tight & ~system.used & (program.row_size > 0)
-        unmet = alone & (abs(slack) > rounding)
-        if unmet.any():
-            released = _released(program, v, unmet, slack, at)
+        if alone.any():
+            missed = np.where(abs(slack) > rounding, slack, 0.0)
+            y, released = _rows_alone(program, v, y, alone, missed, at)
             if released.any():
                 at = np.where(released, 0, at).astype(np.int8)
                 continue
-        if alone.any():
-            y = _nearest_to_zero(program, v, y, alone, at)
         force = program.force(v, y)
         tolerance = _ROUNDING * (1 + absolute.force(np.abs(v), np.abs(y)))
         wrong = ((at < 0) & (force < -tolerance)) | ((at > 0) & (force > tolerance))
@@ -522,42 +505,32 @@ def _worst(*parts: tuple[Flags, Array]) -> list[Flags]:
     return [size == largest for size in sizes]
 
 
-def _released(program: QP, v: Array, unmet: Flags, slack: Array, at: Active) -> Flags:
-    """Choose a variable at a bound to release, for each unmet row without a free one.
+def _rows_alone(
+    program: QP, v: Array, y: Array, rows: Flags, missed: Array, at: Active
+) -> tuple[Array, Flags]:
+    """Give rows without a free variable their multipliers; return these and the variables to release.
 
-    Near an end of the row's range its last free variable is easily mistaken for one at a bound. The
-    one released is the first to move as the row's multiplier leaves its interval.
+    A multiplier may lie anywhere in an interval: each variable at its lower bound requires at least
+    -gradient / coefficient, each at its upper bound at most that. The value nearest 0 is taken.
+
+    Near an end of a row's range its last free variable is easily mistaken for one at a bound. Of a row
+    that misses its limit, the variable at the end of the interval is released: the first to move as the
+    multiplier leaves it.
     """
-    release = np.zeros(len(v), dtype=bool)
-    gradient = program.gradient(v)
-    for row in np.flatnonzero(unmet).tolist():
-        line = program.matrices[1][[row]].toarray().ravel()
-        wanted = np.sign(slack[row]) * np.sign(line)  # the direction that reduces the residual
-        able = ((wanted > 0) & (at < 0)) | ((wanted < 0) & (at > 0))
-        if able.any():
-            cost = np.full(len(v), np.inf)
-            cost[able] = (gradient * wanted)[able] / np.abs(line[able])
-            release[np.argmin(cost)] = True
-    return release
-
-
-def _nearest_to_zero(program: QP, v: Array, y: Array, rows: Flags, at: Active) -> Array:
-    """Give rows without a free variable their multiplier.
-
-    It may lie anywhere in an interval: each variable at its lower bound requires at least
-    -gradient / coefficient, each at its upper bound at most that. The value nearest 0 is returned.
-    """
-    y = np.where(rows, 0.0, y)
+    y, release = np.where(rows, 0.0, y), np.zeros(len(v), dtype=bool)
     gradient = program.force(v, y)
     for row in np.flatnonzero(rows).tolist():
         line = program.matrices[1][[row]].toarray().ravel()
         pull = -at * line
         ends = np.divide(-gradient, line, out=np.zeros_like(line), where=pull != 0)
-        at_least = ends[pull > 0].max(initial=-np.inf)
-        at_most = ends[pull < 0].min(initial=np.inf)
-        if at_least <= at_most:
-            y[row] = np.clip(0.0, at_least, at_most)
-    return y
+        at_least, at_most = np.where(pull > 0, ends, -np.inf), np.where(pull < 0, ends, np.inf)
+        if at_least.max() <= at_most.min():
+            y[row] = np.clip(0.0, at_least.max(), at_most.min())
+        if missed[row] > 0:
+            release[np.argmax(at_least)] |= (pull > 0).any()
+        elif missed[row] < 0:
+            release[np.argmin(at_most)] |= (pull < 0).any()
+    return y, release
 
 
 def closed_form(program: QP, at: Active | None = None) -> Iterate | None:
@@ -584,73 +557,64 @@ def solve(
 ) -> Iterate:
     """Return a solver's answer to a QP.
 
-    Variables that stand at a bound by ``at`` (-1, 1), or whose bounds are equal, are left out. The rows
-    have unit length, so that no band weighs more than another. ``settings`` override `SETTINGS`.
+    What stands at a bound by ``at`` (-1, 1), or has equal bounds, is in no row. The rows have
+    unit length, so that no band weighs more than another. ``settings`` override `SETTINGS`.
 
     Raises
     ------
     ModelError
         If the solver refuses a setting.
-    MissingDependencyError
-        If the solver is not installed.
     SolverError
         If it returns no values. That is no failure of the calibration: its caller goes on to
         `closed_form`, which needs none.
     """
-    of, name, start = program.compiled, solver.lower(), program.at_bounds(at)
+    of, start = program.compiled, program.at_bounds(at)
     on = (at == 0) & ~program.fixed
     norm = np.sqrt(program.row_sums(1.0 * on, program.A**2))
     unit = np.divide(1.0, norm, out=np.zeros_like(norm), where=norm > 0)
     # A row that says nothing reads 0 <= 1, which leaves the solver an interior.
     silent = np.where(program.equal, 0.0, 1.0)
     limits = np.where(norm > 0, (program.b - program.row_sums(start)) * unit, silent)
-    ends = (start - program.lower)[on], (program.upper - start)[on]
-    low, high = (np.flatnonzero(np.isfinite(end)) for end in ends)
-    column, n, bounds = np.cumsum(on) - 1, len(norm), np.concatenate([low, high])
-    p = on[of.P_rows] & on[of.P_columns] & (of.P_rows <= of.P_columns)
-    a, count = on[of.A_columns], int(on.sum())
-    entries = program.A[a] * unit[of.A_rows[a]], -np.ones(len(low)), np.ones(len(high))
-    rows = np.concatenate([of.A_rows[a], n + np.arange(len(bounds))])
-    columns = np.concatenate([column[of.A_columns[a]], bounds])
+    low = np.flatnonzero(on & np.isfinite(program.lower))
+    high = np.flatnonzero(on & np.isfinite(program.upper))
+    bounds, size, n = np.concatenate([low, high]), len(start), len(norm)
+    P = program.P * (on[of.P_rows] & on[of.P_columns] & (of.P_rows <= of.P_columns))
+    A = program.A * unit[of.A_rows] * on[of.A_columns]
+    entries = np.concatenate([A, -np.ones(len(low)), np.ones(len(high))])
+    rows = np.concatenate([of.A_rows, n + np.arange(len(bounds))])
+    columns = np.concatenate([of.A_columns, bounds])
     given = (
-        sp.csc_matrix(
-            (program.P[p], (column[of.P_rows[p]], column[of.P_columns[p]])), (count, count)
-        ),
-        program.gradient(start)[on],
-        sp.csc_matrix((np.concatenate(entries), (rows, columns)), (n + len(bounds), count)),
-        np.concatenate([limits, ends[0][low], ends[1][high]]),
+        sp.csc_matrix((P, (of.P_rows, of.P_columns)), (size, size)),
+        program.gradient(start) * on,
+        sp.csc_matrix((entries, (rows, columns)), (n + len(bounds), size)),
+        np.concatenate([limits, (start - program.lower)[low], (program.upper - start)[high]]),
         int(program.equal.sum()),
-        {**SETTINGS.get(name, {}), **(settings or {})},
+        {**SETTINGS[solver], **(settings or {})},
     )
     began, first = time.perf_counter(), None
-    if name == "osqp" and warm_start and (form := closed_form(program, at)) is not None:
-        z = form.z[on]
+    if solver == "osqp" and warm_start and (form := closed_form(program, at)) is not None:
+        z = form.z
         duals = np.concatenate([form.y * norm, np.maximum(-z, 0)[low], np.maximum(z, 0)[high]])
-        first = (form.v - start)[on], duals
+        first = (form.v - start) * on, duals
     try:
-        if not count:
-            x, z, status, iterations = np.zeros(0), np.zeros(n), "nothing is free", 0
-        elif name == "clarabel":
+        if solver == "clarabel":
             x, z, status, iterations = _clarabel(*given)
-        elif name == "osqp":
-            x, z, status, iterations = _osqp(*given, first)
         else:
-            x, z, status, iterations = _through_cvxpy(name, *given)
+            x, z, status, iterations = _osqp(*given, first)
     except (TypeError, ValueError, AttributeError, KeyError, OverflowError) as error:
         stated = ", ".join(f"{key}={value!r}" for key, value in given[-1].items())
-        raise ModelError(f'solver "{name}" refuses the settings {stated}: {error}') from error
+        raise ModelError(f'solver "{solver}" refuses the settings {stated}: {error}') from error
     seconds = time.perf_counter() - began
     if x is None or z is None or not (np.isfinite(x).all() and np.isfinite(z).all()):
-        raise SolverError(f'solver "{name}" returned no values; its status is {status}')
+        raise SolverError(f'solver "{solver}" returned no values; its status is {status}')
     y, below, above = np.split(np.asarray(z), [n, n + len(low)])
-    v, y, where = start, y * unit, np.flatnonzero(on)
-    v[on] += x
-    z = np.zeros(len(v))
+    v, y, z = np.where(on, start + x, start), y * unit, np.zeros(size)
     if (at != 0).any():  # what was left out has multipliers, too, and its rows
-        y = _nearest_to_zero(program, v, y, (norm == 0) & (program.row_size > 0), at)
+        alone = (norm == 0) & (program.row_size > 0)
+        y, _ = _rows_alone(program, v, y, alone, np.zeros(n), at)
         z = _of_bounds(program.force(v, y), at)
-    z[where[high]] += np.maximum(above, 0.0)
-    z[where[low]] -= np.maximum(below, 0.0)
+    z[high] += np.maximum(above, 0.0)
+    z[low] -= np.maximum(below, 0.0)
     return Iterate(v, y, z, at, None, status, iterations, seconds)
 
 
@@ -665,8 +629,6 @@ def _clarabel(P: Any, c: Array, A: Any, b: Array, n: int, settings: dict[str, An
     chosen = clarabel.DefaultSettings()
     chosen.verbose = False
     for key, value in settings.items():
-        if not hasattr(chosen, key):
-            raise ModelError(f'solver "clarabel" has no setting "{key}"')
         setattr(chosen, key, value)
     cones = [clarabel.ZeroConeT(n), clarabel.NonnegativeConeT(len(b) - n)]
     result = clarabel.DefaultSolver(P, c, A, b, cones, chosen).solve()
@@ -692,38 +654,6 @@ def _osqp(
         solver.warm_start(x=first[0], y=first[1])
     result = solver.solve(raise_error=False)
     return result.x, result.y, str(result.info.status), int(result.info.iter)
-
-
-def _through_cvxpy(
-    name: str, P: Any, c: Array, A: Any, b: Array, n: int, settings: dict[str, Any]
-) -> _Answer:
-    """Solve with any other solver of cvxpy's, which is given the matrices as a problem."""
-    installed = _installed()
-    if name not in installed:
-        raise MissingDependencyError(
-            f'solver "{name}" is not installed; cvxpy here has {", ".join(sorted(installed))}'
-        )
-    x, whole = cp.Variable(len(c)), cp.psd_wrap(sp.csc_array(P + sp.triu(P, 1).T))
-    rows = [A.tocsr()[:n] @ x == b[:n]] if n else []
-    rows.append(A.tocsr()[n:] @ x <= b[n:])
-    problem = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, whole) + c @ x), rows)
-    with warnings.catch_warnings():
-        # cvxpy warns of an inaccurate answer; here the certificate judges every answer.
-        warnings.simplefilter("ignore", UserWarning)
-        try:
-            problem.solve(solver=installed[name], **settings)
-        except cp.SolverError as error:
-            raise SolverError(f'solver "{name}" failed: {error}') from error
-    duals = [row.dual_value for row in rows]
-    missing = x.value is None or any(dual is None for dual in duals)
-    z = None if missing else np.concatenate([np.ravel(dual) for dual in duals])
-    return x.value, z, str(problem.status), int(problem.solver_stats.num_iters or 0)
-
-
-@functools.cache
-def _installed() -> dict[str, str]:
-    """cvxpy's installed solvers by small name, cached since the query takes milliseconds."""
-    return {str(s).lower(): str(s) for s in cp.installed_solvers()}
 
 
 _ACCEPTED = 1e-9

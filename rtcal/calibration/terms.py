@@ -89,6 +89,7 @@ class Model:
         self.effects = cp.Variable(len(layout.further), name="effects") if layout.further else None
         self.parameters: list[tuple[Any, Callable[[Numbers], Any]]] = []
         self.definitions: list[Any] = []
+        self.nonnegative: list[Any] = []
 
     def parameter(self, shape: Any, compute: Callable[[Numbers], Any]) -> Any:
         """Return a cvxpy parameter that has the value ``compute(numbers)`` in every solve."""
@@ -102,25 +103,11 @@ class Model:
         self.definitions.append(variable == expression)
         return variable
 
-    def box(self) -> list[Any]:
-        """Return the bounds: 0 <= alpha <= 1, or tighter; the size of an effect is at least 0.
-
-        Where sigma = 0 there are none, as alpha is mu whatever x is.
-        """
-
-        def limit(side: int, part: slice, variable: Any) -> Any:
-            def compute(numbers: Numbers) -> Array:
-                bound = (numbers.lower, numbers.upper)[side]
-                distance = (bound - numbers.mu) * numbers.inverse_sigma
-                return np.where(numbers.sigma > 0, distance, (-np.inf, np.inf)[side])[part]
-
-            return self.parameter(variable.shape, compute)
-
-        n = self.layout.n_alpha
-        box = [self.x >= limit(0, slice(n), self.x), self.x <= limit(1, slice(n), self.x)]
-        if self.effects is not None:
-            box.append(self.effects >= limit(0, slice(n, None), self.effects))
-        return box
+    def at_least_zero(self, shape: Any) -> Any:
+        """Return a variable of a term's own that is 0 or more."""
+        variable = cp.Variable(shape)
+        self.nonnegative.append(variable)
+        return variable
 
     @cached_property
     def alpha(self) -> Any:
@@ -439,7 +426,7 @@ class HuberDeviation(Term):
 
     def __call__(self, m: Model) -> Any:
         """½ e |x|² + (1 - e) (½ |x - p + q|² + t sum(p + q)), p and q >= 0 the parts beyond t."""
-        above, below = (cp.Variable(m.x.shape, nonneg=True) for _ in range(2))
+        above, below = (m.at_least_zero(m.x.shape) for _ in range(2))
         # A defined sum: cvxpy compiles an objective that is linear in n variables with memory for n
         # numbers per parameter.
         beyond = m.defined(cp.sum(above) + cp.sum(below))

@@ -43,12 +43,7 @@ from rtcal.support.errors import DataError
     "MEASURED",
     "method",
     "equation",
-    click.option(
-        "--solver",
-        default="clarabel",
-        show_default=True,
-        help="clarabel, osqp or another solver of cvxpy's.",
-    ),
+    choice("solver", ("clarabel", "osqp"), "The solver of the QP.", default="clarabel"),
     choice(
         "unreachable",
         ("raise", "nearest"),
