@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -333,6 +334,47 @@ def test_a_material_that_it_does_not_know_is_off_as_all_tables_are(
     again = archive.apply(known)
     np.testing.assert_array_equal(again.alpha, known.alpha)
     assert again.sources == known.sources
+
+
+def test_a_room_is_judged_by_the_spread_of_the_others(
+    rooms: list[rt.calibration.CalibrationResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A room that does not fit would excuse itself."""
+    fitted, left_out = Evidence.fitted, []
+
+    def noted(evidence: Evidence, kept: Any = None, *more: Any) -> Spread:
+        left_out.append(None if kept is None else set(evidence.room[~kept].tolist()))
+        return fitted(evidence, kept, *more)
+
+    monkeypatch.setattr(Evidence, "fitted", noted)
+    rt.learn(rooms)
+    assert [of for of in left_out if of] == [{0}, {1}, {2}]
+
+
+def test_record_and_table_state_what_is_known(
+    rooms: list[rt.calibration.CalibrationResult],
+) -> None:
+    archive = rt.learn(rooms)
+    record = archive.to_dict()
+    for i, material in enumerate(record["materials"]):
+        assert material["name"] == archive.materials[i]
+        np.testing.assert_array_equal(material["table"], archive.table[i])
+        np.testing.assert_array_equal(material["alpha"], archive.alpha[i])
+    assert "factor" in str(archive)
+
+
+def test_bands_that_it_lacks_are_named(rooms: list[rt.calibration.CalibrationResult]) -> None:
+    archive = rt.learn(rooms)
+    room = rooms[0].prior
+    f = np.append(room.centre_frequencies, 2 * room.centre_frequencies[-1])
+    wide = room.replace(
+        centre_frequencies=f,
+        **{
+            name: np.hstack([getattr(room, name), getattr(room, name)[:, -1:]])
+            for name in ("alpha", "sigma")
+        },
+    )
+    assert archive.left_as_stated(wide)[-1].endswith(f"does not know them: {f[-1]:g} Hz.")
 
 
 def test_it_is_saved_and_read_back(
