@@ -101,11 +101,12 @@ LOOP = (_LOOP.to_json().encode(), start(_ROOM, _MEASURED).to_json().encode())
 
 def loop_holds(loop: Loop) -> None:
     """A state's targets and coefficients are possible, and its text is the same loop."""
-    room_holds(loop.room)
+    room_holds(loop.prior)
     for step in loop.steps:
         assert ((step.alpha >= 0) & (step.alpha <= 1)).all()
         assert not (step.target <= 0).any()
-    if loop.steps:
+    if loop.steps:  # else there is no calibrated room yet
+        room_holds(loop.room)
         assert len(loop.status) == loop.room.n_bands
     assert restored(plain(loop)).to_json() == loop.to_json()
 

@@ -21,6 +21,7 @@ import traceback
 import types
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields, is_dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,10 @@ LIMIT = 10.0
 PLAIN = (TypeError, ValueError, AttributeError, IndexError, OverflowError)
 """Errors of Python's own that functions may raise for a wrong type or shape; nothing else may."""
 
+ENDLESS: list[Any] = []
+"""A list that is its own member."""
+ENDLESS.append(ENDLESS)
+
 WRONG: tuple[Any, ...] = (
     None,
     True,
@@ -64,6 +69,7 @@ WRONG: tuple[Any, ...] = (
     "text",
     "",
     "nul\0",
+    "half a pair \ud800",
     b"bytes",
     [],
     ["a", "b"],
@@ -84,6 +90,13 @@ WRONG: tuple[Any, ...] = (
     np.full((2, 2), np.nan),
     np.array([1j, 2j]),
     np.array(["a", "b"]),
+    np.array(0.1),
+    np.array(["2026-11-29"], dtype="datetime64[D]"),
+    np.ma.masked_all(3),
+    [True, 0.5],
+    range(3),
+    Decimal("0.5"),
+    ENDLESS,
 )
 
 

@@ -390,18 +390,15 @@ class Measurement:
         DataError
             If a decay has no T20 at all, since nothing is reflected.
         """
-        energy = checks.array("energy", energy)
-        if energy.ndim != 3:
-            raise DataError(f"energy has shape {energy.shape}, not (n_pairs, n_bands, n_bins)")
+        f, pairs = bands.as_bands(centre_frequencies), checks.pairs("pairs", pairs)
+        energy = checks.shaped("energy", energy, len(pairs), len(f), "n_bins")
         values = parameters(energy, bin_width)
         lost = np.isnan(values[TARGET.key])
         if lost.any():
             short = TARGET.too_short(energy)
             bad = lost & short if (lost & short).any() else lost
             pair, band = (int(i) for i in np.argwhere(bad)[0])
-            where = (
-                f"{' to '.join(pairs[pair])}, {bands.label(np.asarray(centre_frequencies)[band])}"
-            )
+            where = f"{' to '.join(pairs[pair])}, {bands.label(f[band])}"
             if short[pair, band]:
                 down = max(0.0, -float(cut_off_db(energy)[pair, band]))
                 raise TooShortError(
@@ -415,10 +412,10 @@ class Measurement:
             )
             raise of_bands(error, np.flatnonzero(lost.any(axis=0)))
         return cls(
-            centre_frequencies=np.asarray(centre_frequencies, dtype=float),
+            centre_frequencies=f,
             values=values,
             pairs=pairs,
-            uncertainty=uncertainty or {},
+            uncertainty={} if uncertainty is None else uncertainty,
         )
 
     def mean(self, parameter: str) -> Array:

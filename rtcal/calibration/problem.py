@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar, cast, overload
 
@@ -86,9 +86,19 @@ class Calibration:
         soft = sum(isinstance(t, SoftMatch) for t in terms)
         if constraints is None:
             constraints = () if soft else (ExactMatch(),)
-        if not isinstance(constraints, Iterable):
+        if not np.iterable(constraints):
             raise ModelError(f"constraints = {constraints!r} is not a list of constraints")
         constraints = tuple(constraints)
+        for constraint in constraints:
+            if isinstance(constraint, type):
+                name = constraint.__name__
+                raise ModelError(f"{name} is a class and no term: write {name}()")
+            narrows = isinstance(constraint, Bounds | Fixed | Shared)
+            if not (narrows or callable(constraint)) or isinstance(constraint, Term | Objective):
+                raise ModelError(
+                    f"{constraint!r} is no constraint of rtcal.terms, and no function of a "
+                    "rtcal.terms.Model that returns one"
+                )
         for place, parts in (("objective", terms), ("constraints", constraints)):
             for i, term in enumerate(parts):
                 if any(term == other for other in parts[:i]):
@@ -103,16 +113,6 @@ class Calibration:
                 raise ModelError(
                     f"{term!r} has weight 0; without it the answer is not unique. Leave the term out "
                     "instead"
-                )
-        for constraint in constraints:
-            if isinstance(constraint, type):
-                name = constraint.__name__
-                raise ModelError(f"{name} is a class and no term: write {name}()")
-            narrows = isinstance(constraint, Bounds | Fixed | Shared)
-            if not (narrows or callable(constraint)) or isinstance(constraint, Term | Objective):
-                raise ModelError(
-                    f"{constraint!r} is no constraint of rtcal.terms, and no function of a "
-                    "rtcal.terms.Model that returns one"
                 )
         object.__setattr__(self, "objective", objective)
         object.__setattr__(self, "constraints", constraints)
@@ -319,7 +319,7 @@ def measured_times(
     configurations: Configurations, measured: Sequence[Times | None]
 ) -> list[MeasuredTimes]:
     """Return one measurement per configuration, each in its room's bands."""
-    if isinstance(measured, str | Measurement) or not isinstance(measured, Iterable):
+    if isinstance(measured, str | Measurement) or not np.iterable(measured):
         raise DataError(
             f"measured = {measured!r} is not a list of measurements, one per configuration"
         )

@@ -69,17 +69,13 @@ class Configurations:
         )
 
     def __post_init__(self) -> None:
-        if not isinstance(self.rooms, Iterable):
-            raise DataError(f"rooms = {self.rooms!r} is not a list of rtcal.Room")
-        rooms = tuple(self.rooms)
+        rooms = checks.listed("rooms", self.rooms)
         if not rooms:
             raise DataError("rooms is empty; there is at least one configuration")
         for i, room in enumerate(rooms):
             if not isinstance(room, Room):
                 raise DataError(f"rooms[{i}] = {room!r} is not a rtcal.Room")
-        if isinstance(self.names, str) or not isinstance(self.names, Iterable):
-            raise DataError(f"names = {self.names!r} is not a list of texts")
-        stated = tuple(str(n) for n in self.names)
+        stated = tuple(str(n) for n in checks.listed("names", self.names))
         names = stated or tuple(r.name for r in rooms)
         if len(names) != len(rooms):
             raise DataError(f"{len(names)} names for {len(rooms)} configurations")
@@ -338,7 +334,7 @@ class Observed:
     factor: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        n = np.size(self.values)
+        n = checks.array("observed values", self.values).size
         if n == 0:
             raise DataError("observed values is empty; there is at least one")
         for name, shape in (("values", (n,)), ("covariance", (n, n)), ("matrix", (n, "any"))):

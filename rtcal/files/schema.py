@@ -31,6 +31,9 @@ Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Point = tuple[Number, Number, Number]
 
 
+_REFUSED = msgspec.ValidationError, UnicodeEncodeError  # of a text with half of a UTF-16 pair
+
+
 class FileTable(msgspec.Struct, forbid_unknown_fields=True):
     """A table of a file: its fields are the keys that it may have; those without a default it must."""
 
@@ -65,7 +68,7 @@ def read(kind: type[T], data: object, place: str = "") -> T:
     """
     try:
         return msgspec.convert(data, kind)
-    except msgspec.ValidationError as error:
+    except _REFUSED as error:
         raise DataError(_fault(kind, data, place) or f"{_whole(place)}: {error}") from error
 
 
@@ -83,7 +86,7 @@ def _fault(kind: Any, value: Any, place: str) -> str | None:
     try:
         msgspec.convert(value, kind)
         return None
-    except msgspec.ValidationError:
+    except _REFUSED:
         pass
     for option in _options(kind):
         if wrong := _wrong_key(option, value, place):

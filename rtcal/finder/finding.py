@@ -48,7 +48,7 @@ from rtcal.finder.records import data_of, record_of_means, record_of_several
 from rtcal.finder.states.case import StatesCase
 from rtcal.finder.states.evidence import ADDED
 from rtcal.loop.measured_pairs import without_place
-from rtcal.support import blocks, text
+from rtcal.support import blocks, checks, text
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
 from rtcal.support.text import as_sentence, listed
@@ -505,15 +505,19 @@ class Finding(Result):
         the effects' parameters and sizes, by default those that were found.
         """
         base: Case = self.case if case is None else case
-        members = self.members if members is None else members
+        members = self.members if members is None else checks.texts("members", members)
         present = {a.name for a in base.applied}
         if present.issuperset(members):
             return base
-        fits = self.fits if fits is None else fits
+        fits = self.fits if fits is None else checks.mapped("fits", fits)
+        missing = [n for n in members if n in self.effects and n not in present]
+        for name in (*missing, members[-1]):
+            if name not in fits:
+                has = checks.shown([*fits])
+                raise DataError(f'members has "{name}", which is not in fits; there are {has}')
         off = fits[members[-1]].coefficients
         if off is not None:
             base = off.apply(base)
-        missing = [n for n in members if n in self.effects and n not in present]
         added = [fits[name].applied(self.effects[name]) for name in missing]
         return replace(base, applied=(*base.applied, *added)) if added else base
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import unicodedata
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -187,7 +187,7 @@ def _has_flags(value: Any) -> bool:
 
 def listed(place: str, value: object) -> tuple[Any, ...]:
     """Return the members of a sequence; DataError for one text and for anything else."""
-    if isinstance(value, str | bytes) or not isinstance(value, Iterable):
+    if isinstance(value, str | bytes) or not np.iterable(value):  # an array of no axis is none
         raise DataError(f"{place} = {shown(value)} is not a list")
     return tuple(value)
 
