@@ -1,9 +1,10 @@
 """Hostile calls of every public function, for the law in `tests/seams/test_hostile_calls.py`.
 
-Each function gets valid arguments, then one of them is replaced by each of `WRONG`: None, texts, empty
-and object arrays, NaN, wrong shapes, and by a generator. A call may work or raise a typed error
-(`rt.errors`). Public are the names that the packages list, the functions of the modules among them,
-and the methods of the classes for which `instances` has an example.
+Each function gets valid arguments, by the parameter's name or by "function.name" where that needs another
+value. Then one of them is replaced by each of `WRONG`: None, texts, empty and object arrays, NaN, wrong
+shapes, and by a generator. A call may work or raise a typed error (`rt.errors`). Public are the names
+that the packages list, the functions of the modules among them, and the methods of the classes for which
+`instances` has an example.
 
 Classes and readers (`made_here`) check where an object is made or a file is opened: their errors are
 all typed. A function that is given another type, or arrays that do not fit, may raise an error of
@@ -28,6 +29,7 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
+from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.calibration.posterior import distribution
 from rtcal.finder import (
     AppliedEffect,
@@ -217,6 +219,8 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "ArauPuchades": rt.ArauPuchades(),
         "AppliedEffect": AppliedEffect("opening", {"area": 2.0}),
         "Plan": plan(case),
+        "DecaySlope": OBSERVABLES["t20"],
+        "SigmaRule": rt.priors.SigmaRule(),
         "Recalibrated": rt.finder.recalibrate(case),
         "Generator": np.random.default_rng(1),
         "Term": rt.terms.PriorDeviation(),
@@ -233,8 +237,8 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "target": np.array([12.0, 13.0]),
         "t": np.array([0.5, 0.5]),
         "mean": np.array([0.1, 0.2]),
-        "centre_frequencies": f,
-        "frequencies": f,
+        "centre_frequencies": np.array(f),
+        "frequencies": np.array(f),
         "wanted": f,
         "values": np.array([0.3, 0.2]),
         "uncertainty": np.array([0.1, 0.1]),
@@ -310,6 +314,28 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "area": 2.0,
         "key": "eyring",
         "protocol": rt.terms.Term,
+        "ChangedMaterial.alpha": np.array([0.2, 0.2]),
+        "ChangedMaterial.sigma": np.array([0.02, 0.02]),
+        "Measurement.from_decays.energy": 10
+        ** (-6 * np.arange(4000) * 1e-3 / np.full((1, 2, 1), 0.5)),
+        "MeasuredModes.decays": np.array([2.0, 3.0]),
+        "MeasuredModes.decay_uncertainty": np.array([0.1, 0.1]),
+        "MeasuredModes.frequency_uncertainty": np.array([0.1, 0.1]),
+        "Observed.matrix": np.eye(2, 4),
+        "Polyhedron.shoebox.materials": dict.fromkeys(SHOEBOX_WALLS, "wall"),
+        "Room.material.name": "wall",
+        "Room.material_index.name": "wall",
+        "Room.material_rows.names": ["wall"],
+        "Step.simulated": np.array([0.5, 0.5]),
+        "Step.noise": np.array([0.01, 0.01]),
+        "Target.low": np.array([0.4, 0.4]),
+        "Target.high": np.array([0.6, 0.6]),
+        "gap_jnd.measured": np.array([0.5, 0.5]),
+        "gap_jnd.simulated": np.array([0.5, 0.5]),
+        "gradients.parameters": ["t20"],
+        "material.name": "carpet_1.35_kg_m2",
+        "observable.key": "t20",
+        "of_energy.energy": 10 ** (-6 * np.arange(4000) * 1e-3 / 0.5),
     }
     return by_class, by_name
 
@@ -375,7 +401,8 @@ def arguments(
         if kind in by_class:
             out[p.name] = by_class[kind]
         else:
-            out[p.name] = by_name.get(p.name, "text" if kind == "str" else 1)
+            usual = by_name.get(p.name, "text" if kind == "str" else 1)
+            out[p.name] = by_name.get(f"{function.__qualname__}.{p.name}", usual)
     return out
 
 

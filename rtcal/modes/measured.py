@@ -141,9 +141,13 @@ class MeasuredModes:
             raise DataError(
                 f"frequencies[{bad}] = {self.frequencies[bad]:g} Hz is not above the one before it"
             )
+        put("largest", checks.between("largest", self.largest, 0, np.inf, "Hz"))
         put("notes", tuple(checks.listed("notes", self.notes)))
         if self.amplitudes is not None:
-            amplitudes = np.array(self.amplitudes, dtype=complex)
+            try:
+                amplitudes = np.array(self.amplitudes, dtype=complex)
+            except (TypeError, ValueError, OverflowError) as cause:
+                raise DataError(f"amplitudes is not an array of numbers: {cause}") from cause
             if amplitudes.ndim != 2 or len(amplitudes) != n or not np.isfinite(amplitudes).all():
                 raise DataError(
                     f"amplitudes has shape {amplitudes.shape}; with {n} modes it is ({n}, n_pairs), "
@@ -151,10 +155,12 @@ class MeasuredModes:
                 )
             put("amplitudes", amplitudes)
         if self.calculated is not None:
-            own = np.array(self.calculated, dtype=int)
-            if own.shape != (n,) or len(np.unique(own)) < n or (own < 0).any():
+            stated = checks.shaped("calculated", self.calculated, n)
+            with np.errstate(invalid="ignore"):  # a number that no integer holds is another then
+                own = stated.astype(int)
+            if (own != stated).any() or len(np.unique(own)) < n or (own < 0).any():
                 raise DataError(
-                    f"calculated is not {n} different numbers from 0 on, one of each mode"
+                    f"calculated is not {n} different whole numbers from 0 on, one of each mode"
                 )
             put("calculated", own)
 
