@@ -1,10 +1,10 @@
 """Hostile calls of every public function, for the law in `tests/seams/test_hostile_calls.py`.
 
-Each function gets valid arguments, by the parameter's name or by "function.name" where that needs another
-value. Then one of them is replaced by each of `WRONG`: None, texts, empty and object arrays, NaN, wrong
-shapes, and by a generator. A call may work or raise a typed error (`rt.errors`). Public are the names
-that the packages list, the functions of the modules among them, and the methods of the classes for which
-`instances` has an example.
+Each function gets valid arguments, by the parameter's name or by "function.name" where that needs
+another value. Then one of them is replaced by each of `WRONG`: None, texts, empty and object arrays,
+NaN, wrong shapes, and by a generator. A call may work or raise a typed error (`rt.errors`). Public are
+the names that the packages list, the functions of the modules among them, and the methods of the
+classes for which `instances` has an example.
 
 Classes and readers (`made_here`) check where an object is made or a file is opened: their errors are
 all typed. A function that is given another type, or arrays that do not fit, may raise an error of
