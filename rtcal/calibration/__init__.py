@@ -1,20 +1,22 @@
 """The calibration of a room: from its prior and its measured T to its absorption coefficients alpha.
 
 In short: every calibration is a QP (weighted quadratic objective, area equality, 0-1 box) built once in
-cvxpy and solved with Clarabel or OSQP. The paper's closed forms are the warm start (the first round of
-`qp.closed_form`) and, in the tests, the oracle (`exact`, which shares no code with the QP).
+cvxpy and solved with Clarabel or OSQP. The paper's closed form is OSQP's warm start and the fallback
+of both solvers (the first round of `qp.closed_form`) and, in the tests, the oracle (`exact`, which
+shares no code with the QP).
 
 The path of `rtcal.calibrate(room, measured)`, in the order in which it is taken:
 
 1. `methods`: `preset` gives the terms of the method (`terms`, each a cvxpy expression of the deviations
    x = (alpha - mu) / sigma) as a `Calibration` without a room.
 2. `problem`: `Calibration.build` takes the room and returns a `CalibrationProblem`. It is a
-   `Composition` (`composition`): terms, rooms and equation, and cvxpy's `CompiledProblem` of them with
-   the order of the unknowns, which rooms of one layout share (`qp.compile_once`).
+   `Composition` (`composition`): terms, rooms and equation, and the `qp.CompiledProblem` that cvxpy
+   compiles of them, with the order of the unknowns; rooms of one layout share it (`qp.compile_once`).
 3. `CalibrationProblem.solve` takes the measurement and has the rest of the path in one function: T in
    the room's bands (`measured`), and of it and the room the `Numbers` (`unknowns`): prior, box, areas,
    b. `feasibility` says whether T is within reach. The numbers fill a `QP`. `qp.solve` asks the solver
-   which constraints are active (if it returns nothing, none are), `qp.polish` solves the optimality
+   which constraints are active (if it returns nothing, those held at an end and those
+   that the prior violates), `qp.polish` solves the optimality
    conditions on that active set and corrects it, `qp.certify` checks the answer anew. If this fails,
    `qp.closed_form` polishes from the paper's closed form; then the solver's own answer is certified.
    If none passes, `feasibility` explains why nothing is feasible.

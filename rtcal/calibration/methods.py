@@ -132,7 +132,8 @@ def calibrate(
     """Calibrate a room's absorption coefficients to its measured reverberation time.
 
     minimise sum ((alpha - mu) / sigma)²  subject to  S'alpha = b,  alpha_min <= alpha <= 1,
-    in every band, with b the absorption area that gives the measured T (Bellows & Katz 2025).
+    in every band, with b the absorption area that gives the measured T (Bellows & Katz 2025). In a room
+    that states an uncertainty of its volume, areas or climate the equality becomes a term of the sum.
 
     Parameters
     ----------
@@ -150,8 +151,8 @@ def calibrate(
     **options
         ``solver``: ``"clarabel"`` (the default) or ``"osqp"``.
         ``unreachable``: ``"raise"`` (the default), or ``"nearest"`` to take the nearest T within
-        reach and list the band in the result. ``warm_start``: whether OSQP starts from the closed
-        form. ``settings``: a mapping of the solver's own settings. See
+        reach and list the band in the result; exact matches alone ask it. ``warm_start``: whether
+        OSQP starts from the closed form. ``settings``: a mapping of the solver's own settings. See
         `CalibrationProblem.solve`. (No method has `rtcal.terms.LinearObservations`, so ``observed`` is
         refused.)
 

@@ -166,7 +166,9 @@ class Calibration:
                 MissingAirWarning,
                 stacklevel=checks.stack_level(),
             )
-        _ = problem.compiled  # here, so that terms that make no QP are refused at once
+        _ = (
+            problem.compiled
+        )  # cvxpy compiles here, so that terms that make no QP are refused at once
         return problem
 
 
@@ -215,7 +217,7 @@ class CalibrationProblem(Composition, Generic[R]):
         unreachable : {"raise", "nearest"}
             What to do where no coefficients within the bounds give the measured T. ``"raise"`` raises
             InfeasibleError; ``"nearest"`` takes the nearest T within reach and lists the band in the
-            result.
+            result. It is asked of exact matches alone.
         warm_start : bool
             Whether OSQP starts from the closed form; Clarabel takes no start.
         settings : mapping, optional
@@ -255,7 +257,8 @@ class CalibrationProblem(Composition, Generic[R]):
             try:
                 raw = qp.solve(program, at, solver, settings, warm_start)
             except SolverError as error:
-                # It was asked for a guess of the active set alone; polishing begins at the prior.
+                # It was asked for a guess of the active set alone. Polishing begins at the prior, with
+                # what is held and what the prior violates as the active set.
                 none = np.zeros(len(program.b)), np.zeros(len(at))
                 raw = Iterate(program.at_bounds(at), *none, at, status=str(error))
             convexity = problem.convexity(numbers)

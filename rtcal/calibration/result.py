@@ -528,9 +528,9 @@ class JointResult(Result):
 
         It is `rtcal.posterior.distribution`'s: with the uncertainty of T, where one is stated, and it
         holds the calibrated coefficient. In a room that states an uncertainty of its volume, areas,
-        climate or tables it is that of a normal density, cut at the bounds. None if that would need
-        samples (correlations, order, several configurations), or if the method has no posterior (`lse`,
-        `robust`).
+        climate or tables it is that of a normal density, cut at the bounds. None if bands or rooms
+        are coupled (correlations, order, several configurations), or if the method has no posterior
+        (`lse`, `robust`).
         """
         if len(self.configurations.rooms) > 1 or not self.has_density:
             return None
