@@ -167,7 +167,17 @@ class _Options:
 
 
 def read(
-    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], **options: Any
+    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    decay_time: str | None = None,
+    parameter: str | None = None,
+    where: Mapping[str, str] | None = None,
+    ignore: Collection[str] | None = None,
+    columns: str | None = None,
+    n_sources: int | None = None,
+    n_receivers: int | None = None,
+    repeats: bool | None = None,
+    sheets: Collection[str] | None = None,
 ) -> MeasuredTable:
     """Return the measurement of a table, or of several: one per position, as REW exports them.
 
@@ -204,7 +214,18 @@ def read(
     """
     paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
     contents = {os.fspath(checks.path("path", p)): read_bytes(p, MAX_BYTES) for p in paths}
-    return parse(contents, **options)
+    return parse(
+        contents,
+        decay_time=decay_time,
+        parameter=parameter,
+        where=where,
+        ignore=ignore,
+        columns=columns,
+        n_sources=n_sources,
+        n_receivers=n_receivers,
+        repeats=repeats,
+        sheets=sheets,
+    )
 
 
 def parse(
