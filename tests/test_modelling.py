@@ -156,10 +156,8 @@ def test_theorem_separable_sigma_exact_match_no_bound(seed: int) -> None:
         np.testing.assert_allclose(other.alpha, plain.alpha, rtol=0, atol=1e-10)
     # Each premise is needed.
     uneven = room.replace(sigma=separable * rng.uniform(0.5, 1.5, separable.shape))
-    own = {f"m{i}": 0.15 * i for i in range(6)}
     for calibration, where in (
         (rt.Calibration(terms.PriorDeviation(band_correlation=0.8), exact), uneven),
-        (rt.Calibration(terms.PriorDeviation(band_correlation=own), exact), room),
         (
             rt.Calibration(terms.PriorDeviation(band_correlation=0.8) + terms.SoftMatch(0.1), []),
             room,

@@ -21,7 +21,6 @@ from rtcal.calibration.terms import (
     AddedAbsorption,
     Bounds,
     ExactMatch,
-    Fixed,
     LinearObservations,
     Objective,
     Observed,
@@ -81,14 +80,14 @@ class Composition:
         return self.compiled.layout
 
     @property
-    def boxes(self) -> list[Bounds | Fixed]:
+    def boxes(self) -> list[Bounds]:
         """The constraints that narrow the box; the others, but `Shared`, are rows of the QP."""
-        return [c for c in self.constraints if isinstance(c, Bounds | Fixed)]
+        return [c for c in self.constraints if isinstance(c, Bounds)]
 
     @property
     def row_constraints(self) -> list[Any]:
         """The constraints that are rows of the QP."""
-        return [c for c in self.constraints if not isinstance(c, Bounds | Fixed | Shared)]
+        return [c for c in self.constraints if not isinstance(c, Bounds | Shared)]
 
     @property
     def matches(self) -> list[ExactMatch]:

@@ -25,7 +25,6 @@ from rtcal.calibration.terms import (
     AddedAbsorption,
     Bounds,
     ExactMatch,
-    Fixed,
     LinearObservations,
     Objective,
     Observed,
@@ -93,7 +92,7 @@ class Calibration:
             if isinstance(constraint, type):
                 name = constraint.__name__
                 raise ModelError(f"{name} is a class and no term: write {name}()")
-            narrows = isinstance(constraint, Bounds | Fixed | Shared)
+            narrows = isinstance(constraint, Bounds | Shared)
             if not (narrows or callable(constraint)) or isinstance(constraint, Term | Objective):
                 raise ModelError(
                     f"{constraint!r} is no constraint of rtcal.terms, and no function of a "

@@ -132,12 +132,6 @@ class CompiledProblem:
                 "the composed problem is no QP: a term is neither linear nor quadratic"
             )
         self._program = program = data["param_prob"]
-        self._parameters = [
-            (program.param_id_to_col[p.id], compute)
-            for p, compute in m.parameters
-            if p.id in program.param_id_to_col
-        ]
-        self._theta = np.ones(program.total_param_size + 1)  # its last entry is what is constant
         self.size, n = program.x.size, len(data["b"])
         self.equal = np.arange(n) < int(data["dims"].zero)
         (self.P_rows, self.P_columns), _ = self._entries_of(program.reduced_P)
@@ -180,10 +174,11 @@ class CompiledProblem:
 
     def filled(self, numbers: Numbers) -> QP:
         """Return the QP of a set of numbers."""
-        program, theta = self._program, self._theta.copy()
-        for place, compute in self._parameters:
-            flat = np.ravel(compute(numbers), order="F")
-            theta[place : place + len(flat)] = flat
+        program = self._program
+        theta = np.ones(program.total_param_size + 1)  # its last entry is what is constant
+        for parameter, compute in self.model.parameters:
+            if (place := program.param_id_to_col.get(parameter.id)) is not None:
+                theta[place : place + parameter.size] = np.ravel(compute(numbers), order="F")
         P, c = program.reduced_P.reduced_mat @ theta, (program.q @ theta)[: self.size]
         # cvxpy's rows are A v + b = 0 and A v + b >= 0; here they are A v = b and A v <= b.
         A, of_b = np.split(program.reduced_A.reduced_mat @ theta, [len(self.A_rows)])
@@ -198,7 +193,7 @@ class CompiledProblem:
         scale = np.ones(self.size)
         scale[self.places] = numbers.sigma
         held = float(numbers.areas.max(axis=0).sum()) if (numbers.sigma == 0).any() else 0.0
-        return QP(self, P, c, -A, b, lower, upper, scale, held)
+        return QP(self, P, c, -A, b, lower, upper, scale, self.equal, held)
 
 
 def _stated(term: AnyTerm, m: Model, kind: Any) -> list[Any]:
@@ -206,13 +201,10 @@ def _stated(term: AnyTerm, m: Model, kind: Any) -> list[Any]:
     stated = term(m)
     parts = list(stated) if isinstance(stated, list | tuple) else [stated]
     minimised = kind is cp.Expression
-    if minimised and (not isinstance(stated, kind) or not stated.is_scalar()):
-        raise ModelError(
-            f"{term!r} is no objective term: it returns {stated!r} in place of a cvxpy expression "
-            "of one number"
-        )
-    if wrong := [part for part in parts if not isinstance(part, kind)]:
-        raise ModelError(f"{term!r} is no constraint: it returns {wrong[0]!r}")
+    whole = all(isinstance(part, kind) for part in parts)
+    if not whole or (minimised and [part.size for part in parts] != [1]):
+        wanted = "objective term, an expression of one number" if minimised else "constraint"
+        raise ModelError(f"{term!r} is no {wanted}: it returns {stated!r}")
     return parts
 
 
@@ -259,13 +251,14 @@ class QP:
     Attributes
     ----------
     compiled : CompiledProblem
-        It also says which rows are equalities.
     P, A : array
         The entries, at the places that ``compiled`` has.
     c, b : array (size,), (n_rows,)
     lower, upper : array (size,)
     scale : array (size,)
         Change of an unknown by its deviation: the prior's sigma; 1 for other variables.
+    equal : array (n_rows,) of bool
+        Which rows are equalities.
     fixed_area : float
         m² of the materials if b has some of sigma 0, which no row of A has; 0 otherwise.
     """
@@ -278,16 +271,12 @@ class QP:
     lower: Array
     upper: Array
     scale: Array
+    equal: Flags
     fixed_area: float
 
     def unknowns(self, numbers: Numbers, v: Array) -> Array:
         """Return the unknowns u = mu + sigma x of a point v, (size,)."""
         return np.asarray(numbers.mu + numbers.sigma * v[self.compiled.places])
-
-    @property
-    def equal(self) -> Flags:
-        """Which rows are equalities."""
-        return self.compiled.equal
 
     @functools.cached_property
     def fixed(self) -> Flags:
@@ -368,7 +357,7 @@ class System:
         except RuntimeError as error:
             raise SolverError("the optimality conditions are singular") from error
 
-    def solve(self, force: Array, limit: Array, refine: bool = True) -> tuple[Array, Array]:
+    def solve(self, force: Array, limit: Array) -> tuple[Array, Array]:
         """Return dv (size, ...) and dy (n_rows, ...), 0 for what is not free or not active.
 
         ``force`` (size,) and ``limit`` (n_rows,) may have a second axis, of several right sides.
@@ -378,8 +367,6 @@ class System:
         solution, off, residual = np.zeros(right.shape), np.inf, right
         for _ in range(1 + self._REFINEMENTS):
             solution = solution + self._factors.solve(residual)
-            if not refine:
-                break
             residual = right - self._matrix @ solution + (solution.T * self._shift).T
             before, off = off, np.max(np.abs(residual), initial=0.0)
             if not off < before / 2:
@@ -474,12 +461,11 @@ def polish(program: QP, at: Active, tight: Flags) -> Iterate | None:
             tight = tight | beyond
             continue
         alone = tight & ~system.used & (program.row_size > 0)
-        if alone.any():
-            missed = np.where(abs(slack) > rounding, slack, 0.0)
-            y, released = _rows_alone(program, v, y, alone, missed, at)
-            if released.any():
-                at = np.where(released, 0, at).astype(np.int8)
-                continue
+        missed = np.where(abs(slack) > rounding, slack, 0.0)
+        y, released = _rows_alone(program, v, y, alone, missed, at)
+        if released.any():
+            at = np.where(released, 0, at).astype(np.int8)
+            continue
         force = program.force(v, y)
         tolerance = _ROUNDING * (1 + absolute.force(np.abs(v), np.abs(y)))
         wrong = ((at < 0) & (force < -tolerance)) | ((at > 0) & (force > tolerance))
@@ -608,11 +594,11 @@ def solve(
     if x is None or z is None or not (np.isfinite(x).all() and np.isfinite(z).all()):
         raise SolverError(f'solver "{solver}" returned no values; its status is {status}')
     y, below, above = np.split(np.asarray(z), [n, n + len(low)])
-    v, y, z = np.where(on, start + x, start), y * unit, np.zeros(size)
-    if (at != 0).any():  # what was left out has multipliers, too, and its rows
-        alone = (norm == 0) & (program.row_size > 0)
-        y, _ = _rows_alone(program, v, y, alone, np.zeros(n), at)
-        z = _of_bounds(program.force(v, y), at)
+    v, y = np.where(on, start + x, start), y * unit
+    # What was left out has multipliers, too, and its rows.
+    alone = (norm == 0) & (program.row_size > 0)
+    y, _ = _rows_alone(program, v, y, alone, np.zeros(n), at)
+    z = _of_bounds(program.force(v, y), at)
     z[high] += np.maximum(above, 0.0)
     z[low] -= np.maximum(below, 0.0)
     return Iterate(v, y, z, at, None, status, iterations, seconds)
@@ -766,8 +752,8 @@ def _step_left(
     unmet = np.where(program.equal & ~system.used, np.abs(slack), 0.0)[program.compiled.A_rows]
     alone = np.divide(unmet, absolute.A, out=np.zeros_like(unmet), where=absolute.A != 0)
     np.maximum.at(moved, program.compiled.A_columns, alone)
-    for sign in (1.0, -1.0):
-        each, row = (error * sign ** np.arange(len(error)) for error in errors)
-        moved = moved + np.abs(system.solve(each, row, refine=False)[0])
+    signs = [np.array([1.0, -1.0]) ** np.arange(len(error))[:, np.newaxis] for error in errors]
+    pairs = (error[:, np.newaxis] * sign for error, sign in zip(errors, signs, strict=True))
+    moved = moved + np.abs(system.solve(*pairs)[0]).sum(axis=1)
     wrong = np.where(point.at < 0, np.minimum(left, 0.0), np.maximum(left, 0.0))
     return moved, np.where(free, left, np.where(point.at != 0, wrong, 0.0))

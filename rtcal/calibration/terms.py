@@ -62,9 +62,6 @@ __dir__ = __all__.copy
 SMALLEST_UNCERTAINTY = 1e-6
 """Of T, relative. Below it the soft match dwarfs the prior, and rounding decides alpha."""
 
-_BLOCK = 256
-"""Number of factors compiled together: 0.5 MB of memory, and few enough blocks to compile quickly."""
-
 
 class Model:
     """The unknowns, and the numbers of room and measurement, as cvxpy expressions for terms.
@@ -86,7 +83,9 @@ class Model:
         self.layout = checks.instance("layout", layout, Layout)
         self.x = cp.Variable(layout.n_alpha, name="x")
         self.deviation = cp.reshape(self.x, (layout.n_alpha_rows, layout.n_bands), order="C")
-        self.effects = cp.Variable(len(layout.further), name="effects") if layout.further else None
+        self.effects: Any = (
+            cp.Variable(len(layout.further), name="effects") if layout.further else None
+        )
         self.parameters: list[tuple[Any, Callable[[Numbers], Any]]] = []
         self.definitions: list[Any] = []
         self.nonnegative: list[Any] = []
@@ -115,7 +114,7 @@ class Model:
         shape = self.deviation.shape
         sigma = self.parameter(shape, lambda numbers: numbers.alpha(numbers.sigma))
         mu = self.parameter(shape, lambda numbers: numbers.alpha(numbers.mu))
-        return product(sigma, self.deviation) + mu
+        return cp.multiply(sigma, self.deviation) + mu
 
     @cached_property
     def absorption_area(self) -> Any:
@@ -177,19 +176,8 @@ class Model:
 
         steep = self.parameter(x.shape, lambda numbers: area(numbers, numbers.sigma))
         stated = self.parameter(x.shape[1], lambda numbers: area(numbers, numbers.mu).sum(axis=0))
-        return cp.sum(product(steep, x), axis=0) + stated
-
-
-def product(factors: Any, x: Any) -> Any:
-    """Return the elementwise product of a parameter and an expression, both (n, k).
-
-    cvxpy compiles a product of n factors with memory for n² numbers, so long ones are cut.
-    """
-    if x.size <= _BLOCK:
-        return cp.multiply(factors, x)
-    flat = [cp.vec(part, order="F") for part in (factors, x)]
-    parts = [cp.multiply(*(f[i : i + _BLOCK] for f in flat)) for i in range(0, x.size, _BLOCK)]
-    return cp.reshape(cp.hstack(parts), x.shape, order="F")
+        # Band by band: in a product by elements, cvxpy compiles n factors with memory for n².
+        return cp.hstack([steep[:, k] @ x[:, k] for k in range(self.layout.n_bands)]) + stated
 
 
 def half_squares(expression: Any) -> Any:
@@ -248,8 +236,7 @@ class Term(_Summand, ABC):
     def structure(self) -> Term:
         """Return a term of the same compiled problem, one for all whose numbers are parameters."""
         alike = copy.copy(self)
-        for name, value in self.in_numbers.items():
-            object.__setattr__(alike, name, value)
+        vars(alike).update(self.in_numbers)
         return alike
 
 
@@ -273,17 +260,16 @@ class PriorDeviation(Term):
     and `ExactMatch`; its least-squares estimate (Eq. 7) is the same with every sigma equal,
     ``PriorDeviation(sigma=1)``. Give correlations where errors go together: a data sheet that is
     too low at 500 Hz is likely too low at 1 kHz; two boards of one maker err alike. They change
-    nothing with an exact match, no coefficient at a bound, one correlation for all materials, and
-    sigmas that are a material's factor times a band's (see docs/modelling.md).
+    nothing with an exact match, no coefficient at a bound, and sigmas that are a material's factor
+    times a band's (see docs/modelling.md).
 
     Parameters
     ----------
     sigma : float, optional
         One standard deviation for every coefficient in place of the room's (but 0 stays 0), above 0.
         It enters through x: `rtcal.calibration.problem.CalibrationProblem.numbers` takes it.
-    band_correlation : float, or a mapping of material to float
-        r below 1 is the correlation of two bands an octave apart: r ** octaves. Materials that a
-        mapping lacks are uncorrelated.
+    band_correlation : float
+        r below 1 is the correlation of two bands an octave apart: r ** octaves.
     material_correlation : mapping of pairs to float
         Between the same bands of two materials: ``{("door", "panel"): 0.7}``.
     common : bool
@@ -297,7 +283,7 @@ class PriorDeviation(Term):
     """
 
     sigma: float | None = None
-    band_correlation: float | Mapping[str, float] | tuple[Any, ...] = 0.0
+    band_correlation: float = 0.0
     material_correlation: Mapping[tuple[str, str], float] | tuple[Any, ...] = ()
     common: bool = False
 
@@ -308,17 +294,16 @@ class PriorDeviation(Term):
         checks.flag("PriorDeviation: common", self.common)
         if self.sigma is not None:
             checks.positive("PriorDeviation: sigma", self.sigma)
-        # Mappings are kept as tuples: a term is hashable, so that its compiled problem is found again.
-        for name in ("band_correlation", "material_correlation"):
-            given = getattr(self, name)
-            if isinstance(given, Mapping | tuple):
-                pairs = [
-                    (_materials(name, of), checks.number(f"{name} of {of}", r))
-                    for of, r in dict(given).items()
-                ]
-                object.__setattr__(self, name, tuple(pairs))
-            else:
-                checks.number(name, given)
+        checks.number("band_correlation", self.band_correlation)
+        pairs = self.material_correlation
+        if not isinstance(pairs, tuple):
+            # Kept as a tuple: a term is hashable, so that its compiled problem is found again.
+            pairs = tuple(checks.mapped("material_correlation", pairs).items())
+        for pair, r in pairs:
+            if not (isinstance(pair, tuple) and len(pair) == 2):
+                raise DataError(f"material_correlation: {pair!r} is not a pair of materials")
+            checks.number(f"material_correlation of {pair}", r)
+        object.__setattr__(self, "material_correlation", pairs)
 
     @property
     def correlated(self) -> bool:
@@ -335,15 +320,13 @@ class PriorDeviation(Term):
                 n, lambda numbers: (numbers.common_shift * numbers.inverse_sigma)[:n]
             )
             x = m.defined(x - shift * together)
-        if not (self.band_correlation or self.material_correlation):
-            return half_squares(x) + of_common
         _, inverse, _ = _correlation(self, m.layout)
         return 0.5 * cp.quad_form(x, inverse, assume_PSD=True) + of_common
 
     def convexity(self, numbers: Numbers) -> float:
         """Return the least eigenvalue of the inverse correlation."""
         q = numbers.common_shift * numbers.inverse_sigma
-        largest = _correlation(self, numbers.layout)[2] if self.correlated else 1.0
+        largest = _correlation(self, numbers.layout)[2]
         return float(1 / (largest + (q @ q if self.common else 0.0)))
 
     def correlate(self, columns: Array, layout: Layout) -> Array:
@@ -353,47 +336,28 @@ class PriorDeviation(Term):
         return np.concatenate([alpha, columns[layout.n_alpha :]])
 
 
-def _materials(what: str, of: Any) -> Any:
-    """Return a material's name, or the pair of two."""
-    if what == "material_correlation" and not (isinstance(of, tuple) and len(of) == 2):
-        raise DataError(f"{what}: {of!r} is not a pair of materials")
-    return tuple(map(str, of)) if isinstance(of, tuple) else str(of)
-
-
 @functools.lru_cache(maxsize=16)
 def _correlation(term: PriorDeviation, layout: Layout) -> tuple[Any, Any, float]:
-    """A root of R = B (C x 1) B', R⁻¹, and a bound of R's largest eigenvalue.
-
-    B has a block per row of alpha, of its bands, and C is the correlation of the rows.
-    """
-    names = [layout.materials[i] for i in layout.first]
-    given: Any = term.band_correlation
-    by_material = dict(given) if isinstance(given, tuple) else dict.fromkeys(names, given)
-    for name, r in by_material.items():
-        layout.index(name)
-        if not 0 <= r < 1:
-            raise ModelError(f"band_correlation {r:g} is not in [0, 1)")
-    frequencies = np.array(layout.centre_frequencies)
-    tables = [bands.correlation(frequencies, by_material.get(name, 0.0)) for name in names]
-    within = [np.asarray(np.linalg.cholesky(table)) for table in tables]
-    between: Array = np.eye(len(names))
-    for (a, b), r in dict(term.material_correlation).items():
+    """A root of R (of materials times of bands), the inverse of R, and its largest eigenvalue."""
+    r = term.band_correlation
+    if not 0 <= r < 1:
+        raise ModelError(f"band_correlation {r:g} is not in [0, 1)")
+    between: Array = np.eye(layout.n_alpha_rows)
+    for (a, b), r in term.material_correlation:
         i, j = (layout.index(name)[0] // layout.n_bands for name in (a, b))
         if i == j:
             raise ModelError(f'material_correlation: "{a}" and "{b}" are one unknown')
         between[i, j] = between[j, i] = r
+    within = bands.correlation(np.array(layout.centre_frequencies), term.band_correlation)
     try:
-        between = np.asarray(np.linalg.cholesky(between))
+        roots = [np.linalg.cholesky(part) for part in (between, within)]
     except np.linalg.LinAlgError as error:
         raise ModelError("material_correlation is not positive definite") from error
-    one = sp.eye_array(layout.n_bands)
-    root = sp.csr_array(sp.block_diag(within) @ sp.kron(between, one))
-    own = sp.block_diag([sp.csr_array(np.linalg.inv(b)) for b in within])
-    whitener = sp.csr_array(sp.kron(np.linalg.inv(between), one) @ own)
+    root = sp.csr_array(sp.kron(*roots))
+    whitener = sp.csr_array(sp.kron(*map(np.linalg.inv, roots)))
     inverse = sp.csr_array(whitener.T @ whitener)
     inverse.eliminate_zeros()
-    largest = max(np.linalg.norm(b, 2) for b in within) * np.linalg.norm(between, 2)
-    return root, inverse, float(largest**2)
+    return root, inverse, float(np.prod([np.linalg.norm(part, 2) for part in roots]) ** 2)
 
 
 @dataclass(frozen=True)
@@ -410,19 +374,15 @@ class HuberDeviation(Term):
     ----------
     threshold : float
         t, in sigmas, above 0; beyond it a coefficient counts as an outlier.
-    convex : float
-        e, above 0 and at most 1.
     """
 
     threshold: float = 1.5
-    convex: float = 0.01
 
     is_prior: ClassVar[bool] = True
+    convex: ClassVar[float] = 0.01
 
     def __post_init__(self) -> None:
         checks.positive("HuberDeviation: threshold", self.threshold)
-        if not 0 < checks.number("HuberDeviation: convex", self.convex) <= 1:
-            raise DataError(f"HuberDeviation: convex = {self.convex:g} is not in (0, 1]")
 
     def __call__(self, m: Model) -> Any:
         """½ e |x|² + (1 - e) (½ |x - p + q|² + t sum(p + q)), p and q >= 0 the parts beyond t."""
@@ -659,7 +619,7 @@ class BandSmoothness(Term):
 
         factor = m.parameter((layout.n_alpha_rows, layout.n_bands - 1), steep)
         x = m.deviation
-        return half_squares(product(factor, x[:, 1:] - x[:, :-1]))
+        return half_squares(cp.multiply(factor, x[:, 1:] - x[:, :-1]))
 
 
 @dataclass(frozen=True)
@@ -702,8 +662,7 @@ class AddedAbsorption(Term):
 
     def __call__(self, m: Model) -> Any:
         """½ ((theta - mean) / sigma)²."""
-        sizes: Any = m.effects
-        return half_squares(sizes[m.layout.further.index(self.name)])
+        return half_squares(m.effects[m.layout.further.index(self.name)])
 
     def gains(self, n_configurations: int, n_bands: int) -> Array:
         """Return the gain by configuration and band in m²; ModelError if it does not fit."""
@@ -724,34 +683,32 @@ class Bounds:
 
     Parameters
     ----------
-    lower, upper : float
+    lower, upper : float, optional
+        None is the prior mean.
     material : str, optional
         Only this material.
     band : float, optional
         Only this band, by its centre frequency in Hz.
     """
 
-    lower: float = 0.0
-    upper: float = 1.0
+    lower: float | None = 0.0
+    upper: float | None = 1.0
     material: str | None = None
     band: float | None = None
 
     def __post_init__(self) -> None:
-        checks.number("Bounds: lower", self.lower)
-        checks.number("Bounds: upper", self.upper)
-        _named("Bounds", self.material, self.band)
-        if not 0 <= self.lower <= self.upper <= 1:
-            raise DataError(
-                f"Bounds({self.lower:g}, {self.upper:g}) is not within 0 <= lower <= upper <= 1"
-            )
+        name = type(self).__name__
+        stated = [end for end in (self.lower, self.upper) if end is not None]
+        ends = [0.0, *(checks.number(name, end) for end in stated), 1.0]
+        if not all(ends[i] <= ends[i + 1] for i in range(len(ends) - 1)):
+            raise DataError(f"{name}: 0 <= lower <= upper <= 1 is not so of {stated}")
 
     def of(self, mu: Array) -> tuple[Any, Any]:
         """Return the bounds of coefficients whose prior means are ``mu``."""
-        return self.lower, self.upper
+        return tuple(mu if end is None else end for end in (self.lower, self.upper))
 
 
-@dataclass(frozen=True)
-class Fixed:
+class Fixed(Bounds):
     """alpha = value (its prior mean if not given): a coefficient that the measurement may not move.
 
     When to use it: for a material that was measured in the laboratory, or whose answer must stay
@@ -766,19 +723,10 @@ class Fixed:
         Only this band, by its centre frequency in Hz.
     """
 
-    material: str
-    value: float | None = None
-    band: float | None = None
-
-    def __post_init__(self) -> None:
-        _named("Fixed", self.material, self.band)
-        if self.value is not None and not 0 <= checks.number("Fixed: value", self.value) <= 1:
-            raise DataError(f'Fixed("{self.material}", {self.value:g}) is not in [0, 1]')
-
-    def of(self, mu: Array) -> tuple[Any, Any]:
-        """Return the value as both bounds."""
-        value = mu if self.value is None else self.value
-        return value, value
+    def __init__(
+        self, material: str, value: float | None = None, band: float | None = None
+    ) -> None:
+        super().__init__(value, value, material, band)
 
 
 @dataclass(frozen=True)
@@ -792,11 +740,9 @@ class Shared:
     materials: tuple[str, ...]
 
     def __init__(self, *materials: str) -> None:
-        for name in materials:
-            _named("Shared", name)
-        if len(set(materials)) < 2:
+        if len(set(checks.texts("Shared: material", materials))) < 2:
             raise DataError("Shared needs two different materials or more")
-        object.__setattr__(self, "materials", tuple(materials))
+        object.__setattr__(self, "materials", materials)
 
 
 @dataclass(frozen=True)
@@ -818,8 +764,7 @@ class AtMost:
     band: float | None = None
 
     def __post_init__(self) -> None:
-        _named("AtMost", self.lesser, self.band)
-        _named("AtMost", self.greater)
+        checks.texts("AtMost: material", (self.lesser, self.greater))
         if self.lesser == self.greater:
             raise DataError(f'AtMost: "{self.lesser}" stands on both sides')
 
@@ -827,7 +772,7 @@ class AtMost:
         """One inequality per band."""
         alpha = cp.vec(m.alpha, order="C")
         lesser, greater = (alpha[places] for places in self._places(m.layout))
-        return [lesser - greater <= np.zeros(lesser.size)]
+        return [lesser <= greater]
 
     def label(self, row: int, layout: Layout) -> str:
         """Return the order and its band."""
@@ -862,19 +807,17 @@ class GroupAbsorption:
     def __post_init__(self) -> None:
         materials = checks.texts("GroupAbsorption: materials", self.materials)
         object.__setattr__(self, "materials", materials)
-        _named("GroupAbsorption", None, self.band)
         given = [
             checks.number(f"GroupAbsorption: {name}", v)
             for name, v in (("least", self.least), ("most", self.most))
             if v is not None
         ]
-        if not given or min(given) < 0 or given != sorted(given) or not np.isfinite(given).all():
+        ordered = given == sorted(given) and np.isfinite(given).all()
+        if not (materials and given and ordered and given[0] >= 0):
             raise DataError(
-                f"GroupAbsorption: least = {self.least}, most = {self.most} m²; it needs "
-                "0 <= least <= most, one of them at least"
+                f"GroupAbsorption: materials = {materials}, least = {self.least}, most = {self.most} "
+                "m²; it needs a material, and 0 <= least <= most, one of them at least"
             )
-        if not materials:
-            raise DataError("GroupAbsorption needs a material")
 
     def __call__(self, m: Model) -> list[Any]:
         """One or two inequalities per band, or one equality if the two limits are the same."""
@@ -886,15 +829,11 @@ class GroupAbsorption:
                     f'GroupAbsorption: "{name}" shares its coefficients with a member; name it too'
                 )
         area = m.group_area(members, 0)[self._bands(layout)]
-        least, most = (
-            None if limit is None else np.full(area.size, limit)
-            for limit in (self.least, self.most)
-        )
         if self.least == self.most:
-            return [area == least]
+            return [area == self.least]
         return [
-            *([] if least is None else [area >= least]),
-            *([] if most is None else [area <= most]),
+            *([] if self.least is None else [area >= self.least]),
+            *([] if self.most is None else [area <= self.most]),
         ]
 
     def label(self, row: int, layout: Layout) -> str:
@@ -904,11 +843,3 @@ class GroupAbsorption:
 
     def _bands(self, layout: Layout) -> Integers:
         return layout.index(layout.materials[0], self.band) % layout.n_bands
-
-
-def _named(term: str, material: object, band: object = None) -> None:
-    """Raise DataError if a material is no text or a band no frequency; None is all of them."""
-    if material is not None and not isinstance(material, str):
-        raise DataError(f"{term}: {material!r} is not the name of a material")
-    if band is not None and not 0 < checks.number(f"{term}: band", band) < np.inf:
-        raise DataError(f"{term}: band = {band} Hz is not finite and above 0")

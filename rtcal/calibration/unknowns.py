@@ -266,13 +266,13 @@ class Layout:
         """
         rows, columns = np.arange(self.n_alpha_rows), np.arange(self.n_bands)
         if material is not None:
-            if material not in self.materials:
+            if checks.text("material", material) not in self.materials:
                 raise DataError(
                     f'"{material}" is no material of the room; it has {", ".join(self.materials)}'
                 )
             rows = np.array([self.alpha_rows[self.materials.index(material)]])
         if band is not None:
-            place = bands.index(np.array(self.centre_frequencies), band)
+            place = bands.index(np.array(self.centre_frequencies), checks.positive("band", band))
             if place is None:
                 has = ", ".join(bands.labels(self.centre_frequencies))
                 raise DataError(f"band {bands.label(band)} is no band of the room; it has {has}")
