@@ -357,7 +357,7 @@ class System:
         except RuntimeError as error:
             raise SolverError("the optimality conditions are singular") from error
 
-    def solve(self, force: Array, limit: Array) -> tuple[Array, Array]:
+    def solve(self, force: Array, limit: Array, refine: bool = True) -> tuple[Array, Array]:
         """Return dv (size, ...) and dy (n_rows, ...), 0 for what is not free or not active.
 
         ``force`` (size,) and ``limit`` (n_rows,) may have a second axis, of several right sides.
@@ -367,6 +367,8 @@ class System:
         solution, off, residual = np.zeros(right.shape), np.inf, right
         for _ in range(1 + self._REFINEMENTS):
             solution = solution + self._factors.solve(residual)
+            if not refine:
+                break
             residual = right - self._matrix @ solution + (solution.T * self._shift).T
             before, off = off, np.max(np.abs(residual), initial=0.0)
             if not off < before / 2:
@@ -461,11 +463,12 @@ def polish(program: QP, at: Active, tight: Flags) -> Iterate | None:
             tight = tight | beyond
             continue
         alone = tight & ~system.used & (program.row_size > 0)
-        missed = np.where(abs(slack) > rounding, slack, 0.0)
-        y, released = _rows_alone(program, v, y, alone, missed, at)
-        if released.any():
-            at = np.where(released, 0, at).astype(np.int8)
-            continue
+        if alone.any():
+            missed = np.where(abs(slack) > rounding, slack, 0.0)
+            y, released = _rows_alone(program, v, y, alone, missed, at)
+            if released.any():
+                at = np.where(released, 0, at).astype(np.int8)
+                continue
         force = program.force(v, y)
         tolerance = _ROUNDING * (1 + absolute.force(np.abs(v), np.abs(y)))
         wrong = ((at < 0) & (force < -tolerance)) | ((at > 0) & (force > tolerance))
@@ -703,7 +706,8 @@ def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
     """
     v, y, z = point.v, point.y, point.z
     force = program.force(v, y)
-    magnitude = 1 + program.absolute.force(np.abs(v), np.abs(y))
+    parts = program.absolute.force(np.abs(v), np.abs(y))
+    magnitude = 1 + parts
     unbalanced = np.where(program.fixed, 0.0, force + z)
     slack = program.b - program.row_sums(v)
     missed = np.where(program.equal, abs(slack), np.maximum(-slack, 0.0))
@@ -718,7 +722,24 @@ def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
     relative = np.max(abs(unbalanced) / magnitude), gap / magnitude.max()
     moved, left, g = np.zeros(len(v)), unbalanced, gap
     if point.system is not None:  # what is not active has no multiplier, and so no gap
-        moved, left, g = *_step_left(program, point, point.system, force, slack), 0.0
+        system, absolute, g = point.system, program.absolute, 0.0
+        dv, dy = system.solve(-force, slack)
+        rest = force + program.force(dv, dy) - program.c
+        wrong = np.where(point.at < 0, np.minimum(rest, 0.0), np.maximum(rest, 0.0))
+        free = (point.at == 0) & ~program.fixed
+        left, moved = np.where(free, rest, np.where(point.at != 0, wrong, 0.0)), np.abs(dv)
+        # A row that keeps no variable free is met within rounding; one variable alone can mend it.
+        unmet = np.where(program.equal & ~system.used, np.abs(slack), 0.0)[program.compiled.A_rows]
+        alone = np.divide(unmet, absolute.A, out=np.zeros_like(unmet), where=absolute.A != 0)
+        np.maximum.at(moved, program.compiled.A_columns, alone)
+        # Two more right sides have the size of the residuals' own rounding errors. b is a difference of
+        # sums, such as b - S'mu, which are at most as large as the row at alpha = 1.
+        sums = absolute.row_sums(np.abs(v)) + absolute.b
+        sums += np.maximum(program.row_size, program.fixed_area)
+        errors = _EPS * parts, 16 * _EPS * sums
+        for sign in (1.0, -1.0):
+            each, row = (error * sign ** np.arange(len(error)) for error in errors)
+            moved = moved + np.abs(system.solve(each, row, refine=False)[0])
     bound = np.maximum(to_lower, to_upper)
     if convexity > 0:
         r, m = np.linalg.norm(left), convexity
@@ -731,29 +752,3 @@ def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
         alpha_error_bound=program.compiled.layout.expand(bound[program.compiled.places]),
         accepted=bool(primal <= _ACCEPTED and max(relative) <= _ACCEPTED),
     )
-
-
-def _step_left(
-    program: QP, point: Iterate, system: System, force: Array, slack: Array
-) -> tuple[Array, Array]:
-    """Return how far the optimality conditions still move each variable, and what they leave.
-
-    Two more right sides have the size of the residuals' own rounding errors.
-    """
-    free = (point.at == 0) & ~program.fixed
-    dv, dy = system.solve(-force, slack)
-    left = force + program.force(dv, dy) - program.c
-    v, y, absolute = np.abs(point.v), np.abs(point.y), program.absolute
-    # b is a difference of sums, such as b - S'mu, which are at most as large as the row at alpha = 1.
-    sums = absolute.row_sums(v) + absolute.b + np.maximum(program.row_size, program.fixed_area)
-    errors = _EPS * absolute.force(v, y), 16 * _EPS * sums
-    moved = np.abs(dv)
-    # A row that keeps no variable free is met within rounding; one variable alone can make up for it.
-    unmet = np.where(program.equal & ~system.used, np.abs(slack), 0.0)[program.compiled.A_rows]
-    alone = np.divide(unmet, absolute.A, out=np.zeros_like(unmet), where=absolute.A != 0)
-    np.maximum.at(moved, program.compiled.A_columns, alone)
-    signs = [np.array([1.0, -1.0]) ** np.arange(len(error))[:, np.newaxis] for error in errors]
-    pairs = (error[:, np.newaxis] * sign for error, sign in zip(errors, signs, strict=True))
-    moved = moved + np.abs(system.solve(*pairs)[0]).sum(axis=1)
-    wrong = np.where(point.at < 0, np.minimum(left, 0.0), np.maximum(left, 0.0))
-    return moved, np.where(free, left, np.where(point.at != 0, wrong, 0.0))

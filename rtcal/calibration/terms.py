@@ -284,7 +284,7 @@ class PriorDeviation(Term):
 
     sigma: float | None = None
     band_correlation: float = 0.0
-    material_correlation: Mapping[tuple[str, str], float] | tuple[Any, ...] = ()
+    material_correlation: Any = ()
     common: bool = False
 
     is_prior: ClassVar[bool] = True
@@ -703,9 +703,9 @@ class Bounds:
         if not all(ends[i] <= ends[i + 1] for i in range(len(ends) - 1)):
             raise DataError(f"{name}: 0 <= lower <= upper <= 1 is not so of {stated}")
 
-    def of(self, mu: Array) -> tuple[Any, Any]:
-        """Return the bounds of coefficients whose prior means are ``mu``."""
-        return tuple(mu if end is None else end for end in (self.lower, self.upper))
+    def of(self, mu: Array) -> Any:
+        """Return both bounds of coefficients whose prior means are ``mu``."""
+        return [mu if end is None else end for end in (self.lower, self.upper)]
 
 
 class Fixed(Bounds):
