@@ -232,7 +232,7 @@ class CalibrationProblem(Composition, Generic[R]):
         SolverError
             If no answer passes the certificate.
         """
-        if solver not in list(qp.SETTINGS):
+        if not (isinstance(solver, str) and solver in qp.SETTINGS):
             raise ModelError(f'solver = {solver!r} is not "clarabel" or "osqp"')
         checks.choice("unreachable", unreachable, ("raise", "nearest"))
         checks.flag("warm_start", warm_start)
