@@ -63,7 +63,7 @@ def test_a_new_equation_calibrates(quadratic: type[Any], cr2) -> None:
     np.testing.assert_allclose(result.gap_after, 0, atol=1e-9)
     assert type(result.equation) is quadratic
     simulated = EquationSimulator(quadratic(), room).simulate(result.alpha)
-    np.testing.assert_allclose(simulated.mean("t20"), result.measured, rtol=1e-9)
+    np.testing.assert_allclose(simulated.mean("t20"), result.measured, rtol=1e-5)
 
 
 def test_a_new_equation_is_a_case_s_model(quadratic: type[Any]) -> None:
@@ -119,8 +119,11 @@ def test_a_new_equation_is_a_command_s_choice(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("equation", ["sabine", "eyring", "kuttruff", "millington"])
 def test_a_case_is_calibrated_with_its_own_equation(equation: str) -> None:
-    """Kuttruff's was calibrated by one step of Eyring's, which missed T by 0.4 %."""
+    """Kuttruff's was calibrated by one step of Eyring's, which missed T by 0.4 %.
+
+    The fit ends where a step changes the objective no more, a millionth of T from the measured one.
+    """
     case, _ = rt.datasets.hidden_room()
     case = replace(case, equation=equation)
     measured = case.configurations[0].measured.mean("t20")
-    np.testing.assert_allclose(np.exp(plain(case).features[0, 0]), measured, rtol=1e-9)
+    np.testing.assert_allclose(np.exp(plain(case).features[0, 0]), measured, rtol=1e-5)

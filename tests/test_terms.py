@@ -337,7 +337,6 @@ def not_dpp(m: terms.Model) -> Any:
 
 SHARE = terms.Shared("m0", "m1")
 BUILT: list[tuple[Any, list[Any], type[Exception], str]] = [
-    (P(band_correlation=1.0), [], ModelError, "band_correlation"),
     (P(material_correlation={("m0", "no"): 0.5}), [], DataError, '"no"'),
     (P(material_correlation={("m0", "m1"): 1.5}), [], ModelError, "definite"),
     (P(), [terms.Shared("m0", "no")], DataError, '"no"'),
@@ -366,6 +365,12 @@ def test_terms_that_do_not_fit_the_room_are_refused_when_built(
     room = random_room(np.random.default_rng(0), N, K)
     with pytest.raises(error, match=place):
         rt.Calibration(objective, constraints).build(room)
+
+
+@pytest.mark.parametrize("r", [-0.1, 1.0, np.nan])
+def test_a_correlation_of_bands_is_at_least_0_and_below_1(r: float) -> None:
+    with pytest.raises((DataError, ModelError), match="band_correlation"):
+        P(band_correlation=r)
 
 
 def test_numbers_that_do_not_fit_are_refused_when_solved() -> None:

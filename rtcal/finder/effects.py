@@ -603,6 +603,8 @@ class Opening(Absorber):
         return np.ones_like(frequencies)
 
 
+_LAST = 500.0
+"""Decay of the energy in nepers after which it is too little for a double number."""
 RATIOS = (5e-4, 2e3)
 """Ratios of a true area or volume to the stated one: a unit taken for another is a factor of 1000."""
 _MATERIAL = Parameter(within=(0.0, inf), discrete=True)
@@ -701,7 +703,10 @@ class WrongVolume(WrongStatement):
         near = self.near(state)
         about = self._mistakes()[:, np.newaxis] + self.WIDTH * np.linspace(-3, 3, self.steps // 2)
         end = np.log(near[-1]["ratio"]) + self.WIDTH
-        far = [x for x in sorted({*about.ravel().tolist()}) if abs(x) > end]
+        shortest = np.log(
+            0.08 * state.rate.max() / _LAST
+        )  # with less, sound ends before 80 ms: no C80
+        far = [x for x in sorted({*about.ravel().tolist()}) if abs(x) > end and x > shortest]
         every = [*near, *({"ratio": float(np.exp(x))} for x in far)]
         return sorted(every, key=lambda theta: theta["ratio"])
 
