@@ -406,6 +406,22 @@ def test_probability_agrees_with_the_interval_and_falls_over_all_bands(result) -
     assert unchanged.probability(1.01 * t, np.nan).tolist() == [0, 0, 0]
 
 
+@pytest.mark.parametrize("missing", [[0, 1, 2], [1]])
+def test_no_change_of_what_was_not_measured_is_the_t_before(missing: list[int]) -> None:
+    """T before is then the equation's, with its uncertainty, and so is T after."""
+    room = a_room(6)
+    t = measured_in(room, 6).mean("t20")
+    t[missing] = np.nan
+    known = room if len(missing) == 3 else rt.calibrate(room, t)
+    unchanged = rt.prediction.predict(known, [])
+    np.testing.assert_allclose(unchanged.mean, unchanged.time_before, rtol=1e-12)
+    np.testing.assert_allclose(unchanged.change, 0, atol=1e-9)
+    assert (unchanged.half_width[missing] > 1).all()
+    if len(missing) == 3:
+        of_equation = rt.Eyring().reverberation_time(room)
+        np.testing.assert_allclose(unchanged.time_before, of_equation, rtol=1e-12)
+
+
 def test_the_probability_is_smooth_and_that_of_the_draws() -> None:
     rng = np.random.default_rng(0)
     samples = 0.3 * rng.standard_normal((2, DRAWS))

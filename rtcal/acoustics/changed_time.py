@@ -354,6 +354,7 @@ class TimeChange:
         of_walls = 1 - known.equation.air_share(room, room.absorption_area)
         common = assumed.common * normal_of("equation", DRAWS)
         level = drawn - np.log(known.time)[:, np.newaxis] + of_walls[:, np.newaxis] * sizes + common
+        level -= level.mean(axis=1, keepdims=True)  # so that the mean T before is the equation's
         return np.where(known.measured[:, np.newaxis], 0.0, level)
 
     def log_time(
