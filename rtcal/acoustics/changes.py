@@ -649,9 +649,9 @@ class ChangeTable(FileTable):
 
 
 class VariantTable(FileTable):
-    """A variant; its name is that of its changes if it states none."""
+    """A variant; its name is that of its changes if it states none. Without changes it is the room."""
 
-    change: list[ChangeTable]
+    change: list[ChangeTable] = []
     name: str | None = None
     cost: Number | None = None
 
@@ -745,7 +745,8 @@ def read_variants(
         try:
             made = tuple(_change(change, room, new) for change in table.change)
             changed(room, made)
-            name = "; ".join(map(str, made)) if table.name is None else table.name
+            of_changes = "; ".join(map(str, made)) or "no change"
+            name = of_changes if table.name is None else table.name
             variants.append(Variant(name, made, table.cost))
         except DataError as error:
             raise DataError(f"{place}: {error}") from error

@@ -1258,7 +1258,8 @@ def above_one_hint(alpha: float) -> str:
         return ""
     return (
         ". Laboratories report such values (ISO 354, edge effect): a room that states above_one = "
-        '"clip" takes them as 1 and says so, as `rtcal import library` does with product data'
+        '"clip" takes them as 1 and says so, as `rtcal import library` does with product data. If the '
+        "room's coefficients are in percent, divide them by 100"
     )
 
 
