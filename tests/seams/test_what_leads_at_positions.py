@@ -79,4 +79,4 @@ def test_likely_surfaces_are_told_where_something_stands_on_one(finding: Finding
     )
     assert few.likely_surfaces == ()
     assert not any(figures.likely_shares(few).values())
-    assert "surface" not in few.place_in_words
+    assert "on which surface" not in str(few)
