@@ -66,7 +66,7 @@ CALLS: list[tuple[str, list[str], int]] = [
     ("room", ["example", "optimisation", "--out", "a-rather-long-name-of-a-folder"], 0),
     ("room", ["example", "optimisation", "--out", "a-rather-long-name-of-a-folder"], 2),
     ("room", ["calibrate", "room.toml", "t.csv", "--out", "calibrated"], 0),
-    ("room", ["calibrate", "room.toml", "t.csv", "--solver", "simplex"], 4),
+    ("room", ["calibrate", "room.toml", "t.csv", "--solver", "simplex"], 2),
     ("room", ["report", "calibrated"], 0),
     ("room", ["learn", "calibrated"], 2),
     ("change", ["predict", "room.toml", "t.csv", "--change", "variants.toml"], 0),
