@@ -114,7 +114,7 @@ def test_studies_pass_their_rule_in_fast_mode(path: Path, monkeypatch: pytest.Mo
         assert normal > share + error  # where a bound is active the normal interval is too wide
     elif path.stem == "smoothing":
         assert names["found"]["smooth / mle, uncorrelated, 10 % noise"][0] < 1
-        assert names["found"]["own correlation per material, exact"][1] > 1e-4
+        assert names["found"]["non-separable σ, exact"][1] > 1e-4
     elif path.stem == "configurations":
         assert names["found"][0.0][0] > 0.05
 
