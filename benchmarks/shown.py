@@ -43,7 +43,7 @@ def printed(commands: str, folder: Path) -> tuple[str, Path]:
             text=True,
             check=False,
         )
-        if run.returncode not in (0, 3):  # 3: printed, with a caution
+        if run.returncode:
             raise RuntimeError(f"{line!r} ended with {run.returncode}: {run.stderr}")
         text = run.stdout
     return "".join(f"{line.rstrip()}\n" for line in text.splitlines()), folder

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, multivariate_t
 
+from benchmarks.studies.pairs.where_ideal import log_sums
 from rtcal.finder import evidence
-from rtcal.finder.evidence import Factorization, bounded, log_sums, student, with_columns
+from rtcal.finder.evidence import Factorization, bounded, student, with_columns
 
 
 def test_products_and_determinant_are_those_of_the_whole_matrix() -> None:

@@ -48,6 +48,25 @@ def test_memory_of_a_calibration_is_linear_in_the_materials(method: str) -> None
     assert np.log(large / small) / np.log(4) < 1.2
 
 
+def test_memory_of_an_order_of_materials_is_linear_in_them() -> None:
+    """A constraint of alpha itself, which is a product of as many factors as there are coefficients."""
+    order = rt.Calibration(
+        rt.terms.PriorDeviation(), [rt.terms.ExactMatch(), rt.terms.AtMost("m0", "m1")]
+    )
+
+    def peak(room: rt.Room) -> float:
+        t = 1.1 * rt.Eyring().reverberation_time(room)
+        tracemalloc.start()
+        order.build(room).solve(t)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return peak
+
+    order.build(large_room(5)).solve(np.full(6, 0.8), unreachable="nearest")  # imports
+    small, large = (peak(large_room(n)) for n in (200, 800))
+    assert np.log(large / small) / np.log(4) < 1.2
+
+
 def test_what_configurations_share_is_calculated_once(monkeypatch: pytest.MonkeyPatch) -> None:
     rooms = [large_room(4, seed, f"state {seed}") for seed in range(5)]
     times = [1.1 * rt.Eyring().reverberation_time(room) for room in rooms]

@@ -165,9 +165,7 @@ class Calibration:
                 MissingAirWarning,
                 stacklevel=checks.stack_level(),
             )
-        _ = (
-            problem.compiled
-        )  # cvxpy compiles here, so that terms that make no QP are refused at once
+        _ = problem.compiled  # cvxpy compiles: terms that make no QP are refused at once
         return problem
 
 

@@ -83,9 +83,7 @@ class Model:
         self.layout = checks.instance("layout", layout, Layout)
         self.x = cp.Variable(layout.n_alpha, name="x")
         self.deviation = cp.reshape(self.x, (layout.n_alpha_rows, layout.n_bands), order="C")
-        self.effects: Any = (
-            cp.Variable(len(layout.further), name="effects") if layout.further else None
-        )
+        self.effects: Any = cp.Variable(len(layout.further)) if layout.further else None
         self.parameters: list[tuple[Any, Callable[[Numbers], Any]]] = []
         self.definitions: list[Any] = []
         self.nonnegative: list[Any] = []
@@ -95,6 +93,10 @@ class Model:
         parameter = cp.Parameter(shape)
         self.parameters.append((parameter, compute))
         return parameter
+
+    def by_band(self, compute: Callable[[Numbers], Any]) -> Any:
+        """Return a parameter of one number per configuration and band."""
+        return self.parameter((self.layout.n_configurations, self.layout.n_bands), compute)
 
     def defined(self, expression: Any) -> Any:
         """Return a variable that equals an expression, so that it may be multiplied by a parameter."""
@@ -114,7 +116,7 @@ class Model:
         shape = self.deviation.shape
         sigma = self.parameter(shape, lambda numbers: numbers.alpha(numbers.sigma))
         mu = self.parameter(shape, lambda numbers: numbers.alpha(numbers.mu))
-        return cp.multiply(sigma, self.deviation) + mu
+        return product(sigma, self.deviation) + mu
 
     @cached_property
     def absorption_area(self) -> Any:
@@ -124,8 +126,7 @@ class Model:
     @cached_property
     def target(self) -> Any:
         """b of the measured T in m², (n_configurations, n_bands); 0 in bands without T."""
-        shape = (self.layout.n_configurations, self.layout.n_bands)
-        return self.parameter(shape, lambda numbers: np.where(numbers.matched, numbers.target, 0.0))
+        return self.by_band(lambda numbers: np.where(numbers.matched, numbers.target, 0.0))
 
     @cached_property
     def misfit(self) -> Any:
@@ -135,10 +136,7 @@ class Model:
             u = np.where(numbers.matched, np.nan_to_num(numbers.target_uncertainty), 0.0)
             return np.divide(1.0, u, out=np.zeros_like(u), where=u > 0)
 
-        target = self.parameter(
-            (self.layout.n_configurations, self.layout.n_bands),
-            lambda numbers: np.nan_to_num(numbers.target) * steep(numbers),
-        )
+        target = self.by_band(lambda numbers: np.nan_to_num(numbers.target) * steep(numbers))
         return self.defined(self._area(steep) - target)
 
     def _area(self, scale: Callable[[Numbers], Array]) -> Any:
@@ -176,8 +174,16 @@ class Model:
 
         steep = self.parameter(x.shape, lambda numbers: area(numbers, numbers.sigma))
         stated = self.parameter(x.shape[1], lambda numbers: area(numbers, numbers.mu).sum(axis=0))
-        # Band by band: in a product by elements, cvxpy compiles n factors with memory for n².
         return cp.hstack([steep[:, k] @ x[:, k] for k in range(self.layout.n_bands)]) + stated
+
+
+def product(factors: Any, x: Any) -> Any:
+    """Return the product by elements of a parameter and an expression, 40 of their rows at a time.
+
+    cvxpy compiles a product of n factors with memory for n² numbers.
+    """
+    blocks = range(0, x.shape[0], 40)
+    return cp.vstack([cp.multiply(factors[i : i + 40], x[i : i + 40]) for i in blocks])
 
 
 def half_squares(expression: Any) -> Any:
@@ -350,9 +356,8 @@ def _correlation(term: PriorDeviation, layout: Layout) -> tuple[Any, Any, float]
         roots = [np.linalg.cholesky(part) for part in parts]
     except np.linalg.LinAlgError as error:
         raise ModelError("material_correlation is not positive definite") from error
-    alike = sp.eye_array(
-        layout.n_alpha_rows // len(parts[0])
-    )  # all materials, if none is correlated
+    # Where no materials are correlated, each has the same part.
+    alike = sp.eye_array(layout.n_alpha_rows // len(parts[0]))
     root = sp.csr_array(sp.kron(alike, sp.kron(*roots)))
     whitener = sp.csr_array(sp.kron(alike, sp.kron(*map(np.linalg.inv, roots))))
     inverse = sp.csr_array(whitener.T @ whitener)
@@ -446,9 +451,8 @@ class MatchWithin(ExactMatch):
 
         def limit(side: int) -> Any:
             # A band without T reads -1 <= 0 <= 1, which leaves the solver an interior.
-            return m.parameter(
-                (m.layout.n_configurations, m.layout.n_bands),
-                lambda of: np.where(of.matched, self.target_limits(of)[side], 2.0 * side - 1),
+            return m.by_band(
+                lambda of: np.where(of.matched, self.target_limits(of)[side], 2.0 * side - 1)
             )
 
         return [m.absorption_area >= limit(0), m.absorption_area <= limit(1)]
@@ -591,9 +595,8 @@ class LinearObservations(Term):
         What J alpha cannot reach of y is a constant.
         """
         n = m.layout.n_alpha
-        matrix = m.parameter((n, n), lambda numbers: numbers.observed[self][:, :n])
-        values = m.parameter(n, lambda numbers: numbers.observed[self][:, n])
-        return half_squares(matrix @ m.x - values)
+        both = m.parameter((n, n + 1), lambda numbers: numbers.observed[self])
+        return half_squares(both[:, :n] @ m.x - both[:, n])
 
 
 @dataclass(frozen=True)
@@ -608,19 +611,16 @@ class BandSmoothness(Term):
 
     def __call__(self, m: Model) -> Any:
         """½ |differences|²; coefficients with sigma = 0 stand apart."""
-        layout = m.layout
-        if layout.n_bands < 2:
+        if m.layout.n_bands < 2:
             raise ModelError("BandSmoothness needs two bands or more")
-        octaves = np.diff(np.log2(np.array(layout.centre_frequencies)))
+        octaves = np.diff(np.log2(np.array(m.layout.centre_frequencies)))
 
         def steep(numbers: Numbers) -> Array:
             moves = numbers.alpha(numbers.sigma) > 0
             return np.asarray((moves[:, 1:] & moves[:, :-1]) / np.sqrt(octaves))
 
-        factor = m.parameter((layout.n_alpha_rows, layout.n_bands - 1), steep)
-        # In blocks of materials, for the reason in `Model.group_area`.
-        x, blocks = cp.diff(m.deviation, axis=1), range(0, layout.n_alpha_rows, 40)
-        return sum(half_squares(cp.multiply(factor[i : i + 40], x[i : i + 40])) for i in blocks)
+        factor = m.parameter((m.layout.n_alpha_rows, m.layout.n_bands - 1), steep)
+        return half_squares(product(factor, cp.diff(m.deviation, axis=1)))
 
 
 @dataclass(frozen=True)
@@ -823,7 +823,7 @@ class GroupAbsorption:
     def __call__(self, m: Model) -> list[Any]:
         """One or two inequalities per band, or one equality if the two limits are the same."""
         layout = m.layout
-        members = sorted({int(layout.index(m)[0]) // layout.n_bands for m in self.materials})
+        members = sorted({int(layout.index(of)[0]) // layout.n_bands for of in self.materials})
         for name, row in zip(layout.materials, layout.alpha_rows, strict=True):
             if row in members and name not in self.materials:
                 raise ModelError(

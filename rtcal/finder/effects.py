@@ -703,9 +703,8 @@ class WrongVolume(WrongStatement):
         near = self.near(state)
         about = self._mistakes()[:, np.newaxis] + self.WIDTH * np.linspace(-3, 3, self.steps // 2)
         end = np.log(near[-1]["ratio"]) + self.WIDTH
-        shortest = np.log(
-            0.08 * state.rate.max() / _LAST
-        )  # with less, sound ends before 80 ms: no C80
+        # With less, sound ends before 80 ms, and there is no C80.
+        shortest = np.log(0.08 * state.rate.max() / _LAST)
         far = [x for x in sorted({*about.ravel().tolist()}) if abs(x) > end and x > shortest]
         every = [*near, *({"ratio": float(np.exp(x))} for x in far)]
         return sorted(every, key=lambda theta: theta["ratio"])

@@ -11,16 +11,13 @@ surfaces between two states.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
-from typing import TypeVar
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
-from scipy.special import gammaln, logsumexp
+from scipy.special import gammaln
 
 from rtcal.support.types import Array
-
-Label = TypeVar("Label", bound=Hashable)
 
 
 def with_columns(
@@ -98,14 +95,6 @@ def log_mixture(one: Array, other: Array, share: float) -> Array:
     """
     with np.errstate(divide="ignore"):
         return np.asarray(np.logaddexp(np.log1p(-share) + one, np.log(share) + other))
-
-
-def log_sums(labels: Sequence[Label], log: Array) -> dict[Label, Array]:
-    """Return the log of the sum of exponentials of each label's rows of ``log`` (n, ...)."""
-    rows: dict[Label, list[int]] = {}
-    for i, label in enumerate(labels):
-        rows.setdefault(label, []).append(i)
-    return {label: np.asarray(logsumexp(log[some], axis=0)) for label, some in rows.items()}
 
 
 class Factorization:

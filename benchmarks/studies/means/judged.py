@@ -19,12 +19,14 @@ import gzip
 import json
 import warnings
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.studies.hidden_world import generate as first_world
+from benchmarks.studies.hidden_world.populations import KINDS as KINDS_OF_FIRST
 from benchmarks.studies.hidden_world.populations import TOGGLED
 from benchmarks.studies.means.judging import (
     FLAGS,
@@ -59,26 +61,23 @@ KEPT = (
     "families", "size", "rmse", "verification",
 )  # fmt: skip
 """What is stored of a finding."""
-NAMES = {
-    1: "air",
-    2: "opening",
-    3: "audience",
-    4: "furniture",
-    5: "porous",
-    6: "resonator",
-    7: "area",
-    8: "volume",
-    9: "formula",
-    10: "coupled room",
-    11: "non-diffuse field",
-    12: "noise floor",
-    13: "unknown",
+AS_IN_LIBRARY = {
+    "coupled": "coupled room",
+    "nondiffuse": "non-diffuse field",
+    "noise": "noise floor",
 }
+NAMES = {number: AS_IN_LIBRARY.get(kind, kind) for number, kind in KINDS_OF_FIRST.items() if number}
 """Kinds of the first world as the finder names them."""
 PERSONS = "persons"
 """What a hidden audience states that stands: it is `People` to the finder."""
 SAID_AS = {"nothing": NOTHING, "material": "coefficients"}
 """How a finding names what the second and the third world hide by another name."""
+
+
+@cache
+def read(world: int, population: int, part: str) -> list[dict[str, Any]]:
+    """The stored cases ("case") or truths ("truth") of a population, decompressed once."""
+    return WORLDS[world].read(population, part)
 
 
 def name_of(hidden: dict[str, Any]) -> str:
@@ -107,7 +106,7 @@ def jobs() -> list[tuple[int, int, int]]:
     every = [
         (world, population, index)
         for world, population in POPULATIONS
-        for index, truth in enumerate(WORLDS[world].read(population, "truth"))
+        for index, truth in enumerate(read(world, population, "truth"))
         if truth_of(world, truth) is not None
     ]
     return [every[i] for i in np.random.default_rng(60).permutation(len(every))]
@@ -135,8 +134,8 @@ def searched(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) ->
 
 def judge(world: int, population: int, index: int, controls: Path) -> dict[str, Any]:
     """Search one room with both sets of data; its control rooms are kept in a file."""
-    case = Case.from_dict(WORLDS[world].read(population, "case")[index])
-    truth = WORLDS[world].read(population, "truth")[index]
+    case = Case.from_dict(read(world, population, "case")[index])
+    truth = read(world, population, "truth")[index]
     made = kept_controls(case, controls)
     return {
         "world": world,
@@ -183,11 +182,10 @@ def judged(
     rows: Iterable[dict[str, Any]], data: str, worlds: Sequence[int] = tuple(WORLDS)
 ) -> list[Judged]:
     """The judged rooms of some worlds, with one set of data."""
-    truths = {key: WORLDS[key[0]].read(key[1], "truth") for key in POPULATIONS}
     out = []
     for row in rows:
-        world, population = row["world"], row["population"]
-        known = truth_of(world, truths[world, population][row["index"]])
+        world = row["world"]
+        known = truth_of(world, read(world, row["population"], "truth")[row["index"]])
         if world in worlds and known is not None:
             out.append(Judged(known[0], row[data], known[1]))
     return out

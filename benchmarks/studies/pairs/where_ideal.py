@@ -30,7 +30,6 @@ from benchmarks.studies.geometric_world.load import IN_SITU, load
 from benchmarks.studies.pairs.where import case_of, prepared
 from benchmarks.studies.pairs.where_figures import ABSORBERS, DATA
 from rtcal.finder.claim import LIKELY
-from rtcal.finder.evidence import log_sums
 from rtcal.finder.positions.problem import (
     COUPLED,
     POSITION,
@@ -43,6 +42,7 @@ from rtcal.finder.positions.problem import (
 )
 from rtcal.finder.positions.search import evaluate, scores, weights
 from rtcal.finder.prior import NONE, UNKNOWN
+from rtcal.support.types import Array
 
 STORED = Path(__file__).with_name("where_ideal.json.gz")
 DRAWS = 12
@@ -52,6 +52,14 @@ HIDDEN = (*ABSORBERS, COUPLED.name, POSITION)
 """Effects that are drawn: those that benchmarks/studies/geometric_world hides."""
 Likelihoods = tuple[Likelihood, list[Likelihood], list[Likelihood]]
 Row = dict[str, Any]
+
+
+def log_sums(labels: Sequence[str], log: Array) -> dict[str, Array]:
+    """Return the log of the sum of exponentials of each label's rows of ``log`` (n, ...)."""
+    rows: dict[str, list[int]] = {}
+    for i, label in enumerate(labels):
+        rows.setdefault(label, []).append(i)
+    return {label: np.asarray(logsumexp(log[some], axis=0)) for label, some in rows.items()}
 
 
 def drawn(

@@ -922,9 +922,8 @@ def log_likelihoods(
                     more * inner[:, None],
                 )
                 log = log_probability[:, None] + student(*wider, m, coarsened=coarsened)
-                scaled.append(
-                    np.logaddexp.reduce(log, axis=1)
-                )  # of two, much quicker than logsumexp
+                # Of two numbers this is much quicker than logsumexp.
+                scaled.append(np.logaddexp.reduce(log, axis=1))
         stated.append(np.array(as_stated))
         together.append(np.array(scaled) if off else np.full_like(stated[-1], -np.inf))
     return np.concatenate(stated, axis=1), np.concatenate(together, axis=1)

@@ -787,12 +787,6 @@ def flat(values: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(np.moveaxis(values, 2, 0).reshape(-1))
 
 
-def band_first(values: Array) -> Array:
-    """Return shifts (n_parameters, n_pairs, n_bands, n_nodes) by band, (n_bands, n_values, n_nodes)."""
-    moved = np.moveaxis(values, 2, 0)
-    return np.asarray(moved.reshape(len(moved), -1, values.shape[-1]))
-
-
 UNKNOWN_SCALES = (4.0, 16.0)
 """Factors of the variance of the simulator's error if it misses something that no effect explains."""
 OWN = 0.1
