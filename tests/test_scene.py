@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.io import geometry_files
 from rtcal.support.errors import DataError
 
 STATED = rt.Scene(
@@ -85,3 +86,24 @@ def test_a_path_tracer_takes_the_meaning_of_scattering_from_its_room() -> None:
     assert tracing(room=hall.room, **places).scattering_model == "random"
     assert tracing(room=stated, scattering_model="random", **places).scattering_model == "random"
     np.testing.assert_array_equal(tracing(room=stated, **places).scattering, stated.scattering)
+
+
+def test_a_box_of_several_materials_says_which_walls_it_needs() -> None:
+    """`dimensions` with positions demanded six walls by names that nothing stated."""
+    room = rt.Room(
+        name="box",
+        volume=60,
+        dimensions=(4, 5, 3),
+        materials=["plaster", "carpet"],
+        areas=[74, 20],
+        alpha=[[0.1], [0.3]],
+        sigma=[[0.02], [0.1]],
+        centre_frequencies=[1000],
+        scene=rt.Scene(sources={"S1": (1, 1, 1.5)}, receivers={"R1": (3, 4, 1.2)}),
+    )
+    with pytest.raises(DataError, match="no surface is called west, east, south, north, floor"):
+        geometry_files.path_tracing(room)
+    with pytest.raises(DataError, match="no surface is called west, east, south, north, floor"):
+        rt.simulators.ImageSource(
+            room=room, sources=room.scene.sources, receivers=room.scene.receivers, duration=0.4
+        )

@@ -187,6 +187,7 @@ def test_a_long_task_says_how_far_it_is_without_a_terminal(monkeypatch) -> None:
 
     monkeypatch.setattr(speed, "PATIENCE", 0.05)
     with speed.bar(0, "model", wanted=False, say=lines.append) as shown:
+        assert another_line() == "no model is done yet"
         shown.reset(total=4)
         shown.set_description("weighing")
         assert re.match(r"weighing: 0 of 4 models done in 00:\d\d, about \?", another_line())

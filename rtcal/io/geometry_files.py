@@ -7,8 +7,9 @@ from typing import Any
 
 from rtcal.acoustics.room import Directivity, Room
 from rtcal.io import balloon, obj
-from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing, area_doubt, volume_doubt
+from rtcal.simulators.shoebox import box_of
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 
@@ -36,10 +37,7 @@ def read(room: Room) -> Polyhedron:
             f'room "{room.name}" states neither a mesh nor dimensions: write [geometry] with '
             'mesh = "room.obj" into its file'
         )
-    if room.n_materials == 1:
-        return Polyhedron.shoebox(room.dimensions, room.materials[0])
-    walls = {s.name: s.material for s in room.surfaces if s.name in SHOEBOX_WALLS}
-    return Polyhedron.shoebox(room.dimensions, walls)
+    return box_of(room)
 
 
 def mesh_doubt(room: Room) -> str:

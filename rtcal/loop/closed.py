@@ -789,6 +789,7 @@ class Loop(Result):
     def blocks(self) -> list[Block]:
         """Return what the loop has; DataError without a simulation."""
         first, last = self.simulated
+        gaps, goals = zip(*map(_apart, self.gap, self.goal), strict=True)
         rows = [
             Row("T wanted / s", self.wanted, ".3f"),
             Row("first / s", first, ".3f"),
@@ -798,9 +799,9 @@ class Loop(Result):
                 "gap / JND",
                 self.gap,
                 shade=np.nan_to_num(self.gap) / _STRONGEST_SHADE,
-                shown=[_apart(*each) for each in zip(self.gap, self.goal, strict=True)],
+                shown=gaps,
             ),
-            Row("done within / JND", self.goal, ".2f"),
+            Row("done within / JND", self.goal, shown=goals),
             Row("z", self.outcome.plausibility.z, "+.1f"),
             Row("nearest simulation", [int(b) + 1 for b in self.best], "d"),
             Row("status", self.status_now),
@@ -871,17 +872,18 @@ class Loop(Result):
 _SETTINGS = ("simulator", "wanted", "rule", "method", "decimals", "tolerance", "steps")
 
 
-def _apart(gap: float, goal: float) -> str:
-    """Return a gap in JND with digits enough to show on which side of the goal it is.
+def _apart(gap: float, goal: float) -> tuple[str, str]:
+    """Return a gap and its goal in JND with digits enough to show on which side of it the gap is.
 
     Examples
     --------
-    >>> _apart(-0.998, 1.0), _apart(-1.002, 1.0)
-    ('-1.00', '-1.002')
+    >>> _apart(-0.998, 1.0), _apart(-1.002, 1.0), _apart(-0.998, 0.996)
+    (('-1.00', '1.00'), ('-1.002', '1.000'), ('-0.998', '0.996'))
     """
     digits = range(2, 9)
-    same = (d for d in digits if (abs(round(gap, d)) <= goal) == (abs(gap) <= goal))
-    return text.number(gap, f"+.{next(same, digits[-1])}f")
+    same = (d for d in digits if (round(abs(gap), d) <= round(goal, d)) == (abs(gap) <= goal))
+    n = next(same, digits[-1])
+    return text.number(gap, f"+.{n}f"), text.number(goal, f".{n}f")
 
 
 def start(

@@ -144,42 +144,45 @@ class ShoeboxSimulator(RoomSimulator, ABC):
         )
 
 
+def box_of(room: Room) -> Polyhedron:
+    """Return the box of a room's dimensions, of a single material or with a surface for each wall.
+
+    Raises DataError for a room without dimensions, and for a wall of which no surface has the name.
+    """
+    if checks.instance("room", room, Room).dimensions is None:
+        raise DataError(f'room "{room.name}" states no dimensions; a shoebox needs them')
+    if room.n_materials == 1:
+        return Polyhedron.shoebox(room.dimensions, room.materials[0])
+    walls = {s.name: s.material for s in room.surfaces if s.name in SHOEBOX_WALLS}
+    if missing := [wall for wall in SHOEBOX_WALLS if wall not in walls]:
+        raise DataError(
+            f'room "{room.name}" is the box of its dimensions, and no surface is called '
+            f"{', '.join(missing)}: state a surface for each wall, called {', '.join(SHOEBOX_WALLS)}, "
+            "with its material and area (docs/files.md)"
+        )
+    return Polyhedron.shoebox(room.dimensions, walls)
+
+
 def shoebox_of(room: Room, sources: Mapping[str, Point], receivers: Mapping[str, Point]) -> Shoebox:
     """Return the room as a shoebox.
-
-    A room of several materials has one surface per wall, named as in `SHOEBOX_WALLS`. A room of a
-    single material needs no surfaces.
 
     Raises
     ------
     DataError
-        If the room states no dimensions, a wall has no surface, an area differs from the walls' by
-        over 1 %, a position is outside, or a source and a receiver are at the same place.
+        As `box_of`, and if an area differs from the walls' by over 1 %, a position is outside, or a
+        source and a receiver are at the same place.
     """
-    checks.instance("room", room, Room)
-    if room.dimensions is None:
-        raise DataError(f'room "{room.name}" states no dimensions; a shoebox needs them')
-    if room.n_materials == 1:
-        materials = dict.fromkeys(SHOEBOX_WALLS, room.materials[0])
-    else:
-        material_of_surface = {s.name: s.material for s in room.surfaces}
-        if missing := [wall for wall in SHOEBOX_WALLS if wall not in material_of_surface]:
-            raise DataError(
-                f'room "{room.name}" has no surface "{missing[0]}"; a shoebox of several materials '
-                f"has one surface per wall: {', '.join(SHOEBOX_WALLS)}"
-            )
-        materials = {wall: material_of_surface[wall] for wall in SHOEBOX_WALLS}
-    box = Polyhedron.shoebox(room.dimensions, materials)
+    box = box_of(room)
     for material, area in zip(room.materials, room.areas, strict=True):
         if abs(box.areas.get(material, 0.0) - area) > 0.01 * area:
             raise DataError(
                 f'areas["{material}"] = {area:.4g} m², but its walls in the box of '
-                f"{' x '.join(f'{d:g}' for d in room.dimensions)} m have "
+                f"{' x '.join(f'{d:g}' for d in np.ptp(box.vertices, axis=0))} m have "
                 f"{box.areas.get(material, 0.0):.4g} m²"
             )
     made = Shoebox(
-        dimensions=np.array(room.dimensions, dtype=float),
-        walls=np.array([room.material_index(materials[wall]) for wall in SHOEBOX_WALLS]),
+        dimensions=np.ptp(box.vertices, axis=0),
+        walls=np.array([room.material_index(material) for material in box.materials]),
         sources=box.require_inside("source", sources),
         receivers=box.require_inside("receiver", receivers),
         pairs=tuple((s, r) for s in sources for r in receivers),

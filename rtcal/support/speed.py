@@ -120,7 +120,7 @@ def bar(
     def log() -> None:
         patience = PATIENCE
         while not ended.wait(patience):
-            say(str(unseen))
+            say(str(unseen) if unseen.total else f"no {unit} is done yet")
             patience *= 2
 
     threading.Thread(target=log, daemon=True).start()
