@@ -134,14 +134,13 @@ READERS: dict[str, Reader] = {
     "kept array": Reader(
         native.read_kept_array, ".array", native.KEPT_ARRAY, native.kept_array_holds
     ),
-    "study": Reader(native.read_study, ".json", native.STUDY),
     "record": Reader(native.read_record, ".json", native.RECORD),
 }
 
 LINES = ("bras", "catt", "odeon", "pyroomacoustics", "sigma", "tables")
 """Readers whose messages always name a line; a mesh that does not close has none."""
 
-OTHERS = ("case in TOML", "study", "journal")
+OTHERS = ("case in TOML", "journal")
 """Readers whose messages may name the folder, or another file in it."""
 
 LIMIT = 10.0

@@ -20,7 +20,6 @@ from rtcal.finder import Case
 from rtcal.finder.effects import AppliedEffect
 from rtcal.loop import Loop, start
 from rtcal.report import of_calibration
-from rtcal.studies.runner import _open, _Store
 from rtcal.support.errors import DataError
 from tests.test_discrepancy import opened
 
@@ -133,19 +132,6 @@ def result_holds(result: Any) -> None:
 
 
 OBJECTS = (json.dumps({"objects": plain(rt.calibrate(_ROOM, _MEASURED))}).encode(),)
-
-
-_STUDY = ([35.0, 20.0], 0.05, 30, 5, 0)
-_IDENTITY = dict(zip(("areas", "sigma_r", "realisations", "trials", "seed"), _STUDY, strict=True))
-_IDENTITY["sampling"] = "sigma_n"
-
-STUDY = (json.dumps(_IDENTITY, sort_keys=True, indent=1).encode() + b"\n",)
-
-
-def read_study(path: str) -> _Store:
-    """Open a folder in which a file is the record of a study."""
-    Path(path).rename(Path(path).with_name("study.json"))
-    return _open(Path(path).parent, _IDENTITY)
 
 
 RECORD = (b'{"sets": [{"command": "x", "whole": true, "files": {"a": "0"}}]}',)

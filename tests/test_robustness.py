@@ -262,22 +262,6 @@ def test_a_mask_that_hides_nothing_is_an_array() -> None:
     np.testing.assert_allclose(answer.alpha, [0.1, 0.2], rtol=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b'{"areas": [35', "study.json is damaged"),
-        (b"\xff\xfe", "study.json is damaged"),
-        (b"{}", "holds another study"),
-    ],
-)
-def test_a_damaged_record_of_a_study_is_not_another_study(tmp_path, content, message) -> None:
-    first = study(folder=tmp_path)
-    np.testing.assert_array_equal(study(folder=tmp_path), first)
-    (tmp_path / "study.json").write_bytes(content)
-    with pytest.raises(DataError, match=message):
-        study(folder=tmp_path)
-
-
 def test_a_room_of_one_surface_is_calibrated_exactly() -> None:
     """One unknown and one equation: no error is left, and none of rounding is reported."""
     done = studies.run([35.0], 0.05, 200, 30, seed=1)

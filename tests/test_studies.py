@@ -1,11 +1,7 @@
-"""The stochastic study: sampling, scores, their standard errors, workers, resuming, the command."""
+"""The stochastic study: sampling, scores, their standard errors, workers, the command."""
 
 from __future__ import annotations
 
-import os
-import signal
-import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -18,7 +14,7 @@ import rtcal as rt
 from rtcal import studies
 from rtcal.command.main import cli
 from rtcal.studies import paper, trials_kernel
-from rtcal.studies.runner import SERIES, ScoreMoments
+from rtcal.studies.study import SERIES, ScoreMoments
 from rtcal.support.errors import DataError
 from rtcal.support.normal import FINE, truncated_moments, truncated_normal
 from tests.reference import in_place_of
@@ -196,16 +192,13 @@ def test_all_nine_scores_of_table_2_lie_within_three_standard_deviations_of_one_
     assert missed == {("scaling", 0.05), ("mle", 0.05), ("scaling", 0.1), ("mle", 0.1)}
 
 
-def test_a_study_states_its_sampling(tmp_path: Path) -> None:
-    """Both draw other rooms, and neither resumes the other's folder."""
-    own = studies.run(SHOEBOX, 0.1, 50, 20, seed=1, sampling="sigma_n", folder=tmp_path)
+def test_a_study_states_its_sampling() -> None:
+    own = studies.run(SHOEBOX, 0.1, 50, 20, seed=1, sampling="sigma_n")
     scale = studies.run(SHOEBOX, 0.1, 50, 20, seed=1)
     assert (own.sampling, scale.sampling) == ("sigma_n", "sigma_r")
     assert own.redrawn_share > scale.redrawn_share == 0
     same = studies.run(SHOEBOX, 0.1, 50, 20, seed=1, sampling="sigma_n").scores()
     assert own.scores().tolist() == same.tolist() != scale.scores().tolist()
-    with pytest.raises(DataError, match="another study"):
-        studies.run(SHOEBOX, 0.1, 50, 20, seed=1, folder=tmp_path)
     with pytest.raises(DataError, match="sampling = 'text' is not one of sigma_r, sigma_n"):
         studies.analytic_scores(SHOEBOX, 0.1, 9, sampling="text")  # type: ignore[arg-type]
     with pytest.raises(DataError, match=r"sigma_r = 0\.26 is not from 1e-09 to 0\.25"):
@@ -295,82 +288,6 @@ def test_same_for_any_number_of_workers() -> None:
         assert one.scores().tolist() == other.scores().tolist()
     another = studies.run(SHOEBOX, 0.05, 450, 300, seed=12)
     assert not np.array_equal(one.moments.products, another.moments.products)
-
-
-def test_resumes_where_it_stopped(tmp_path: Path) -> None:
-    whole = studies.run(SHOEBOX, 0.05, 450, 200, seed=13)
-
-    class Stops(ThreadPoolExecutor):
-        """Fails from the fourth piece on, like a machine that is switched off."""
-
-        def submit(self, *arguments):
-            if arguments[-1] >= 3:
-                raise RuntimeError("switched off")
-            return super().submit(*arguments)
-
-    folder = tmp_path / "study"
-    with Stops(1) as pool, pytest.raises(RuntimeError, match="switched off"):
-        studies.run(SHOEBOX, 0.05, 450, 200, seed=13, executor=pool, folder=folder)
-    studies.run(SHOEBOX, 0.05, 450, 200, seed=13, folder=folder)
-    pieces = sorted(folder.glob("*.sums"))
-    assert len(pieces) == 5
-    pieces[2].write_bytes(b"half a file")
-    stamps = {p: p.stat().st_mtime_ns for p in pieces}
-    again = studies.run(SHOEBOX, 0.05, 450, 200, seed=13, folder=folder)
-    assert [p for p in pieces if p.stat().st_mtime_ns != stamps[p]] == [pieces[2]]
-    assert again.scores().tolist() == whole.scores().tolist()
-    with pytest.raises(DataError, match="another study"):
-        studies.run(SHOEBOX, 0.05, 450, 200, seed=14, folder=folder)
-
-
-def test_what_was_finished_before_a_failure_is_kept(tmp_path: Path) -> None:
-    class Breaks(ThreadPoolExecutor):
-        def submit(self, *arguments):
-            if arguments[-1] == 3:
-                return super().submit(int, "no number")
-            return super().submit(*arguments)
-
-    with Breaks(1) as pool, pytest.raises(ValueError, match="no number"):
-        studies.run(SHOEBOX, 0.05, 450, 50, executor=pool, folder=tmp_path)
-    assert len(list(tmp_path.glob("*.sums"))) == 3
-
-
-@pytest.mark.long
-@pytest.mark.filterwarnings("ignore")  # dask's and tornado's own
-def test_dask_cluster_of_two_processes_loses_nothing_when_a_worker_is_killed(
-    tmp_path: Path,
-) -> None:
-    distributed = pytest.importorskip(
-        "distributed", reason="dask is not installed (rtcal[studies])"
-    )
-    alone = studies.run(SHOEBOX, 0.05, 1500, 1500, seed=15, workers=1)
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        pids = client.run(os.getpid)
-        assert len(set(pids.values())) == 2
-        assert os.getpid() not in pids.values()
-
-        def kill() -> None:
-            while not list(tmp_path.glob("*.sums")):
-                time.sleep(0.01)
-            os.kill(next(iter(pids.values())), signal.SIGKILL)
-
-        killer = threading.Thread(target=kill)
-        killer.start()
-        study = studies.run(
-            SHOEBOX, 0.05, 1500, 1500, seed=15, executor=client.get_executor(), folder=tmp_path
-        )
-        killer.join()
-        with pytest.raises(ProcessLookupError):
-            for _ in range(500):  # until its parent has taken notice
-                os.kill(next(iter(pids.values())), 0)
-                time.sleep(0.01)
-    assert study.scores().tolist() == alone.scores().tolist()
-    assert len(list(tmp_path.glob("*.sums"))) == 15
 
 
 def test_memory_does_not_grow_with_the_rooms() -> None:

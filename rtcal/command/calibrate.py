@@ -307,7 +307,6 @@ def learn(
     ),
     "seed",
     whole("workers", 1, "Threads; default: all cores."),
-    folder("Folder of finished pieces, from which an interrupted study resumes.", "folder"),
     folder("Folder for the tables (CSV) and figures (PNG)."),
 )
 def study(out: Path | None, **stated: Any) -> None:

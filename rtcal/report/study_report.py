@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,8 +21,7 @@ from rtcal.studies.paper import (
     random_hall,
     redrawn_share,
 )
-from rtcal.studies.runner import table_csv
-from rtcal.studies.study import Study, analytic_scores, run
+from rtcal.studies.study import Study, analytic_scores, run, table_csv
 from rtcal.studies.study import Table as Scores
 from rtcal.support import checks
 from rtcal.support.blocks import Block, Note, Row, Table, lines
@@ -137,7 +135,6 @@ def report(
     *,
     sampling: Sampling = "sigma_r",
     workers: int | None = None,
-    folder: Path | None = None,
     progress: bool = False,
     with_files: bool = False,
 ) -> StudyReport:
@@ -151,8 +148,6 @@ def report(
         Parameters of the Rayleigh distribution of sigma.
     realisations, trials, seed, sampling, workers, progress
         As for `rtcal.studies.run`; 0 trials compute only the analytic scores.
-    folder : Path, optional
-        For the finished pieces of `rtcal.studies.run`.
     with_files : bool
         Whether to render tables (CSV) and figures (PNG) too.
 
@@ -192,7 +187,6 @@ def report(
                 seed,
                 sampling=sampling,
                 workers=workers,
-                folder=None if folder is None else folder / stem,
                 progress=progress,
             )
             scores, effects = study.scores(), study.bound_effects()

@@ -10,11 +10,11 @@ mle
 
 from rtcal.studies import paper
 from rtcal.studies.paper import analytic_emse
-from rtcal.studies.runner import write_table
 from rtcal.studies.study import (
     Study,
     analytic_scores,
     run,
+    write_table,
 )
 
 __all__ = [

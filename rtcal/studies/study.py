@@ -4,20 +4,30 @@ MSE is the mean squared error of a trial (Bellows & Katz 2025, Eq. 28). EMSE is 
 of a realisation (Eq. 29). AACE is the root of EMSE's mean over realisations (Eq. 32). The calibration
 score is 1 - AACE / AACE of no calibration (Eq. 35), with the actual AACE of no calibration in place of
 its approximation sqrt(2) sigma_r.
+
+A study is computed in pieces. A piece draws from a generator seeded by (seed, number), so the result
+does not depend on the number of workers, nor on which of them computes what. The sums over
+realisations, from which scores, standard errors and box plots are calculated, do not grow with the
+number of rooms, so neither does the study's memory.
 """
 
 from __future__ import annotations
 
+import csv
 import functools
+import io
 import operator
 import os
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rtcal.files.disk import write_bytes
 from rtcal.files.saved import Result
 from rtcal.studies import paper
 from rtcal.studies.paper import (
@@ -29,9 +39,10 @@ from rtcal.studies.paper import (
     TrialSums,
     analytic_emse,
 )
-from rtcal.studies.runner import SAMPLED, ScoreMoments, run_pieces
 from rtcal.support import checks
 from rtcal.support.errors import DataError
+from rtcal.support.speed import bar as progress_bar
+from rtcal.support.speed import thread_pool
 from rtcal.support.types import Array
 
 _LEAST = 1e-9
@@ -56,6 +67,150 @@ _SCORES = [
     ("score", "f8"),
     ("standard_error", "f8"),
 ]
+
+
+def write_table(table: np.recarray[Any, Any], path: str | os.PathLike[str]) -> None:
+    """Write a table as .csv, whole or not at all; numbers keep all their digits.
+
+    Raises
+    ------
+    DataError
+        If the path has another ending or cannot be written, or ``table`` is no table.
+    """
+    ending = checks.path("path", path).suffix.lower()
+    if not isinstance(table, np.ndarray) or table.dtype.names is None or table.ndim != 1:
+        raise DataError("table is not a table of named columns, such as Study.scores returns")
+    if ending != ".csv":
+        raise DataError(f'{path}: a table ends with .csv, not "{ending}"')
+    write_bytes(path, table_csv(table))
+
+
+def table_csv(table: np.recarray[Any, Any]) -> bytes:
+    """Return a table as the bytes of a CSV file; numbers keep all their digits."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(table.dtype.names)
+    writer.writerows(table.tolist())
+    return stream.getvalue().encode()
+
+
+SAMPLED = METHODS + tuple(f"{m} bounded" for m in CALIBRATIONS)
+ANALYTIC = tuple(f"{m} analytic" for m in METHODS)
+SERIES = SAMPLED + ANALYTIC
+"""Names of the eleven EMSE that each realisation has."""
+
+EDGES = np.linspace(0.0, 0.5, 4001)  # of sqrt(EMSE); the last bin holds all larger values
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreMoments:
+    """Sums over realisations.
+
+    ``count`` is the number of realisations, ``active`` the number of trials with an active bound,
+    by calibration. ``sums`` are those of the series, ``products`` those of each pair of series. The
+    sampled series also have a histogram of sqrt(EMSE) and its extremes.
+    """
+
+    count: int
+    sums: Array
+    products: Array
+    active: Array
+    histogram: Array
+    least: Array
+    most: Array
+
+    @classmethod
+    def of(cls, emse: Array, active: Array) -> ScoreMoments:
+        """Sum up the series of some realisations, (r, 11), and their active trials, (r, 3)."""
+        root = np.sqrt(emse[:, : len(SAMPLED)])
+        bins = np.minimum(np.searchsorted(EDGES, root, side="right") - 1, EDGES.size - 2)
+        histogram = np.stack([np.bincount(b, minlength=EDGES.size - 1) for b in bins.T])
+        return cls(
+            count=len(emse),
+            sums=emse.sum(0),
+            products=np.einsum("ri,rj->ij", emse, emse),
+            active=active.sum(0).astype(float),
+            histogram=histogram.astype(float),
+            least=root.min(0),
+            most=root.max(0),
+        )
+
+    def __add__(self, other: ScoreMoments) -> ScoreMoments:
+        return ScoreMoments(
+            self.count + other.count,
+            self.sums + other.sums,
+            self.products + other.products,
+            self.active + other.active,
+            self.histogram + other.histogram,
+            np.minimum(self.least, other.least),
+            np.maximum(self.most, other.most),
+        )
+
+    def mean(self, weights: dict[str, float]) -> float:
+        """Return the mean over realisations of a weighted sum of series."""
+        return float(_vector(weights) @ self.sums / self.count)
+
+    def score(self, method: dict[str, float], baseline: dict[str, float]) -> tuple[float, Array]:
+        """Return 1 - sqrt(mean method / mean baseline) and its gradient by the series' means."""
+        top, bottom = self.mean(method), self.mean(baseline)
+        if top == 0:  # exact in every realisation: there is no error to propagate
+            return 1.0, np.zeros(len(SERIES))
+        ratio = np.sqrt(top / bottom)
+        gradient = -ratio / 2 * (_vector(method) / top - _vector(baseline) / bottom)
+        return float(1 - ratio), gradient
+
+    def standard_error(self, gradient: Array) -> float:
+        """Return the standard error of a smooth function of the means with that gradient.
+
+        The delta method on independent realisations; NaN for a single one.
+        """
+        if self.count < 2:
+            return float("nan")
+        means = self.sums / self.count
+        covariance = self.products / self.count - np.outer(means, means)
+        variance = float(gradient @ covariance @ gradient) / (self.count - 1)
+        return float(max(variance, 0.0) ** 0.5)
+
+    def quantile(self, series: int, share: float) -> float:
+        """Return a quantile of sqrt(EMSE) of a sampled series, to a histogram bin (1.25e-4)."""
+        running = np.cumsum(self.histogram[series])
+        return float(np.interp(share * running[-1], np.concatenate([[0.0], running]), EDGES))
+
+
+def _vector(weights: dict[str, float]) -> Array:
+    return np.array([weights.get(name, 0.0) for name in SERIES])
+
+
+_IN_FLIGHT = 64
+"""Number of pieces that are handed out together; it bounds the memory."""
+
+
+def _sum_of_pieces(
+    compute: Callable[[int], ScoreMoments],
+    count: int,
+    executor: Executor | None,
+    workers: int | None,
+    progress: bool,
+) -> ScoreMoments:
+    """Return the sum of ``compute(0)`` to ``compute(count - 1)``, always added in that order."""
+    if workers is not None:
+        checks.whole("workers", workers, 1)
+    if executor is not None and (
+        isinstance(executor, type) or not callable(getattr(executor, "submit", None))
+    ):
+        raise DataError(f"executor = {executor!r} is not a concurrent.futures.Executor")
+    shown = progress_bar(count, "piece", checks.flag("progress", progress))
+    pool = thread_pool(workers) if executor is None else nullcontext(executor)
+    with pool as workforce, shown as bar:
+
+        def pieces() -> Iterator[ScoreMoments]:
+            for first in range(0, count, _IN_FLIGHT):
+                numbers = range(first, min(first + _IN_FLIGHT, count))
+                for future in [workforce.submit(compute, number) for number in numbers]:
+                    yield future.result()
+                    bar.update(1)
+
+        return functools.reduce(operator.add, pieces())
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +316,6 @@ def run(
     sampling: Sampling = "sigma_r",
     executor: Executor | None = None,
     workers: int | None = None,
-    folder: str | os.PathLike[str] | None = None,
     progress: bool = False,
 ) -> Study:
     """Simulate ``realisations`` times ``trials`` rooms with these surfaces, and calibrate each.
@@ -179,14 +333,19 @@ def run(
     sampling : {"sigma_r", "sigma_n"}
         Whether mu keeps 2 sigma_r from 0 and 1, which gives the paper's scores, or twice the surface's
         own sigma, as the paper's text reads.
-    executor, workers, folder, progress
-        Where the pieces are computed and kept; see `rtcal.studies.runner.run_pieces`.
+    executor : concurrent.futures.Executor, optional
+        Whose workers compute the pieces, for example ``dask.distributed.Client(...).get_executor()``
+        or a ProcessPoolExecutor; it is left open. Default: threads.
+    workers : int, optional
+        Number of threads; default the cores of the machine.
+    progress : bool
+        Show a bar on standard error after two seconds.
 
     Raises
     ------
     DataError
         If an area, sigma_r or a number is not positive, sigma_r leaves no interval for mu,
-        ``sampling`` is no such name, or the folder holds another study.
+        ``sampling`` is no such name, or ``workers`` or ``executor`` is of the wrong kind.
 
     Examples
     --------
@@ -200,25 +359,9 @@ def run(
     """
     s = _areas(areas)
     _check(sigma_r, seed, sampling, realisations=realisations, trials=trials)
-    identity = {
-        "areas": s.tolist(),
-        "sigma_r": sigma_r,
-        "realisations": realisations,
-        "trials": trials,
-        "seed": seed,
-        "sampling": sampling,
-    }
     compute = functools.partial(_piece, s, sigma_r, realisations, trials, seed, sampling)
     count = -(-realisations // PIECE)
-    moments = run_pieces(
-        compute,
-        count,
-        identity=identity,
-        executor=executor,
-        workers=workers,
-        folder=folder,
-        progress=progress,
-    )
+    moments = _sum_of_pieces(compute, count, executor, workers, progress)
     return Study(s, sigma_r, realisations, trials, seed, sampling, moments)
 
 
@@ -261,18 +404,13 @@ def _drawn(
 def _analytic(
     areas: Array, sigma_r: float, realisations: int, seed: int, sampling: Sampling
 ) -> ScoreMoments:
-    total: ScoreMoments | None = None
-    for number in range(-(-realisations // PIECE)):
+    def piece(number: int) -> ScoreMoments:
         _, mu, sigma = _drawn(areas, sigma_r, realisations, seed, sampling, number)
-        exact = analytic_emse(mu, sigma, areas)
         unsampled = np.zeros((len(mu), len(SAMPLED)))
-        piece = ScoreMoments.of(
-            np.hstack([unsampled, exact]), np.zeros((len(mu), len(CALIBRATIONS)))
-        )
-        total = piece if total is None else total + piece
-    if total is None:
-        raise DataError("a study needs at least one realisation")
-    return total
+        errors = np.hstack([unsampled, analytic_emse(mu, sigma, areas)])
+        return ScoreMoments.of(errors, np.zeros((len(mu), len(CALIBRATIONS))))
+
+    return functools.reduce(operator.add, map(piece, range(-(-realisations // PIECE))))
 
 
 def _piece(
@@ -335,7 +473,6 @@ def _check(sigma_r: float, seed: int, sampling: str, **numbers: int) -> None:
             f"sigma_r = {sigma_r:g} is not from {_LEAST:g} to {most:g}: below that errors are "
             f"rounding, above it {why}"
         )
-    # The seed identifies a study, so that it can be resumed.
     checks.whole("seed", seed, 0)
     for name, value in numbers.items():
         if checks.whole(name, value, 1) > _MOST_NUMBERS:
