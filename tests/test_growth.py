@@ -78,7 +78,7 @@ def test_what_configurations_share_is_calculated_once(monkeypatch: pytest.Monkey
     assert innovation.call_count == 1
     assert density.call_count == 0
     assert [record["room"] for record in records] == [room.name for room in rooms]
-    assert all(m["interval_after"] is None for record in records for m in record["materials"])
+    assert all(m["interval_after"] for record in records for m in record["materials"])
 
 
 def test_derivative_with_respect_to_every_time_takes_two_assemblies(

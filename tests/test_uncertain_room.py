@@ -270,7 +270,6 @@ def test_a_common_factor_alone_has_an_interval() -> None:
     room = room_of(0, air=rt.Air(), common_alpha_sigma=0.1)
     result = rt.calibrate(room, times(room, 0, 0.02), "mle", SABINE)
     assert not result.active.any()
-    assert result.interval is not None
     half = 1.6448536 * result.posterior_sigma
     low, high = result.alpha - half, result.alpha + half
     inside = (low > 0.1) & (high < 0.9)  # where the box does not cut it
@@ -382,26 +381,6 @@ def volume_is_wrong(**stated: object) -> tuple[rt.Room, np.ndarray]:
     """A room whose T are all 15 % too short for the stated volume, which may be off."""
     room = room_of(3, **stated).replace(sigma=np.full((4, 4), 0.01))
     return room, 0.85 * SABINE.reverberation_time(room)
-
-
-@pytest.mark.parametrize(
-    ("stated", "u", "first"),
-    [
-        ({"volume_sigma": 0.12}, 0.001, "volume"),
-        ({"area_sigma": 0.12}, 0.001, "areas"),
-        ({"area_sigma": 1e-4}, 0.2, "T"),
-        ({"volume_sigma": 0.05, "area_sigma": 0.03}, 0.02, "volume"),
-    ],
-)
-def test_what_takes_up_the_gap_is_shared_out(
-    stated: dict[str, float], u: float, first: str
-) -> None:
-    """The shares are 1 in all, whatever was stated, and the parts add up to b - S'alpha."""
-    room, t = volume_is_wrong(**stated)
-    measured = at_one_pair(t, u * t)
-    shares = rt.calibrate(room, measured, equation=SABINE).to_dict()["gap_shares"]
-    assert sum(shares.values()) == pytest.approx(1)
-    assert max(shares, key=shares.get) == first
 
 
 def test_the_assumption_on_t_is_the_one_that_was_made() -> None:

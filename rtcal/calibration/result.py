@@ -14,7 +14,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.stats import truncnorm
 
 from rtcal.acoustics import room_errors
 from rtcal.acoustics.changed_time import (
@@ -219,38 +218,6 @@ class JointResult(Result):
         match = self.composition.soft_match
         return match is not None and match.room
 
-    def gap_shares(self, configuration: int) -> dict[str, float]:
-        """Return the shares of the remaining b - S'alpha that each uncertainty takes up, 1 in all.
-
-        By "volume", "areas", "climate" and "T". With C = U + D'D the difference is C times its pull:
-        U pull is what T's own uncertainty takes up, D' D pull what volume, areas and climate do. {}
-        where no room is uncertain, or nothing remains.
-        """
-        data = self.numbers
-        if not self.matches_uncertain_room:
-            return {}
-        left = np.nan_to_num(data.target).ravel() - data.match_matrix @ self.unknowns
-        pull = data.match_whitener.T @ (data.match_whitener @ left)
-        d = data.room_changes
-        n = 2 + len(self.configurations.materials)
-        of_time = np.nan_to_num(data.target_uncertainty).ravel() ** 2 * pull
-        groups = {"volume": d[:1], "areas": d[1:n], "climate": d[n:]}
-        parts = {name: g.T @ (g @ pull) for name, g in groups.items()} | {"T": of_time}
-        k = data.layout.n_bands
-        own = slice(configuration * k, (configuration + 1) * k)
-        total = np.sum([part[own] for part in parts.values()], axis=0)
-        square = float(total @ total)
-        return (
-            {name: float(part[own] @ total) / square for name, part in parts.items()}
-            if square
-            else {}
-        )
-
-    @property
-    def has_shared_errors(self) -> bool:
-        """Whether T was matched with errors that all bands share: of the room, or of the tables."""
-        return getattr(self.composition.prior, "common", False) or self.matches_uncertain_room
-
     @property
     def has_density(self) -> bool:
         """Whether the objective is a log-density: not of `lse` and `robust`."""
@@ -413,22 +380,6 @@ class JointResult(Result):
         variance = np.diag(change) + np.sum(change[:, len(places) :] ** 2, axis=1)
         return np.where(numbers.movable, numbers.sigma * np.sqrt(np.maximum(variance, 0.0)), 0.0)
 
-    @cached_property
-    def gaussian_interval(self) -> tuple[Array, Array]:
-        """Ends of the coefficients' normal 90 % interval within the box, (n_materials, n_bands) each.
-
-        Each interval holds the answer.
-        """
-        u, numbers, sigma = self.unknowns, self.numbers, self.estimate_sigma
-        free = sigma > 0
-        spread = np.where(free, sigma, 1.0)
-        mean = self.unbounded(spread)
-        low, high = (numbers.lower - mean) / spread, (numbers.upper - mean) / spread
-        ends = [truncnorm.ppf(share, low, high) for share in (0.05, 0.95)]
-        lower, upper = (np.where(free, mean + spread * end, u) for end in ends)
-        expand = self.composition.layout.expand
-        return expand(np.minimum(lower, u)), expand(np.maximum(upper, u))
-
     def unbounded(self, sigma: Array) -> Array:
         """Return where the unknowns would be without the box, (size,): m sigma² beyond a bound.
 
@@ -522,43 +473,42 @@ class JointResult(Result):
             return density, draws(density)
         return None
 
-    @cached_property
-    def interval(self) -> tuple[Array, Array] | None:
-        """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
-
-        It is `rtcal.posterior.distribution`'s: with the uncertainty of T, where one is stated, and it
-        holds the calibrated coefficient. In a room that states an uncertainty of its volume, areas,
-        climate or tables it is that of a normal density, cut at the bounds. None if bands or rooms
-        are coupled (correlations, order, several configurations), or if the method has no posterior
-        (`lse`, `robust`).
-        """
-        if len(self.configurations.rooms) > 1 or not self.has_density:
-            return None
-        if self.has_shared_errors:
-            return self.gaussian_interval
-        if self._separate is None:
-            return None
-        points = quantiles(self.composition.layout, *self._separate)
-        return intervals(self.alpha, points, 0.9)
+    @property
+    def is_exact(self) -> bool:
+        """Whether the intervals are those of the posterior: it has one, and each band stands alone."""
+        return self._separate is not None
 
     @cached_property
-    def spread(self) -> tuple[Array, Array]:
-        """Quantiles of the coefficients at `NORMAL`, and their correlation per band.
+    def points(self) -> Array:
+        """Quantiles of the coefficients at `NORMAL`, (n_materials, n_bands, 201).
 
-        The posterior's where each band stands for itself; else that of the linear estimate's error, cut
-        at the bounds, which every method has.
+        The posterior's where each band stands for itself; else those of the linear estimate's error,
+        normal and cut at the bounds, which every method has.
         """
         layout = self.composition.layout
         if self._separate is not None:
-            return quantiles(layout, *self._separate), correlations(layout, *self._separate)
-        covariance = self.estimate_covariance()
-        centre = layout.expand(self.unbounded(self.estimate_sigma))
-        lower = layout.expand(self.numbers.lower)
-        sigma, correlation = correlation_of(covariance)
-        points = normal_quantiles(centre, sigma, lower)
-        return np.where(
-            sigma[:, :, np.newaxis] > 0, points, self.alpha[:, :, np.newaxis]
-        ), correlation
+            return quantiles(layout, *self._separate)
+        sigma = self.estimate_sigma
+        of_all = (self.unbounded(sigma), sigma, self.numbers.lower)
+        points = normal_quantiles(*map(layout.expand, of_all))
+        free = layout.expand(sigma)[:, :, np.newaxis] > 0
+        return np.where(free, points, self.alpha[:, :, np.newaxis])
+
+    @cached_property
+    def correlation(self) -> Array:
+        """Correlation between the coefficients of each band, (n_bands, n_materials, n_materials)."""
+        if self._separate is not None:
+            return correlations(self.composition.layout, *self._separate)
+        return correlation_of(self.estimate_covariance())[1]
+
+    @cached_property
+    def interval(self) -> tuple[Array, Array]:
+        """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
+
+        That of `points`: it holds the calibrated coefficient, and has the uncertainty of T, where one
+        is stated.
+        """
+        return intervals(self.alpha, self.points, 0.9)
 
     def to_dict(self) -> dict[str, Any]:
         """Return each configuration's `CalibrationResult.to_dict` by name."""
@@ -808,10 +758,8 @@ class CalibrationResult(Result):
         )
 
     @property
-    def interval(self) -> tuple[Array, Array] | None:
+    def interval(self) -> tuple[Array, Array]:
         """`JointResult.interval` of the room's materials."""
-        if self.joint.interval is None:
-            return None
         low, high = self.joint.interval
         return low[self._rows], high[self._rows]
 
@@ -840,14 +788,13 @@ class CalibrationResult(Result):
         with np.errstate(invalid="ignore"):
             same = np.abs(time / own.time - 1) < _SAME_TIME
         measured = np.isfinite(own.time) & joint.asks_for_measured_time
-        quantiles, correlation = joint.spread
         return KnownRoom(
             room=room,
             equation=self.equation,
             materials=rooms.materials,
             alpha=joint.alpha,
-            quantiles=quantiles,
-            correlation=correlation,
+            quantiles=joint.points,
+            correlation=joint.correlation,
             time=time,
             measured=measured,
             exact=bool(same[measured].all()),
@@ -891,11 +838,6 @@ class CalibrationResult(Result):
             "air": None if room.air is None else vars(room.air),
             "room_taken_as_exact": not self.joint.matches_uncertain_room,
             **({"room_uncertainty": words} if (words := room_errors.in_words(room)) else {}),
-            **(
-                {"gap_shares": shares}
-                if (shares := self.joint.gap_shares(self.configuration))
-                else {}
-            ),
             "centre_frequencies": json_numbers(room.centre_frequencies),
             "measured": table.measurement(self.measured_data),
             "reverberation_time_before": json_numbers(self.reverberation_time_before),

@@ -14,8 +14,6 @@ from rtcal.support.types import Array
 
 LARGE_GAP = 3.0
 """A gap before calibration, in JND, that anyone hears. Agreement says little where it is allowed."""
-_LEAST_SHARE = 0.2
-"""Share of a gap from which an uncertainty is named as what takes it up."""
 _AGAINST = "The measurement contradicts what was stated of the materials"
 _ALIKE = "The measurement agrees with what was stated only if all coefficients err the same way"
 _SOMETHING = (
@@ -228,14 +226,5 @@ def remaining_gap(record: Mapping[str, Any]) -> str:
         if record["unreachable"]:
             return f"{said}. No coefficients within their limits reach that time."
         return f"{said}. The uncertainty of the measured time allows them."
-    shares = record.get("gap_shares", {})
-    causes = [
-        "the measured time" if group == "T" else f"the {group}"
-        for group in sorted(shares, key=lambda g: -float(shares[g]))
-        if shares[group] >= _LEAST_SHARE
-    ]
-    check = " Check that first." if shares.get("T", 0.0) < 1 - _LEAST_SHARE else ""
-    stated = f" (stated: {words})" if (words := record.get("room_uncertainty")) else ""
-    return (
-        f"{said}. What is stated as uncertain explains them: {' and '.join(causes)}{stated}.{check}"
-    )
+    uncertain = f" (stated: {words})" if (words := record.get("room_uncertainty")) else ""
+    return f"{said}. What is stated as uncertain explains them{uncertain}. Check that first."

@@ -260,9 +260,9 @@ def coefficients(result: CalibrationResult) -> Any:
     """Return the figure of alpha by material and band: prior and calibrated, with 90 % intervals.
 
     Of more than twelve materials, it shows those with the largest absorption area. The prior's
-    interval is mu ± 1.645 sigma within the bounds; the other one is that of `intervals`.
+    interval is mu ± 1.645 sigma within the bounds; the other one is `CalibrationResult.interval`.
     """
-    room, (low, high) = result.prior, intervals(result)
+    room, (low, high) = result.prior, result.interval
     f = room.centre_frequencies
     apart = float(f[1] / f[0]) ** 0.08 if len(f) > 1 else 1.0
 
@@ -289,17 +289,6 @@ def coefficients(result: CalibrationResult) -> Any:
     figure = of_materials(room.materials, room.areas, size, f, draw, 2)
     figure.suptitle("α by band (each panel has its own scale)", fontsize=11)
     return figure
-
-
-def intervals(result: CalibrationResult) -> tuple[Array, Array]:
-    """Return the ends of the calibrated coefficients' 90 % intervals, (n_materials, n_bands).
-
-    They are exact if they were computed, else alpha ± 1.645 sigma of the linear estimate within 0 to 1.
-    """
-    if result.interval is not None:
-        return result.interval[0], result.interval[1]
-    spread = NORMAL_90 * result.posterior_sigma
-    return np.clip(result.alpha - spread, 0, 1), np.clip(result.alpha + spread, 0, 1)
 
 
 _STACK = (

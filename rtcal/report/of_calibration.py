@@ -92,7 +92,6 @@ def blocks(result: CalibrationResult, level: int = 2, what: str = "") -> list[An
         return Section(title, name, level)
 
     room, record = result.prior, result.to_dict()
-    low, high = figures.intervals(result)
     size = np.max(room.areas[:, np.newaxis] * result.alpha, axis=1)
     rows = np.sort(np.argsort(-size, kind="stable")[:MOST_MATERIALS]).tolist()
     of_all = f"; the {len(rows)} of {len(size)} materials that absorb most"
@@ -116,7 +115,7 @@ def blocks(result: CalibrationResult, level: int = 2, what: str = "") -> list[An
         *doubts(result.trust_marks),
         Items(table.remarks(record)),
         section("Tables", "tables"),
-        coefficients(title, room, result.alpha, (low, high), result.active != 0, rows),
+        coefficients(title, room, result.alpha, result.interval, result.active != 0, rows),
         Note(_of_intervals(result), kind="note"),
         Table(
             bands.labels(room.centre_frequencies),
@@ -214,21 +213,14 @@ def _pictures(result: CalibrationResult) -> list[Picture]:
 
 
 def _of_intervals(result: CalibrationResult) -> str:
-    if result.interval is None:
-        return (
-            "The intervals are those of the linear estimate, alpha ± 1.645 standard deviations cut "
-            "to 0 to 1: exact ones would need samples here, or the method has no posterior "
-            "distribution."
-        )
     of = (
         "the exact posterior distribution, within the bounds, with the uncertainty of T where it "
         "is known"
     )
-    if result.joint.has_shared_errors:
+    if not result.joint.is_exact:
         of = (
-            "a normal density within the bounds, for each coefficient by itself: all bands share what "
-            "the room states of its uncertainty, and the exact posterior distribution would need "
-            "samples"
+            "the linear estimate, a normal density within the bounds for each coefficient by itself: "
+            "bands or rooms share errors here, or the method has no posterior distribution"
         )
     return f"The intervals are those of {of}. The calibrated coefficient lies within its interval."
 

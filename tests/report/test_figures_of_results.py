@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import rtcal as rt
 from rtcal.report import (
@@ -59,9 +60,11 @@ def test_coefficients_and_their_intervals(result) -> None:
 
 def test_intervals_without_an_exact_posterior_are_the_linear_estimates() -> None:
     found = rt.calibrate(*rt.datasets.bras_cr2(), method="lse")
-    assert found.interval is None
-    low, high = figures.intervals(found)
-    np.testing.assert_allclose((high - low)[0] / 2, 1.6449 * found.posterior_sigma[0], rtol=1e-9)
+    alpha, sigma = found.alpha, found.posterior_sigma
+    cut = stats.truncnorm(-alpha / sigma, (1 - alpha) / sigma, alpha, sigma)
+    assert not found.active.any()
+    for end, p in zip(found.interval, (0.05, 0.95), strict=True):
+        np.testing.assert_allclose((end - cut.ppf(p)) / sigma, 0, atol=5e-3)
 
 
 def test_shares_add_up_and_are_the_areas(result) -> None:
