@@ -520,7 +520,7 @@ def archived() -> dict[str, Any]:
         of_room = 0.85 * np.exp(0.1 * rng.standard_normal(room.alpha.shape)) * room.alpha
         t = rt.Eyring().time(one_room, one_room.areas @ of_room)
         rooms.append(rt.calibrate(one_room, t))
-    archive = rt.learn(rooms, weights={"D": 0.5})
+    archive = rt.learn(rooms)
     known = archive.apply(room.replace(name="next"))
     then = rt.calibrate(known, measured, method="soft")
     return {

@@ -146,18 +146,13 @@ def rooms() -> list[rt.calibration.CalibrationResult]:
     ]
 
 
-def test_order_and_weights_do_what_they_say(
-    rooms: list[rt.calibration.CalibrationResult],
-) -> None:
+def test_the_order_of_rooms_changes_nothing(rooms: list[rt.calibration.CalibrationResult]) -> None:
     archive = rt.learn(rooms)
     turned = rt.learn(rooms[::-1])
     order = [turned.materials.index(m) for m in archive.materials]
     np.testing.assert_allclose(turned.alpha[order], archive.alpha, atol=1e-4)
-    left = rt.learn(rooms, weights={"C": 0})
-    np.testing.assert_allclose(left.alpha, rt.learn(rooms[:2]).alpha, rtol=1e-12)
+    left = rt.learn(rooms[:2])
     assert (left.seen == 2).all()
-    little = rt.learn(rooms, weights={"C": 1e-9})
-    np.testing.assert_allclose(little.alpha, left.alpha, atol=1e-4)
     assert (archive.mean_sigma <= left.mean_sigma + 5e-3).all()
 
 
@@ -396,7 +391,7 @@ def test_the_command_reads_a_folder_and_writes_a_room(
         result.save(tmp_path / "rooms" / result.prior.name)
     rooms[0].prior.save(str(tmp_path / "new.toml"))
     out = tmp_path / "library"
-    stated = ["learn", str(tmp_path / "rooms"), "--as", "floor=linoleum", "--room-weight", "C=0.5"]
+    stated = ["learn", str(tmp_path / "rooms"), "--as", "floor=linoleum"]
     run = CliRunner().invoke(
         cli, [*stated, "--apply", str(tmp_path / "new.toml"), "--out", str(out), "--json"]
     )
@@ -436,14 +431,11 @@ def test_a_material_that_is_hard_for_certain_teaches_nothing() -> None:
 
 def test_bad_input_is_named(rooms: list[rt.calibration.CalibrationResult]) -> None:
     for stated, message in (
-        (([rooms[0]],), "rooms that count: 1"),
+        (([rooms[0]],), "rooms: 1; an archive has"),
         (([rooms[0], rooms[0]],), 'room "A" occurs twice'),
         (([rooms[0], "B"],), r"rooms\[1\]"),
         ((rooms, {"roof": "plaster"}), '"roof" is a material of no room'),
         ((rooms, {"floor": "plaster"}), 'two of its materials are "plaster"'),
-        ((rooms, None, {"D": 1}), '"D" is no room'),
-        ((rooms, None, {"A": 2}), "is not from 0 to 1"),
-        ((rooms, None, {"A": float("nan")}), "is not from 0 to 1"),
     ):
         with pytest.raises(DataError, match=message):
             rt.learn(*stated)

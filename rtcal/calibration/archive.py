@@ -15,8 +15,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -66,7 +65,6 @@ _CENTRE, _WIDTH = np.array(
 ).T
 _STEP = 0.05
 """Step of the cost's second differences, in logarithms."""
-_MEDIANS = {name: median for name, (median, _) in _USUAL.items()} | {"correlation": 0.7}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,15 +120,11 @@ class RoomData:
         b in m², NaN where there is no T.
     covariance : array (n_states n_bands, n_states n_bands)
         Of b through T, volume, areas and climate, in m⁴, the bands last.
-    weight : float
-        Above 0; 1 counts in full. With a weight w, what the room has of its own has 1 / w times its
-        usual variance.
     """
 
     areas: Array
     target: Array
     covariance: Array
-    weight: float = 1.0
 
 
 class Evidence:
@@ -143,38 +137,26 @@ class Evidence:
         self.distance = np.abs(octaves[:, np.newaxis] - octaves)
         self.areas = np.array([rooms[r].areas[s] for r, s, _ in place])
         self.target = np.array([rooms[r].target[s, k] for r, s, k in place])
-        self.weight = np.array([rooms[r].weight for r in self.room])
         self.same_room = self.room[:, np.newaxis] == self.room
         self.noise = np.zeros_like(self.same_room, dtype=float)
         for r, data in enumerate(rooms):
             rows = np.flatnonzero(self.room == r)
             used = state[rows] * len(octaves) + self.band[rows]
             self.noise[np.ix_(rows, rows)] = data.covariance[np.ix_(used, used)]
-        self.expected = self.total(mu)
+        self.expected = np.sum(self.areas * mu.T[self.band], axis=1)  # S'mu
         self.miss = self.target - self.expected
         self.spreads = self.areas * sigma.T[self.band]  # S sigma of each row and material
         self.shared = self.spreads @ self.spreads.T
-        # Noise that does not depend on the spread: else a room of little weight would still shape it.
-        self.noise = self.noise + (1 / self.weight - 1) * self.own(Spread(**_MEDIANS))
-
-    def total(self, alpha: Array) -> Array:
-        """Return S'alpha of each row in m²."""
-        return np.asarray(np.sum(self.areas * alpha.T[self.band], axis=1))
 
     def covariance(self, spread: Spread) -> Array:
         """Return the covariance of the rows about S'mu, in m⁴."""
+        shared = self.shared * self.correlation(spread)[np.ix_(self.band, self.band)]
         together = np.outer(self.expected, self.expected)
-        shared = self.shared * self.correlation(spread)[np.ix_(self.band, self.band)]
         common = spread.table**2 * shared + spread.together**2 * together
-        return np.asarray(common + self.own(spread))
-
-    def own(self, spread: Spread) -> Array:
-        """Return the part of the covariance that each room has of its own, in m⁴."""
-        shared = self.shared * self.correlation(spread)[np.ix_(self.band, self.band)]
-        of_room = spread.between**2 * shared
-        of_room = of_room + spread.room**2 * np.outer(self.expected, self.expected)
+        of_room = spread.between**2 * shared + spread.room**2 * together
         equation = np.diag((spread.equation * self.target) ** 2)
-        return np.asarray(np.where(self.same_room, of_room, 0.0) + equation + self.noise)
+        own = np.where(self.same_room, of_room, 0.0) + equation + self.noise
+        return np.asarray(common + own)
 
     def correlation(self, spread: Spread) -> Array:
         """Return that of one material's errors in two bands, (n_bands, n_bands)."""
@@ -535,18 +517,13 @@ class Archive(Result):
             )
             for i, name in enumerate(self.materials)
         ]
-        rooms = [
-            Row(
-                lesson.room,
-                [
-                    f"{100 * lesson.factor:+.0f} %",
-                    f"{lesson.q:.1f}",
-                    f"{lesson.p_value:.2g}",
-                    f"{100 * lesson.taught:.0f} %",
-                ],
-            )
-            for lesson in self.lessons
-        ]
+        of_rooms = {
+            "factor": [f"{100 * lesson.factor:+.0f} %" for lesson in self.lessons],
+            "Q": [f"{lesson.q:.1f}" for lesson in self.lessons],
+            "p": [f"{lesson.p_value:.2g}" for lesson in self.lessons],
+            "taught": [f"{100 * lesson.taught:.0f} %" for lesson in self.lessons],
+        }
+        rooms = Table.of_columns([lesson.room for lesson in self.lessons], of_rooms)
         notes = [
             f"An entry is off by {spread.table:.2g} of its stated sigma, a material differs between "
             f"rooms by {spread.between:.2g} of it. Rooms differ by {100 * spread.room:.0f} %, the "
@@ -563,7 +540,7 @@ class Archive(Result):
         return [
             Note(f"{len(self.lessons)} rooms, {len(self.materials)} materials"),
             Table(labels, materials, head),
-            Table(["factor", "Q", "p", "taught"], rooms, "what each room says beside all others"),
+            replace(rooms, title="what each room says beside all others"),
             *map(Note, notes),
         ]
 
@@ -575,52 +552,42 @@ def _is_one_material(mu: Array, sigma: Array, other: Array, other_sigma: Array) 
     return bool(np.sqrt(np.mean(z**2)) <= _ALIKE)
 
 
-@dataclass(frozen=True, eq=False)
-class _Calibrated:
-    """A calibrated room, the results of its states, and how far it counts."""
-
-    results: Sequence[CalibrationResult]
-    weight: float = 1.0
-
-    @classmethod
-    def of(cls, result: CalibrationResult | JointResult, weight: float = 1.0) -> _Calibrated:
-        """The room of a result."""
-        return cls(result.results if isinstance(result, JointResult) else (result,), weight)
-
-    @cached_property
-    def states(self) -> Configurations:
-        """The states before the calibration."""
-        return Configurations([result.prior for result in self.results])
-
-    @property
-    def room(self) -> Room:
-        """The room before the calibration, with the materials of all states."""
-        return self.states.union
-
-    def data(self, places: Sequence[int], n_materials: int, columns: Sequence[int]) -> RoomData:
-        """What T asks for in some bands, by no method, with the archive's ``places`` of the materials.
-
-        T, volume, areas and climate count. A T without a stated uncertainty counts as exact: its error
-        is then part of the equation's, which the rooms tell.
-        """
-        equation = self.results[0].equation
-        t = np.array([result.measured for result in self.results])
-        each = list(zip(self.states.rooms, t, self.results, strict=True))
-        u = [r.measured_uncertainty * equation.target_sensitivity(room, t) for room, t, r in each]
-        changes = self.states.target_changes(equation, t)
-        covariance = np.diag(np.nan_to_num(np.ravel(u)) ** 2) + changes.T @ changes
-        target = np.array([equation.target(room, t) for room, t, _ in each])
-        areas = np.zeros((len(t), n_materials))
-        areas[:, places] = self.states.areas
-        used = (np.arange(len(t))[:, np.newaxis] * t.shape[1] + columns).ravel()
-        return RoomData(areas, target[:, columns], covariance[np.ix_(used, used)], self.weight)
+Calibrated = CalibrationResult | JointResult
 
 
-def learn(
-    rooms: Sequence[CalibrationResult | JointResult],
-    names: Mapping[str, str] | None = None,
-    weights: Mapping[str, float] | None = None,
-) -> Archive:
+def _states(result: Calibrated) -> tuple[Sequence[CalibrationResult], Configurations]:
+    """The results of a room's states, and the states before the calibration."""
+    if isinstance(result, JointResult):
+        return result.results, result.configurations
+    return (result,), Configurations([result.prior])
+
+
+def _room(result: Calibrated) -> Room:
+    """The room before the calibration, with the materials of all states."""
+    return _states(result)[1].union
+
+
+def _data(result: Calibrated, places: Sequence[int], n: int, columns: Sequence[int]) -> RoomData:
+    """What T asks for in some bands, by no method, with the ``places`` of the materials among ``n``.
+
+    T, volume, areas and climate count. A T without a stated uncertainty counts as exact: its error
+    is then part of the equation's, which the rooms tell.
+    """
+    results, states = _states(result)
+    equation = results[0].equation
+    t = np.array([each.measured for each in results])
+    each = list(zip(states.rooms, t, results, strict=True))
+    u = [r.measured_uncertainty * equation.target_sensitivity(room, t) for room, t, r in each]
+    changes = states.target_changes(equation, t)
+    covariance = np.diag(np.nan_to_num(np.ravel(u)) ** 2) + changes.T @ changes
+    target = np.array([equation.target(room, t) for room, t, _ in each])
+    areas = np.zeros((len(t), n))
+    areas[:, places] = states.areas
+    used = (np.arange(len(t))[:, np.newaxis] * t.shape[1] + columns).ravel()
+    return RoomData(areas, target[:, columns], covariance[np.ix_(used, used)])
+
+
+def learn(rooms: Sequence[Calibrated], names: Mapping[str, str] | None = None) -> Archive:
     """Learn from calibrated rooms what the materials that they share absorb.
 
     alpha of material i in room r is the material's mean, an error of the room's own and a factor of the
@@ -637,8 +604,6 @@ def learn(
     names : mapping of str to str, optional
         From a room's name of a material to the archive's, where the two differ. A name that it does not
         give is one material where the rooms' tables are near; else the later room's name stands by it.
-    weights : mapping of room name to float, optional
-        Between 0 and 1: how far a room counts; 0 leaves it out. 1 if not given.
 
     Returns
     -------
@@ -649,7 +614,7 @@ def learn(
     ------
     DataError
         For fewer than two rooms, one that occurs twice, rooms without common bands, an unknown name in
-        ``names`` or ``weights``, or a room in which two materials get one name.
+        ``names``, or a room in which two materials get one name.
 
     Examples
     --------
@@ -661,28 +626,30 @@ def learn(
     >>> print(archive.seen, bool(archive.material("floor").alpha[2] < room.alpha[3, 2]))
     [2 2 2 2 2] True
     """
-    used = _counted(rooms, weights)
+    used = _counted(rooms)
     mapped = checks.mapped("names", {} if names is None else names)
-    known = {m for each in used for m in each.room.materials}
+    priors = [_room(result) for result in used]
+    known = {m for room in priors for m in room.materials}
     if unknown := [name for name in mapped if name not in known]:
         raise DataError(
             f'names: "{unknown[0]}" is a material of no room; there are {", ".join(sorted(known)[:20])}'
         )
     places = {
-        f: [bands.index(each.room.centre_frequencies, f) for each in used]
-        for f in used[0].room.centre_frequencies
+        f: [bands.index(room.centre_frequencies, f) for room in priors]
+        for f in priors[0].centre_frequencies
     }
     common = {f: [i for i in at if i is not None] for f, at in places.items() if None not in at}
     if not common:
         raise DataError("the rooms have no band in common")
     frequencies = np.array([*common])
     columns = [list(of_room) for of_room in zip(*common.values(), strict=True)]
-    called = _named(used, mapped, columns)
-    materials = tuple(dict.fromkeys(m for row in called for m in row))
-    mu, sigma, seen = _tables(used, called, materials, columns)
+    called, tables = _named(priors, mapped, columns)
+    materials = tuple(tables)
+    mu = np.array([np.mean([alpha for alpha, _ in rows], axis=0) for rows in tables.values()])
+    sigma = np.array([np.max([each for _, each in rows], axis=0) for rows in tables.values()])
     data = [
-        each.data([materials.index(m) for m in row], len(materials), of_room)
-        for each, row, of_room in zip(used, called, columns, strict=True)
+        _data(result, [materials.index(m) for m in row], len(materials), of_room)
+        for result, row, of_room in zip(used, called, columns, strict=True)
     ]
     if not any(np.isfinite(d.target).any() for d in data):
         raise DataError("no room has a measured T in the common bands")
@@ -698,16 +665,16 @@ def learn(
     of_rooms = np.mean([(each.between * sigma) ** 2 for each, _, _ in mixed], axis=0)
     lessons: list[Lesson] = []
     suspects: list[Suspect] = []
-    for r, (each, row) in enumerate(zip(used, called, strict=True)):
+    for r, (room, row) in enumerate(zip(priors, called, strict=True)):
         if not (evidence.room == r).any():
             continue
-        lesson, suspicion = _judged(evidence, spread, r, each.room.name, left)
+        lesson, suspicion = _judged(evidence, spread, r, room.name, left)
         lessons.append(lesson)
         by_material = suspicion.sum(axis=1)
         suspects += [
             Suspect(
-                room=each.room.name,
-                material=each.room.materials[row.index(materials[i])],
+                room=room.name,
+                material=room.materials[row.index(materials[i])],
                 instead=[*materials, ""][int(np.argmax(suspicion[i]))],
                 probability=float(by_material[i]),
             )
@@ -721,7 +688,7 @@ def learn(
         alpha=np.clip(mean, 0.0, 1.0),
         sigma=np.sqrt(of_mean + of_rooms),
         mean_sigma=np.sqrt(of_mean),
-        seen=seen,
+        seen=np.array([len(rows) for rows in tables.values()]),
         spread=spread,
         together=float(off.mean()),
         together_sigma=float(np.sqrt(off_variance.mean() + off.var())),
@@ -729,9 +696,9 @@ def learn(
         lessons=tuple(lessons),
         suspects=tuple(sorted(suspects, key=lambda s: -s.probability)),
         measured=tuple(
-            data_history(result.prior, result.measured_data)
-            for each in used
-            for result in each.results
+            data_history(each.prior, each.measured_data)
+            for result in used
+            for each in _states(result)[0]
         ),
     )
 
@@ -740,86 +707,55 @@ def _sigma(covariance: Array, shape: tuple[int, ...]) -> Array:
     return np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(shape)
 
 
-def _counted(
-    rooms: Sequence[CalibrationResult | JointResult], weights: Mapping[str, float] | None
-) -> list[_Calibrated]:
-    """The rooms that count."""
+def _counted(rooms: Sequence[Calibrated]) -> Sequence[Calibrated]:
+    """The rooms, of which there are enough; DataError otherwise."""
     listed = checks.listed("rooms", rooms)
     for i, room in enumerate(listed):
-        if not isinstance(room, CalibrationResult | JointResult):
+        if not isinstance(room, Calibrated):
             raise DataError(f"rooms[{i}] = {checks.shown(room)} is no result of rtcal.calibrate")
-    names = [_Calibrated.of(result).room.name for result in listed]
+    names = [_room(result).name for result in listed]
     if repeated := [n for i, n in enumerate(names) if n in names[:i]]:
         raise DataError(f'room "{repeated[0]}" occurs twice; its T would count twice')
-    stated = checks.mapped("weights", {} if weights is None else weights)
-    for name, value in stated.items():
-        if name not in names:
-            raise DataError(f'weights: "{name}" is no room; there are {", ".join(names[:20])}')
-        if not 0 <= checks.number(f'weights["{name}"]', value) <= 1:
-            raise DataError(f'weights["{name}"] = {value:g} is not from 0 to 1')
-    each = [
-        _Calibrated.of(result, float(stated.get(name, 1.0)))
-        for result, name in zip(listed, names, strict=True)
-    ]
-    kept = [room for room in each if room.weight > 0]
-    if not 2 <= len(kept) <= _MOST:
-        raise DataError(f"rooms that count: {len(kept)}; an archive has from 2 to {_MOST}")
-    return kept
+    if not 2 <= len(listed) <= _MOST:
+        raise DataError(f"rooms: {len(listed)}; an archive has from 2 to {_MOST}")
+    return listed
 
 
 def _named(
-    rooms: Sequence[_Calibrated], names: Mapping[str, str], columns: Sequence[Sequence[int]]
-) -> list[list[str]]:
-    """The archive's names of each room's materials, each for one table: of another one "name (room)".
+    rooms: Sequence[Room], names: Mapping[str, str], columns: Sequence[Sequence[int]]
+) -> tuple[list[list[str]], dict[str, list[tuple[Array, Array]]]]:
+    """The archive's names of each room's materials, and the tables (alpha, sigma) of each name.
 
-    Those in ``names`` are one. A room that has a record states no table, but what an archive or a
-    calibration made of one.
+    Each name is for one table: of another one it is "name (room)". Those in ``names`` are one. A room
+    that has a record states no table, but what an archive or a calibration made of one.
     """
     one = set(names.values())
-    tables: dict[str, list[tuple[str, tuple[Array, Array]]]] = {}
-
-    def entry(name: str, room: Room, table: tuple[Array, Array]) -> str:
-        known = tables.setdefault(name, [])
-        for found, other in known:
-            if name in one or room.calibration or _is_one_material(*table, *other):
-                return found
-        known.append((f"{name} ({room.name})" if known else name, table))
-        return known[-1][0]
-
+    tables: dict[str, list[tuple[Array, Array]]] = {}
+    entries: dict[str, list[str]] = {}
     called = []
-    for room, of_room in zip((each.room for each in rooms), columns, strict=True):
+    for room, of_room in zip(rooms, columns, strict=True):
         stated = [str(names.get(m, m)) for m in room.materials]
         if repeated := [m for i, m in enumerate(stated) if m in stated[:i]]:
             raise DataError(
                 f'room "{room.name}": two of its materials are "{repeated[0]}"; merge them there'
             )
-        called.append(
-            [
-                entry(name, room, (room.alpha[i, of_room], room.sigma[i, of_room]))
-                for i, name in enumerate(stated)
-            ]
-        )
-    return called
-
-
-def _tables(
-    rooms: Sequence[_Calibrated],
-    called: Sequence[Sequence[str]],
-    materials: Sequence[str],
-    columns: Sequence[Sequence[int]],
-) -> tuple[Array, Array, NDArray[np.int_]]:
-    """The mean of the rooms' entries for each material, their largest sigma, and how many there are."""
-    mu, sigma, seen = [], [], []
-    for name in materials:
-        rows = [
-            (each.room.alpha[row.index(name), own], each.room.sigma[row.index(name), own])
-            for each, row, own in zip(rooms, called, columns, strict=True)
-            if name in row
-        ]
-        mu.append(np.mean([alpha for alpha, _ in rows], axis=0))
-        sigma.append(np.max([each for _, each in rows], axis=0))
-        seen.append(len(rows))
-    return np.array(mu), np.array(sigma), np.array(seen, dtype=int)
+        row = []
+        for i, name in enumerate(stated):
+            table, known = (
+                (room.alpha[i, of_room], room.sigma[i, of_room]),
+                entries.setdefault(name, []),
+            )
+            alike = name in one or room.calibration
+            entry = next(
+                (e for e in known if alike or _is_one_material(*table, *tables[e][0])), None
+            )
+            if entry is None:
+                entry = f"{name} ({room.name})" if known else name
+                known.append(entry)
+            tables.setdefault(entry, []).append(table)
+            row.append(entry)
+        called.append(row)
+    return called, tables
 
 
 def _judged(
@@ -842,32 +778,30 @@ def _judged(
     correlation = evidence.correlation(spread)[np.ix_(band, band)]
     target = evidence.target[own]
     noise = evidence.noise[np.ix_(own, own)] + np.diag((spread.equation * target) ** 2)
-    # A material that the archive lacks: like one of its entries, but nobody knows which.
-    other = mean.mean(axis=0)[band]
-    width = np.sqrt(mean.var(axis=0) + np.mean(evidence.sigma**2, axis=0))[band]
+    # A material that the archive lacks comes last: like one of its entries, but nobody knows which.
+    width = np.sqrt(mean.var(axis=0) + np.mean(evidence.sigma**2, axis=0))
+    every = np.vstack([mean, mean.mean(axis=0)])
+    apart = np.vstack([spread.between * evidence.sigma, width]).T[band]
 
-    def predicted(covered: Array, alien: Array) -> tuple[Array, Array]:
-        """b and its covariance with ``covered`` m² of each entry and ``alien`` m² of none of them."""
-        matrix = evidence.matrix(covered, band)
-        total = matrix @ mean.ravel() + alien * other
-        sigma = evidence.sigma.T[band] * covered
-        between = spread.between**2 * (sigma @ sigma.T) + np.outer(alien * width, alien * width)
-        factor = spread.room**2 * np.outer(total, total)
-        return total, matrix @ covariance @ matrix.T + between * correlation + factor + noise
+    def predicted(areas: Array) -> tuple[Array, Array]:
+        """b and its covariance with these areas in m², (n_rows, n_materials + 1)."""
+        total = np.sum(areas * every.T[band], axis=1)
+        matrix = evidence.matrix(areas[:, :n], band)
+        own, factor = areas * apart, spread.room * total
+        among = own @ own.T * correlation + np.outer(factor, factor)
+        return total, matrix @ covariance @ matrix.T + among + noise
 
-    none = np.zeros(len(band))
-    total, whole = predicted(stated, none)
+    areas = np.column_stack([stated, np.zeros(len(stated))])
+    total, whole = predicted(areas)
     base = _log_density(target - total, whole)
     found = np.flatnonzero(stated.any(axis=0))
     ratio = np.full((n, n + 1), -np.inf)
     for i in found:
-        without = np.where(np.arange(n) == i, 0.0, stated)
-        area = stated[:, i]
-        for j in range(n + 1):
-            if j == i:
-                continue
-            covered = without + np.where(np.arange(n) == j, area[:, np.newaxis], 0.0)
-            total_j, whole_j = predicted(covered, area if j == n else none)
+        for j in np.delete(np.arange(n + 1), i):
+            moved = areas.copy()
+            moved[:, j] += areas[:, i]
+            moved[:, i] = 0.0
+            total_j, whole_j = predicted(moved)
             ratio[i, j] = _log_density(target - total_j, whole_j) - base
     odds = MISNAMED / n * np.exp(np.minimum(ratio, 600.0))
     rest = 1 - MISNAMED * len(found)
@@ -896,12 +830,12 @@ def _log_density(miss: Array, covariance: Array) -> float:
     return float(-0.5 * quadratic - np.sum(np.log(np.diag(factor))))
 
 
-def materials(result: CalibrationResult | JointResult) -> tuple[str, ...]:
+def materials(result: Calibrated) -> tuple[str, ...]:
     """Return the names of the materials of all states of a calibrated room."""
-    return tuple(_Calibrated.of(result).room.materials)
+    return _room(result).materials
 
 
-def read_folder(folder: str | os.PathLike[str]) -> list[CalibrationResult | JointResult]:
+def read_folder(folder: str | os.PathLike[str]) -> list[Calibrated]:
     """Return the calibrations in a folder: each ``result.json`` of ``rtcal calibrate --out`` below it.
 
     Raises DataError if there is none, one that cannot be read, or more than 500. Files of other results
@@ -924,7 +858,7 @@ def read_folder(folder: str | os.PathLike[str]) -> list[CalibrationResult | Join
     kept = []
     for file in files:
         result = load(file)
-        if isinstance(result, CalibrationResult | JointResult):
+        if isinstance(result, Calibrated):
             kept.append(result)
         if len(kept) > _MOST:
             raise DataError(

@@ -20,10 +20,8 @@ from rtcal.command.console import (
     folder,
     is_forced,
     is_quiet,
-    numbers,
     pairs,
     read_measured,
-    several,
     takes,
     tell,
     texts,
@@ -208,12 +206,6 @@ LIBRARY_ROOM = "room.toml"
 @takes(
     "FOLDER",
     "as",
-    several(
-        "room-weight",
-        "ROOM=WEIGHT",
-        "How far a room counts, from 0 (left out) to 1. The option may be repeated.",
-        "weights",
-    ),
     click.option(
         "--apply",
         "room",
@@ -225,7 +217,6 @@ LIBRARY_ROOM = "room.toml"
 def learn(
     folder: str,
     entries: tuple[str, ...],
-    weights: tuple[str, ...],
     room: str | None,
     out: Path | None,
 ) -> None:
@@ -253,7 +244,6 @@ def learn(
     library = archive.learn(
         calibrated,
         {m: entry for m, entry in called.items() if m in known or m not in of_room},
-        numbers("--room-weight", weights, "ROOM=WEIGHT, such as hall=0.5"),
     )
     said, record = str(library), library.to_dict()
     if others := len(saved) - len(calibrated):
