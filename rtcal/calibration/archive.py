@@ -832,7 +832,7 @@ def _log_density(miss: Array, covariance: Array) -> float:
 
 def materials(result: Calibrated) -> tuple[str, ...]:
     """Return the names of the materials of all states of a calibrated room."""
-    return _room(result).materials
+    return tuple(_room(result).materials)
 
 
 def read_folder(folder: str | os.PathLike[str]) -> list[Calibrated]:

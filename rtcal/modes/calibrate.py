@@ -309,7 +309,7 @@ class ModesResult(Result):
     @property
     def interval(self) -> tuple[Array, Array]:
         """Ends of the 90 % interval of alpha within its bounds, each (n_materials, n_bands)."""
-        low, high = self.answer.joint.gaussian_interval
+        low, high = self.answer.interval
         return np.minimum(low, self.alpha), np.maximum(high, self.alpha)
 
     @property
