@@ -31,14 +31,8 @@ import numpy as np
 import rtcal as rt
 from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.calibration.posterior import distribution
-from rtcal.finder import (
-    AppliedEffect,
-    Case,
-    ChangedMaterial,
-    Configuration,
-    plan,
-    verify,
-)
+from rtcal.finder import Case, ChangedMaterial, Configuration, plan, verify
+from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.search import find
 from rtcal.io.material_list import Format
 from rtcal.loop.closed import start

@@ -13,8 +13,8 @@ import pytest
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration import qp
-from rtcal.finder import AppliedEffect, recalibrate, verify
-from rtcal.finder.effects import Opening
+from rtcal.finder import recalibrate, verify
+from rtcal.finder.effects import AppliedEffect, Opening
 from rtcal.finder.search import find
 from tests.conftest import random_room, true_times
 from tests.test_discrepancy import controls_of, opened

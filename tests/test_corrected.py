@@ -16,7 +16,8 @@ import rtcal as rt
 from rtcal.acoustics.room import Surface
 from rtcal.calibration.posterior import distribution
 from rtcal.command.main import cli
-from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simulator
+from rtcal.finder import Case, corrected_room, recalibrate, simulator
+from rtcal.finder.effects import AppliedEffect
 from rtcal.simulators.base import Simulator, run
 from rtcal.simulators.external import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron

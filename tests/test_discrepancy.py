@@ -17,7 +17,6 @@ from threadpoolctl import threadpool_info
 import rtcal as rt
 from rtcal.finder import (
     Absorber,
-    AppliedEffect,
     Case,
     ChangedMaterial,
     Configuration,
@@ -26,7 +25,15 @@ from rtcal.finder import (
     recalibrate,
     verify,
 )
-from rtcal.finder.effects import CoupledDecay, Opening, Porous, Resonator, WrongArea, WrongVolume
+from rtcal.finder.effects import (
+    AppliedEffect,
+    CoupledDecay,
+    Opening,
+    Porous,
+    Resonator,
+    WrongArea,
+    WrongVolume,
+)
 from rtcal.finder.means import problem as problem_of_means
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.engines import ControlRooms, recentred

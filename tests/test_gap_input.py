@@ -17,7 +17,6 @@ import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.finder import (
     Absorber,
-    AppliedEffect,
     Case,
     Effect,
     corrected_room,
@@ -27,7 +26,7 @@ from rtcal.finder import (
     simulator,
     verify,
 )
-from rtcal.finder.effects import Opening
+from rtcal.finder.effects import AppliedEffect, Opening
 from rtcal.finder.means.engines import ControlRooms, Engine
 from rtcal.finder.means.problem import ModelDiscrepancy, state
 from rtcal.finder.model import Decay, RoomState

@@ -7,7 +7,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.loop import closed as rules
-from rtcal.loop.closed import Matched
+from rtcal.loop.closed import Matched, Step
 
 LOW, HIGH, NAN = 0.01, 100.0, np.nan
 
@@ -166,7 +166,7 @@ def loop_of(targets, simulated, wanted=(2.0,), alpha=None, room=None, **fields):
         rule="safeguarded",
         equation=rt.Sabine(speed_of_sound=343),
         steps=tuple(
-            rt.loop.Step(target=t, alpha=a, simulated=s, noise=np.zeros(len(t)))
+            Step(target=t, alpha=a, simulated=s, noise=np.zeros(len(t)))
             for t, a, s in zip(targets, alpha, simulated, strict=True)
         ),
         **fields,
@@ -204,7 +204,7 @@ def test_targets_keep_a_thousandth_from_the_bounds(room, equation, areas):
     shortest, longest = (equation.time(room, np.array([area]))[0] for area in areas)
     base = loop_of([[1.0]], [[1.0]], wanted=[1.0], room=room)
     for simulated, end in ((100.0, shortest), (0.001, longest)):
-        step = rt.loop.Step(
+        step = Step(
             target=np.ones(1), alpha=room.alpha, simulated=np.array([simulated]), noise=np.zeros(1)
         )
         loop = rt.loop.Loop(**{**vars_of(base), "equation": equation, "steps": (step,)})

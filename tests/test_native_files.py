@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder import AppliedEffect, Case
-from rtcal.prediction import read_treatments, read_variants
+from rtcal.acoustics.changes import read_treatments, read_variants
+from rtcal.finder import Case
+from rtcal.finder.effects import AppliedEffect
 from rtcal.support.errors import DataError, RtcalError
 from tests.test_bad_input import TIMES
 from tests.test_discrepancy import opened

@@ -12,8 +12,9 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.changed_time import DRAWS, TimeChange, probability_within
-from rtcal.acoustics.changes import placed
-from rtcal.prediction import Assumptions, Change, Prediction, changed, predict
+from rtcal.acoustics.changes import placed, read_variants
+from rtcal.prediction import Assumptions, Change, changed, predict
+from rtcal.prediction.predicted import Prediction
 from rtcal.support.errors import DataError, ModelError
 
 BANDS = [250.0, 1000.0, 4000.0]
@@ -408,7 +409,7 @@ def test_probability_agrees_with_the_interval_and_falls_over_all_bands(result) -
 
 def test_a_variant_without_changes_is_the_room_as_it_is(result) -> None:
     stated = '[[variant]]\nname = "as it is"\n\n[[variant]]\n'
-    variants, _ = rt.prediction.read_variants(stated, result.room)
+    variants, _ = read_variants(stated, result.room)
     assert [v.name for v in variants] == ["as it is", "no change"]
     made = result.predict(variants[0].changes)
     np.testing.assert_allclose(made.mean, made.time_before, rtol=1e-12)

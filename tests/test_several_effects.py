@@ -13,16 +13,10 @@ import pytest
 from scipy.stats import multivariate_t
 
 import rtcal as rt
-from rtcal.finder import (
-    AppliedEffect,
-    Case,
-    Configuration,
-    Effect,
-    Finding,
-    library,
-)
+from rtcal.finder import Case, Configuration, Effect, Finding, library
 from rtcal.finder import evidence as densities
 from rtcal.finder.claim import numbers_of
+from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.evidence import DEGREES
 from rtcal.finder.finding import sentence_of
 from rtcal.finder.means import problem

@@ -13,7 +13,8 @@ import rtcal as rt
 from rtcal.acoustics.room import times_of
 from rtcal.command.main import main
 from rtcal.finder.finding import Finding
-from rtcal.finder.states import Differences, StatesCase
+from rtcal.finder.states import StatesCase
+from rtcal.finder.states.case import Differences
 from tests.two_states import BANDS, measured, room, times
 from tests.typed import wrongly_typed
 

@@ -18,7 +18,7 @@ import rtcal as rt
 from rtcal.finder import verification
 from rtcal.finder.claim import Candidate, Detection
 from rtcal.finder.finding import Finding
-from rtcal.finder.positions import Place
+from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report import figures, of_finding, room_view

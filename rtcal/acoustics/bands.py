@@ -34,25 +34,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
-__all__ = [
-    "OCTAVES",
-    "THIRD_OCTAVES",
-    "Conversion",
-    "as_bands",
-    "bandwidth_factor",
-    "correlation",
-    "index",
-    "is_middle",
-    "label",
-    "mid_frequency_time",
-    "nominal",
-    "obtainable",
-    "octaves",
-    "schroeder_frequency",
-    "span",
-    "third_octaves",
-    "unused",
-]
+__all__ = ["OCTAVES", "THIRD_OCTAVES", "nominal", "octaves", "schroeder_frequency", "third_octaves"]
 __dir__ = __all__.copy
 
 OCTAVES: tuple[float, ...] = (31.5, 63, 125, 250, 500, 1000, 2000, 4000, 8000, 16000)

@@ -866,7 +866,7 @@ def read_treatments(
 ) -> tuple[tuple[Treatment, ...], Target, float]:
     """Return the treatments, the target and the probability of a TOML text.
 
-    Parameters are those of `rtcal.prediction.read_variants`, and so are the errors.
+    Parameters are those of `read_variants`, and so are the errors.
 
     Examples
     --------

@@ -33,16 +33,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
-__all__ = [
-    "Plausibility",
-    "TrustMark",
-    "agreement",
-    "bent_decays",
-    "explained",
-    "gap_jnd",
-    "plausibility",
-    "trust_marks",
-]
+__all__ = ["gap_jnd", "plausibility", "trust_marks"]
 __dir__ = __all__.copy
 
 

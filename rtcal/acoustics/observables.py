@@ -35,24 +35,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
-__all__ = [
-    "EARLY",
-    "LEVEL",
-    "MATCH",
-    "OBSERVABLES",
-    "REVERBERATION",
-    "SUMMARY",
-    "TARGET",
-    "DecaySlope",
-    "Observable",
-    "gradients",
-    "longest",
-    "observable",
-    "of_kind",
-    "parameter_label",
-    "parameters",
-    "register",
-]
+__all__ = ["MATCH", "OBSERVABLES", "Observable", "observable", "register"]
 __dir__ = __all__.copy
 
 DB = 10 / np.log(10)

@@ -22,11 +22,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
-__all__ = [
-    "TIERS",
-    "SigmaRule",
-    "sigma_iso_12999_2",
-]
+__all__ = ["SigmaRule", "sigma_iso_12999_2"]
 __dir__ = __all__.copy
 
 TIERS: dict[str, float] = {"low": 0.01, "moderate": 0.05, "high": 0.1}

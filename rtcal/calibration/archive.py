@@ -37,7 +37,7 @@ from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
-__all__ = ["Archive", "Lesson", "Spread", "Suspect", "read_folder"]
+__all__ = ["Archive"]
 __dir__ = __all__.copy
 
 _MOST = 500

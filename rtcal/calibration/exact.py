@@ -26,18 +26,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
-__all__ = [
-    "ABOVE",
-    "BAD_INPUT",
-    "BELOW",
-    "OK",
-    "Answer",
-    "least_squares",
-    "maximum_likelihood",
-    "multiplier",
-    "scaling",
-    "solve",
-]
+__all__ = ["OK", "least_squares", "maximum_likelihood", "multiplier", "scaling", "solve"]
 __dir__ = __all__.copy
 
 OK, BELOW, ABOVE, BAD_INPUT = 0, 1, 2, 3

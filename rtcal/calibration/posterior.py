@@ -34,7 +34,7 @@ from rtcal.support.errors import DataError, ModelError, SolverError
 from rtcal.support.normal import FAR, NORMAL, quantile_and_mass, truncated_moments
 from rtcal.support.types import Array, read_only
 
-__all__ = ["Posterior", "distribution", "sensitivity"]
+__all__ = ["distribution", "sensitivity"]
 __dir__ = __all__.copy
 
 _SINGLE = 1e-13

@@ -37,7 +37,7 @@ from rtcal.support.speed import bar
 
 if TYPE_CHECKING:
     from rtcal.finder.finding import Finding
-    from rtcal.finder.positions import Place
+    from rtcal.finder.positions.places import Place
     from rtcal.report.document import Heading
 
 CHANGE = 0.2

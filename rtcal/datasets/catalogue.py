@@ -25,7 +25,7 @@ from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
-__all__ = ["material", "material_list", "names", "similar"]
+__all__ = ["material", "names", "similar"]
 __dir__ = __all__.copy
 
 _TABLE = "pyroomacoustics"

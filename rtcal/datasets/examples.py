@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rtcal.finder.case import Case
 
 
-__all__ = ["NAMES", "Example", "example"]
+__all__ = ["NAMES", "example"]
 __dir__ = __all__.copy
 
 _HERE = Path(__file__).parent

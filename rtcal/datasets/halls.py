@@ -21,7 +21,7 @@ from rtcal.datasets.examples import path
 from rtcal.io import obj
 from rtcal.simulators.geometry import Polyhedron
 
-__all__ = ["Hall", "corridor", "hard_hall", "lecture_hall", "theatre"]
+__all__ = ["corridor", "hard_hall", "lecture_hall", "theatre"]
 __dir__ = __all__.copy
 
 

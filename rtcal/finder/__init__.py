@@ -17,22 +17,15 @@ if TYPE_CHECKING:
     from rtcal.finder.case import Case as Case
     from rtcal.finder.case import ChangedMaterial as ChangedMaterial
     from rtcal.finder.case import Configuration as Configuration
-    from rtcal.finder.claim import Candidate as Candidate
-    from rtcal.finder.corrected import Corrected as Corrected
     from rtcal.finder.effects import Absorber as Absorber
-    from rtcal.finder.effects import AppliedEffect as AppliedEffect
     from rtcal.finder.effects import Effect as Effect
     from rtcal.finder.effects import library as library
     from rtcal.finder.finding import Finding as Finding
     from rtcal.finder.means.corrected import corrected_room as corrected_room
     from rtcal.finder.means.corrected import simulator as simulator
     from rtcal.finder.means.engines import control_rooms as control_rooms
-    from rtcal.finder.means.planning import Plan as Plan
-    from rtcal.finder.means.planning import Proposal as Proposal
     from rtcal.finder.means.planning import plan as plan
-    from rtcal.finder.means.recalibration import Recalibrated as Recalibrated
     from rtcal.finder.means.recalibration import recalibrate as recalibrate
-    from rtcal.finder.verification import Verification as Verification
     from rtcal.finder.verification import verify as verify
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

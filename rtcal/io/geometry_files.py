@@ -13,7 +13,7 @@ from rtcal.simulators.shoebox import box_of
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 
-__all__ = ["mesh_doubt", "path_tracing", "read"]
+__all__ = ["path_tracing", "read"]
 __dir__ = __all__.copy
 
 

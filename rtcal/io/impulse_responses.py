@@ -66,7 +66,7 @@ from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 from rtcal.support.types import Array
 
-__all__ = ["analyse", "of_energy", "read"]
+__all__ = ["analyse", "read"]
 __dir__ = __all__.copy
 
 MINIMUM_RANGE: dict[str, float] = {

@@ -27,7 +27,7 @@ from rtcal.support import checks
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
 
-__all__ = ["MAX_FACES", "parse", "read"]
+__all__ = ["read"]
 __dir__ = __all__.copy
 
 MAX_FACES = 1500

@@ -24,7 +24,7 @@ from rtcal.support import checks, library
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
-__all__ = ["Responses", "claims", "read"]
+__all__ = ["read"]
 __dir__ = __all__.copy
 
 ROOM_CONVENTIONS = ("SingleRoomSRIR", "SingleRoomMIMOSRIR", "SingleRoomDRIR")

@@ -73,7 +73,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 
-__all__ = ["FORMATS", "MeasuredTable", "measurement", "parse", "read", "write"]
+__all__ = ["measurement", "read", "write"]
 __dir__ = __all__.copy
 
 MAX_PAIRS = 5000

@@ -5,14 +5,9 @@ from typing import TYPE_CHECKING
 from rtcal import support
 
 if TYPE_CHECKING:
-    from rtcal.loop.closed import STATUSES as STATUSES
     from rtcal.loop.closed import Loop as Loop
-    from rtcal.loop.closed import Rule as Rule
-    from rtcal.loop.closed import Step as Step
     from rtcal.loop.closed import start as start
     from rtcal.loop.control_runs import ControlRuns as ControlRuns
-    from rtcal.loop.positions import PositionsResult as PositionsResult
-    from rtcal.loop.predicted import PositionsPrediction as PositionsPrediction
     from rtcal.loop.predicted import predict_positions as predict_positions
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -78,7 +78,7 @@ class ControlRuns:
     Attributes
     ----------
     parameters, pairs : tuple
-        As in `rtcal.simulators.Observations`.
+        As in `rtcal.simulators.base.Observations`.
     errors : array (n_runs, n_parameters, n_pairs, n_bands)
         Values of a control run less the simulator's for the same alpha.
     levels : array (n_runs,), optional

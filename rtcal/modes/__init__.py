@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from rtcal import support
 
 if TYPE_CHECKING:
-    from rtcal.modes.calibrate import ModesResult as ModesResult
     from rtcal.modes.measured import MeasuredModes as MeasuredModes
     from rtcal.modes.measured import read as read
     from rtcal.modes.model import absorption as absorption

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from rtcal import support
 
 if TYPE_CHECKING:
-    from rtcal.acoustics.changed_time import KnownRoom as KnownRoom
     from rtcal.acoustics.changes import Change as Change
     from rtcal.acoustics.changes import Target as Target
     from rtcal.acoustics.changes import Treatment as Treatment
@@ -13,12 +12,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.changes import ansi_s12_60 as ansi_s12_60
     from rtcal.acoustics.changes import changed as changed
     from rtcal.acoustics.changes import din_18041 as din_18041
-    from rtcal.acoustics.changes import read_treatments as read_treatments
-    from rtcal.acoustics.changes import read_variants as read_variants
     from rtcal.acoustics.room_errors import Assumptions as Assumptions
-    from rtcal.prediction.designed import Design as Design
-    from rtcal.prediction.predicted import Prediction as Prediction
-    from rtcal.prediction.predicted import Predictions as Predictions
     from rtcal.prediction.predicted import compare as compare
     from rtcal.prediction.predicted import predict as predict
 else:

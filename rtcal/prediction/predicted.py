@@ -415,7 +415,7 @@ class Predictions(Result):
 
     Attributes
     ----------
-    predictions : tuple of Prediction or rtcal.loop.PositionsPrediction
+    predictions : tuple of Prediction or PositionsPrediction
         One per variant.
     costs : tuple of float or None
         Of each variant.

@@ -26,7 +26,7 @@ from rtcal.studies.study import Table as Scores
 from rtcal.support import checks
 from rtcal.support.blocks import Block, Note, Row, Table, lines
 
-__all__ = ["StudyReport", "priors", "report", "spread"]
+__all__ = ["priors", "report", "spread"]
 __dir__ = __all__.copy
 
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from rtcal import support
 
 if TYPE_CHECKING:
-    from rtcal.simulators.base import Observations as Observations
     from rtcal.simulators.base import Simulator as Simulator
     from rtcal.simulators.external import EquationSimulator as EquationSimulator
     from rtcal.simulators.external import External as External

@@ -11,14 +11,12 @@ mle
 from rtcal.studies import paper
 from rtcal.studies.paper import analytic_emse
 from rtcal.studies.study import (
-    Study,
     analytic_scores,
     run,
     write_table,
 )
 
 __all__ = [
-    "Study",
     "analytic_emse",
     "analytic_scores",
     "paper",

@@ -35,19 +35,7 @@ from rtcal.support import checks
 from rtcal.support.normal import FINE, truncated_moments
 from rtcal.support.types import Array
 
-__all__ = [
-    "HALL_SEEDS",
-    "LECTURE_HALL",
-    "SHOEBOX",
-    "SIGMA_R",
-    "TABLE_1_EMSE",
-    "TABLE_1_MU",
-    "TABLE_1_SIGMA",
-    "TABLE_2",
-    "TABLE_3",
-    "random_hall",
-    "table_1_range",
-]
+__all__ = ["LECTURE_HALL", "SHOEBOX", "TABLE_2", "TABLE_3", "random_hall", "table_1_range"]
 __dir__ = __all__.copy
 
 Sampling = Literal["sigma_r", "sigma_n"]

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.prediction import Change, Design, Target, Treatment, Variant, compare
+from rtcal.prediction import Change, Target, Treatment, Variant, compare
+from rtcal.prediction.designed import Design
 from rtcal.report import figures, pages
 
 pytest.importorskip("matplotlib", reason="needs the extra report")

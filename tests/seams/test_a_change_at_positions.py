@@ -12,8 +12,10 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.acoustics.changes import Variant
 from rtcal.command.main import cli
-from rtcal.loop import ControlRuns, PositionsResult, predict_positions
-from rtcal.prediction import Change, Predictions
+from rtcal.loop import ControlRuns, predict_positions
+from rtcal.loop.positions import PositionsResult
+from rtcal.prediction import Change
+from rtcal.prediction.predicted import Predictions
 from rtcal.prediction.words import ALIKE, CHANGED_ALONE, PLACES, SIZES
 from rtcal.report import pages
 from rtcal.simulators import PathTracing, Polyhedron

@@ -13,6 +13,7 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.room_errors import value_changes
 from rtcal.finder.positions.problem import _prior
 from rtcal.finder.positions.weighing import AIR
+from rtcal.loop.positions import PositionsResult
 from rtcal.prediction import Assumptions, predict
 from tests.conftest import also
 
@@ -77,7 +78,7 @@ def test_changes_are_those_of_the_equation(of_level: bool) -> None:
     np.testing.assert_allclose(got, expected, rtol=0.02, atol=1e-6)
 
 
-def calibrated(room: rt.Room, factor: float) -> rt.loop.PositionsResult:
+def calibrated(room: rt.Room, factor: float) -> PositionsResult:
     """Calibrated to T that is ``factor`` times the room's at two pairs, heard by an equation."""
 
     def program(alpha: np.ndarray, seed: int) -> rt.Measurement:

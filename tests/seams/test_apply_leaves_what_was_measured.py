@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder import AppliedEffect, Case, corrected_room
-from rtcal.finder.effects import Effect, checked_grid, library
+from rtcal.finder import Case, corrected_room
+from rtcal.finder.effects import AppliedEffect, Effect, checked_grid, library
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.problem import state

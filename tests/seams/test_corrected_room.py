@@ -17,8 +17,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.equations import mean_equation
-from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simulator
-from rtcal.finder.effects import Effect, checked_grid, library
+from rtcal.finder import Case, corrected_room, recalibrate, simulator
+from rtcal.finder.effects import AppliedEffect, Effect, checked_grid, library
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.problem import distances, state
 from rtcal.finder.model import FEATURES, RoomState, predict

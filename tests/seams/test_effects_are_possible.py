@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder import AppliedEffect, Case
-from rtcal.finder.effects import Effect, checked_grid, columns, library
+from rtcal.finder import Case
+from rtcal.finder.effects import AppliedEffect, Effect, checked_grid, columns, library
 from rtcal.finder.means.problem import state
 from rtcal.finder.model import RoomState, covered
 from rtcal.support.errors import DataError

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.prediction import Change, Prediction
+from rtcal.prediction import Change
+from rtcal.prediction.predicted import Prediction
 from rtcal.simulators.external import EquationSimulator
 
 STATED = {"volume_sigma": 0.08, "area_sigma": 0.05}

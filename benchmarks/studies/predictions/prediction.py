@@ -30,7 +30,8 @@ from benchmarks.studies.means.real_data import (
 from rtcal import prediction as rp
 from rtcal.acoustics.changes import placed
 from rtcal.calibration.measured import times_in_room
-from rtcal.prediction import Assumptions, Prediction, predict
+from rtcal.prediction import Assumptions, predict
+from rtcal.prediction.predicted import Prediction
 from rtcal.support.types import Array
 
 Z = 1.6449

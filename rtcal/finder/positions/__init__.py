@@ -13,7 +13,6 @@ from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.finder.positions.case import PositionsCase as PositionsCase
-    from rtcal.finder.positions.places import Place as Place
     from rtcal.finder.positions.places import next_position as next_position
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)
