@@ -1,4 +1,4 @@
-"""Three rooms from what a consultant has to the page, by the commands of README.md and docs/io.md."""
+"""Three rooms from what a consultant has to the page, by the commands of README.md and docs."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ I-Simpa's documentation reads; ODEON Room Acoustics Software User's Manual, "Mat
 the reader of Just4RIR (Sorbonne Universite, 2018), which reads ODEON's own library; pyroomacoustics
 0.10.1, ``data/materials.json`` and ``parameters.Material``; Aspoeck, Brinkmann, Ackermann, Weinzierl,
 Vorlaender, "BRAS - Benchmark for Room Acoustical Simulation", doi 10.14279/depositonce-6726.3.
-`docs/io.md` lists what was not checked in the programs.
+`docs/material_lists.md` lists what was not checked in the programs.
 """
 
 from __future__ import annotations
