@@ -3,7 +3,7 @@
     python -m benchmarks.public_models FOLDER [--only PART]
 
 FOLDER holds clones of the repositories named below, each under its own name. The models are not part of
-rtcal. It prints the table of benchmarks/studies/formats/README.md, and the processor time of the slowest.
+rtcal. It prints the table of benchmarks/studies/formats, and the processor time of the slowest.
 """
 
 from __future__ import annotations
