@@ -16,11 +16,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count, product
 from typing import Any, Literal
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,15 +27,10 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room import (
     AXES,
-    AirTable,
     Material,
-    MaterialTable,
     Room,
     Scene,
-    StatedSigma,
     Surface,
-    air,
-    material,
     of_materials,
     refuse_repeats,
 )
@@ -294,9 +288,9 @@ class Change:
     add: Material | str | None = None
     remove: str | None = None
     open: str | None = None
-    area: float | None = None
+    area: Number | None = None
     air: Air | None = None
-    volume: float | None = None
+    volume: Number | None = None
 
     def __post_init__(self) -> None:
         stated = {key: value for key, value in vars(self).items() if value is not None}
@@ -337,8 +331,8 @@ class Change:
             return OPENING
         return self.add if self.by is None else self.by
 
-    def exchanged(self, room: Room) -> tuple[float, Further | None]:
-        """Return the area in m² that goes of `surface`, and what comes in.
+    def exchanged(self, room: Room) -> tuple[float, Material | None]:
+        """Return the area in m² that goes of `surface`, and what comes in, with its area.
 
         Raises DataError if the room has less of the surface, or for more than `MOST_ADDED`.
         """
@@ -362,7 +356,7 @@ class Change:
                 )
             errors = dict(zip(room.materials, room.area_sigma.tolist(), strict=True))
             error = errors.get(new.name, 0.0)
-        return taken, Further(new, taken, error)
+        return taken, replace(new, area=taken, area_sigma=error)
 
     def apply(self, room: Room) -> Room:
         """Return the changed room; DataError if the room does not allow the change.
@@ -377,21 +371,20 @@ class Change:
             checks.between("volume", self.volume, least, most, "m³", has)
             return room.replace(volume=self.volume)
         taken, comes = self.exchanged(room)
-        areas, errors, further = room.areas.copy(), room.area_sigma.copy(), []
+        rows = {name: room.material(name) for name in room.materials}
         if self.surface is not None:
-            areas[room.material_index(self.surface)] -= taken
-        if comes is not None and comes.material.name in room.materials:
-            row = room.material_index(comes.material.name)
-            sigma = errors[row] * areas[row] + comes.area_sigma * comes.area
-            areas[row] += comes.area
-            errors[row] = sigma / areas[row]
-        elif comes is not None:
-            further.append(comes)
-        kept = np.flatnonzero(areas > 0).tolist()
-        if not kept and not further:
+            goes = rows[self.surface]
+            rows[self.surface] = replace(goes, area=float(goes.area or 0) - taken)
+        if comes is not None:
+            both = (rows.get(comes.name, replace(comes, area=0.0)), comes)
+            areas = [float(each.area or 0) for each in both]
+            errors = [float(each.area_sigma or 0) for each in both]
+            sigma = float(np.dot(errors, areas)) / sum(areas)
+            rows[comes.name] = replace(both[0], area=sum(areas), area_sigma=sigma)
+        left = [row for row in rows.values() if row.area]
+        if not left:
             raise DataError("the room would have no surface")
-        sigma = [*errors[kept], *(f.area_sigma for f in further)]
-        return with_materials(room, further, kept, areas[kept], area_sigma=sigma)
+        return room.with_rows(left)
 
     def __str__(self) -> str:
         if self.air is not None:
@@ -502,8 +495,7 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
             moved = faces[name] * (taken / room.areas[room.material_index(name)])
             faces[name] = faces[name] - moved
         if comes is not None:
-            by = comes.material.name
-            faces[by] = faces.get(by, 0.0) + moved
+            faces[comes.name] = faces.get(comes.name, 0.0) + moved
         room = after
     rows = np.array([faces[name] for name in room.materials])
     # The room's own areas, to the last digit.
@@ -539,59 +531,6 @@ def _like(towards: Array, room: Room, unknown: Sequence[int], other: Placed) -> 
         towards[row, FREE] += 1 - covering
 
 
-@dataclass(frozen=True)
-class Further:
-    """A further material of a room: its area in m², and that area's relative standard deviation."""
-
-    material: Material
-    area: float
-    area_sigma: float = 0.0
-
-
-def with_materials(
-    room: Room,
-    further: Sequence[Further],
-    kept: Sequence[int] | None = None,
-    areas: Array | Sequence[float] | None = None,
-    **changes: Any,
-) -> Room:
-    """Return a room with some of its materials, and further ones after them.
-
-    Every array by material has their rows. Without scattering of all materials the room has none.
-
-    Parameters
-    ----------
-    room : Room
-    further : sequence of Further
-    kept : sequence of int, optional
-        Rows of the materials that stay; all if not given.
-    areas : array (n_kept,), optional
-        Their areas in m²; those of the room if not given.
-    **changes
-        Other fields of the room, as for `Room.replace`.
-
-    Examples
-    --------
-    >>> from rtcal.acoustics.room import Room
-    >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[0.1]],
-    ...             sigma=[[0.02]], centre_frequencies=[1000])
-    >>> panel = Further(Material("panel", [0.9], [0.1]), 10)
-    >>> print(with_materials(room, [panel], areas=[84]).absorption_area)
-    [17.4]
-    """
-    rows = list(range(room.n_materials) if kept is None else kept)
-    names, new = [room.materials[i] for i in rows], [f.material for f in further]
-    stated = {
-        **of_materials([*map(room.material, names), *new], room.n_bands),
-        "areas": [*(room.areas[rows] if areas is None else areas), *(f.area for f in further)],
-        "area_sigma": [*room.area_sigma[rows], *(f.area_sigma for f in further)],
-        "material_correlation": {
-            pair: r for pair, r in room.material_correlation.items() if {*pair} <= {*names}
-        },
-    }
-    return room.replace(**(stated | changes))
-
-
 def new_name(taken: Iterable[str], wanted: str) -> str:
     """Return a name that looks like none that is taken: the wanted one, or that with a number.
 
@@ -613,8 +552,9 @@ def _material(room: Room, material: Material | str) -> Material:
         return room.material(material)
     if material.name in room.materials:
         row = room.materials.index(material.name)
+        stated = of_materials([material], room.centre_frequencies)
         for name in ("alpha", "sigma"):
-            if not np.array_equal(getattr(room, name)[row], getattr(material, name)):
+            if not np.array_equal(getattr(room, name)[row], stated[name][0]):
                 raise DataError(
                     f'{name} of "{material.name}" is not that of the room\'s material of this name'
                 )
@@ -626,32 +566,36 @@ Catalogue = Callable[[str, Any], Material]
 
 
 class NewMaterial(FileTable):
-    """A material that is not in the room: alpha and sigma, or a name in the catalogue."""
+    """A material that is not in the room: alpha and sigma as of `Material`, or a catalogue's name."""
 
     name: str
     alpha: list[Number] | None = None
-    sigma: StatedSigma | None = None
+    sigma: Number | list[Number] | Literal["low", "moderate", "high"] | None = None
     catalogue: str | None = None
     source: str = ""
 
-
-class ChangeTable(FileTable):
-    """A change, with the fields of `Change`."""
-
-    cover: str | None = None
-    by: str | None = None
-    add: str | None = None
-    remove: str | None = None
-    open: str | None = None
-    area: Number | None = None
-    air: AirTable | None = None
-    volume: Number | None = None
+    def material(self, room: Room, catalogue: Catalogue | None) -> Material:
+        """Return the material in the room's bands; DataError, which names it, for none or two."""
+        place = f'material "{self.name}"'
+        if self.catalogue is None:
+            if self.alpha is None:
+                raise DataError(f"{place}: lacks alpha")
+            return Material(self.name, self.alpha, self.sigma, source=self.source)
+        if catalogue is None:
+            raise DataError(f'{place}: no catalogue to look "{self.catalogue}" up in')
+        if both := [key for key in ("alpha", "sigma") if getattr(self, key) is not None]:
+            raise DataError(f"{place}: catalogue and {both[0]} are both stated; a material has one")
+        try:
+            found = catalogue(self.catalogue, room.centre_frequencies)
+        except DataError as error:
+            raise DataError(f"{place}: {error}") from error
+        return Material(self.name, found.alpha, found.sigma, source=found.source)
 
 
 class VariantTable(FileTable):
     """A variant; its name is that of its changes if it states none. Without changes it is the room."""
 
-    change: list[ChangeTable] = []
+    change: list[Change] = []
     name: str | None = None
     cost: Number | None = None
 
@@ -664,21 +608,10 @@ class VariantsFile(FileTable):
     target: TargetTable | None = None
 
 
-class TreatmentTable(FileTable):
-    """A treatment, with the fields of `Treatment`."""
-
-    name: str
-    material: str
-    largest: Number
-    cost: Number
-    covers: str | None = None
-    unit: Number | None = None
-
-
 class TreatmentsFile(FileTable):
     """A file of treatments."""
 
-    treatment: list[TreatmentTable]
+    treatment: list[Treatment]
     target: TargetTable
     material: list[NewMaterial] = []
     probability: Number = 0.8
@@ -737,13 +670,12 @@ def read_variants(
     open 2 m² of "windows" None
     """
     file = read(VariantsFile, toml_table(content))
-    refuse_repeats("the file's materials", file.material)
-    new = {table.name: _new_material(table, room, catalogue) for table in file.material}
+    new = _new_materials(file.material, room, catalogue)
     variants: list[Variant] = []
     for i, table in enumerate(file.variant, start=1):
         place = f"variant {i}" if table.name is None else f'variant "{table.name}"'
         try:
-            made = tuple(_change(change, room, new) for change in table.change)
+            made = tuple(_with_materials(change, room, new) for change in table.change)
             changed(room, made)
             of_changes = "; ".join(map(str, made)) or "no change"
             name = of_changes if table.name is None else table.name
@@ -758,41 +690,31 @@ def read_variants(
     return tuple(variants), target_of(file.target, room.volume, room.centre_frequencies)
 
 
-def _material_name(key: str, name: str, room: Room, new: Mapping[str, Material]) -> str:
-    """Return the material that a file names; DataError if neither room nor file has it."""
-    if name not in (*room.materials, *new, OPENING):
+def _new_materials(
+    stated: Sequence[NewMaterial], room: Room, catalogue: Catalogue | None
+) -> dict[str, Material]:
+    """Return the materials of a file by name; DataError for one that does not fit the room's bands."""
+    refuse_repeats("the file's materials", stated)
+    new = {each.name: each.material(room, catalogue) for each in stated}
+    of_materials([*new.values()], room.centre_frequencies)
+    return new
+
+
+def _named(key: str, material: Any, room: Room, new: Mapping[str, Material]) -> Any:
+    """Return what a file names: its own material, or the name of the room's; DataError for neither."""
+    if isinstance(material, str) and material not in (*room.materials, *new, OPENING):
         raise DataError(
-            f'{key} = "{name}" is no material; the room has {", ".join(room.materials)}; '
+            f'{key} = "{material}" is no material; the room has {", ".join(room.materials)}; '
             f"the file has {', '.join(new) or 'none'}"
         )
-    return name
+    return new.get(name_of(material), material)
 
 
-def _new_material(table: NewMaterial, room: Room, catalogue: Catalogue | None) -> Material:
-    place = f'material "{table.name}"'
-    if table.catalogue is None:
-        stated = {"name": table.name, "alpha": table.alpha, "sigma": table.sigma}
-        own = read(MaterialTable, {**stated, "source": table.source}, f"{place}:")
-        return material(own, room.centre_frequencies, None)
-    if catalogue is None:
-        raise DataError(f'{place}: no catalogue to look "{table.catalogue}" up in')
-    if both := [key for key in ("alpha", "sigma") if getattr(table, key) is not None]:
-        raise DataError(f"{place}: catalogue and {both[0]} are both stated; a material has one")
-    try:
-        found = catalogue(table.catalogue, room.centre_frequencies)
-    except DataError as error:
-        raise DataError(f"{place}: {error}") from error
-    return Material(table.name, found.alpha, found.sigma, source=found.source)
-
-
-def _change(table: ChangeTable, room: Room, new: Mapping[str, Material]) -> Change:
-    stated = {k: v for k, v in msgspec.structs.asdict(table).items() if v is not None}
-    Change(**stated | {"air": air(table.air)})  # its keys, before its materials
-    for key in ("cover", "remove", "open", "add", "by"):
-        if key in stated:
-            name = _material_name(key, stated[key], room, new)
-            stated[key] = new.get(name, name) if key in ("add", "by") else name
-    return Change(**stated | {"air": air(table.air)})
+def _with_materials(change: Change, room: Room, new: Mapping[str, Material]) -> Change:
+    """Return a change of a file with the materials that it names; DataError for one that is none."""
+    for key in ("cover", "remove", "open"):
+        _named(key, getattr(change, key), room, {})
+    return replace(change, **{k: _named(k, getattr(change, k), room, new) for k in ("add", "by")})
 
 
 MOST_COST = 1e9
@@ -833,10 +755,10 @@ class Treatment:
 
     name: str
     material: Material | str
-    largest: float
-    cost: float
+    largest: Number
+    cost: Number
     covers: str | None = None
-    unit: float | None = None
+    unit: Number | None = None
 
     def __post_init__(self) -> None:
         place = f'treatment "{self.name}": '
@@ -886,16 +808,13 @@ def read_treatments(
     ('plaster', np.float64(0.6), 0.8)
     """
     file = read(TreatmentsFile, toml_table(content))
-    refuse_repeats("the file's materials", file.material)
-    new = {table.name: _new_material(table, room, catalogue) for table in file.material}
-    treatments = []
-    for table in file.treatment:
-        place = f'treatment "{table.name}": '
-        named = _material_name(f"{place}material", table.material, room, new)
-        if table.covers is not None:
-            _material_name(f"{place}covers", table.covers, room, {})
-        stated = msgspec.structs.asdict(table)
-        treatments.append(Treatment(**{**stated, "material": new.get(named, named)}))
+    new, treatments = _new_materials(file.material, room, catalogue), []
+    for each in file.treatment:
+        place = f'treatment "{each.name}": '
+        _named(f"{place}covers", each.covers, room, {})
+        treatments.append(
+            replace(each, material=_named(f"{place}material", each.material, room, new))
+        )
     target = target_of(file.target, room.volume, room.centre_frequencies)
     return tuple(treatments), target, file.probability
 

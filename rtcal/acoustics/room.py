@@ -12,7 +12,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import InitVar, dataclass, field, replace
+from dataclasses import InitVar, asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
@@ -66,7 +66,7 @@ class SceneTables(FileTable):
     geometry: GeometryTable = msgspec.field(default_factory=GeometryTable)
     sources: Places | None = None
     receivers: Places | None = None
-    directivity: dict[str, Lobe | Literal["unknown"]] = {}
+    directivity: dict[str, Directivity | Literal["unknown"]] = {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,10 +183,7 @@ class Scene:
             **msgspec.structs.asdict(tables.geometry),
             sources=tables.sources or {},
             receivers=tables.receivers or {},
-            directivity={
-                name: UNKNOWN if isinstance(of, str) else of.directivity(f'directivity["{name}"]')
-                for name, of in tables.directivity.items()
-            },
+            directivity=tables.directivity,
         )
 
 
@@ -273,7 +270,7 @@ class Directivity:
     index: Any = None
     aim: Sequence[float]
     gains: Any = None
-    file: str | os.PathLike[str] | None = None
+    file: Any = None
     up: Sequence[float] = UPWARDS
 
     def __post_init__(self) -> None:
@@ -452,23 +449,6 @@ def directivities(
     return made
 
 
-class Lobe(FileTable):
-    """A source's directivity in a room's file, of which one of index, gains and file is stated."""
-
-    aim: Point
-    index: Number | list[Number] | None = None
-    gains: list[list[list[Number]]] | None = None
-    file: str | None = None
-    up: Point = UPWARDS
-
-    def directivity(self, place: str) -> Directivity:
-        """Return the directivity; DataError begins with ``place``."""
-        try:
-            return Directivity(**msgspec.structs.asdict(self))
-        except DataError as error:
-            raise DataError(f"{place}.{error}") from None
-
-
 def plain_directivities(stated: Mapping[str, Any]) -> dict[str, Any]:
     """Return the sources' directivities as plain values, as a room's file states them."""
     return {name: UNKNOWN if isinstance(of, str) else of.to_dict() for name, of in stated.items()}
@@ -477,31 +457,41 @@ def plain_directivities(stated: Mapping[str, Any]) -> dict[str, Any]:
 AXES = ("x", "y", "z")
 
 
+PerBand = Number | Sequence[Number]
+
+
 @dataclass(frozen=True)
 class Material:
-    """A material and its prior.
+    """A material and its prior, as a ``[[material]]`` of a room's file states it.
 
     Parameters
     ----------
     name : str
     alpha : sequence (n_bands,)
         Random-incidence absorption coefficients, 0 to 1.
-    sigma : sequence (n_bands,)
-        Standard deviation of each coefficient, 0 or more; 0 for a coefficient that is exact.
+    sigma : float, sequence (n_bands,), or a degree of `rtcal.acoustics.priors.TIERS`
+        Standard deviation of each coefficient, 0 or more; 0 for a coefficient that is exact. Only a
+        file with a rule for it (``[prior]``) may leave it out.
     alpha_min : float or sequence (n_bands,)
         Lower bound of the calibrated coefficient.
-    scattering : sequence (n_bands,), optional
+    scattering : float or sequence (n_bands,), optional
         Random-incidence scattering coefficients, 0 to 1; only simulators use them.
     source : str
         Where the coefficients come from.
+    area : float, optional
+        In m², of a room's material without surfaces.
+    area_sigma : float or str, optional
+        Its relative standard deviation, or that in m²: "1.5 m²".
     """
 
     name: str
-    alpha: Sequence[float]
-    sigma: Sequence[float]
-    alpha_min: float | Sequence[float] = 0.0
-    scattering: Sequence[float] | None = None
+    alpha: Sequence[Number]
+    sigma: PerBand | Literal["low", "moderate", "high"] | None = None
+    alpha_min: PerBand = 0.0
+    scattering: PerBand | None = None
     source: str = ""
+    area: Number | None = None
+    area_sigma: Number | str | None = None
 
 
 @dataclass(frozen=True)
@@ -964,7 +954,7 @@ class Room:
         return self.materials.index(name)
 
     def material(self, name: str) -> Material:
-        """Return the material ``name``; DataError as `material_index`."""
+        """Return the material ``name`` with its area; DataError as `material_index`."""
         row = self.material_index(name)
         return Material(
             name,
@@ -973,7 +963,34 @@ class Room:
             0.0 if self.alpha_min is None else self.alpha_min[row].tolist(),
             None if self.scattering is None else self.scattering[row].tolist(),
             self.sources.get(name, ""),
+            float(self.areas[row]),
+            float(self.area_sigma[row]),
         )
+
+    def with_rows(self, rows: Sequence[Material], **changes: Any) -> Room:
+        """Return the room with these materials, each with its area, in place of its own.
+
+        ``changes`` are other fields, as for `replace`. Without scattering of all materials the room has
+        none.
+
+        Examples
+        --------
+        >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[0.1]],
+        ...             sigma=[[0.02]], centre_frequencies=[1000])
+        >>> panel = Material("panel", [0.9], [0.1], area=10)
+        >>> print(room.with_rows([room.material("wall"), panel]).absorption_area)
+        [18.4]
+        """
+        names = {m.name for m in rows}
+        stated = {
+            **of_materials(rows, self.centre_frequencies),
+            "areas": [m.area for m in rows],
+            "area_sigma": [m.area_sigma or 0.0 for m in rows],
+            "material_correlation": {
+                pair: r for pair, r in self.material_correlation.items() if names.issuperset(pair)
+            },
+        }
+        return self.replace(**(stated | changes))
 
     @property
     def least_alpha(self) -> Array:
@@ -1001,14 +1018,16 @@ class Room:
         surfaces: Iterable[Surface],
         materials: Iterable[Material],
         centre_frequencies: Sequence[float] | Array,
+        prior: SigmaRule | None = None,
         **stated: Any,
     ) -> Room:
         """Return the room whose area per material is the sum over its surfaces.
 
         A wall may be drawn as two polygons, since only the area per material counts. Materials
-        without a surface are left out. ``stated`` are the room's other fields. Raises DataError as
-        `Room` does, for a surface whose material is not among ``materials``, and for a field that is
-        missing or that a room does not have.
+        without a surface are left out. ``prior`` gives the sigma of materials that state none;
+        ``stated`` are the room's other fields. Raises DataError as `Room` does, for a surface whose
+        material is not among ``materials``, and for a field that is missing or that a room does not
+        have.
         """
         frequencies = bands.as_bands(centre_frequencies)
         drawn = checks.listed("surfaces", surfaces)
@@ -1032,7 +1051,7 @@ class Room:
             raise DataError(
                 f'scattering["{lacking[0]}"] is missing; state it for every material or for none'
             )
-        made = of_materials(used, len(frequencies))
+        made = of_materials(used, frequencies, prior)
         made |= {"areas": [np.sum(areas[m.name]) for m in used], "surfaces": drawn}
         try:
             return cls(centre_frequencies=frequencies, **stated, **made)
@@ -1058,11 +1077,11 @@ class Room:
         for name in PlainRoom.__struct_fields__:
             value = getattr(self, name, None)
             if isinstance(value, Air | CalibrationRecord):
-                value = vars(value).copy()
+                value = asdict(value)
             elif isinstance(value, np.ndarray):
                 value = json_numbers(value) if value.any() or name in _ALWAYS else None
             elif isinstance(value, tuple):
-                value = [vars(v).copy() if isinstance(v, Surface) else v for v in value]
+                value = [asdict(v) if isinstance(v, Surface) else v for v in value]
             plain[name] = value
         plain |= {
             "sources": dict(self.sources),
@@ -1110,7 +1129,6 @@ class Room:
                 "room.toml"
             )
         file = read(RoomFile, content)
-        frequencies = bands.as_bands(file.centre_frequencies)
         surfaces = _surfaces(file.surface)
         covered = {surface.material for surface in surfaces}
         refuse_repeats("material", file.material)
@@ -1123,12 +1141,15 @@ class Room:
                 surfaces.append(Surface(name=m.name, material=m.name, area=m.area))
         of_all = file.area_sigma
         area_sigma = of_all if isinstance(of_all, dict) else {m.name: of_all for m in file.material}
+        rule = {} if file.prior is None else msgspec.structs.asdict(file.prior)
+        band_correlation = rule.pop("band_correlation", 0.0)
         return cls.from_surfaces(
-            **_common(file) | {"centre_frequencies": frequencies},
+            **{key: getattr(file, key) for key in _Common.__struct_fields__},
             surfaces=surfaces,
-            materials=[material(m, frequencies, file.prior) for m in file.material],
+            materials=file.material,
+            prior=SigmaRule(**rule) if rule else None,
             scene=Scene.of(file),
-            band_correlation=0.0 if file.prior is None else file.prior.band_correlation,
+            band_correlation=band_correlation,
             material_correlation=_correlations(file.correlation),
             area_sigma=area_sigma | {m.name: m.area_sigma for m in file.material if m.area_sigma},
         )
@@ -1175,24 +1196,39 @@ class Room:
         write_text(path, self.to_text(checks.path("path", path).parent))
 
 
-def of_materials(materials: Sequence[Material], n_bands: int) -> dict[str, Any]:
-    """Return the arguments of `Room` that materials state; DataError for another number of bands.
+def of_materials(
+    materials: Sequence[Material], frequencies: Array, prior: SigmaRule | None = None
+) -> dict[str, Any]:
+    """Return the arguments of `Room` that materials state; ``prior`` is for those without a sigma.
 
-    Without scattering of all materials there is none.
+    Without scattering of all materials there is none. Raises DataError, which names the material, for
+    another number of values than bands, and for no sigma.
     """
-    tables: dict[str, Any] = {}
-    for name in ("alpha", "sigma", "alpha_min", "scattering"):
-        rows = np.empty((len(materials), n_bands))
-        for row, material in zip(rows, materials, strict=True):
-            place = f'{name}["{material.name}"]'
-            if getattr(material, name) is None:
-                row[:] = np.nan
-                continue
-            values = checks.array(place, getattr(material, name))
-            if values.shape != (n_bands,) and (name != "alpha_min" or values.ndim):
-                raise DataError(f"{place} has {values.size} values; the room has {n_bands} bands")
-            row[:] = values
-        tables[name] = rows
+
+    def row(material: Material, name: str) -> Array:
+        stated: Any = getattr(material, name)
+        if name == "sigma" and isinstance(stated, str):
+            stated = TIERS[checks.choice(f'sigma["{material.name}"]', stated, TIERS)]
+        if name == "sigma" and stated is None:
+            if prior is None:
+                raise DataError(
+                    f'material "{material.name}" states no sigma, and the file has no [prior] to '
+                    "derive it from; if in doubt, write [prior] with relative = 0.3 and minimum = 0.01"
+                )
+            # The rules take up to 2; the room refuses or cuts what lies above 1.
+            return prior.sigma(np.clip(row(material, "alpha"), 0, 2), frequencies)
+        values = checks.array(f'{name}["{material.name}"]', np.nan if stated is None else stated)
+        if values.shape != (len(frequencies),) and (values.ndim or name == "alpha"):
+            raise DataError(
+                f'material "{material.name}": {name} has {values.size} values; the room has '
+                f"{len(frequencies)} bands"
+            )
+        return np.broadcast_to(values, len(frequencies))
+
+    tables: dict[str, Any] = {
+        name: np.reshape([row(m, name) for m in materials], (-1, len(frequencies)))
+        for name in ("alpha", "sigma", "alpha_min", "scattering")
+    }
     return tables | {
         "materials": [m.name for m in materials],
         "alpha_min": tables["alpha_min"] if tables["alpha_min"].any() else None,
@@ -1369,18 +1405,6 @@ def _value_in_words(kind: str, label: str) -> str:
 MAX_BYTES = 2**18
 """Largest size of a room's file in bytes: thirty times a usual one."""
 
-PerBand = Number | list[Number]
-StatedSigma = PerBand | Literal["low", "moderate", "high"]
-"""A sigma, or a degree of uncertainty of `TIERS`."""
-
-
-class AirTable(FileTable):
-    """Temperature in °C, relative humidity in % and pressure in kPa, as of `Air`."""
-
-    temperature: Number = 20.0
-    humidity: Number = 50.0
-    pressure: Number = 101.325
-
 
 class PriorTable(FileTable):
     """The rule for the sigma of materials that state none."""
@@ -1390,19 +1414,6 @@ class PriorTable(FileTable):
     iso_12999_2: bool = False
     in_situ_factor: Number = 1.0
     band_correlation: Number = 0.0
-
-
-class MaterialTable(FileTable):
-    """A ``[[material]]``."""
-
-    name: str
-    alpha: list[Number]
-    area: Number | None = None
-    sigma: StatedSigma | None = None
-    alpha_min: PerBand = 0.0
-    scattering: PerBand | None = None
-    source: str = ""
-    area_sigma: Number | str | None = None
 
 
 class SurfaceTable(FileTable):
@@ -1421,16 +1432,6 @@ class Correlation(FileTable):
     value: Number
 
 
-class Record(FileTable):
-    """The calibration of a calibrated room; see `CalibrationRecord`."""
-
-    method: str
-    equation: str
-    measured: str
-    solver: str = ""
-    version: str = ""
-
-
 class _Common(FileTable, kw_only=True):
     """Keys that a room's file and its plain values have in common."""
 
@@ -1439,9 +1440,9 @@ class _Common(FileTable, kw_only=True):
     volume: Number
     centre_frequencies: list[Number]
     scattering_model: str = "random"
-    air: AirTable | None = None
+    air: Air | None = None
     dimensions: list[Number] | None = None
-    calibration: Record | None = None
+    calibration: CalibrationRecord | None = None
     above_one: str = "refuse"
     clipped: tuple[str, ...] = ()
     volume_sigma: Number = 0.0
@@ -1456,8 +1457,8 @@ class RoomFile(_Common):
     geometry: GeometryTable = msgspec.field(default_factory=GeometryTable)
     sources: Places | None = None
     receivers: Places | None = None
-    directivity: dict[str, Lobe | Literal["unknown"]] = {}
-    material: Annotated[list[MaterialTable], msgspec.Meta(max_length=500)] = []
+    directivity: dict[str, Directivity | Literal["unknown"]] = {}
+    material: Annotated[list[Material], msgspec.Meta(max_length=500)] = []
     surface: Annotated[list[SurfaceTable], msgspec.Meta(max_length=5000)] = []
     correlation: Annotated[list[Correlation], msgspec.Meta(max_length=5000)] = []
     prior: PriorTable | None = None
@@ -1481,21 +1482,6 @@ class PlainRoom(_Common, kw_only=True):
     area_sigma: Number | str | list[Number | str] | dict[str, Number | str] = 0.0
 
 
-def air(table: AirTable | None) -> Air | None:
-    """Return the air of a table; None for None."""
-    return None if table is None else Air(**msgspec.structs.asdict(table))
-
-
-def _common(file: _Common) -> dict[str, Any]:
-    """Return the arguments of `Room` that a file and plain values state alike."""
-    record = file.calibration
-    return {
-        **{field: getattr(file, field) for field in _Common.__struct_fields__},
-        "air": air(file.air),
-        "calibration": record and CalibrationRecord(**msgspec.structs.asdict(record)),
-    }
-
-
 def _surfaces(tables: list[SurfaceTable]) -> list[Surface]:
     return [
         Surface(s.name or f"surface {i}", s.material, s.area, s.axis)
@@ -1511,7 +1497,6 @@ def of_plain(data: PlainRoom) -> dict[str, Any]:
     """Return the arguments of `Room` of its plain values."""
     return {
         **{field: getattr(data, field) for field in PlainRoom.__struct_fields__},
-        **_common(data),
         "scene": Scene.of(data.scene),
         "surfaces": _surfaces(data.surfaces),
         "material_correlation": _correlations(data.material_correlation),
@@ -1523,43 +1508,6 @@ def refuse_repeats(place: str, named: Sequence[Any]) -> None:
     names = [each.name for each in named]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise DataError(f'{place} has "{twice}" twice; each has a name of its own')
-
-
-def material(table: MaterialTable, frequencies: Array, prior: PriorTable | None) -> Material:
-    """Return the material of a ``[[material]]``; ``prior`` derives a sigma that is not stated.
-
-    Raises DataError, which names the material, for another number of values than bands.
-    """
-
-    def per_band(key: str, stated: PerBand) -> list[float]:
-        if not isinstance(stated, list):
-            return [stated] * len(frequencies)
-        if len(stated) != len(frequencies):
-            raise DataError(
-                f'material "{table.name}": {key} has {len(stated)} values; the room has '
-                f"{len(frequencies)} bands"
-            )
-        return stated
-
-    alpha, sigma = per_band("alpha", table.alpha), table.sigma
-    if sigma is None:
-        if prior is None:
-            raise DataError(
-                f'material "{table.name}" states no sigma, and the file has no [prior] to derive it '
-                "from; if in doubt, write [prior] with relative = 0.3 and minimum = 0.01"
-            )
-        rule = msgspec.structs.asdict(prior)
-        rule.pop("band_correlation")
-        # The rules take up to 2; the room refuses or cuts what lies above 1.
-        sigma = SigmaRule(**rule).sigma(np.clip(alpha, 0, 2), frequencies).tolist()
-    return Material(
-        name=table.name,
-        alpha=alpha,
-        sigma=per_band("sigma", TIERS[sigma] if isinstance(sigma, str) else sigma),
-        alpha_min=per_band("alpha_min", table.alpha_min) if table.alpha_min else 0.0,
-        scattering=None if table.scattering is None else per_band("scattering", table.scattering),
-        source=table.source,
-    )
 
 
 _ALWAYS = ("areas", "alpha", "sigma", "centre_frequencies", "band_correlation", "air")

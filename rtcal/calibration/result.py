@@ -8,7 +8,7 @@ belongs to. `CalibrationResult` is its view of one room.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -835,7 +835,7 @@ class CalibrationResult(Result):
             "constraints": [repr(row) for row in composed.row_constraints],
             "matches_measured_time": self.joint.asks_for_measured_time,
             "volume": room.volume,
-            "air": None if room.air is None else vars(room.air),
+            "air": None if room.air is None else asdict(room.air),
             "room_taken_as_exact": not self.joint.matches_uncertain_room,
             **({"room_uncertainty": words} if (words := room_errors.in_words(room)) else {}),
             "centre_frequencies": json_numbers(room.centre_frequencies),

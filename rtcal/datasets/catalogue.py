@@ -201,7 +201,7 @@ def nearest(name: str, most: int = 3) -> list[str]:
         at = material(entry, [500.0])
         lines.append(
             f"{entry}: {shortened(described[entry], 70)}, alpha {float(np.ravel(at.alpha)[0]):.2f} ± "
-            f"{float(np.ravel(at.sigma)[0]):.2f} at 500 Hz"
+            f"{float(np.ravel(np.array(at.sigma, float))[0]):.2f} at 500 Hz"
         )
     return lines
 

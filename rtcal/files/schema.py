@@ -1,19 +1,21 @@
 """Files as types: msgspec checks a file's content against classes, and tomli-w writes it.
 
-A table of a file is a class derived from `FileTable`: its fields are the keys that the table may have,
-with their types. What a type does not say (ranges of physical values, lengths that must fit) is checked
-by the constructor of the object that the file describes. Text is parsed strictly before.
+A table of a file is a dataclass, the object that the table describes, or a class derived from
+`FileTable`: its fields are the keys that the table may have, with their types. What a type does not
+say (ranges of physical values, lengths that must fit) is checked by the object's constructor. Text is
+parsed strictly before.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import re
 import sys
 import tomllib
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -44,7 +46,7 @@ def read(kind: type[T], data: object, place: str = "") -> T:
     Parameters
     ----------
     kind : type
-        A `FileTable`, or another type that msgspec knows.
+        A `FileTable`, a dataclass, or another type that msgspec knows.
     data : plain values
         As `json_object` and `toml_table` return them.
     place : str
@@ -54,8 +56,8 @@ def read(kind: type[T], data: object, place: str = "") -> T:
     Raises
     ------
     DataError
-        For an unknown key, a key that is missing, or a value of another type; the message names place,
-        value and rule, and the key that is most likely meant.
+        For an unknown key, a key that is missing, a value of another type, or one that an object's
+        constructor refuses; the message names place, value and rule, and the key that is likely meant.
 
     Examples
     --------
@@ -67,9 +69,23 @@ def read(kind: type[T], data: object, place: str = "") -> T:
     rtcal.support.errors.DataError: material "wall": alpha[1] = 'a' is not a number
     """
     try:
-        return msgspec.convert(data, kind)
+        made = msgspec.convert(data, kind)
     except _REFUSED as error:
         raise DataError(_fault(kind, data, place) or f"{_whole(place)}: {error}") from error
+    if wrong := _key_of_no_field(kind, data, place):  # msgspec passes over those of dataclasses
+        raise DataError(wrong)
+    return made
+
+
+def _key_of_no_field(kind: Any, value: Any, place: str) -> str | None:
+    """Return the first key in a value, at any level, that its table does not have; None if none."""
+    for option in _options(kind):
+        if wrong := _wrong_key(option, value, place):
+            return wrong
+        for where, of, part in _parts(option, value, place):
+            if isinstance(part, Mapping | list) and (wrong := _key_of_no_field(of, part, where)):
+                return wrong
+    return None
 
 
 def _whole(place: str) -> str:
@@ -83,17 +99,20 @@ def within(place: str, key: str) -> str:
 
 def _fault(kind: Any, value: Any, place: str) -> str | None:
     """Return the first thing in a value that its type does not allow; None if there is none."""
+    cause = None
     try:
         msgspec.convert(value, kind)
         return None
-    except _REFUSED:
-        pass
+    except _REFUSED as error:
+        cause = error.__cause__
     for option in _options(kind):
         if wrong := _wrong_key(option, value, place):
             return wrong
         for where, of, part in _parts(option, value, place):
             if fault := _fault(of, part, where):
                 return fault
+    if isinstance(cause, DataError):  # of the constructor
+        return str(cause) if str(cause).startswith(place) else within(place, str(cause))
     if isinstance(value, int) and abs(value) > 1e300:
         return f"{place} = {shown(value)} is too large a number"
     most = max((m.le or m.lt or 0 for _, m in map(_bounds, _options(kind)) if m), default=0)
@@ -106,11 +125,25 @@ def _fault(kind: Any, value: Any, place: str) -> str | None:
 
 
 def _is_list(kind: Any) -> bool:
-    return get_origin(kind) is list or (get_origin(kind) is tuple and Ellipsis in get_args(kind))
+    origin = get_origin(kind)
+    return origin in (list, Sequence) or (origin is tuple and Ellipsis in get_args(kind))
 
 
 def _is_table(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
+    return isinstance(kind, type) and (
+        issubclass(kind, msgspec.Struct) or dataclasses.is_dataclass(kind)
+    )
+
+
+def _fields(table: Any) -> dict[str, bool]:
+    """Return the keys of a table, and whether it must have each."""
+    if not dataclasses.is_dataclass(table):
+        return {f.name: f.required for f in msgspec.structs.fields(table)}
+    missing = dataclasses.MISSING
+    return {
+        f.name: f.default is missing and f.default_factory is missing
+        for f in dataclasses.fields(table)
+    }
 
 
 def _options(kind: Any) -> tuple[Any, ...]:
@@ -132,7 +165,7 @@ def _wrong_key(kind: Any, value: Any, place: str) -> str | None:
     """Return which key a table lacks, or has and may not; None if its keys are right."""
     if not (_is_table(kind) and isinstance(value, Mapping)):
         return None
-    fields = {f.name: f for f in msgspec.structs.fields(kind)}
+    fields = _fields(kind)
     for key in value:
         if key not in fields:
             name = str(key)[:40]
@@ -143,7 +176,7 @@ def _wrong_key(kind: Any, value: Any, place: str) -> str | None:
                 f': is "{near[0]}" meant?' if near else f"; it may have {', '.join(among)}{more}"
             )
             return f'{_whole(place)} has the key "{name}", which has no meaning{meant}'
-    lacking = (name for name, f in fields.items() if f.required and name not in value)
+    lacking = (name for name, needed in fields.items() if needed and name not in value)
     return next((f"{_whole(place)} lacks {name}" for name in lacking), None)
 
 

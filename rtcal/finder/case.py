@@ -32,7 +32,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -47,7 +47,7 @@ from rtcal.acoustics.changes import enough_known, facing
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable
-from rtcal.acoustics.room import AirTable, PlainRoom, Room, air, of_plain, refuse_repeated_data
+from rtcal.acoustics.room import PlainRoom, Room, of_plain, refuse_repeated_data
 from rtcal.calibration.measured import times_in_room
 from rtcal.files.disk import json_numbers, read_text, write_text
 from rtcal.files.schema import FileTable, Number, json_object, read, toml_table
@@ -96,7 +96,7 @@ class ConfigurationTable(FileTable):
     name: str | None = None
     changes: dict[str, ChangedTable] | None = None
     suspect_removed: bool = False
-    air: AirTable | None = None
+    air: Air | None = None
     distances: list[Number] | None = None
 
 
@@ -295,7 +295,7 @@ class Configuration:
                 for material, c in self.changes.items()
             },
             "suspect_removed": self.suspect_removed,
-            "air": None if self.air is None else vars(self.air).copy(),
+            "air": None if self.air is None else asdict(self.air),
             "distances": None if self.distances is None else json_numbers(self.distances),
             **more,
         }
@@ -316,7 +316,7 @@ class Configuration:
                 for name, c in changes.items()
             },
             suspect_removed=table.suspect_removed,
-            air=air(table.air),
+            air=table.air,
             distances=None if distances is None else np.array(distances),
             planned=planned,
         )

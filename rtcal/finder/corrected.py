@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.changes import Further, new_name, with_materials
+from rtcal.acoustics.changes import new_name
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import CHANGED, POSITION, Directivity, Material, Room, Scene
 from rtcal.calibration.methods import calibrate
@@ -323,14 +323,15 @@ def _made(
         np.clip(sigma, _LEAST_SIGMA, 1.0).tolist(),
         scattering=simulator.scattering[below].tolist(),
         source=" ".join([f"rtcal find: {added.title}, {added.in_words}.", *drawn]),
+        area=areas[material],
     )
-    corrected = with_materials(
+    stated = _stated(room, simulator)
+    # A material keeps its stated area but for what the new one takes of it in the geometry.
+    left = (room.areas - _replaced(case, geometry)).tolist()
+    corrected = stated.with_rows(
+        [*(replace(stated.material(room.materials[i]), area=left[i]) for i in kept), new],
         # Simulators of boxes know one material per wall.
-        _stated(room, simulator).replace(dimensions=None if form == "patch" else room.dimensions),
-        [Further(new, areas[material])],
-        kept,
-        # A material keeps its stated area but for what the new one takes of it in the geometry.
-        (room.areas - _replaced(case, geometry))[kept],
+        dimensions=None if form == "patch" else room.dimensions,
         surfaces=geometry.surfaces if room.surfaces else (),
     )
     return Corrected(
@@ -468,18 +469,16 @@ def _on_surfaces(
     )
     kept = [i for i in range(before.n_materials) if left[i] > 1e-6 * before.total_area]
     further = [
-        Further(Material(name, a.tolist(), s.tolist(), 0.0, scatter.tolist(), source), area)
+        Material(name, a.tolist(), s.tolist(), 0.0, scatter.tolist(), source, area)
         for name, a, s, scatter, source, area in zip(
             names, alpha, sigma, mix @ scattering, sources, areas, strict=True
         )
     ]
     changed = dict(zip(names, (faces[s] for s in surfaces), strict=True))
     geometry = _with_material(geometry, changed)
-    room = with_materials(
-        _stated(before, simulator).replace(surfaces=before.surfaces),
-        further,
-        kept,
-        left[kept],
+    stated = _stated(before, simulator)
+    room = stated.with_rows(
+        [*(replace(stated.material(before.materials[i]), area=left[i]) for i in kept), *further],
         surfaces=geometry.surfaces if before.surfaces else (),
         scene=Scene(
             sources=simulator.sources,

@@ -157,11 +157,11 @@ def array(place: str, value: object) -> Array:
         raise DataError(f"{place} = None is not an array of real numbers")
     try:
         kind = np.asarray(value).dtype.kind
-        if kind not in "bc" and not (isinstance(value, list | tuple) and _has_flags(value)):
+        if kind not in "bcSU" and not (isinstance(value, list | tuple) and _has_flags(value)):
             return np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as cause:
         raise DataError(f"{place} is not an array of real numbers: {cause}") from cause
-    found = "complex ones" if kind == "c" else "true or false"
+    found = {"c": "complex ones", "U": "texts", "S": "texts"}.get(kind, "true or false")
     raise DataError(f"{place} is not an array of real numbers: it has {found}")
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.changes import Further, new_name, with_materials
+from rtcal.acoustics.changes import new_name
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
@@ -355,7 +355,7 @@ def _with_absorbers(
     scattering = None
     if stated.scattering is not None:
         scattering = (stated.areas @ stated.scattering / stated.total_area).tolist()
-    names, further, absorbers = list(stated.materials), list[Further](), list[tuple[float, bool]]()
+    names, further, absorbers = list(stated.materials), list[Material](), list[tuple[float, bool]]()
     area, contribution = walls, walls * mean_contributions(equation, [bare])[0]
     absorbed = bare.surface_absorption
     for p, (covering, objects) in gains:
@@ -394,15 +394,13 @@ def _with_absorbers(
         alpha = equation.coefficient(h)
         names.append(new_name(names, p.name))
         further.append(
-            Further(
-                Material(
-                    names[-1],
-                    alpha.tolist(),
-                    np.minimum(alpha * _spread(p), 1.0).tolist(),
-                    0.0,
-                    scattering,
-                    f"rtcal find: {_size(p)}. It stands free with {size:.3g} m²{_LARGER}",
-                ),
+            Material(
+                names[-1],
+                alpha.tolist(),
+                np.minimum(alpha * _spread(p), 1.0).tolist(),
+                0.0,
+                scattering,
+                f"rtcal find: {_size(p)}. It stands free with {size:.3g} m²{_LARGER}",
                 size,
             )
         )
@@ -413,12 +411,11 @@ def _with_absorbers(
     if further:
         surfaces = stated.surfaces and (
             *stated.surfaces,
-            *(
-                Surface(name=f.material.name, material=f.material.name, area=f.area)
-                for f in further
-            ),
+            *(Surface(name=f.name, material=f.name, area=float(f.area or 0)) for f in further),
         )
-        room = with_materials(stated, further, surfaces=surfaces)
+        room = stated.with_rows(
+            [*map(stated.material, stated.materials), *further], surfaces=surfaces
+        )
     made = tuple(absorbers)
     both = np.array([whole.covering + 0 * absorbed, whole.objects + 0 * absorbed])
     left = both - _added_by(bare, made, room.alpha[stated.n_materials :])
