@@ -12,16 +12,13 @@ alike, matching T_c leaves the smallest weighted sum of squares of log(T_p / mea
 
 `calibrate_simulator` runs the `Loop` with a simulator that Python can call. For a program that a user
 runs, there are `start`, `Loop.next_alpha` and `Loop.record`, or ``rtcal loop``. Each step by hand
-leaves two files: the state of the loop, and the room to simulate. The room states the digest of its
-coefficients, so that a table simulated with other coefficients is refused.
+leaves two files: the state of the loop, and the room to simulate.
 
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
-import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -37,7 +34,7 @@ from rtcal.acoustics.bands import label, labels, span
 from rtcal.acoustics.bands import notes as notes_of_bands
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.marks import TrustMark, explained, gap_jnd, in_room, of_row, rms
-from rtcal.acoustics.measurement import MAX_BYTES, Measurement
+from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, TARGET, observable, parameter_label
 from rtcal.acoustics.room import Room, refuse_repeated_data
 from rtcal.acoustics.room_errors import in_words
@@ -45,7 +42,7 @@ from rtcal.calibration.measured import data_history, tell_data, times_in_room
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
-from rtcal.files.disk import read_text, write_all
+from rtcal.files.disk import write_all
 from rtcal.files.saved import NOT_SAVED, Result, load, stated
 from rtcal.loop.measured_pairs import (
     SHOWN,
@@ -180,7 +177,7 @@ STATUSES = (
     "not confirmed",
 )
 """Status of a band; the last one is that of a simulation with another seed."""
-LEFT_ALONE = STATUSES[:4]
+_LEFT_ALONE = STATUSES[:4]
 """Statuses of bands of which the loop asks nothing more."""
 MAX_DECIMALS = 12
 """Largest number of decimals of alpha that a program reads."""
@@ -194,6 +191,7 @@ _FROM_BOUNDS = 1e-3
 """Share of the range of S'alpha that a target keeps from its ends: at the bounds T may be 0, or
 infinite without air."""
 _BELOW_LARGEST_MEAN = 0.999  # of the mean coefficient at which the equation ends
+_STRONGEST_SHADE = 5.0  # JND
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -238,20 +236,19 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class ParameterGap:
-    """The gaps of a parameter in a compromise, each (n_bands,).
+    """A parameter before and after the loop, in means over the pairs; each (n_bands,).
 
-    ``share`` is its weight over the sum of the weights. ``before`` and ``after`` are its gaps in JND.
-    ``lost`` is by how many JND its gap exceeds that of the weighted mean: what it gave up for the
-    others. Matched alone, it is 0.
+    ``means`` are its values "measured", "before" and "after", NaN where there is none, and ``before``
+    and ``after`` its gaps in JND. Of one that is matched, ``share`` is its weight over the sum of the
+    weights, and ``lost`` by how many JND its gap exceeds that of the weighted mean: what it gave up for
+    the others. Matched alone, it is 0.
     """
 
-    share: Array
+    means: Mapping[str, Array]
     before: Array
     after: Array
+    share: Array
     lost: Array
-
-
-_STRONGEST_SHADE = 5.0  # JND
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -364,18 +361,14 @@ class Loop(Result):
         with the loops that `record` returns. Volume, areas and climate count as exact: else the
         coefficients would carry the share of each target that the loop tries.
         """
-        return self._problem.solve(target, unreachable="nearest", method=self.method)
-
-    @property
-    def _problem(self) -> CalibrationProblem[CalibrationResult]:
         if not self._problems:
             room = self.prior.as_exact
             self._problems.append(preset(self.method, room).build(room, self.equation))
-        return self._problems[0]
+        return self._problems[0].solve(target, unreachable="nearest", method=self.method)
 
     # The steps, and each band's best one
 
-    @property
+    @cached_property
     def _gaps(self) -> Array:
         """Gap of every step in JND, (n_steps, n_bands)."""
         if not self.steps:
@@ -387,19 +380,24 @@ class Loop(Result):
         """Number of the step with the smallest gap, per band, (n_bands,)."""
         return np.asarray(np.argmin(np.nan_to_num(np.abs(self._gaps), nan=np.inf), axis=0))
 
-    def _of_best(self, of_steps: Sequence[Array] | Array) -> Array:
-        """Return of arrays (..., n_bands), one per step, each band's of its best step."""
-        return np.stack([of_steps[b][..., k] for k, b in enumerate(self.best)], axis=-1)
+    @cached_property
+    def _best(self) -> Step:
+        """What each band has in its best step, which were perhaps never simulated together."""
+
+        def of_best(of_steps: Sequence[Array]) -> Array:
+            return np.stack([of_steps[b][..., k] for k, b in enumerate(self.best)], axis=-1)
+
+        none = np.full(self.prior.n_bands, np.nan)
+        every = {p for step in self.steps for p in step.means}
+        return Step(
+            **{n: of_best([getattr(s, n) for s in self.steps]) for n in _OF_STEPS},
+            means={p: of_best([s.means.get(p, none) for s in self.steps]) for p in every},
+        )
 
     @property
     def best_alpha(self) -> Array:
         """Coefficients of each band's best step, (n_materials, n_bands)."""
-        return self._of_best([step.alpha for step in self.steps])
-
-    @property
-    def best_target(self) -> Array:
-        """Target T of each band's best step in s, (n_bands,)."""
-        return self._of_best([step.target for step in self.steps])
+        return self._best.alpha
 
     @property
     def goal(self) -> Array:
@@ -411,11 +409,11 @@ class Loop(Result):
         noise = self.steps[-1].noise / TARGET.jnd_of(self.wanted)
         return np.fmax(self.tolerance - noise, self.tolerance / 2)
 
-    @property
+    @cached_property
     def _status_of_steps(self) -> tuple[str, ...]:
         """Status of each band before a confirmation: one of `STATUSES`."""
-        gap = self._of_best(self._gaps)
-        close = np.abs(np.log(self._target_without_t20 / self.best_target)) < _CLOSE_TARGETS
+        gap = gap_jnd(self._best.simulated, self.wanted)
+        close = np.abs(np.log(self._target_without_t20 / self._best.target)) < _CLOSE_TARGETS
         (shortest, longest), target = self._target_limits, self.steps[-1].target
         at_limit = ((gap < 0) & (target >= longest * (1 - _AT_LIMIT))) | (
             (gap > 0) & (target <= shortest * (1 + _AT_LIMIT))
@@ -453,9 +451,28 @@ class Loop(Result):
         return self.best_alpha if self.returned is None else self.returned
 
     @cached_property
+    def ends(self) -> tuple[Step, Step]:
+        """The first simulation, and the last: `final`, or what each band has in its best step."""
+        if not self.steps:
+            raise DataError("the loop has no simulation yet, and so no gap")
+        first = self.steps[0]
+        if self.before is not None:
+            first = self._step(self.before, self.prior.alpha)
+        return first, self._best if self.final is None else self._step(self.final, self.alpha)
+
+    def _step(self, of: Measurement, alpha: Array, target: Array | None = None) -> Step:
+        return Step(
+            target=np.full(self.prior.n_bands, np.nan) if target is None else target,
+            alpha=alpha,
+            simulated=self.matched.combined(of.mean),
+            noise=self.matched.noise(of),
+            means=means(of),
+        )
+
+    @cached_property
     def outcome(self) -> CalibrationResult:
         """The equation's calibration to the targets of each band's best step."""
-        return self.calibrated(self.best_target)
+        return self.calibrated(self._best.target)
 
     @cached_property
     def room(self) -> Room:
@@ -478,27 +495,12 @@ class Loop(Result):
         if not self.prior.is_uncertain or not self.steps:
             return None
         problem = preset(self.method, self.prior).build(self.prior, self.equation)
-        return problem.solve(self.best_target, unreachable="nearest", method=self.method)
-
-    @property
-    def simulated(self) -> tuple[Array, Array]:
-        """T in s of what is matched, first and last, each (n_bands,).
-
-        In the first step and each band's best one, or in `before` and `final`.
-        """
-        if self.before is None or self.final is None:
-            every = [step.simulated for step in self.steps]
-            return every[0], self._of_best(every)
-        return self.matched.combined(self.before.mean), self.matched.combined(self.final.mean)
+        return problem.solve(self._best.target, unreachable="nearest", method=self.method)
 
     @property
     def gap(self) -> Array:
-        """Gap of what is matched, of the last of `simulated`, in JND, (n_bands,); NaN without T."""
-        return self._of_best(self._gaps) if self.final is None else self.gap_of(self.final)
-
-    def gap_of(self, measurement: Measurement) -> Array:
-        """Return the gap of what is matched in a simulation in JND, (n_bands,)."""
-        return gap_jnd(self.matched.combined(measurement.mean), self.wanted)
+        """Gap of what is matched, of the last of `ends`, in JND, (n_bands,); NaN without T."""
+        return gap_jnd(self.ends[1].simulated, self.wanted)
 
     @property
     def status(self) -> tuple[str, ...]:
@@ -510,51 +512,48 @@ class Loop(Result):
         status = self._status_of_steps
         if self.final is None:
             return status
-        noise = self.matched.noise(self.final) / TARGET.jnd_of(self.wanted)
+        noise = self.ends[1].noise / TARGET.jnd_of(self.wanted)
         kept = (noise <= self.tolerance) & (np.abs(self.gap) <= self.tolerance + noise)
         lost = (np.array(status) == "converged") & ~kept
         return tuple(np.where(lost, "not confirmed", status).tolist())
 
-    def ends(self, parameter: str) -> tuple[Array, Array]:
-        """Return a parameter's mean over the pairs, first and last as `simulated`, NaN for none."""
-        observable(parameter)
-        if self.before is not None and self.final is not None:
-            return self.before.mean(parameter), self.final.mean(parameter)
-        if not self.steps:
-            raise DataError("the loop has no simulation yet, and so no means")
+    @cached_property
+    def gaps(self) -> dict[str, ParameterGap]:
+        """Each parameter that is measured or simulated, and shown: its means, gaps and share."""
         none = np.full(self.prior.n_bands, np.nan)
-        every = [step.means.get(parameter, none) for step in self.steps]
-        return every[0], self._of_best(every)
-
-    def gaps(self, parameter: str) -> tuple[Array, Array]:
-        """Return simulated less measured, first and last, in JND, each (n_bands,).
-
-        Of the means over pairs; NaN where the parameter was not measured or not simulated.
-        """
-        none = np.full(self.prior.n_bands, np.nan)
-        measured = {**self.beside, **self.matched.measured}.get(parameter, none)
-        first, last = self.ends(parameter)
-        return gap_jnd(first, measured, parameter), gap_jnd(last, measured, parameter)
-
-    @property
-    def compromise(self) -> dict[str, ParameterGap]:
-        """Each matched parameter's share, its gaps before and after, and what it lost, in JND."""
-        found, left = {}, np.abs(self.gap)
-        for parameter, share in self.matched.shares.items():
-            before, after = self.gaps(parameter)
-            lost = np.maximum(np.abs(after) - left, 0.0)
-            found[parameter] = ParameterGap(share, before, after, lost)
+        measured, of_mean, found = {**self.beside, **self.matched.measured}, np.abs(self.gap), {}
+        for p in SHOWN:
+            values = [measured.get(p, none), *(step.means.get(p, none) for step in self.ends)]
+            before, after = (gap_jnd(v, values[0], p) for v in values[1:])
+            if p in measured or np.isfinite(values[1]).any():
+                found[p] = ParameterGap(
+                    means=dict(zip(("measured", "before", "after"), values, strict=True)),
+                    before=before,
+                    after=after,
+                    share=self.matched.shares.get(p, np.zeros_like(none)),
+                    lost=np.maximum(np.abs(after) - of_mean, 0.0),
+                )
         return found
 
     @property
+    def compromise(self) -> dict[str, ParameterGap]:
+        """Those of `gaps` that are matched, with what each lost."""
+        return {p: self.gaps[p] for p in self.matched.shares}
+
+    @property
     def gaps_beside(self) -> Gaps:
-        """`gaps` of each parameter that was measured, is shown and is not matched."""
-        return {parameter: self.gaps(parameter) for parameter in self.beside}
+        """Gaps before and after of each parameter that was measured, is shown and is not matched."""
+        return {p: (self.gaps[p].before, self.gaps[p].after) for p in self.beside}
 
     @property
     def farther(self) -> tuple[str, ...]:
         """Parameters that are not matched and left what was measured by more than one JND."""
         return left(self.gaps_beside)
+
+    @property
+    def parameters(self) -> dict[str, Mapping[str, Array]]:
+        """Means over the pairs: measured, before and after, of each parameter that is simulated."""
+        return {p: g.means for p, g in self.gaps.items() if np.isfinite(g.means["before"]).any()}
 
     @property
     def trust_marks(self) -> tuple[TrustMark, ...]:
@@ -585,7 +584,7 @@ class Loop(Result):
         """
         if not self.steps:
             return self.wanted.copy()
-        target, without_t20 = self.best_target, self._target_without_t20
+        target, without_t20 = self._best.target.copy(), self._target_without_t20
         for k in np.flatnonzero(self._moving):
             shortest, longest = (limit[k] for limit in self._target_limits)
             known = [step for step in self.steps if np.isfinite(step.simulated[k])]
@@ -629,7 +628,7 @@ class Loop(Result):
     @property
     def _moving(self) -> NDArray[np.bool_]:
         """Whether the next step moves the band's target, (n_bands,)."""
-        status, gap = np.array(self._status_of_steps), self._of_best(self._gaps)
+        status, gap = np.array(self._status_of_steps), gap_jnd(self._best.simulated, self.wanted)
         needed = status == "not converging"
         rough = (np.abs(gap) > self.goal / 2) & np.isnan(self._target_without_t20)
         return np.asarray(needed | ((status == "converged") & rough & needed.any()))
@@ -643,7 +642,7 @@ class Loop(Result):
         targets = np.array([step.target for step in self.steps])
         simulated = np.isfinite(self._gaps)
         missing = ~simulated & np.isfinite(self.wanted)
-        distance = np.where(missing, np.abs(np.log(targets / self.best_target)), np.inf)
+        distance = np.where(missing, np.abs(np.log(targets / self._best.target)), np.inf)
         nearest = targets[np.argmin(distance, axis=0), np.arange(self.prior.n_bands)]
         both = missing.any(axis=0) & simulated.any(axis=0)
         return np.asarray(np.where(both, nearest, np.nan))
@@ -692,63 +691,47 @@ class Loop(Result):
         """
         if self.finished:
             raise DataError("the loop is done: no band is left that another simulation helps")
-        time = self._simulated_time(simulated)
+        lost = self._lost(simulated)
         for band in checks.listed("without_t20", without_t20):
-            if checks.whole("without_t20", band, 0) >= len(time):
-                raise DataError(f"without_t20 has {band}; the bands are 0 to {len(time) - 1}")
-            time[band] = np.nan
+            if checks.whole("without_t20", band, 0) >= len(lost):
+                raise DataError(f"without_t20 has {band}; the bands are 0 to {len(lost) - 1}")
+            lost[band] = True
         target = self.next_target
         if checks.flag("stated", stated):
             own = np.clip(self.equation.reverberation_time(self.prior), *self._target_limits)
             target = np.where(np.isfinite(self.wanted), own, np.nan)
-        step = Step(
-            target=target,
-            alpha=check_alpha(self.prior, alpha),
-            simulated=time,
-            noise=self.matched.noise(simulated),
-            means=means(simulated),
-        )
+        step = self._step(simulated, check_alpha(self.prior, alpha), target)
+        step = replace(step, simulated=np.where(lost, np.nan, step.simulated))
         return replace(self, steps=(*self.steps, step), simulations=self.simulations + 1)
 
-    def _simulated_time(self, measurement: Measurement) -> Array:
-        """Return the simulated T of what is matched in s, (n_bands,), NaN where some pair has none.
+    def _lost(self, simulation: Measurement) -> NDArray[np.bool_]:
+        """Return in which bands some pair of a simulation lacks what is matched, (n_bands,).
 
         Raises DataError for other bands, or a matched parameter that is missing. A measured band may
         lack it only if it has one in an earlier step, and some measured band has one now.
         """
         frequencies = self.prior.centre_frequencies
-        checks.instance("what was simulated", measurement, Measurement)
-        if not np.array_equal(measurement.centre_frequencies, frequencies):
+        checks.instance("what was simulated", simulation, Measurement)
+        if not np.array_equal(simulation.centre_frequencies, frequencies):
             raise DataError(
-                f"what was simulated has {span(measurement.centre_frequencies)}; the room has "
+                f"what was simulated has {span(simulation.centre_frequencies)}; the room has "
                 f"{span(frequencies)}"
             )
-        for parameter in self.matched.shares:
-            if parameter not in measurement.values:
+        measured, missing = np.isfinite(self.wanted), {}
+        for parameter, share in self.matched.shares.items():
+            if parameter not in simulation.values:
                 raise DataError(f"what was simulated has no {parameter_label(parameter)}")
-        measured = np.isfinite(self.wanted)
-        missing = {
-            parameter: np.isnan(measurement.values[parameter]) & measured & (share > 0)
-            for parameter, share in self.matched.shares.items()
-        }
+            missing[parameter] = np.isnan(simulation.values[parameter]) & measured & (share > 0)
         lost = np.any([absent.any(axis=0) for absent in missing.values()], axis=0)
-        earlier = np.zeros(lost.shape, dtype=bool)
-        for step in self.steps:
-            earlier |= np.isfinite(step.simulated)
+        earlier = np.isfinite([lost * np.nan, *(step.simulated for step in self.steps)]).any(axis=0)
         refused = lost if lost[measured].all() else lost & ~earlier
         for parameter, absent in missing.items():
             for pair, k in np.argwhere(absent & refused)[:1].tolist():
                 raise DataError(
-                    f"simulated {parameter_label(parameter)}[{' to '.join(measurement.pairs[pair])}, "
+                    f"simulated {parameter_label(parameter)}[{' to '.join(simulation.pairs[pair])}, "
                     f"{label(frequencies[k])}] is missing, but T was measured there"
                 )
-        return np.where(lost, np.nan, self.matched.combined(measurement.mean))
-
-    def same_times(self, measurement: Measurement, times: Array) -> bool:
-        """Return whether a measurement has exactly these times of what is matched in s, (n_bands,)."""
-        if len(measurement.centre_frequencies) != len(times):
-            return False
-        return np.array_equal(self.matched.combined(measurement.mean), times, equal_nan=True)
+        return np.asarray(lost)
 
     def back(self) -> Loop:
         """Return the loop before its last step; DataError if it has none."""
@@ -788,7 +771,7 @@ class Loop(Result):
 
     def blocks(self) -> list[Block]:
         """Return what the loop has; DataError without a simulation."""
-        first, last = self.simulated
+        first, last = (step.simulated for step in self.ends)
         gaps, goals = zip(*map(_apart, self.gap, self.goal), strict=True)
         rows = [
             Row("T wanted / s", self.wanted, ".3f"),
@@ -806,7 +789,7 @@ class Loop(Result):
             Row("nearest simulation", [int(b) + 1 for b in self.best], "d"),
             Row("status", self.status_now),
         ]
-        for parameter, part in self.compromise.items() if len(self.compromise) > 1 else ():
+        for parameter, part in self.compromise.items() if len(self.matched.shares) > 1 else ():
             name = parameter_label(parameter)
             rows += [
                 Row(f"{name}, share of the weights", part.share, ".2f"),
@@ -848,27 +831,14 @@ class Loop(Result):
             )
         return [*notes, *([] if self.low is None else [self.low.loop_note]), *self.notes]
 
-    @property
-    def parameters(self) -> dict[str, dict[str, Array]]:
-        """Means over the pairs: measured, before and after, of each parameter that has any."""
-        measured = {**self.beside, **self.matched.measured}
-        found = {}
-        for p in SHOWN:
-            before, after = self.ends(p)
-            if np.isfinite(before).any():
-                goal = measured.get(p, np.nan * before)
-                found[p] = {"measured": goal, "before": before, "after": after}
-        return found
-
     def to_dict(self) -> dict[str, Any]:
         """Return the steps and what came of them as plain numbers, lists and text."""
-        of_equation = {"name": self.equation.name, **asdict(self.equation)}
-        found = {name: stated(getattr(self, name)) for name in _SETTINGS} | {
-            "equation": of_equation
-        }
+        found = {name: stated(getattr(self, name)) for name in _SETTINGS}
+        found["equation"] = {"name": self.equation.name, **asdict(self.equation)}
         return found | super().to_dict() if self.steps else found
 
 
+_OF_STEPS = ("target", "alpha", "simulated", "noise")
 _SETTINGS = ("simulator", "wanted", "rule", "method", "decimals", "tolerance", "steps")
 
 
@@ -926,7 +896,7 @@ def start(
         beside={p: mean for p, mean in measured_means.items() if p not in what.shares},
         low=low,
     )
-    _ = loop._problem  # warns of a room without air
+    loop.calibrated(loop.wanted)  # warns of a room without air
     return loop
 
 
@@ -1146,11 +1116,14 @@ def _judged(calls: _Calls, loop: Loop, seed: int) -> Loop:
         confirmation = calls.simulate(alpha, seed + 1)
     simulated = [m for a, s, m in calls.answers if s == seed and np.array_equal(a, alpha)]
     after = simulated[-1] if simulated else confirmation or calls.simulate(alpha, seed)
+
+    def off(of: Measurement) -> float:
+        return float(rms(gap_jnd(loop.matched.combined(of.mean), loop.wanted)))
+
     if simulator.deterministic:
-        nearest = rms(loop.gap_of(after)) - _AS_NEAR
         for tried, _, measurement in calls.answers:
-            if (gap := rms(loop.gap_of(measurement))) < nearest:
-                nearest, alpha, after = gap, tried, measurement
+            if off(measurement) < off(after) - _AS_NEAR:
+                alpha, after = tried, measurement
     return replace(
         loop,
         simulator=simulator.name,
@@ -1164,7 +1137,6 @@ def _judged(calls: _Calls, loop: Loop, seed: int) -> Loop:
 
 _AS_NEAR = 1e-6
 """JND by which gaps differ that are the same."""
-_COEFFICIENTS = re.compile(r"^#\s*Coefficients ([0-9a-f]{12})\b", re.M)
 
 
 def refuse_progress(state: str) -> None:
@@ -1192,46 +1164,42 @@ def record(loop: Loop, table: str, state: str, out: str, *, again: bool = False)
     ------
     DataError
         If the loop is finished, the table is no measurement, or it repeats the last step's or has the
-        measured T itself. Also if the table belongs to other coefficients, as far as the files show.
+        measured T itself. Also if the room at ``out`` is not the one to simulate.
     """
     if loop.finished:
         raise DataError(
             f"{state}: the loop is done, so {table} was not taken in; the room that `rtcal loop "
             "next` wrote last has the coefficients, and `rtcal report` shows the path"
         )
-    simulated = Measurement.from_file(table)
-    alpha = loop.next_alpha
-    # Two files may show that a table belongs to other coefficients: it may repeat the room's line
-    # "# Coefficients ...", and the room at ``out`` holds the coefficients themselves.
-    asked = _digest(alpha)
-    stated = _COEFFICIENTS.search(read_text(table, MAX_BYTES))
-    if stated is not None and stated[1] != asked:
-        raise DataError(f"{table}: it is of the coefficients {stated[1]}; {state} asks for {asked}")
-    written = None
+    alpha, written = loop.next_alpha, None
     with suppress(DataError):  # another name than last time, or no room: it shows nothing
-        written = Room.from_file(out)
-    if written is not None and _digest(written.alpha) != asked:
+        written = np.round(Room.from_file(out).alpha, 9)
+    if written is not None and not np.array_equal(written, np.round(alpha, 9)):
         raise DataError(
             f"{out}: it has other coefficients than {state} asks for, so {table} may be of those: "
             f"rtcal loop back writes what to simulate; or delete {out} if it was not simulated"
         )
-    if not again and not loop.steps and loop.same_times(simulated, loop.wanted):
+    simulated = Measurement.from_file(table)
+    try:
+        after = loop.record(alpha, simulated)
+    except DataError as error:
+        raise DataError(f"{table}: {error}") from error
+    *_, last, step = (None, *loop.steps, after.steps[-1])
+
+    def repeats(times: Array) -> bool:
+        return not again and np.array_equal(step.simulated, times, equal_nan=True)
+
+    if last is None and repeats(loop.wanted):
         raise DataError(
             f"{table}: every T20 is the measured one to the last digit: is it the measurement itself, "
             "and not what was simulated? (--again takes it all the same)"
         )
-    last = (
-        loop.steps[-1] if loop.steps and not np.array_equal(alpha, loop.steps[-1].alpha) else None
-    )
-    if not again and last is not None and loop.same_times(simulated, last.simulated):
+    if last is not None and not np.array_equal(alpha, last.alpha) and repeats(last.simulated):
         raise DataError(
             f"{table}: the table is the last step's, though alpha changed: was the room that was "
             "written last simulated? (--again takes it all the same)"
         )
-    try:
-        return loop.record(alpha, simulated)
-    except DataError as error:
-        raise DataError(f"{table}: {error}") from error
+    return after
 
 
 def write(loop: Loop, state: str, out: str) -> None:
@@ -1240,30 +1208,22 @@ def write(loop: Loop, state: str, out: str) -> None:
     A state without its room would accept a table that belongs to the room of the step before.
     """
     room = loop.prior.replace(alpha=loop.next_alpha, calibration=None)
-    digest = _digest(room.alpha)
     n, of = len(loop.steps), f"of the loop in {Path(state).name!r}"
     note = f"# To simulate: run {n + 1} {of}.\n"
     if n and loop.finished:
         note = f"# Calibrated for the program simulated: the end {of}, after {n} runs.\n"
-    note += f"# Coefficients {digest}.\n"
     content = note + room.to_text(Path(out).parent)
     write_all({out: content.encode(), state: loop.to_json(Path(state).parent).encode()})
 
 
 def conclusion(loop: Loop, out: str) -> str:
     """Return what a user does with the last room written, for a finished loop."""
-    left = len([s for s in loop.status if s not in LEFT_ALONE])
+    left = len([s for s in loop.status if s not in _LEFT_ALONE])
     missed = f", but {left} of {loop.prior.n_bands} bands were not reached" if left else ""
     return (
         f"Done{missed}. {out} has the coefficients, those of each band's best step: give it to the "
         "program a last time."
     )
-
-
-def _digest(alpha: Array) -> str:
-    """Return a short identifier of coefficients, (n_materials, n_bands), to nine decimals."""
-    rounded = np.round(alpha, 9) + 0.0  # no -0
-    return hashlib.sha256(repr(rounded.shape).encode() + rounded.tobytes()).hexdigest()[:12]
 
 
 Rule = Literal["secant", "safeguarded"]

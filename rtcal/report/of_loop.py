@@ -65,7 +65,7 @@ def page(loop: Loop) -> Page:
 
 def _summary(loop: Loop) -> list[str]:
     """Return the loop as a few sentences."""
-    f, first = loop.prior.centre_frequencies, gap_jnd(loop.simulated[0], loop.wanted)
+    f, first = loop.prior.centre_frequencies, gap_jnd(loop.ends[0].simulated, loop.wanted)
     n = loop.simulations
     said = [
         f"Likely a typing error at {mark.frequency:g} Hz: {mark.text}. Check this value before "

@@ -68,7 +68,7 @@ def calibrated(cost: float, more: Mapping[str, float | np.ndarray]) -> Loop:
 def test_a_parameter_that_leaves_is_named(cost: float) -> None:
     met_before = calibrated(cost, {}).before.mean("c80")
     result = calibrated(cost, {"c80": met_before})
-    before, after = result.gaps("c80")
+    before, after = result.gaps_beside["c80"]
     np.testing.assert_allclose(before, 0.0, atol=1e-12)
     np.testing.assert_allclose(after, result.final.mean("c80") - met_before, atol=1e-12)
     assert result.farther == (("c80",) if cost else ())
