@@ -110,7 +110,6 @@ def numbers(option: str, stated: Sequence[str], form: str) -> dict[str, float]:
 ARGUMENTS = (
     "decay_time",
     "parameter",
-    "ignore",
     "columns",
     "n_sources",
     "n_receivers",

@@ -163,7 +163,6 @@ def _positions_text(responses: tuple[str, ...]) -> str:
         help="The parameter of the values, if the table does not name it.",
     ),
     several("where", "COLUMN=ENTRY", "Read only rows with this entry."),
-    several("ignore", "COLUMN", "Leave a column out."),
     click.option(
         "--columns",
         metavar="MEANINGS",

@@ -132,7 +132,6 @@ class _Options:
     decay_time: str | None = None
     parameter: str | None = None
     where: Mapping[str, str] = field(default_factory=dict)
-    ignore: Collection[str] = ()
     columns: str = ""
     n_sources: int | None = None
     n_receivers: int | None = None
@@ -149,15 +148,8 @@ class _Options:
         checks.flag("repeats", self.repeats)
         checks.text("columns", self.columns)
         object.__setattr__(self, "where", checks.text_by_name("where", self.where))
-        for name in ("ignore", "sheets"):
-            texts = getattr(self, name)
-            texts = (texts,) if isinstance(texts, str) else checks.texts(name, texts)
-            object.__setattr__(self, name, texts)
-
-    @property
-    def extra(self) -> set[str]:
-        """The headers of columns that may hold no values."""
-        return {*self.where, *self.ignore}
+        sheets = [self.sheets] if isinstance(self.sheets, str) else self.sheets
+        object.__setattr__(self, "sheets", checks.texts("sheets", sheets))
 
     @property
     def counts(self) -> dict[str, float]:
@@ -167,17 +159,7 @@ class _Options:
 
 
 def read(
-    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
-    *,
-    decay_time: str | None = None,
-    parameter: str | None = None,
-    where: Mapping[str, str] | None = None,
-    ignore: Collection[str] | None = None,
-    columns: str | None = None,
-    n_sources: int | None = None,
-    n_receivers: int | None = None,
-    repeats: bool | None = None,
-    sheets: Collection[str] | None = None,
+    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], **options: Any
 ) -> MeasuredTable:
     """Return the measurement of a table, or of several: one per position, as REW exports them.
 
@@ -191,8 +173,6 @@ def read(
         where the table's own names leave nothing open.
     where : mapping of str to str, optional
         Selects rows by the entry of a column: ``{"room": "CR2"}``.
-    ignore : collection of str, optional
-        Columns to ignore.
     columns : str, optional
         What each column holds, in their order, where no header says it, and the first line of values
         (by default the second): ``"from line 3: receiver; T20 [ms] at 500 Hz; -"``. A refusal proposes
@@ -214,18 +194,7 @@ def read(
     """
     paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
     contents = {os.fspath(checks.path("path", p)): read_bytes(p, MAX_BYTES) for p in paths}
-    return parse(
-        contents,
-        decay_time=decay_time,
-        parameter=parameter,
-        where=where,
-        ignore=ignore,
-        columns=columns,
-        n_sources=n_sources,
-        n_receivers=n_receivers,
-        repeats=repeats,
-        sheets=sheets,
-    )
+    return parse(contents, **options)
 
 
 def parse(
@@ -247,13 +216,8 @@ def parse(
     if not stated.sheets:
         found, left_out = _of_places(found)
         notes += left_out
-    place, headers = found[0].place, [c.header for table in found for c in table.columns]
-    if missing := [name for name in stated.ignore if name not in headers]:
-        raise DataError(
-            f'{place}: ignore="{shown(missing[0])}" is no column; they are {_quoted(headers)}'
-        )
     read = _measured(found, notes, stated)
-    own = {*read.measurement.values} - {stated.parameter}
+    place, own = found[0].place, {*read.measurement.values} - {stated.parameter}
     if stated.parameter is not None and own and not any(table.parameter for table in found):
         raise DataError(
             f'{place}: parameter="{stated.parameter}" is not used, since the table names its own: '
@@ -314,7 +278,7 @@ def _of_file(content: bytes, path: str, options: _Options) -> tuple[list[_Table]
 
     An error of a sheet names those that are tables.
     """
-    of_file = sheets_of(content, path, options.where, options.extra)
+    of_file = sheets_of(content, path, options.where, options.where)
     if options.repeats:
         of_file = [
             replace(s, rows=tuple((n, [repeat_of(c) or c for c in cells]) for n, cells in s.rows))
@@ -379,7 +343,7 @@ def _tables_of(sheet: Sheet, options: _Options) -> list[_Table]:
         return [_stated_table(sheet, options)]
     starts = [i for i, (_, cells) in enumerate(rows) if _is_corner(cells)]
     if not starts:
-        header = rows[_header(rows, options.extra)[0]][1]
+        header = rows[_header(rows, options.where)[0]][1]
         for i in (i for i, (_, cells) in enumerate(rows) if cells == header):
             while i and sum(map(bool, rows[i - 1][1])) == 1 and rows[i - 1][1] != header:  # a title
                 i -= 1
@@ -450,7 +414,7 @@ def _has_corner(columns: Sequence[Column]) -> bool:
 
 def _table(sheet: Sheet, rows: list[Row], options: _Options) -> _Table:
     """Return a table with its header and what stands before it."""
-    at = _header(rows, options.extra)[0]
+    at = _header(rows, options.where)[0]
     (line, header), body, notes = rows[at], rows[at + 1 :], [sheet.note]
     if at:
         notes.append(f"the header is line {line}; what stands before it is left out")
@@ -460,7 +424,7 @@ def _table(sheet: Sheet, rows: list[Row], options: _Options) -> _Table:
         place = f"{sheet.place}, line {line}"
         raise DataError(f"{place}: {len(header)} columns; at most {MAX_COLUMNS}")
     header = ["" if _INDEX.fullmatch(name) else name for name in header]
-    found: list[Column | None] = columns_of(header, options.extra)
+    found: list[Column | None] = columns_of(header, options.where)
     if body and (both := joined(header, body[0][1])):
         notes.append(f"lines {line} and {body[0][0]} are one header")
         found, body = [*both], body[1:]
@@ -495,8 +459,8 @@ def _by_its_cells(
     column: Column | None, name: str, cells: Sequence[str], of_bands: bool, options: _Options
 ) -> Column | None:
     """Return a column's meaning, where its cells decide beside its header."""
-    left_out = name in options.ignore or not (column or name or cells)
-    if left_out or (column is None and of_bands and plain(name) in WHOLE_RANGES):
+    whole = column is None and of_bands and plain(name) in WHOLE_RANGES
+    if whole or not (column or name or cells):
         return Column("", name)
     if column and cells:
         # "Band (Hz)" is said of the header. Rows that are selected may be called D50, as a room.
