@@ -79,13 +79,8 @@ def start(
     closed.refuse_progress(state)
     prior, data = Room.from_file(room), read_measured(measured)
     weighted = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
-    begun = begin(
-        prior,
-        data,
-        weights=weighted or None,
-        modes=None if modes is None else told_by_modes(prior, modes),
-        **stated,
-    )
+    known = prior if modes is None else told_by_modes(prior, modes)
+    begun = begin(known, data, weights=weighted or None, **stated)
     first = begun.calibrated(begun.wanted)
     closed.write(begun, state, out)
     beyond = [f"{band} (the nearest is taken)" for band in first.unreachable]

@@ -54,7 +54,7 @@ from rtcal.loop.measured_pairs import (
     refuse_unknown,
     sentences,
 )
-from rtcal.modes.calibrate import ModesResult, above_schroeder, of_room
+from rtcal.modes.calibrate import ModesResult, above_schroeder
 from rtcal.simulators.base import Simulator, at_places, check_alpha, check_fits, lost_paths, run
 from rtcal.support import checks, text
 from rtcal.support.blocks import Block, Note, Row, Table
@@ -749,7 +749,7 @@ class Loop(Result):
         if not isinstance(loop, Loop):
             raise DataError(f"{path} is no state of a loop: it holds a {type(loop).__name__}")
         own = loop.low.prior if loop.low else loop.prior
-        if room is not None and of_room(room) != of_room(own):
+        if room is not None and _numbers(room) != _numbers(own):
             raise DataError(f'{path} is of another room, or room "{room.name}" was changed since')
         return loop if room is None or loop.low else replace(loop, prior=room)
 
@@ -838,6 +838,19 @@ class Loop(Result):
         return found | super().to_dict() if self.steps else found
 
 
+def _numbers(room: Room) -> list[bytes]:
+    """Return a room's materials, areas, bands, air and prior as one comparable value."""
+    numbers = (
+        [room.volume, room.speed_of_sound],
+        room.areas,
+        room.centre_frequencies,
+        room.air_attenuation,
+        room.alpha,
+        room.sigma,
+    )
+    return [*(m.encode() for m in room.materials), *(np.asarray(n).tobytes() for n in numbers)]
+
+
 _OF_STEPS = ("target", "alpha", "simulated", "noise")
 _SETTINGS = ("simulator", "wanted", "rule", "method", "decimals", "tolerance", "steps")
 
@@ -857,7 +870,7 @@ def _apart(gap: float, goal: float) -> tuple[str, str]:
 
 
 def start(
-    room: Room,
+    room: Room | ModesResult,
     measured: Measurement,
     *,
     rule: Rule = "safeguarded",
@@ -866,27 +879,50 @@ def start(
     decimals: int | None = None,
     tolerance: float = 1.0,
     weights: Weights | None = None,
-    modes: ModesResult | None = None,
 ) -> Loop:
-    """Return a loop before its first simulation; see `Loop` for the parameters.
+    """Return a loop before its first simulation.
 
-    ``weights`` and ``modes`` are those of `calibrate_simulator`. Raises DataError if an argument breaks
-    its rule, or the room was calibrated to these data. Warns of other bands and no air.
+    Parameters
+    ----------
+    room : Room or ModesResult
+        Its alpha and sigma are the prior. A result of ``calibrate_modes(room, ...)`` without T stands
+        in place of T below the Schroeder frequency: coefficients stay there as it left them. In large
+        rooms with hard walls, sigma should be
+        proportional to alpha: equal sigmas drive large hard walls to alpha = 0.
+    measured : Measurement
+    rule : {"secant", "safeguarded"}
+        See `RULES`.
+    method, equation
+        Of the equation's calibration; see `rtcal.calibrate`.
+    decimals : int, optional
+        Decimals of alpha that the program reads.
+    tolerance : float
+        In JND. A band is done if its gap is within the tolerance less the simulator's noise. It is
+        confirmed if its gap with another seed is within the tolerance plus the noise.
+    weights : mapping of "t20" and "edt" to a number or one per band, optional
+        A compromise of the mean T20 and the mean EDT: each band's target is moved until their weighted
+        geometric mean is the measured one. `Loop.compromise` states what each lost. By default
+        T20 alone is matched.
+
+    Raises
+    ------
+    DataError
+        If an argument breaks its rule, or the room was calibrated to these data. Other bands and no air
+        are a warning.
     """
-    checks.instance("room", room, Room)
-    stated, low = measured, None
-    if modes is not None:
-        low = checks.instance("modes", modes, ModesResult).in_loop(room, measured)
-        room, measured = low.room, above_schroeder(measured, room, low.below)
-    data = times_in_room(room, measured)
-    refuse_repeated_data(room, data.fingerprint)
-    tell_data(room, stated)
-    what = matched_times(room, measured, data.reverberation_time, weights)
-    measured_means = means(measured.in_bands(room.centre_frequencies))
+    low = room.in_loop(measured) if isinstance(room, ModesResult) else None
+    prior = room.prior if isinstance(room, ModesResult) else checks.instance("room", room, Room)
+    tell_data(prior, measured)
+    if low is not None:
+        prior, measured = low.room, above_schroeder(measured, prior, low.below)
+    data = times_in_room(prior, measured)
+    refuse_repeated_data(prior, data.fingerprint)
+    what = matched_times(prior, measured, data.reverberation_time, weights)
+    measured_means = means(measured.in_bands(prior.centre_frequencies))
     loop = Loop(
-        prior=room,
+        prior=prior,
         matched=what,
-        data=data_history(room, data),
+        data=data_history(prior, data),
         rule=rule,
         method=method,
         equation=equation or Eyring(),
@@ -907,14 +943,10 @@ def calibrate_simulator(
     rule: Rule = "safeguarded",
     *,
     exclude: Sequence[tuple[str, str]] = (),
-    weights: Weights | None = None,
-    method: str = "mle",
-    equation: LinearEquation | None = None,
-    decimals: int | None = None,
-    tolerance: float = 1.0,
     max_simulations: int = 12,
     seed: int = 0,
     after_step: Callable[[Loop], None] | None = None,
+    **options: Any,
 ) -> Loop:
     """Calibrate a room's coefficients so that a simulator has the measured mean T20.
 
@@ -924,27 +956,10 @@ def calibrate_simulator(
     Parameters
     ----------
     simulator : Simulator
-    room : Room or ModesResult
-        Its alpha and sigma are the prior. A result of ``calibrate_modes(room, ...)`` without T stands
-        in place of T below the Schroeder frequency: coefficients stay there as it left them. In large
-        rooms with hard walls, sigma should be
-        proportional to alpha: equal sigmas drive large hard walls to alpha = 0.
-    measured : Measurement
-    rule : {"secant", "safeguarded"}
-        See `RULES`.
+    room, measured, rule
+        As of `rtcal.loop.start`.
     exclude : sequence of (source, receiver)
         Measured pairs that are left out, of what is simulated, too.
-    weights : mapping of "t20" and "edt" to a number or one per band, optional
-        A compromise of the mean T20 and the mean EDT: each band's target is moved until their weighted
-        geometric mean is the measured one. ``result.compromise`` states what each lost. By default
-        T20 alone is matched.
-    method, equation
-        Of the equation's calibration; see `rtcal.calibrate`.
-    decimals : int, optional
-        Decimals of alpha that the program reads.
-    tolerance : float
-        In JND. A band is done if its gap is within the tolerance less the simulator's noise. It is
-        confirmed if its gap with another seed is within the tolerance plus the noise.
     max_simulations : int
         Limit of all calls of the simulator, at least 2 for a simulator with random numbers. One
         call is kept for the coefficients returned: for the confirmation with another seed, or for
@@ -953,6 +968,8 @@ def calibrate_simulator(
         Seed of all steps, so that they differ by alpha only. The confirmation uses ``seed + 1``.
     after_step : callable, optional
         Called with the loop after every step, for example to `Loop.save` it.
+    options
+        ``weights``, ``method``, ``equation``, ``decimals`` and ``tolerance`` of `rtcal.loop.start`.
 
     Returns
     -------
@@ -981,9 +998,8 @@ def calibrate_simulator(
     >>> rt.calibrate_simulator(program, room, measured)
     <Loop "reverb 3000": 2 simulations, 6 of 6 bands converged>
     """
-    modes = room if isinstance(room, ModesResult) else None
-    room = room.prior if isinstance(room, ModesResult) else room
-    check_fits(simulator, room)
+    stated = room.prior if isinstance(room, ModesResult) else room
+    check_fits(simulator, stated)
     exclude = checks.pairs("exclude", exclude)
     checks.whole("seed", seed, 0)
     checks.whole("max_simulations", max_simulations, 1 if simulator.deterministic else 2)
@@ -997,20 +1013,10 @@ def calibrate_simulator(
     # The result's notes and marks say it.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", OtherBandsWarning)
-        loop = start(
-            room,
-            measured,
-            modes=modes,
-            rule=rule,
-            method=method,
-            equation=equation,
-            decimals=decimals,
-            tolerance=tolerance,
-            weights=weights,
-        )
-    frequencies = room.centre_frequencies
+        loop = start(room, measured, rule=rule, **options)
+    frequencies = stated.centre_frequencies
     notes += tuple(map(as_sentence, notes_of_bands(measured.centre_frequencies, frequencies)))
-    parameters = times_in_room(room, measured).parameter
+    parameters = times_in_room(stated, measured).parameter
     named = zip(frequencies, parameters, strict=True)
     if in_place := [label(f) for f, p in named if p not in ("", TARGET.key)]:
         where = f" at {', '.join(in_place)}" if TARGET.key in parameters else ""

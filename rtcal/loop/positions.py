@@ -654,7 +654,7 @@ def calibrate_positions(
         checks.instance("calibration", calibration, Calibration)
     measured, repeated = base.at_places(simulator, measured)
     if modes is not None:
-        low = modes.in_loop(room, measured)
+        low = modes.in_loop(measured)
         room, measured = low.room, above_schroeder(measured, room, low.below)
         repeated = (*repeated, low.loop_note)
     given, wanted = simulator, with_t30(match, measured)

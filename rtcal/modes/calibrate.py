@@ -415,22 +415,18 @@ class ModesResult(Result):
         )
         return (mark("implausible_modes", None, text),)
 
-    def in_loop(self, room: Room, measured: Measurement) -> ModesResult:
-        """Return the modes for a loop of a room, with the bands that are low by its measured T.
+    def in_loop(self, measured: Measurement) -> ModesResult:
+        """Return the modes for a loop, with the bands that are low by the measured T.
 
-        Raises DataError if the modes are another room's or were calibrated to T, too, or if every
-        measured band lies below the Schroeder frequency.
+        Raises DataError if the modes were calibrated to T, too, or if every measured band lies below
+        the Schroeder frequency.
         """
-        if of_room(self.prior) != of_room(room):
-            raise DataError(
-                f'modes is of room "{self.prior.name}" as it was; it is calibrated for the room '
-                f'"{room.name}" as given here'
-            )
         if np.isfinite(self.data.reverberation_time).any():
             raise DataError(
                 "modes was calibrated to T as well, which would count twice: leave T out, "
                 "calibrate_modes(room, modes)"
             )
+        room = self.prior
         times = times_in_room(room, measured)
         below = below_schroeder(room, times)
         if not np.isfinite(times.reverberation_time[~below]).any():
@@ -540,16 +536,3 @@ class ModesResult(Result):
     def materials(self) -> list[dict[str, Any]]:
         """Alpha and sigma before and after, with the interval, of each material."""
         return coefficients(self.prior, self.alpha, self.sigma, self.interval)
-
-
-def of_room(room: Room) -> list[bytes]:
-    """Return a room's materials, areas, bands, air and prior as one comparable value."""
-    numbers = (
-        [room.volume, room.speed_of_sound],
-        room.areas,
-        room.centre_frequencies,
-        room.air_attenuation,
-        room.alpha,
-        room.sigma,
-    )
-    return [*(m.encode() for m in room.materials), *(np.asarray(n).tobytes() for n in numbers)]

@@ -149,10 +149,10 @@ def box_of(room: Room) -> Polyhedron:
 
     Raises DataError for a room without dimensions, and for a wall of which no surface has the name.
     """
-    if checks.instance("room", room, Room).dimensions is None:
+    if (sides := checks.instance("room", room, Room).dimensions) is None:
         raise DataError(f'room "{room.name}" states no dimensions; a shoebox needs them')
     if room.n_materials == 1:
-        return Polyhedron.shoebox(room.dimensions, room.materials[0])
+        return Polyhedron.shoebox(sides, room.materials[0])
     walls = {s.name: s.material for s in room.surfaces if s.name in SHOEBOX_WALLS}
     if missing := [wall for wall in SHOEBOX_WALLS if wall not in walls]:
         raise DataError(
@@ -160,7 +160,7 @@ def box_of(room: Room) -> Polyhedron:
             f"{', '.join(missing)}: state a surface for each wall, called {', '.join(SHOEBOX_WALLS)}, "
             "with its material and area (docs/files.md)"
         )
-    return Polyhedron.shoebox(room.dimensions, walls)
+    return Polyhedron.shoebox(sides, walls)
 
 
 def shoebox_of(room: Room, sources: Mapping[str, Point], receivers: Mapping[str, Point]) -> Shoebox:
