@@ -21,6 +21,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import msgspec
 
+from rtcal.support import checks
 from rtcal.support.checks import shown
 from rtcal.support.errors import DataError
 
@@ -68,6 +69,7 @@ def read(kind: type[T], data: object, place: str = "") -> T:
     Traceback (most recent call last):
     rtcal.support.errors.DataError: material "wall": alpha[1] = 'a' is not a number
     """
+    checks.text("place", place)
     try:
         made = msgspec.convert(data, kind)
     except _REFUSED as error:
