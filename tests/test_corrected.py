@@ -256,10 +256,10 @@ def test_the_command_s_room_is_one_that_rtcal_calibrates(
     done("find", str(tmp_path / "case.json"), "--out", found)
     out = str(tmp_path / "corrected.json")
     said = json.loads(done("apply", found, "--out", out, "--room", room, "--json"))
-    low, high = said["present"][0]["size_interval"]
+    low, high = said["applied"][0]["size_interval"]
     assert low < 39.6 < high
     assert len(said["calibrated"]["materials"]) == 6
-    assert rt.Room.from_file(room).materials[-1] == said["present"][0]["effect"]
+    assert rt.Room.from_file(room).materials[-1] == said["applied"][0]["effect"]
     done("calibrate", room, str(tmp_path / "measured.csv"), "--out", str(tmp_path / "out"))
     written = rt.Room.from_file(str(tmp_path / "out" / "room.toml"))
     np.testing.assert_allclose(

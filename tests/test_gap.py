@@ -292,8 +292,12 @@ def test_a_sound_model_is_no_input_error(folder: Path) -> None:
     where = case.configurations[0]
     seen = predict([state(case, where)], distances(case, where)).reverberation_time[0]
     path, out = folder / "sound.json", folder / "never.json"
-    sound = {"name": "as stated", "t20": np.repeat(seen[None], 4, axis=0).tolist()}
-    path.write_text(json.dumps(case.to_dict() | {"configurations": [sound]}))
+    four = [("S", f"R{i}") for i in range(4)]
+    sound = {
+        "name": "as stated",
+        "measured": {"pairs": four, "values": {"t20": [seen.tolist()] * 4}},
+    }
+    path.write_text(json.dumps(case.to_dict() | {"configuration": [sound]}))
     found = str(folder / "nothing.json")
     run("find", str(path), "--out", found)
     assert run("verify", found).startswith("Nothing to add: prior, measurement and model agree")

@@ -323,7 +323,7 @@ def test_a_loaded_case_is_saved_with_the_same_bytes(tmp_path: Path) -> None:
     one, two = ((tmp_path / f"{name}.json").read_bytes() for name in ("one", "two"))
     assert one == two
     assert list(case.configurations[0].measured.values)[1] == "t30"  # the file's order is another
-    assert len(json.loads(one)["configurations"][0]["t30"]) == 2
+    assert len(json.loads(one)["configuration"][0]["measured"]["values"]["t30"]) == 2
 
 
 def test_a_saved_case_keeps_what_its_measurement_is(tmp_path: Path) -> None:

@@ -140,11 +140,11 @@ def case_of(path: Path) -> Case:
 
 
 def saved_case() -> str:
-    text: str = json.dumps({**opened().to_dict(), "present": PRESENT})
+    text: str = json.dumps({**opened().to_dict(), "applied": APPLIED})
     return text
 
 
-PRESENT = [{"effect": "opening", "parameters": {"area": 2.0}, "size_interval": [1.0, 3.0]}]
+APPLIED = [{"effect": "opening", "parameters": {"area": 2.0}, "size_interval": [1.0, 3.0]}]
 READERS: dict[str, Reader] = {
     "room.toml": (ROOM, lambda path: rt.Room.from_file(str(path))),
     "t.csv": (TIMES, lambda path: rt.Measurement.from_file(str(path))),
@@ -284,7 +284,7 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
         ("S1,R1,T20,1000", "S\0,R1,T20,1000", "a name has no control characters"),
     ],
     "case.toml": [
-        ('"room.toml"', '" "', "room is not the name of a room's file"),
+        ('"room.toml"', '" "', "No such file"),
         ('"room.toml"', '"none.toml"', "none.toml: No such file"),
         ('room = "room.toml"', 'material = []\nroom = "room.toml"', "this is a room's file"),
         ('room = "room.toml"', 'geometry = {}\nroom = "room.toml"', "a case states no geometry"),
@@ -299,7 +299,7 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
         ("level = 0.3", "level = 1e300", "uncertainty.level = 1e+300"),
         ('"as built"', "3", "configuration 1: name = 3 is not a text"),
         ('"as built"', '" "', "configuration: name = ' ' is blank"),
-        ('"t.csv"', '""', "has no measured = a measurement's file"),
+        ('"t.csv"', '""', "not a file"),
         ('"t.csv"', '"t.csv"\nt20 = [1, 1, 1]', 'configuration "as built" has the key "t20"'),
         *(("= true", f"= {v}", '"as built": suspect_removed = ') for v in ('"false"', "0", "[]")),
         ("temperature = 21", "foo = 1", '"as built": air has the key "foo"'),
@@ -323,8 +323,8 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
         ('"volume"', '"volmue"', 'room has the key "volmue"'),
         ('"suspect_removed"', '"suspect"', 'has the key "suspect"'),
         ('"effect": "opening"', '"effect": "gate"', 'effect "gate" is not in the library'),
-        ('"area": 2.0', '"area": "2"', "present 1: parameters[\"area\"] = '2' is not a number"),
-        ("[1.0, 3.0]", "[1.0]", "present 1: size_interval = [1.0] is not a list of 2 numbers"),
+        ('"area": 2.0', '"area": "2"', "applied 1: parameters[\"area\"] = '2' is not a number"),
+        ("[1.0, 3.0]", "[1.0]", "applied 1: size_interval = [1.0] is not a list of 2 numbers"),
     ],
     "variants.toml": [
         (VARIANTS, PANEL, "no [[variant]]"),
@@ -393,42 +393,47 @@ def test_only_numbers_are_numbers(value: str, tmp_path: Path) -> None:
     path = tmp_path / "case.json"
     for name in ("volume", "areas", "alpha", "t20", "band_correlation"):
         data = opened().to_dict()
-        (data["configurations"][0] if name == "t20" else data["room"])[name] = "MARK"
+        values = data["configuration"][0]["measured"]["values"]
+        (values if name == "t20" else data["room"])[name] = "MARK"
         path.write_text(json.dumps(data).replace('"MARK"', value))
         with pytest.raises(DataError, match=name):
             Case.from_file(str(path))
 
 
+T20 = {"values": {"t20": [[1] * 7]}}
+
+
 @pytest.mark.parametrize(
     ("change", "place"),
     [
-        ({"room": None}, "room = None is not a table"),
+        ({"room": None}, "room = None is not a text or a table"),
         ({"room": {"volume": 1}}, "room lacks centre_frequencies"),
         ({"uncertainty": 3}, "uncertainty = 3 is not a table"),
         ({"uncertainty": {"noise": 1}}, 'uncertainty has the key "noise"'),
         ({"climate_uncertainty": [1.0, -1.0]}, "climate_uncertainty = (1.0, -1.0)"),
-        ({"configurations": []}, "configurations is empty"),
-        ({"configurations": [{"name": "A", "t20": [1] * 7}] * 2}, "each has a name of its own"),
-        ({"configurations": [3]}, "configurations 1 = 3 is not a table"),
-        ({"air": 3}, 'configurations "A": air = 3 is not a table'),
-        ({"air": {"wind": 3}}, 'configurations "A": air has the key "wind"'),
-        ({"changes": {"a": {"alpha": 1}}}, 'configurations "A": changes["a"] lacks sigma'),
+        ({"configuration": []}, "configurations is empty"),
+        ({"configuration": [{"name": "A", "measured": T20}] * 2}, "each has a name of its own"),
+        ({"configuration": [3]}, "configuration 1 = 3 is not a table"),
+        ({"air": 3}, 'configuration "A": air = 3 is not a table'),
+        ({"air": {"wind": 3}}, 'configuration "A": air has the key "wind"'),
+        ({"changes": {"a": {"alpha": 1}}}, 'configuration "A": changes["a"] lacks sigma'),
         ({"changes": {"z": {"alpha": [0.0] * 7, "sigma": [0.0] * 7}}}, '"z" is no material'),
-        ({"t20": None}, "has none of t20"),
-        ({"t20": None, "edt": [1] * 7}, "has neither t20 nor t30"),
-        ({"t20": [1, 2]}, "measurement values[t20] has shape (1, 2); it is (1, 7)"),
-        ({"t20": ["x"] * 7}, "configurations \"A\": t20[0] = 'x' is not"),
-        ({"t20": [["x"] * 7]}, "configurations \"A\": t20[0][0] = 'x' is not a number"),
-        ({"snr": 3}, 'configurations "A" has the key "snr"'),
+        ({"measured": {"values": {}}}, 'configuration "A": measurement: no values'),
+        ({"measured": {"values": {"edt": [[1] * 7]}}}, "has neither t20 nor t30"),
+        ({"measured": {"values": {"t20": [[1, 2]]}}}, "values[t20] has shape (1, 2); it is (1, 7)"),
+        ({"measured": {"values": {"t20": [["1"] * 7]}}}, "'1' is not a number"),
+        ({"measured": {"valeus": {}}}, 'measured has the key "valeus"'),
+        ({"measured": 3}, 'configuration "A": measured = 3 is not a text or a table'),
+        ({"snr": 3}, 'configuration "A" has the key "snr"'),
         ({"distances": "far"}, "distances = 'far' is not a list of numbers"),
         ({"distances": [-1]}, "distances is not 1 values above 0"),
     ],
 )
 def test_what_is_no_case_is_refused_with_its_place(change: dict[str, Any], place: str) -> None:
     data = opened().to_dict()
-    keys = {"room", "uncertainty", "climate_uncertainty", "configurations"}
-    of_configuration = {"name": "A", "t20": [1] * 7} | change
-    data |= change if change.keys() <= keys else {"configurations": [of_configuration]}
+    keys = {"room", "uncertainty", "climate_uncertainty", "configuration"}
+    of_configuration = {"name": "A", "measured": T20} | change
+    data |= change if change.keys() <= keys else {"configuration": [of_configuration]}
     with pytest.raises(DataError, match=re.escape(place)):
         Case.from_dict(data)
 

@@ -23,10 +23,13 @@ def test_a_case_is_the_one_draw_of_its_seed(name: str) -> None:
     assert (population, index) == (POPULATION, 0)
     made = build(population, kind, index)
     stored = json.loads(rt.datasets.path(f"hidden_room/{name}.json").read_text(encoding="utf-8"))
-    assert stored["configurations"][0]["name"] == made["case"]["configurations"][0]["name"]
+    assert stored["configuration"][0]["name"] == made["case"]["configuration"][0]["name"]
     np.testing.assert_allclose(stored["room"]["alpha"], made["case"]["room"]["alpha"])
     # Paths are traced in compiled code, whose last digits differ between processors.
-    t = [np.array(c["configurations"][0]["t20"], dtype=float) for c in (stored, made["case"])]
+    t = [
+        np.array(c["configuration"][0]["measured"]["values"]["t20"], dtype=float)
+        for c in (stored, made["case"])
+    ]
     np.testing.assert_allclose(t[0], t[1], rtol=0.02)
 
 

@@ -137,7 +137,7 @@ def test_a_seed_of_the_second_world_gives_one_room() -> None:
     opening = second.KINDS.index("opening")
     first, again = second.build(0, opening, 1), second.build(0, opening, 1)
     assert first == again
-    assert set(first["case"]) == {"room", "equation", "configurations"}
+    assert set(first["case"]) == {"room", "equation", "facing", "configuration"}
     assert Case.from_dict(first["case"]).room.n_bands == second.N
 
 

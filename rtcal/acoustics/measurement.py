@@ -26,6 +26,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from rtcal.acoustics import bands
@@ -41,6 +42,7 @@ from rtcal.acoustics.observables import (
     parameters,
 )
 from rtcal.files.disk import json_numbers, read_text, write_text
+from rtcal.files.schema import FileTable, Number, read
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import text_name
@@ -144,6 +146,19 @@ def require_repeats(placed: Sequence[Pair], place: str) -> None:
             f"{place}: repeats=True changes nothing, since every source and receiver is there once; "
             "leave it out, or name a repeat after its place: S1-R1#2 repeats S1-R1"
         )
+
+
+class MeasurementTable(FileTable):
+    """A measurement as plain values, as `Measurement.to_dict` returns them; None is missing."""
+
+    values: dict[str, list[list[Number | None]]]
+    centre_frequencies: list[Number] = []
+    pairs: tuple[tuple[str, str], ...] = ((SUMMARY, SUMMARY),)
+    uncertainty: dict[str, list[list[Number | None]]] = {}
+    common_uncertainty: dict[str, list[Number | None]] = {}
+    standard_deviation: dict[str, list[Number | None]] = {}
+    n_sources: int | None = None
+    n_receivers: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -614,10 +629,7 @@ class Measurement:
 
         Raises DataError for an unknown key, for a value that is no number, and as `Measurement` does.
         """
-        try:
-            return cls(**checks.mapped("measurement", data))
-        except TypeError as error:
-            raise DataError(f"a measurement cannot be made so: {error}") from error
+        return cls(**msgspec.structs.asdict(read(MeasurementTable, data, "measurement")))
 
     @classmethod
     def from_file(cls, path: str) -> Measurement:

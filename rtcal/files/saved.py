@@ -183,7 +183,7 @@ def load(path: str | os.PathLike[str]) -> Any:
 def loaded(record: Mapping[str, Any], folder: str | os.PathLike[str] = "") -> Any:
     """Return the result of a file's content, in ``folder``; DataError as `load`, without its name."""
     kind, itself = record.get("rtcal"), record.get(_OBJECT)
-    if "configurations" in record and itself is None:
+    if "configuration" in record and itself is None:
         raise DataError("no saved result but a case: rtcal.finder.Case.from_file reads it")
     if not isinstance(kind, str) or not isinstance(itself, dict):
         raise DataError(f'no saved result: it has no "rtcal" and "{_OBJECT}"; calculate it again')

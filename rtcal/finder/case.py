@@ -1,8 +1,8 @@
 """A case: the stated data of a room and its measurements.
 
-It is read as TOML, which refers to files of the room and the measurements, or as one JSON file. Both
-become the dict that `Case.from_dict` reads. In TOML, the room and the measurements are files in their
-native formats::
+A file has the same keys in TOML and in JSON. The room is the name of a room's file, or a table as
+`rtcal.Room.to_dict` returns it, and so is each measurement: `Case.save` writes one JSON file. What a
+user writes names files::
 
     room = "room.toml"
     equation = "eyring"                  # or sabine, kuttruff, millington
@@ -30,22 +30,22 @@ native formats::
 from __future__ import annotations
 
 import json
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.changes import enough_known, facing
 from rtcal.acoustics.equations import mean_equation
-from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.measurement import Measurement, MeasurementTable
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room import PlainRoom, Room, of_plain, refuse_repeated_data
 from rtcal.calibration.measured import times_in_room
@@ -60,7 +60,7 @@ from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only
 
 PARAMETERS = ("t20", "edt", "t30", "c80", "g")
-"""Parameters that are compared, in the order of a saved case."""
+"""Parameters that are compared."""
 LEVELS = ("c80", "g")
 """Parameters in dB. The uncertainty of the other parameters is relative."""
 MAX_BYTES = 50_000_000
@@ -91,44 +91,22 @@ class ChangedTable(FileTable):
 
 
 class ConfigurationTable(FileTable):
-    """A configuration but for its measurement; see `Configuration`."""
+    """A configuration; see `Configuration`.
+
+    ``measured`` is the name of a measurement's file, or plain values as `Measurement.to_dict` returns
+    them, in the room's bands unless they state theirs. ``parameters`` and ``positions`` are what is to
+    be measured.
+    """
 
     name: str | None = None
-    changes: dict[str, ChangedTable] | None = None
+    measured: str | MeasurementTable | None = None
+    parameters: list[str] | None = None
+    positions: int | None = None
+    planned: bool = False
+    changes: dict[str, ChangedTable] = {}
     suspect_removed: bool = False
     air: Air | None = None
     distances: list[Number] | None = None
-
-
-class _ConfigurationOfFile(ConfigurationTable):
-    """A configuration in TOML: the file of its measurement, or what is to be measured."""
-
-    measured: str | None = None
-    parameters: list[str] | None = None
-    positions: int | None = None
-
-
-_PerBand = list[Number | None]
-_Values = list[_PerBand | Number | None]
-"""A list (n_pairs, n_bands), or (n_bands,) for a single pair; None is missing."""
-
-
-class _ConfigurationData(ConfigurationTable):
-    """A configuration as plain values, with its measurement by parameter."""
-
-    planned: bool = False
-    distance: list[Number] | None = None
-    t20: _Values | None = None
-    edt: _Values | None = None
-    t30: _Values | None = None
-    c80: _Values | None = None
-    g: _Values | None = None
-    pairs: list[tuple[str, str]] | None = None
-    uncertainty: dict[str, _Values] | None = None
-    common_uncertainty: dict[str, _PerBand] | None = None
-    standard_deviation: dict[str, _PerBand] | None = None
-    n_sources: int | None = None
-    n_receivers: int | None = None
 
 
 class Uncertainty(FileTable):
@@ -138,38 +116,24 @@ class Uncertainty(FileTable):
     level: Annotated[float, msgspec.Meta(gt=0, le=20)] | None = None
 
 
-class _RoomOfCase(PlainRoom):
-    """The room of a saved case: with the directions of its materials."""
-
-    facing: list[list[Number]] | None = None
-
-
-class _EffectTable(FileTable):
-    """An effect that was added to a saved case; see `AppliedEffect`."""
+class EffectTable(FileTable):
+    """An effect that was added to a case; see `AppliedEffect`."""
 
     effect: str
     parameters: dict[str, Number]
     size_interval: tuple[Number, Number] | None = None
 
 
-class _CaseData(FileTable):
-    """A saved case."""
+class CaseTable(FileTable):
+    """A case; see `Case`. ``room`` is the name of a room's file, or its plain values."""
 
-    room: _RoomOfCase
-    configurations: list[_ConfigurationData]
+    room: str | PlainRoom
+    configuration: list[ConfigurationTable] = []
     equation: str = "eyring"
     uncertainty: Uncertainty = msgspec.field(default_factory=Uncertainty)
-    present: list[_EffectTable] = []
+    facing: list[list[Number | None]] | None = None
+    applied: list[EffectTable] = []
     climate_uncertainty: tuple[Number, Number] = CLIMATE_UNCERTAINTY
-
-
-class _CaseFile(FileTable):
-    """A case in TOML."""
-
-    room: str
-    equation: str = "eyring"
-    uncertainty: Uncertainty = msgspec.field(default_factory=Uncertainty)
-    configuration: list[_ConfigurationOfFile] = []
 
 
 @dataclass(frozen=True)
@@ -263,33 +227,62 @@ class Configuration:
             alpha[row], sigma[row] = change.alpha, change.sigma
         return alpha, sigma
 
-    def with_uncertainty(self, stated: Uncertainty) -> Configuration:
-        """Return the configuration with uncertainties for the values that state none."""
-        measured = self.measured
+    @classmethod
+    def of(
+        cls, table: ConfigurationTable, room: Room, folder: Path, stated: Uncertainty
+    ) -> Configuration:
+        """Return the configuration of a file's table; its files are named as seen from ``folder``.
+
+        Values that state no uncertainty have the ``stated`` one. Raises DataError as the class, and for
+        a table that is neither measured nor planned.
+        """
+        where = f'configuration "{table.name}"'
+        planned = table.planned or table.parameters is not None
+        if table.parameters is not None:
+            if table.measured is not None:
+                raise DataError(
+                    f"{where}: measured stands beside parameters; it is measured or planned"
+                )
+            measured = _placeholders(where, table.parameters, table.positions, room)
+        elif table.positions is not None:
+            raise DataError(f"{where}: positions has no meaning beside a measurement")
+        elif table.measured is None:
+            raise DataError(f"{where} has no measured = a measurement's file")
+        elif isinstance(table.measured, str):
+            measured = Measurement.from_file(str(folder / table.measured))
+        else:
+            plain = msgspec.structs.asdict(table.measured)
+            if not table.measured.centre_frequencies:
+                plain["centre_frequencies"] = room.centre_frequencies
+            try:
+                measured = Measurement(**plain)
+            except DataError as error:
+                raise DataError(f"{where}: {error}") from error
         added = dict(measured.uncertainty)
         for parameter, values in measured.values.items():
-            if parameter in added:
-                continue
-            if parameter in LEVELS and stated.level is not None:
-                added[parameter] = np.full_like(values, stated.level)
-            elif parameter not in LEVELS and stated.time is not None:
-                added[parameter] = stated.time * values
-        return replace(self, measured=replace(measured, uncertainty=added))
+            level = parameter in LEVELS
+            size = stated.level if level else stated.time
+            if size is not None and parameter not in added:
+                added[parameter] = np.full_like(values, size) if level else size * values
+        return cls(
+            name=table.name or ("planned" if planned else "measured"),
+            measured=replace(measured, uncertainty=added),
+            changes={
+                name: ChangedMaterial(np.array(c.alpha), np.array(c.sigma))
+                for name, c in table.changes.items()
+            },
+            suspect_removed=table.suspect_removed,
+            air=table.air,
+            distances=None if table.distances is None else np.array(table.distances),
+            planned=planned,
+        )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the configuration as plain values for JSON, as `from_dict` reads them."""
-        measured = self.measured.to_dict()
-        more: dict[str, Any] = {"pairs": measured["pairs"]}
-        for name in ("common_uncertainty", "standard_deviation"):
-            if measured.get(name):
-                more[name] = _in_order(measured[name])
-        more |= {k: v for k in ("n_sources", "n_receivers") if (v := measured[k]) is not None}
-        if self.planned:
-            more["planned"] = True
+        """Return the configuration as plain values for JSON, as a `ConfigurationTable` has them."""
         return {
             "name": self.name,
-            **_in_order(measured["values"]),
-            "uncertainty": _in_order(measured["uncertainty"]),
+            "measured": self.measured.to_dict(),
+            "planned": self.planned,
             "changes": {
                 material: {"alpha": json_numbers(c.alpha), "sigma": json_numbers(c.sigma)}
                 for material, c in self.changes.items()
@@ -297,29 +290,84 @@ class Configuration:
             "suspect_removed": self.suspect_removed,
             "air": None if self.air is None else asdict(self.air),
             "distances": None if self.distances is None else json_numbers(self.distances),
-            **more,
         }
 
-    @classmethod
-    def of(
-        cls, table: ConfigurationTable, measured: Measurement, *, planned: bool = False
-    ) -> Configuration:
-        """Return the configuration of a table and its measurement; DataError as the class."""
-        changes = table.changes or {}
-        default = "planned" if planned else "measured"
-        distances = getattr(table, "distance", None) if table.distances is None else table.distances
-        return cls(
-            name=default if table.name is None else table.name,
-            measured=measured,
-            changes={
-                name: ChangedMaterial(np.array(c.alpha), np.array(c.sigma))
-                for name, c in changes.items()
-            },
-            suspect_removed=table.suspect_removed,
-            air=table.air,
-            distances=None if distances is None else np.array(distances),
-            planned=planned,
+    def in_room(self, room: Room) -> Configuration:
+        """Return the configuration with its measurement in the room's bands, as `calibrate` takes it.
+
+        Warns if bands are converted or left out. Raises DataError where it does not fit the room, and
+        for values that no room has.
+        """
+        where = f'configuration "{self.name}"'
+        stated, wanted = self.measured.centre_frequencies, room.centre_frequencies
+        measured = self.measured
+        if stated.tolist() != wanted.tolist():
+            try:
+                measured = measured.in_bands(wanted)
+            except DataError as error:
+                raise DataError(f"{where}: {error}") from error
+            if notes := bands.notes(stated, wanted):
+                warnings.warn(
+                    f"{where}: {'; '.join(notes)}",
+                    OtherBandsWarning,
+                    stacklevel=checks.stack_level(),
+                )
+        if not {"t20", "t30"} & measured.values.keys():
+            raise DataError(f"{where} has neither t20 nor t30")
+        for material, change in self.changes.items():
+            room.material_index(material)
+            for name in ("alpha", "sigma"):
+                if getattr(change, name).shape != (room.n_bands,):
+                    raise DataError(
+                        f'{where}: {name} of "{material}" is not {room.n_bands} values from 0 to 1'
+                    )
+        if self.distances is not None:
+            # A convex room of volume V and surface S is at most S²/(3 pi V) long, as a double cone is.
+            # Three times that is allowed, since the stated area or volume may be wrong.
+            longest = room.total_area**2 / (np.pi * room.volume)
+            rule = "the longest that a room of this volume and area can be"
+            if room.dimensions is not None:
+                longest, rule = float(np.linalg.norm(room.dimensions)), "the room's diagonal"
+            if (most := self.distances.max()) > longest:
+                raise DataError(
+                    f"{where}: distances has {most:g} m; at most {longest:.3g} m, {rule}"
+                )
+        for name in PARAMETERS:
+            kind, values = observable(name), measured.values.get(name, np.zeros((0, 0)))
+            least, most = LEVEL_LIMITS.get(name, kind.limits)
+            with np.errstate(invalid="ignore"):
+                outside = np.isfinite(values) & ~((values >= least) & (values <= most))
+            for i, k in np.argwhere(outside):
+                place = f"{where}: {name} at {bands.label(wanted[k])}"
+                if name not in LEVEL_LIMITS:
+                    kind.refuse(place, values[i, k])
+                raise DataError(
+                    f"{place} = {values[i, k]:g} dB is not from {least:g} to {most:g} dB, which no "
+                    "room exceeds"
+                )
+        return replace(self, measured=measured)
+
+
+def _placeholders(
+    where: str, wanted: Sequence[str], positions: int | None, room: Room
+) -> Measurement:
+    """Return what stands for a measurement that is only planned, of so many positions."""
+    n = 4 if positions is None else positions
+    fits = all(p in PARAMETERS for p in wanted) and "t20" in wanted
+    if not fits or len(set(wanted)) < len(wanted):
+        raise DataError(
+            f"{where}: parameters is not a list of {', '.join(PARAMETERS)}, t20 in it, each once"
         )
+    if not 1 <= n <= MAX_POSITIONS:
+        raise DataError(f"{where}: positions = {n} is not from 1 to {MAX_POSITIONS}")
+    values = np.ones((n, room.n_bands))
+    of_kind = {p: PLANNED_UNCERTAINTY["level" if p in LEVELS else "time"] for p in wanted}
+    return Measurement(
+        centre_frequencies=room.centre_frequencies,
+        values=dict.fromkeys(wanted, values),
+        pairs=[("S", f"R{i + 1}") for i in range(n)],
+        uncertainty={p: u * values for p, u in of_kind.items()},
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -336,9 +384,8 @@ class Case:
         The equation with which the user's model calculates T: the key of a `MeanEquation`, such as
         "eyring", "sabine", "kuttruff" or "millington".
     facing : array (n_materials, 3), optional
-        Share of each material's area whose normal is along x, y and z. By default it follows from what
-        the room states (`rtcal.acoustics.changes.facing`); a material of which nothing says it
-        has a third each.
+        Share of each material's area whose normal is along x, y and z; NaN where nothing says it. By
+        default it follows from what the room states (`rtcal.acoustics.changes.facing`).
     applied : sequence of AppliedEffect
         Effects that `Finding.apply` has added.
     climate_uncertainty : (float, float)
@@ -370,19 +417,14 @@ class Case:
         names = [c.name for c in self.configurations]
         if len(set(names)) < len(names):
             raise DataError(f"configurations = {names}: each has a name of its own")
-        stated = None if self.facing is None else checked_facing(self.room, self.facing)
-        if stated is None or _evenly(stated).all():
-            stated = read_only(spread_where_unknown(_facing(self.room)))
-        object.__setattr__(self, "facing", stated)
+        object.__setattr__(self, "facing", read_only(_checked_facing(self.room, self.facing)))
         climate = checked_climate_uncertainty(self.climate_uncertainty)
         object.__setattr__(self, "climate_uncertainty", climate)
-        check_room(self.room)
+        _check_size(self.room)
         for added in self.applied:
             check_parameters(added.effect, added.parameters, self.room, added.size_interval)
-        configurations = tuple(in_room_bands(self.room, c) for c in self.configurations)
+        configurations = tuple(c.in_room(self.room) for c in self.configurations)
         object.__setattr__(self, "configurations", configurations)
-        for c in self.configurations:
-            check_configuration(self.room, c)
 
     def __repr__(self) -> str:
         names = ", ".join(c.name for c in self.configurations)
@@ -398,35 +440,29 @@ class Case:
 
         Without them an effect that needs them is not judged (`Effect.needs_directions`).
         """
-        evenly = _evenly(self.facing)
-        found = np.where(evenly[:, np.newaxis], np.nan, self.facing)
-        return enough_known(self.room, _facing(self.room) if evenly.all() else found)
+        return enough_known(self.room, self.facing)
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Case:
-        """Return the case of nested plain values, as `to_dict` gives them.
+    def from_dict(cls, data: Mapping[str, Any], folder: str | os.PathLike[str] = "") -> Case:
+        """Return the case of a file's content, as `to_dict` gives it; see `rtcal.finder.case`.
 
-        ``room`` is as `Room.to_dict` returns it, and may hold ``facing``. A configuration holds
-        ``name`` and its parameters, lists (n_pairs, n_bands) or (n_bands,) with None for missing
-        values. ``uncertainty`` holds ``time`` (relative) and ``level`` (dB), for values that state
-        none.
-
-        Raises DataError for an unknown key, for a value of the wrong kind, and as `Case` does.
+        The files that it names are as seen from ``folder``. Raises DataError for an unknown key, for a
+        value of the wrong kind, and as `Case` does.
         """
-        case = read(_CaseData, data)
-        room = Room(**of_plain(case.room))
+        table, folder = _table(data), Path(folder)
+        if isinstance(table.room, str):
+            room = Room.from_file(str(folder / table.room))
+        else:
+            room = Room(**of_plain(table.room))
         return cls(
             room=room,
-            equation=case.equation,
-            facing=cast("Any", case.room.facing),
+            equation=table.equation,
+            facing=table.facing,  # type: ignore[arg-type]  # checked there
             configurations=[
-                Configuration.of(
-                    c, _measurement(c, room.centre_frequencies), planned=c.planned
-                ).with_uncertainty(case.uncertainty)
-                for c in case.configurations
+                Configuration.of(c, room, folder, table.uncertainty) for c in table.configuration
             ],
-            applied=[AppliedEffect(e.effect, e.parameters, e.size_interval) for e in case.present],
-            climate_uncertainty=case.climate_uncertainty,
+            applied=[AppliedEffect(e.effect, e.parameters, e.size_interval) for e in table.applied],
+            climate_uncertainty=table.climate_uncertainty,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -440,33 +476,23 @@ class Case:
                 "since whoever reads it does not know the effect"
             )
         return {
-            "room": {**self.room.to_dict(), "facing": self.facing.tolist()},
+            "room": self.room.to_dict(),
+            "configuration": [c.to_dict() for c in self.configurations],
             "equation": self.equation,
-            "configurations": [c.to_dict() for c in self.configurations],
-            "present": [p.to_dict() for p in self.applied],
+            "facing": json_numbers(self.facing),
+            "applied": [p.to_dict() for p in self.applied],
             "climate_uncertainty": list(self.climate_uncertainty),
         }
 
     @classmethod
     def from_file(cls, path: str) -> Case:
-        """Read a case: TOML as `rtcal.finder.case` says, or the JSON that `save` writes.
+        """Read a case: TOML or JSON, as `rtcal.finder.case` says.
 
         Raises DataError naming the file and the rule.
         """
         text = read_text(path, MAX_BYTES)
         try:
-            if str(path).endswith(".json"):
-                return cls.from_dict(json_object(text))
-            file = _case_file(text)
-            room = Room.from_file(str(Path(path).parent / file.room))
-            return cls(
-                room=room,
-                equation=file.equation,
-                configurations=[
-                    _configuration(Path(path).parent, room, each).with_uncertainty(file.uncertainty)
-                    for each in file.configuration
-                ],
-            )
+            return cls.from_dict(_content(path, text), Path(path).parent)
         except DataError as error:
             raise DataError(f"{path}: {error}") from error
 
@@ -518,25 +544,25 @@ class Case:
         return replace(self, configurations=kept)
 
 
-def _facing(room: Room) -> Array:
-    """Return `facing` of a room, by its mesh where nothing else says the directions."""
-    found = facing(room)
-    if room.scene.mesh is None or np.isfinite(found).all():
-        return found
-    try:
-        return facing(room, geometry_files.read(room))
-    except DataError:  # a search by means reads no mesh where it need not
-        return found
+def _checked_facing(room: Room, stated: Any) -> Array:
+    """Return each material's shares of area along x, y and z, (n_materials, 3); NaN where unknown.
 
-
-def _evenly(shares: Array) -> NDArray[np.bool_]:
-    """Return which materials have a third along each axis, as those of unknown directions."""
-    return np.asarray(np.isclose(shares, 1 / 3).all(axis=1))
-
-
-def spread_where_unknown(shares: Array) -> Array:
-    """Return shares as of `facing`, a third each where they are not known."""
-    return np.where(np.isnan(shares), 1 / 3, shares)
+    None are stated: they are those of the room, by its mesh where nothing else says the directions.
+    """
+    if stated is None:
+        found = facing(room)
+        if room.scene.mesh is None or np.isfinite(found).all():
+            return found
+        try:
+            return facing(room, geometry_files.read(room))
+        except DataError:  # a search by means reads no mesh where it need not
+            return found
+    array = checks.shaped("facing", stated, room.n_materials, 3)
+    total = array.sum(1, keepdims=True)
+    if np.isinf(array).any() or (array < 0).any() or (total <= 0).any():
+        raise DataError("facing has a value below 0, or a row that sums to 0")
+    # Shares from a file already sum to 1; a further division would change their last digit.
+    return np.where(np.abs(total - 1) < 1e-12, array, array / total)
 
 
 def _same_values(one: Measurement, other: Measurement) -> bool:
@@ -556,7 +582,7 @@ _OFF_BOX = 0.1
 """Share by which the volume may differ from that of the stated dimensions."""
 
 
-def check_room(room: Room) -> None:
+def _check_size(room: Room) -> None:
     """Refuse impossible volumes, and dimensions of another volume."""
     least, most = VOLUMES
     if not least <= room.volume <= most:
@@ -571,85 +597,12 @@ def check_room(room: Room) -> None:
             )
 
 
-def checked_facing(room: Room, facing: Any) -> Array:
-    """Return each material's stated shares of area along x, y and z, (n_materials, 3)."""
-    n = room.n_materials
-    array = checks.array("facing", facing)
-    if array.shape != (n, 3):
-        raise DataError(f"facing has shape {array.shape}; it is (n_materials, 3) = ({n}, 3)")
-    total = array.sum(1, keepdims=True)
-    if not np.isfinite(array).all() or (array < 0).any() or (total <= 0).any():
-        raise DataError("facing has a value below 0, or a row that sums to 0")
-    # Shares from a file already sum to 1; a further division would change their last digit.
-    normalised: Array = np.where(np.abs(total - 1) < 1e-12, array, array / total)
-    normalised.setflags(write=False)
-    return normalised
+def _content(path: str, text: str) -> dict[str, Any]:
+    """Return the content of a case's file as plain values."""
+    return json_object(text) if str(path).endswith(".json") else toml_table(text)
 
 
-def in_room_bands(room: Room, c: Configuration) -> Configuration:
-    """Return the configuration with its measurement in the room's bands, as `calibrate` takes it.
-
-    Warns if bands are converted or left out.
-    """
-    stated, wanted = c.measured.centre_frequencies, room.centre_frequencies
-    if stated.tolist() == wanted.tolist():
-        return c
-    where = f'configuration "{c.name}"'
-    try:
-        measured = c.measured.in_bands(wanted)
-    except DataError as error:
-        raise DataError(f"{where}: {error}") from error
-    if notes := bands.notes(stated, wanted):
-        warnings.warn(
-            f"{where}: {'; '.join(notes)}",
-            OtherBandsWarning,
-            stacklevel=checks.stack_level(),
-        )
-    return replace(c, measured=measured)
-
-
-def check_configuration(room: Room, c: Configuration) -> None:
-    """Refuse a configuration that does not fit its room, or with impossible values."""
-    where = f'configuration "{c.name}"'
-    if "t20" not in c.measured.values and "t30" not in c.measured.values:
-        raise DataError(f"{where} has neither t20 nor t30")
-    for material, change in c.changes.items():
-        room.material_index(material)
-        for name in ("alpha", "sigma"):
-            if getattr(change, name).shape != (room.n_bands,):
-                raise DataError(
-                    f'{where}: {name} of "{material}" is not {room.n_bands} values from 0 to 1'
-                )
-    if c.distances is not None:
-        # A convex room of volume V and surface S is at most S²/(3 pi V) long, as a double cone is.
-        # Three times that is allowed, since the stated area or volume may be wrong.
-        longest = room.total_area**2 / (np.pi * room.volume)
-        rule = "the longest that a room of this volume and area can be"
-        if room.dimensions is not None:
-            longest, rule = float(np.linalg.norm(room.dimensions)), "the room's diagonal"
-        if c.distances.max() > longest:
-            raise DataError(
-                f"{where}: distances has {c.distances.max():g} m; at most {longest:.3g} m, {rule}"
-            )
-    for name in PARAMETERS:
-        if name not in c.measured.values:
-            continue
-        kind, values = observable(name), c.measured.values[name]
-        least, most = LEVEL_LIMITS.get(name, kind.limits)
-        with np.errstate(invalid="ignore"):
-            outside = np.isfinite(values) & ~((values >= least) & (values <= most))
-        for i, k in np.argwhere(outside):
-            place = f"{where}: {name} at {bands.label(room.centre_frequencies[k])}"
-            if name not in LEVEL_LIMITS:
-                kind.refuse(place, values[i, k])
-            raise DataError(
-                f"{place} = {values[i, k]:g} dB is not from {least:g} to {most:g} dB, which no room "
-                "exceeds"
-            )
-
-
-def _case_file(text: str) -> _CaseFile:
-    content = toml_table(text)
+def _table(content: Mapping[str, Any]) -> CaseTable:
     if "material" in content:
         raise DataError("this is a room's file; name what was measured in the room beside it")
     if "geometry" in content:
@@ -657,81 +610,11 @@ def _case_file(text: str) -> _CaseFile:
             "a case states no geometry: write [geometry] with mesh, [sources] and [receivers] into "
             "the room's file, and name it and the measurement: room.toml pairs.csv"
         )
-    file = read(_CaseFile, content)
-    if not file.room.strip():
-        raise DataError("room is not the name of a room's file")
-    return file
+    return read(CaseTable, content)
 
 
 def files_of_case(path: str) -> list[Path]:
     """Return the paths that a valid case file refers to, itself included."""
-    case = Path(path)
-    if path.endswith(".json"):
-        return [case]
-    file = _case_file(read_text(path, MAX_BYTES))
-    names = [file.room, *(c.measured for c in file.configuration if c.measured is not None)]
-    return [case, *(case.parent / name for name in names)]
-
-
-def _configuration(folder: Path, room: Room, table: _ConfigurationOfFile) -> Configuration:
-    """Return a configuration of a TOML file, with its measurement of another file."""
-    where = f'configuration "{table.name}"'
-    if table.parameters is None:
-        if table.positions is not None:
-            raise DataError(f"{where}: positions has no meaning beside a measurement")
-        if not (table.measured or "").strip():
-            raise DataError(f"{where} has no measured = a measurement's file")
-        return Configuration.of(table, Measurement.from_file(str(folder / str(table.measured))))
-    if table.measured is not None:
-        raise DataError(
-            f"{where}: measured stands beside parameters; a configuration is measured or planned"
-        )
-    wanted, n = table.parameters, 4 if table.positions is None else table.positions
-    fits = all(p in PARAMETERS for p in wanted) and "t20" in wanted
-    if not fits or len(set(wanted)) < len(wanted):
-        raise DataError(
-            f"{where}: parameters is not a list of {', '.join(PARAMETERS)}, t20 in it, each once"
-        )
-    if not 1 <= n <= MAX_POSITIONS:
-        raise DataError(f"{where}: positions = {n} is not from 1 to {MAX_POSITIONS}")
-    values = np.ones((n, room.n_bands))
-    of_kind = {p: PLANNED_UNCERTAINTY["level" if p in LEVELS else "time"] for p in wanted}
-    measured = Measurement(
-        centre_frequencies=room.centre_frequencies,
-        values=dict.fromkeys(wanted, values),
-        pairs=[("S", f"R{i + 1}") for i in range(n)],
-        uncertainty={p: u * values for p, u in of_kind.items()},
-    )
-    return Configuration.of(table, measured, planned=True)
-
-
-def _measurement(table: _ConfigurationData, centre_frequencies: Array) -> Measurement:
-    """Return the measurement of a configuration's plain values, measured in these bands in Hz."""
-    where = f'configuration "{table.name or "measured"}"'
-    stated = {k: v for k, v in msgspec.structs.asdict(table).items() if v is not None}
-    values: dict[str, Any] = {p: _rows(stated[p]) for p in PARAMETERS if p in stated}
-    if not values:
-        raise DataError(f"{where} has none of {', '.join(PARAMETERS)}")
-    n_pairs = len(next(iter(values.values())))
-    uncertainty: dict[str, Any] = {p: _rows(u) for p, u in (table.uncertainty or {}).items()}
-    more = ("common_uncertainty", "standard_deviation", "n_sources", "n_receivers")
-    try:
-        return Measurement(
-            centre_frequencies=centre_frequencies,
-            values=values,
-            pairs=stated.get("pairs", [("S", f"R{i + 1}") for i in range(n_pairs)]),
-            uncertainty=uncertainty,
-            **{k: stated[k] for k in more if k in stated},
-        )
-    except DataError as error:
-        raise DataError(f"{where}: {error}") from error
-
-
-def _rows(values: Any) -> list[Any]:
-    """Return nested lists; the values of a single pair become a list with one row."""
-    return values if values and isinstance(values[0], list) else [values]
-
-
-def _in_order(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the tables in the order of `from_dict`: a case that is read and saved keeps its bytes."""
-    return {p: tables[p] for p in PARAMETERS if p in tables}
+    table = _table(_content(path, read_text(path, MAX_BYTES)))
+    names = [table.room, *(c.measured for c in table.configuration)]
+    return [Path(path), *(Path(path).parent / name for name in names if isinstance(name, str))]

@@ -94,12 +94,12 @@ class RoomState:
 
     @classmethod
     def of_room(cls, room: Room, facing: Array, equation: str = "eyring") -> RoomState:
-        """Return a room as it is stated; ``facing`` as `Case` has it."""
+        """Return a room as it is stated; ``facing`` as `Case` has it, a third where it is unknown."""
         return cls(
             volume=room.volume,
             areas=room.areas,
             alpha=np.array(room.alpha),
-            facing=facing,
+            facing=read_only_view(np.where(np.isfinite(facing), facing, 1 / 3)),
             air=room.air_attenuation,
             frequencies=room.centre_frequencies,
             speed_of_sound=room.speed_of_sound,

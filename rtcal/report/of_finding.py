@@ -574,7 +574,7 @@ def correct(
     ]
     record |= {
         "sentence": sentence,
-        "present": [p.to_dict() for p in case.applied],
+        "applied": [p.to_dict() for p in case.applied],
         "calibrated": calibrated.to_dict(),
         "not_in_room": absent,
     }

@@ -94,7 +94,7 @@ def test_what_no_room_can_have_is_no_part_of_a_case(
     with pytest.raises(DataError, match=f'effect "{name}"'):
         replace(case, applied=[AppliedEffect(name, parameters, interval)])
     data = case.to_dict() | {
-        "present": [{"effect": name, "parameters": parameters, "size_interval": interval}]
+        "applied": [{"effect": name, "parameters": parameters, "size_interval": interval}]
     }
     with pytest.raises(DataError, match=f'effect "{name}"'):
         Case.from_dict(data)

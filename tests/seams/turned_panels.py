@@ -78,11 +78,11 @@ def laboratory(turned: float = 0.9, seed: int = 1, *, turned_back: bool = False)
                     "alpha": PRIOR,
                     "sigma": sigma,
                     "band_correlation": 0.7,
-                    "facing": facing / facing.sum(1, keepdims=True),
                     "air": {"temperature": 20.0, "humidity": 45.0},
                 },
+                "facing": facing / facing.sum(1, keepdims=True),
                 "uncertainty": {"time": 0.02, "level": 0.3},
-                "configurations": configurations,
+                "configuration": configurations,
             }
         )
     )

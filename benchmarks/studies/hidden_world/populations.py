@@ -400,7 +400,6 @@ def measure(h: Hidden, world: World, seed: int, rng: np.random.Generator) -> dic
     radius = 0.5 * (h.volume / 200) ** 0.25
     found = trace(world, 6000, seed, width=width, length=max(1.1 * longest, 0.6), radius=radius)
     distances = np.linalg.norm(world.receivers - world.source, axis=1)
-    out: dict[str, Any] = {"distance": distances}
     names = ("t20", "edt", "t30", "c80", "g")
     values = np.empty((len(names), len(distances), N))
     for r, distance in enumerate(distances):
@@ -410,7 +409,15 @@ def measure(h: Hidden, world: World, seed: int, rng: np.random.Generator) -> dic
             values[:, r, b] = [one[n] for n in names]
     values[:3] *= np.exp(0.02 * rng.standard_normal(values[:3].shape))
     values[3:] += 0.3 * rng.standard_normal(values[3:].shape)
-    return out | dict(zip(names, values, strict=True))
+    return as_measured(dict(zip(names, values, strict=True)), distances)
+
+
+def as_measured(values: dict[str, Any], distances: Any = None) -> dict[str, Any]:
+    """Return what a configuration states of values (n_pairs, n_bands) or of means (n_bands,)."""
+    rows = {name: np.atleast_2d(table) for name, table in values.items()}
+    pairs = [("S", f"R{i + 1}") for i in range(len(rows["t20"]))]
+    stated = {} if distances is None else {"distances": distances}
+    return {**stated, "measured": {"pairs": pairs, "values": rows}}
 
 
 def plain(value: Any) -> Any:
@@ -442,15 +449,15 @@ def build(population: int, kind: int, index: int) -> dict[str, Any]:
             "alpha": h.mu,
             "sigma": h.sigma,
             "band_correlation": 0.7,
-            "facing": facing / facing.sum(1, keepdims=True),
             "air": h.stated["air"],
         },
         "equation": h.stated["equation"],
         "uncertainty": {"time": 0.02, "level": 0.3},
-        "configurations": [],
+        "facing": facing / facing.sum(1, keepdims=True),
+        "configuration": [],
     }
     first = {"name": "A", **measure(h, h.world, int(rng.integers(2**31)), rng)}
-    case["configurations"].append(first)
+    case["configuration"].append(first)
     truth = {"alpha": h.alpha, "areas": h.areas, "volume": h.volume, "effects": h.truth}
     truth |= {"scattering": h.world.scattering, "seed": [population, kind, index]}
     if kind in TOGGLED:
@@ -469,5 +476,5 @@ def build(population: int, kind: int, index: int) -> dict[str, Any]:
         truth["alpha_b"] = alpha[j]
     else:
         return plain({"case": case, "truth": truth})
-    case["configurations"].append(second | measure(h, h.world, int(rng.integers(2**31)), rng))
+    case["configuration"].append(second | measure(h, h.world, int(rng.integers(2**31)), rng))
     return plain({"case": case, "truth": truth})

@@ -28,8 +28,8 @@ def closed() -> dict[str, Any]:
     rng = np.random.default_rng([*SEED, 2])
     wall = replace(room.world, patch_wall=-1, patch_alpha=None)
     again = measure(room, wall, int(rng.integers(2**31)), rng)
-    case["configurations"] = [
-        case["configurations"][0],
+    case["configuration"] = [
+        case["configuration"][0],
         plain({"name": "C", "suspect_removed": True, **again}),
     ]
     return case

@@ -584,7 +584,7 @@ def measure(
     seed: int,
     rng: np.random.Generator,
     n_rays: int = 8000,
-) -> dict[str, np.ndarray]:
+) -> tuple[dict[str, Any], np.ndarray]:
     """Return parameters (5 pairs, n_bands) with noise, and distances in m."""
     radius = float(np.clip(0.09 * made.volume ** (1 / 3), 0.3, 0.9))
     source, receivers = places(made, np.random.default_rng([seed, 7]), radius)
@@ -620,7 +620,7 @@ def measure(
             for r in range(len(receivers))
         ]
     )
-    out = {"distance": distance}
+    out: dict[str, Any] = {}
     bandwidth = 0.71 * BANDS
     for i, name in enumerate(PARAMETERS):
         value = values[:, :, i]
@@ -631,7 +631,15 @@ def measure(
             out[name] = value * np.exp(both / 2 + theory / 3 * rng.standard_normal(value.shape))
         else:
             out[name] = value + both / 2 + 0.3 * rng.standard_normal(value.shape)
-    return out
+    return out, distance
+
+
+def as_measured(values: dict[str, Any], distances: Any = None) -> dict[str, Any]:
+    """Return what a configuration states of values (n_pairs, n_bands) or of means (n_bands,)."""
+    rows = {name: np.atleast_2d(table) for name, table in values.items()}
+    pairs = [("S", f"R{i + 1}") for i in range(len(rows["t20"]))]
+    stated = {} if distances is None else {"distances": distances}
+    return {**stated, "measured": {"pairs": pairs, "values": rows}}
 
 
 def plain(value: Any) -> Any:
@@ -668,12 +676,16 @@ def build(population: int, kind: int, index: int) -> dict[str, Any]:
         "areas": made.stated["areas"],
         "alpha": made.mu,
         "sigma": np.maximum(0.3 * made.mu, 0.02),
-        "facing": facing / facing.sum(1, keepdims=True),
         "air": None
         if climate is None
         else {"temperature": round(climate[0]), "humidity": round(climate[1])},
     }
-    case: dict[str, Any] = {"room": room, "equation": made.stated["equation"], "configurations": []}
+    case: dict[str, Any] = {
+        "room": room,
+        "equation": made.stated["equation"],
+        "facing": facing / facing.sum(1, keepdims=True),
+        "configuration": [],
+    }
     if statement == "stated":
         case["uncertainty"] = {"time": 0.03, "level": 0.6}
     seed = int(rng.integers(2**31))
@@ -703,11 +715,9 @@ def build(population: int, kind: int, index: int) -> dict[str, Any]:
         )
         truth["alpha_b"] = covered
     for k, (name, walls, climate, more) in enumerate(configurations):
-        measured = measure(made, walls, climate, seed + k, rng)
+        values, distances = measure(made, walls, climate, seed + k, rng)
+        measured = as_measured(values, distances)
         if statement == "means":
-            measured = {
-                p: np.nanmean(v, axis=0) if p != "distance" else v for p, v in measured.items()
-            }
-            del measured["distance"]
-        case["configurations"].append({"name": name, **measured, **more})
+            measured = as_measured({p: np.nanmean(v, axis=0) for p, v in values.items()})
+        case["configuration"].append({"name": name, **measured, **more})
     return plain({"case": case, "truth": truth})

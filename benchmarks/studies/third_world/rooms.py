@@ -267,10 +267,8 @@ def places(made: Made, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray
     return points[0], np.array(points[1:])
 
 
-def measured(
-    made: Made, alpha: np.ndarray, seed: int, rng: np.random.Generator
-) -> dict[str, np.ndarray]:
-    """Return parameters (3 pairs, n_bands) with noise, and distances in m."""
+def measured(made: Made, alpha: np.ndarray, seed: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Return what a configuration states: parameters (3 pairs, n_bands) with noise, distances in m."""
     from benchmarks.studies.third_world.engine import echogram
 
     source, receivers = places(made, np.random.default_rng([seed, 7]))
@@ -292,7 +290,7 @@ def measured(
         echo[:, int(delay / WIDTH)] += np.exp(-air * distance[r]) / (4 * np.pi * distance[r] ** 2)
         for k in range(N):
             values[r, k] = second.evaluate(echo[k], WIDTH, delay, made.noise_floor_db)
-    out: dict[str, np.ndarray] = {"distance": distance}
+    out: dict[str, np.ndarray] = {}
     for i, name in enumerate(PARAMETERS):
         value = values[:, :, i]
         both = rng.standard_normal(N) * COMMON[name]
@@ -301,7 +299,7 @@ def measured(
             out[name] = value * np.exp(both / 2 + theory / 3 * rng.standard_normal(value.shape))
         else:
             out[name] = value + both / 2 + 0.3 * rng.standard_normal(value.shape)
-    return out
+    return second.as_measured(out, distance)
 
 
 def facing_of(made: Made) -> np.ndarray:
@@ -332,11 +330,11 @@ def build(population: int, kind: int, index: int) -> dict[str, Any]:
             "areas": made.areas,
             "alpha": made.mu,
             "sigma": sigma,
-            "facing": facing_of(made),
             "air": {"temperature": round(made.climate[0]), "humidity": round(made.climate[1])},
         },
         "equation": "eyring",
-        "configurations": [],
+        "facing": facing_of(made),
+        "configuration": [],
     }
     if statement == "stated":
         case["uncertainty"] = {"time": 0.03, "level": 0.6}
@@ -352,7 +350,7 @@ def build(population: int, kind: int, index: int) -> dict[str, Any]:
         configurations.append(("B", alpha, {"changes": change}))
     for k, (name, alpha, more) in enumerate(configurations):
         found = measured(made, alpha, seed + 10 * k, rng)
-        case["configurations"].append({"name": name, **found, **more})
+        case["configuration"].append({"name": name, **found, **more})
     truth = made.truth | {
         "alpha": made.alpha,
         "statement": statement,

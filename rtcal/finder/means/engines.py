@@ -128,7 +128,7 @@ def box(case: Case) -> tuple[Room, Polyhedron, Array]:
     With the shares (n_materials, 3), the case's alpha gives the mean alpha of the walls of an axis.
     """
     room = case.room
-    towards = room.areas[:, None] * case.facing
+    towards = room.areas[:, None] * np.where(np.isfinite(case.facing), case.facing, 1 / 3)
     total = np.maximum(towards.sum(0), 1e-3 * room.total_area)
     if room.dimensions is not None:
         sides = np.array(room.dimensions)

@@ -30,7 +30,7 @@ from rtcal.acoustics.changes import facing
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, observable
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.finder.case import PARAMETERS, Case, Configuration, spread_where_unknown
+from rtcal.finder.case import PARAMETERS, Case, Configuration
 from rtcal.finder.claim import (
     CLAIMED,
     DISTINCT_NATS,
@@ -254,7 +254,7 @@ def of_means(case: PositionsCase) -> Case:
         configurations=[
             Configuration(name="measured", measured=kept, distances=np.array(distances))
         ],
-        facing=spread_where_unknown(facing(case.room, case.geometry)),
+        facing=facing(case.room, case.geometry),
     )
 
 
