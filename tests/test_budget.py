@@ -14,9 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rtcal.io import budget
-from rtcal.support.errors import DataError
-
 BOX = "0 0 0 5 0 0 0 4 0 5 4 0 0 0 3 5 0 3 0 4 3 5 4 3"
 
 
@@ -75,8 +72,10 @@ def collada(depth: int) -> bytes:
         '<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" '
         'version="1.4.1"><asset><unit meter="1"/><up_axis>Z_UP</up_axis></asset><library_geometries>'
         '<geometry id="g"><mesh><source id="p"><float_array id="a" count="24">'
-        f'{BOX}</float_array></source><vertices id="v"><input semantic="POSITION" source="#p"/>'
-        '</vertices><triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 2 3'
+        f'{BOX}</float_array><technique_common><accessor source="#a" count="8" stride="3">'
+        '<param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/>'
+        '</accessor></technique_common></source><vertices id="v"><input semantic="POSITION" '
+        'source="#p"/></vertices><triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 2 3'
         "</p></triangles></mesh></geometry></library_geometries><library_nodes>"
         f'{nodes}<node id="n{depth}"><instance_geometry url="#g"/></node></library_nodes>'
         '<library_visual_scenes><visual_scene id="s"><node id="top"><instance_node url="#n0"/>'
@@ -152,7 +151,6 @@ HOSTILE: dict[str, Callable[[], bytes]] = {
         b"ply\nformat binary_little_endian 1.0\nelement vertex 8\nproperty float x\nproperty float y\n"
         b"property float z\nelement face 900000000\nproperty list uchar int vertex_index\nend_header\n"
     ),
-    "corners.off": lambda: b"OFF\n900000000 6 0\n0 0 0\n",
     "triangles.stl": lambda: bytes(80) + struct.pack("<I", 400_000) + bytes(50 * 400_000),
 }
 
@@ -206,15 +204,6 @@ def test_what_is_declared_beyond_the_budget_is_refused_before_it_is_loaded(tmp_p
         assert "at most" in said or "several parents" in said, f"{name}: {said}"
         assert seconds < 2, f"{name} took {seconds:.1f} s"
     assert told["megabytes"] < 300
-
-
-def test_instances_count_as_often_as_they_are_drawn() -> None:
-    own = {"chair": 10, "row": 2, "hall": 0}
-    parts = {"row": ["chair"] * 4, "hall": ["row", "row", "chair"]}
-    assert budget.instances(own, parts, ["hall"], "x.dae") == 2 * (2 + 40) + 10
-    assert budget.instances(own, parts, [], "x.dae") == 0
-    with pytest.raises(DataError, match="instance of itself"):
-        budget.instances({"a": 0, "b": 0}, {"a": ["b"], "b": ["a"]}, ["a"], "x.dae")
 
 
 def test_what_is_within_the_budget_is_read(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
 
 from rtcal.support.errors import DataError
 
@@ -54,43 +53,3 @@ def members(content: bytes, path: str, kind: str) -> dict[str, int]:
         raise DataError(f"{path}: not {kind}: {error}") from error
     require(sum(sizes.values()), MAX_UNPACKED, "bytes when unpacked", path)
     return sizes
-
-
-def instances(
-    own: Mapping[str, int], parts: Mapping[str, Sequence[str]], roots: Iterable[str], path: str
-) -> int:
-    """Return how many faces, or instances of parts without any, the roots have in all.
-
-    Parameters
-    ----------
-    own : mapping of str to int
-        Number of faces that stand in a part itself.
-    parts : mapping of str to sequence of str
-        The parts that a part has instances of.
-    roots : iterable of str
-        The parts that are drawn.
-    path : str
-        The file, for messages.
-
-    Raises
-    ------
-    DataError
-        If a part has an instance of itself.
-    """
-    total: dict[str, int] = {}
-    waiting = [*roots]
-    begun: set[str] = set()
-    while waiting:
-        name = waiting[-1]
-        further = [part for part in parts.get(name, ()) if part in own and part not in total]
-        if name in total or not further:
-            inner = sum(total.get(part, 1) for part in parts.get(name, ()))
-            total.setdefault(name, max(1, own.get(name, 0) + inner))
-            begun.discard(name)
-            waiting.pop()
-            continue
-        begun.add(name)
-        if any(part in begun for part in further):
-            raise DataError(f'{path}: part "{name}" has an instance of itself')
-        waiting += further
-    return sum(total[name] for name in roots)

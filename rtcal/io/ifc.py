@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -77,10 +78,9 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
     except OSError as error:
         raise DataError(f"{path}: {error.strerror or error}") from error
     budget.require(size, MAX_IFC, "bytes", path, "export one storey, or the room alone")
-    _require_end(path)
+    _require_sound(path)
     try:
         model = ifcopenshell.open(path)
-        _require_ends(path, model.by_type("IfcUnitAssignment"))
         length = float(ifcopenshell.util.unit.calculate_unit_scale(model))
         spaces = {_title(s): s for s in model.by_type("IfcSpace")}
     except DataError:
@@ -93,7 +93,6 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
     if not 0 < length < np.inf:
         raise DataError(f"{path}: its unit of length is {length:g} m; it must be above 0")
     chosen = _chosen(path, spaces, space)
-    _require_ends(path, [spaces[chosen], *(spaces[chosen].BoundedBy or ())])
     place = f'{path}: space "{shown(chosen)}"'
     gap, open_by = _close_outlines(spaces[chosen], length, weld, place)
     try:
@@ -230,53 +229,33 @@ _DEEPEST = 1000
 """Most entities that refer to each other in a row: ifcopenshell follows them on the stack."""
 
 
-def _require_end(path: str) -> None:
-    """Raise DataError for a file without its last line: what it lost would be missing in silence."""
-    with open(path, "rb") as file:
-        file.seek(max(os.stat(path).st_size - 1000, 0))
-        if _END not in file.read().upper().replace(b" ", b""):
-            raise DataError(
-                f"{path}: cannot be read as IFC: it lacks its last line, {_END.decode()}: it is cut "
-                "off, or no IFC 2x3 or 4. Copy or export the model again"
-            )
+def _require_sound(path: str) -> None:
+    """Raise DataError for a file that is cut off or whose entities refer to each other without an end.
 
-
-def _require_ends(path: str, entities: Iterable[Any]) -> None:
-    """Raise DataError where an entity refers to itself by way of others, or very many follow another.
-
-    ifcopenshell would follow them until the process ends.
+    What a file without its last line lost would be missing in silence. ifcopenshell would follow an
+    entity that refers to itself, by way of others, until the process ends.
     """
-    done: set[int] = set()
-    for root in entities:
-        above, stack = {root.id()}, [(root, _references(root))]
-        while stack:
-            entity, references = stack[-1]
-            try:
-                following = next(references)
-            except StopIteration:
-                stack.pop()
-                above.discard(entity.id())
-                done.add(entity.id())
-                continue
-            if following.id() in above or len(stack) > _DEEPEST:
-                which = "refers to itself" if following.id() in above else "has too many above it"
-                raise DataError(
-                    f"{path}: #{following.id()} ({following.is_a()}) {which}. Export the model again"
-                )
-            if following.id() not in done:
-                above.add(following.id())
-                stack.append((following, _references(following)))
-
-
-def _references(entity: Any) -> Iterator[Any]:
-    """Yield the numbered entities to which one refers."""
-    values = [*entity]
-    while values:
-        value = values.pop()
-        if isinstance(value, tuple):
-            values += value
-        elif hasattr(value, "is_a") and value.id():
-            yield value
+    content = re.sub(rb"'[^']*'", b"", Path(path).read_bytes())
+    if _END not in content[-1000:].upper().replace(b" ", b""):
+        raise DataError(
+            f"{path}: cannot be read as IFC: it lacks its last line, {_END.decode()}: it is cut "
+            "off, or no IFC 2x3 or 4. Copy or export the model again"
+        )
+    statements = re.findall(rb"^\s*#(\d+)\s*=([^;]*);", content, re.MULTILINE)
+    order = TopologicalSorter({own: re.findall(rb"#(\d+)", to) for own, to in statements})
+    deep = 0
+    try:
+        order.prepare()
+    except CycleError as error:
+        at = error.args[1][0].decode()
+        raise DataError(f"{path}: #{at} refers to itself. Export the model again") from error
+    while order.is_active():
+        order.done(*order.get_ready())
+        deep += 1
+    if deep > _DEEPEST:
+        raise DataError(
+            f"{path}: {deep} entities refer to each other in a row; at most {_DEEPEST} are read"
+        )
 
 
 def _triangles(ifcopenshell: Any, space: Any) -> Array:

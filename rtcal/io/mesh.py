@@ -1,7 +1,7 @@
 """Meshes of every format as `rtcal.io.mend.Faces`: what is drawn, with the names of its materials.
 
-A format is one reader, which returns what a file draws in its own unit: OBJ and OFF by own code, DXF by
-ezdxf, COLLADA (.dae), which SketchUp writes, by pycollada, PLY by plyfile, and the others by trimesh
+A format is one reader, which returns what a file draws in its own unit: OBJ and 3MF by own code, DXF by
+ezdxf, COLLADA (.dae), which SketchUp writes, by pycollada, PLY by plyfile, STL and glTF by trimesh
 (all ``rtcal[mesh]``). trimesh reads COLLADA, too, but not the materials' names. A mesh
 without materials, such as STL, has one, named after its file. Objects of 3MF, which have names and no
 materials, are materials. Of DXF (text) 3D faces, polyface and polygon meshes and meshes are read; the
@@ -19,7 +19,7 @@ import re
 import struct
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,7 +31,7 @@ import numpy as np
 from rtcal.files.disk import read_bytes
 from rtcal.io import budget, ifc, obj, units
 from rtcal.io.mend import WELD, Faces, Mended, MeshError, mended
-from rtcal.io.text import decode, lines, number, shown
+from rtcal.io.text import decode, number, shown
 from rtcal.support import checks, library
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError, MissingDependencyError, RtcalError
@@ -59,14 +59,15 @@ _ROOMS = 1.5, 1000.0
 """Least and largest length in m of the longest side of the box around a room."""
 
 
+Row = tuple[str, str, Any]
+"""Material, name and corners (n, 3) of a face, in the file's unit."""
+
+
 @dataclass
 class _Drawn:
-    """What a file draws: material, name and corners (n, 3) of each face in the file's unit.
+    """What a file draws, the length in m of the unit that it states, and whether y is up in it."""
 
-    ``unit`` is the length in m that the file states; ``y_is_up`` whether y is up.
-    """
-
-    faces: Iterable[tuple[str, str, Any]]
+    faces: Iterable[Row]
     unit: float | None = None
     y_is_up: bool = False
     notes: Sequence[str] = ()
@@ -226,7 +227,7 @@ def _by_ezdxf(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
         unit = units.OF_DXF.get(int(code))
     section = content.partition(b"ENTITIES")[2].partition(b"ENDSEC")[0]
     others = Counter(k for k in map(bytes.decode, _KIND.findall(section)) if k not in _DXF)
-    faces: list[tuple[str, str, Any]] = []
+    faces: list[Row] = []
     with _parsing(path, "DXF"):
         encoding = ezdxf.filemanagement.dxf_file_info(path).encoding
         for entity in ezdxf.addons.iterdxf.modelspace(path, types=_DXF):
@@ -261,15 +262,12 @@ def _faces_of_dxf(ezdxf: Any, entity: Any) -> list[Sequence[Any]] | None:
     return None
 
 
-def _by_trimesh(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
+def _by_trimesh(content: bytes, path: str, _unit: bool) -> _Drawn:
     """Return the faces of a scene that trimesh reads; each triangle is a face."""
     needed = "this format needs trimesh: pip install 'rtcal[mesh]'; OBJ does not"
     trimesh = library(needed, "trimesh")
     ending, source = Path(path).suffix.lower(), io.BytesIO(content)
-    unit, notes = (1.0 if ending in _Y_UP else None), list[str]()
-    if ending == ".3mf":
-        unit, notes = _head_of_3mf(content, path, unit_is_stated)
-    elif ending == ".stl":
+    if ending == ".stl":
         is_text = content[:5].lower() == b"solid" and b"facet" in content[:1000]
         n = content.count(b"facet normal") if is_text else (len(content) - 84) // 50
         budget.require(n, budget.MAX_FACES, "triangles", path, _SIMPLER)
@@ -286,124 +284,71 @@ def _by_trimesh(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
         ]
     count = sum(len(g.faces) for _, g, _ in parts)
     budget.require(count, budget.MAX_FACES, "triangles", path, _SIMPLER)
-    faces: list[tuple[str, str, Any]] = []
+    faces: list[Row] = []
     for name, geometry, transform in parts:
         points = np.asarray(geometry.vertices, dtype=float) @ transform[:3, :3].T + transform[:3, 3]
-        index = np.asarray(geometry.faces)
-        if index.size and not 0 <= index.min() <= index.max() < len(points):
-            raise DataError(f'{path}: part "{shown(name)}" has a face without its corners')
-        # An object of 3MF has a name and no material: its author tells surfaces apart by it.
         own = getattr(getattr(getattr(geometry, "visual", None), "material", None), "name", None)
-        material = str(own or (name if ending == ".3mf" and len(parts) > 1 else ""))
-        faces += [(material, name, corners) for corners in points[index]]
-    return _Drawn(faces, unit, ending in _Y_UP, notes)
+        for face in np.asarray(geometry.faces).tolist():
+            faces.append((str(own or ""), name, points[_known(face, len(points), name, path)]))
+    return _Drawn(faces, 1.0 if ending in _Y_UP else None, ending in _Y_UP)
 
 
-def _head_of_3mf(content: bytes, path: str, unit_is_stated: bool) -> tuple[float | None, list[str]]:
-    """Return the unit in m of a 3MF file and what is not read of it; DataError beyond the budget."""
+_3MF = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
+
+
+def _by_3mf(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
+    """Return the faces of a 3MF file; its objects, which have names, are the materials if several."""
     sizes = budget.members(content, path, "a 3MF file")
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        models = [name for name in sizes if name.lower().endswith(".model")]
-        heads = _within_budget((archive.open(name) for name in models), path, "3mf")
-    stated = heads.get("model", {}).get("unit", "millimeter")  # the format's default
+    stated, notes = "millimeter", list[str]()  # the format's default
+    objects: dict[str, Any] = {}
+    items: list[Any] = []
+    with _parsing(path, "3mf"), zipfile.ZipFile(io.BytesIO(content)) as archive:
+        for name in (name for name in sizes if name.lower().endswith(".model")):
+            model = ElementTree.fromstring(archive.read(name))
+            stated = model.get("unit", stated)
+            objects |= {of.get("id", ""): of for of in model.iter(f"{_3MF}object")}
+            items += model.iter(f"{_3MF}item")
+            if next(model.iter(f"{_3MF}base"), None) is not None:
+                notes = ["the file's materials are not read: its objects are the materials"]
     if not unit_is_stated and stated not in units.OF_3MF:
         raise DataError(
             f'{path}: unit "{shown(stated)}" is none of 3MF\'s, which are '
             f"{listed([*units.OF_3MF])}; state its length in m, such as unit = 0.01"
         )
-    note = "the file's materials are not read: its objects are the materials"
-    return units.OF_3MF.get(stated), [note] * ("base" in heads)
+
+    def placed(instance: Any, above: Array) -> Iterator[list[Row]]:
+        own = (instance.get("transform") or "1 0 0 0 1 0 0 0 1 0 0 0").split()
+        matrix = np.column_stack([np.reshape(own, (4, 3)).astype(float), [0, 0, 0, 1]]) @ above
+        of = objects[instance.get("objectid")]
+        name = of.get("name") or f"object {of.get('id')}"
+        corners = [[float(v.get(a)) for a in "xyz"] for v in of.iter(f"{_3MF}vertex")]
+        points = np.reshape(corners, (-1, 3)) @ matrix[:3, :3] + matrix[3, :3]
+        index = [[int(v.get(a)) for a in ("v1", "v2", "v3")] for v in of.iter(f"{_3MF}triangle")]
+        yield [("", name, points[_known(face, len(points), name, path)]) for face in index]
+        for component in of.iter(f"{_3MF}component"):
+            yield from placed(component, matrix)
+
+    with _parsing(path, "3mf"):
+        faces = _within_budget((rows for item in items for rows in placed(item, np.eye(4))), path)
+    several = len({name for _, name, _ in faces}) > 1
+    named = [(name if several else "", name, corners) for _, name, corners in faces]
+    return _Drawn(named, units.OF_3MF.get(stated), notes=notes)
 
 
-_OWNERS = ("object", "build", "node", "geometry", "visual_scene")
-_ROOTS = ("build", "visual_scene")
-_DRAWN = ("triangle", "triangles", "polylist", "polygons", "tristrips", "trifans")
-_INSTANCES = ("component", "item", "instance_node", "instance_geometry", "instance_controller")
+def _known(face: Sequence[int], n_points: int, part: str, path: str) -> list[int]:
+    """Return a face's corners by their numbers; DataError for one of which the file has no point."""
+    if len(face) < 3 or not 0 <= min(face) <= max(face) < n_points:
+        raise DataError(f'{path}: part "{shown(part)}" has a face without its corners')
+    return [*face]
 
 
-def _within_budget(streams: Iterable[Any], path: str, kind: str) -> dict[str, Mapping[str, str]]:
-    """Return the first element of each kind in files of XML (3MF, COLLADA), by its attributes.
-
-    Raises DataError if the instances of what they define have more faces than the budget.
-    """
-    faces: dict[str, int] = {}
-    parts: dict[str, list[str]] = {}
-    within: list[str] = []  # the ids of the owners around an element
-    heads: dict[str, Mapping[str, str]] = {}
-    roots: list[str] = []
-    with _parsing(path, kind):
-        for stream in streams:
-            for event, element in ElementTree.iterparse(stream, ("start", "end")):
-                tag = element.tag.rpartition("}")[2]
-                if event == "end":
-                    within = within[:-1] if tag in _OWNERS else within
-                    element.clear()
-                    continue
-                heads.setdefault(tag, dict(element.attrib))
-                if tag in _OWNERS:
-                    name = element.get("id") or f"{tag} {len(faces)}"
-                    faces.setdefault(name, 0)
-                    parts.setdefault(name, [])
-                    if within:
-                        parts[within[-1]].append(name)
-                    roots += [name] * (tag in _ROOTS)
-                    within = [*within, name]
-                elif within and tag in _DRAWN:
-                    faces[within[-1]] += 1 if tag == "triangle" else int(element.get("count") or 0)
-                elif within and tag in _INSTANCES:
-                    of = element.get("url") or element.get("objectid") or ""
-                    parts[within[-1]].append(of.removeprefix("#"))
-    total = budget.instances(faces, parts, roots, path)
-    budget.require(total, budget.MAX_FACES, "faces", path, _SIMPLER)
-    return heads
-
-
-def _off(content: bytes, path: str, _unit: bool) -> _Drawn:
-    """Return the faces of an OFF file; colours, where faces have several, are the materials."""
-    rows = [
-        (n, words)
-        for n, _, raw in lines(decode(content, path).characters)
-        if (words := raw.split("#", 1)[0].split())
-    ]
-    if not rows or rows[0][1][0] != "OFF":
-        raise DataError(f"{path}: cannot be read as off: its first word is not OFF")
-    head = rows[0][1][1:]
-    rows = rows[1:]
-    if not head and rows:
-        (_, head), *rows = rows
-    try:
-        n_points, n_faces = int(head[0]), int(head[1])
-    except (IndexError, ValueError) as error:
-        raise DataError(f"{path}: OFF has no number of corners and faces after it") from error
-    budget.require(n_points, budget.MAX_CORNERS, "corners", path, _SIMPLER)
-    budget.require(n_faces, budget.MAX_FACES, "faces", path, _SIMPLER)
-    if len(rows) < n_points + n_faces:
-        raise DataError(f"{path}: {len(rows)} lines for {n_points} corners and {n_faces} faces")
-    points = np.zeros((n_points, 3))
-    for i, (n, words) in enumerate(rows[:n_points]):
-        if len(words) < 3:
-            raise DataError(
-                f"{path}, line {n}: a corner has {len(words)} numbers; x y z are needed"
-            )
-        points[i] = [number(word, f"{path}, line {n}") for word in words[:3]]
-    faces: list[tuple[str, str, Any]] = []
-    for n, words in rows[n_points : n_points + n_faces]:
-        try:
-            size, *index = (int(word) for word in words[: 1 + int(words[0])])
-            if size < 3 or len(index) != size or not 0 <= min(index) <= max(index) < n_points:
-                raise ValueError
-        except ValueError as error:
-            raise DataError(f"{path}, line {n}: a face without its corners") from error
-        faces.append((" ".join(words[1 + size :]), "", points[index]))
-    return _Drawn(_coloured(faces))
-
-
-def _coloured(faces: Sequence[tuple[str, str, Any]]) -> Iterator[tuple[str, str, Any]]:
-    """Yield faces with their colours as materials, where they have several."""
-    several = len({colour for colour, *_ in faces}) > 1
-    for colour, _, corners in faces:
-        name = f"colour {colour}" if several and colour else ""
-        yield name, name, corners
+def _within_budget(parts: Iterable[list[Row]], path: str) -> list[Row]:
+    """Return the faces of all instances of parts; DataError if they, or the instances, are too many."""
+    faces: list[Row] = []
+    for instances, rows in enumerate(parts):
+        faces += rows
+        budget.require(max(instances, len(faces)), budget.MAX_FACES, "faces", path, _SIMPLER)
+    return faces
 
 
 def _prepared_gltf(content: bytes, path: str, ending: str) -> bytes:
@@ -474,13 +419,13 @@ def _by_plyfile(content: bytes, path: str, _unit: bool) -> _Drawn:
             rgb = np.column_stack([face[c] for c in ("red", "green", "blue")])
             rgb = np.round(255 * rgb) if rgb.dtype.kind == "f" else rgb
             colours = ["#" + "".join(f"{int(c):02x}" for c in row) for row in rgb.reshape(-1, 3)]
-    faces: list[tuple[str, str, Any]] = []
-    for i, (corners, colour) in enumerate(zip(index, colours, strict=True)):
-        if len(corners) < 3 or not 0 <= min(corners) <= max(corners) < len(points):
-            raise DataError(f"{path}: face {i} is without its corners")
-        faces.append((colour, "", points[corners]))
-    named = zip(layers, _coloured(faces), strict=True)
-    return _Drawn((layer or name, layer or name, corners) for layer, (name, _, corners) in named)
+    several = len({*colours}) > 1
+    faces: list[Row] = []
+    for i, (face, layer, colour) in enumerate(zip(index, layers, colours, strict=True)):
+        name = layer or (f"colour {colour}" if several and colour else "")
+        corners = points[_known(face, len(points), name or f"face {i}", path)]
+        faces.append((name, name, corners))
+    return _Drawn(faces)
 
 
 def _ply_text(row: Any) -> str:
@@ -493,18 +438,22 @@ def _by_pycollada(content: bytes, path: str, _unit: bool) -> _Drawn:
     """Return the faces of a COLLADA file, with the unit and the axis up that it states."""
     needed = "COLLADA needs pycollada: pip install 'rtcal[mesh]'"
     collada = library(needed, "collada", "collada.common", "collada.lineset")
-    _within_budget([io.BytesIO(content)], path, "COLLADA")
     with _parsing(path, "COLLADA"):
         ignored = [collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError]
         model = collada.Collada(io.BytesIO(content), ignore=ignored)
-        faces = [
-            (_name(part), name or geometry.original.name, polygon.vertices)
-            for node in (model.scene.nodes if model.scene else ())
-            for name, geometry in _placed(node, np.eye(4), "")
-            for part in geometry.primitives()
-            if not isinstance(part, collada.lineset.BoundLineSet)
-            for polygon in part
-        ]
+        faces = _within_budget(
+            (
+                [
+                    (_name(part), name or geometry.original.name, polygon.vertices)
+                    for part in (geometry.primitives() if geometry is not None else ())
+                    if not isinstance(part, collada.lineset.BoundLineSet)
+                    for polygon in part
+                ]
+                for node in (model.scene.nodes if model.scene else ())
+                for name, geometry in _placed(node, np.eye(4), "")
+            ),
+            path,
+        )
         stated, up = model.assetInfo.unitmeter, model.assetInfo.upaxis
     return _Drawn(faces, None if stated is None else float(stated), up == "Y_UP")
 
@@ -512,7 +461,8 @@ def _by_pycollada(content: bytes, path: str, _unit: bool) -> _Drawn:
 def _placed(node: Any, matrix: Array, name: str) -> Iterator[tuple[str, Any]]:
     """Yield each geometry below a node, in its place, with the name of the nearest node that has one.
 
-    Programs name the objects of a scene by their nodes, and a geometry by its number.
+    Programs name the objects of a scene by their nodes, and a geometry by its number. A node itself
+    yields None, so that instances without a geometry count, too.
     """
     children = getattr(node, "children", None)
     if children is None:  # an instance of a geometry, a camera, a light
@@ -520,6 +470,7 @@ def _placed(node: Any, matrix: Array, name: str) -> Iterator[tuple[str, Any]]:
         return
     named = getattr(node, "node", node)  # of an instance of a node, that node
     own = named.name if named.name != named.id else None  # pycollada takes the id without a name
+    yield name, None
     for child in children:
         yield from _placed(child, matrix @ node.matrix, own or name)
 
@@ -536,7 +487,7 @@ READERS: dict[str, Callable[[bytes, str, bool], _Drawn]] = {
     ".dxf": _by_ezdxf,
     ".dae": _by_pycollada,
     ".ply": _by_plyfile,
-    ".off": _off,
-    **dict.fromkeys((".stl", ".glb", ".gltf", ".3mf"), _by_trimesh),
+    ".3mf": _by_3mf,
+    **dict.fromkeys((".stl", ".glb", ".gltf"), _by_trimesh),
 }
 """The reader of each ending: of a file's content and name, and whether its unit is stated beside it."""
