@@ -75,8 +75,8 @@ def collada(depth: int) -> bytes:
         f'{BOX}</float_array><technique_common><accessor source="#a" count="8" stride="3">'
         '<param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/>'
         '</accessor></technique_common></source><vertices id="v"><input semantic="POSITION" '
-        'source="#p"/></vertices><triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 2 3'
-        "</p></triangles></mesh></geometry></library_geometries><library_nodes>"
+        'source="#p"/></vertices><triangles count="1"><input semantic="VERTEX" source="#v" '
+        'offset="0"/><p>0 2 3</p></triangles></mesh></geometry></library_geometries><library_nodes>'
         f'{nodes}<node id="n{depth}"><instance_geometry url="#g"/></node></library_nodes>'
         '<library_visual_scenes><visual_scene id="s"><node id="top"><instance_node url="#n0"/>'
         '</node></visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/>'

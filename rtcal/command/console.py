@@ -208,14 +208,20 @@ def is_forced() -> bool:
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
+def option(name: str, of: Any, help: str, *names: str, **more: Any) -> Decorator:
+    """Return an option whose value is ``of`` a type; its default is shown, if there is one."""
+    default = "default" in more
+    return click.option(f"--{name}", *names, type=of, help=help, show_default=default, **more)
+
+
 def flag(name: str, help: str, *names: str, **more: Any) -> Decorator:
     """Return an option without a value; ``names`` are further ones."""
     return click.option(f"--{name}", *names, is_flag=True, help=help, **more)
 
 
-def file(name: str, help: str, **more: Any) -> Decorator:
+def file(name: str, help: str, *names: str, **more: Any) -> Decorator:
     """Return an option of a file."""
-    return click.option(f"--{name}", type=click.Path(dir_okay=False), help=help, **more)
+    return option(name, click.Path(dir_okay=False), help, *names, **more)
 
 
 def folder(help: str, name: str = "out") -> Decorator:
@@ -230,23 +236,18 @@ def folder(help: str, name: str = "out") -> Decorator:
 
 
 def choice(name: str, of: Sequence[str], help: str, **more: Any) -> Decorator:
-    """Return an option of one of several values; the default is shown, if there is one."""
-    of_one = click.Choice(of)
-    return click.option(f"--{name}", type=of_one, help=help, show_default="default" in more, **more)
+    """Return an option of one of several values."""
+    return option(name, click.Choice(of), help, **more)
 
 
 def several(name: str, metavar: str, help: str, into: str = "") -> Decorator:
     """Return an option that may be repeated; the command gets all of its values, by ``into``."""
-    names = [f"--{name}", *filter(None, [into])]
-    return click.option(*names, multiple=True, metavar=metavar, help=help)
+    return option(name, None, help, *filter(None, [into]), multiple=True, metavar=metavar)
 
 
 def whole(name: str, least: int, help: str, **more: Any) -> Decorator:
-    """Return an option of a whole number; the default is shown, if there is one."""
-    at_least = click.IntRange(least)
-    return click.option(
-        f"--{name}", type=at_least, help=help, show_default="default" in more, **more
-    )
+    """Return an option of a whole number."""
+    return option(name, click.IntRange(least), help, **more)
 
 
 OPTIONS: dict[str, Decorator] = {
@@ -288,24 +289,22 @@ OPTIONS: dict[str, Decorator] = {
         help="What is compared at every position. The option may be repeated; by default "
         f"{', '.join(MATCH)}.",
     ),
-    "paths": click.option(
-        "--paths",
-        type=click.IntRange(100, 10_000_000),
-        help=f"Paths that are traced from each source; by default {PATHS}.",
+    "paths": option(
+        "paths",
+        click.IntRange(100, 10_000_000),
+        f"Paths that are traced from each source; by default {PATHS}.",
     ),
-    "scattering": click.option(
-        "--scattering", type=float, help="Scattering coefficient where none is stated."
-    ),
+    "scattering": option("scattering", float, "Scattering coefficient where none is stated."),
     "bands": click.option(
         "--bands",
         metavar="octave|third-octave|HZ,HZ...",
         callback=lambda context, parameter, text: bands(text),
         help="The bands; by default octaves where responses are measured, and the list's for a room.",
     ),
-    "decimals": click.option(
-        "--decimals",
-        type=click.IntRange(1, 15),
-        help="Decimals of a coefficient in the program (3 for CATT: 0.1 %).",
+    "decimals": option(
+        "decimals",
+        click.IntRange(1, 15),
+        "Decimals of a coefficient in the program (3 for CATT: 0.1 %).",
     ),
     "as": several(
         "as",

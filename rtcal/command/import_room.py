@@ -12,14 +12,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 from rtcal.command.console import (
     as_options,
     errors_name_options,
+    file,
     fit_ending,
+    flag,
     numbers,
+    option,
     said,
+    several,
     takes,
     tell,
     texts,
@@ -40,105 +43,117 @@ _LEAST_UNCERTAINTY = 1e-3
 """Relative uncertainty of V or of an area that a room states: no T is measured as exactly."""
 _MOST_UNCERTAINTY = 0.99
 """That of an area which may be missing: a room states less than 1."""
-_USED_BY_CHECK = {
-    *("program", "materials", "mesh", "unit", "space", "weld", "hole", "as_drawn", "mended"),
-    *("picture", "as_json", "quiet"),
-}
+_MESH = (
+    option("unit", float, "The mesh's unit in m; by default what the file states, else 1."),
+    option("space", None, "Space of a building model (IFC), if it has several."),
+    option(
+        "weld",
+        float,
+        "In a mesh that does not close: distance in m within which corners are one.",
+        default=0.01,
+    ),
+    option(
+        "hole",
+        float,
+        "Largest area in m² of a hole that is closed; by default 1 % of the walls.",
+        "largest_hole",
+    ),
+    flag(
+        "open",
+        "Take a mesh that cannot be closed as it is drawn: V by rays with its uncertainty, no mesh for "
+        "tracers.",
+        "as_drawn",
+    ),
+    file("mended", "Mended mesh (OBJ) to write."),
+    file("picture", "Picture (PNG) of the mesh to write."),
+)
+"""Options of how a mesh is read and mended."""
+_ROOM = (
+    option(
+        "mesh",
+        click.Path(),
+        "Mesh (OBJ, glTF, COLLADA, DXF, PLY, STL, 3MF, IFC), for areas and volume.",
+    ),
+    *_MESH,
+    option("name", None, "The room's name; by default that of the list, the mesh or --out."),
+    option("volume", float, "The room's volume in m³, without a mesh."),
+    several(
+        "area",
+        "MATERIAL=M2",
+        "Area of a material in m², without a mesh; one option per material.",
+        "areas",
+    ),
+    several(
+        "catalogue",
+        "MATERIAL=ENTRY",
+        "Take a material from the catalogue (Vorländer 2008).",
+        "in_catalogue",
+    ),
+    "as",
+    "bands",
+    option("temperature", float, "Temperature of the air in °C (20 with --humidity alone)."),
+    option("humidity", float, "Relative humidity in % (50 with --temperature alone)."),
+    option(
+        "sigma",
+        click.Path(),
+        "Table of sigma (CSV): material,sigma or one column per band.",
+        "sigma_table",
+    ),
+    option("sigma-relative", float, "sigma as a share of alpha.", "relative", default=0.3),
+    option("sigma-minimum", float, "Smallest sigma.", "minimum", default=0.01),
+    flag("iso-12999-2", "Use at least the sigma between laboratories."),
+    option(
+        "in-situ-factor",
+        float,
+        "Factor on every sigma, such as 2 where specimens were mounted otherwise.",
+        default=1.0,
+    ),
+    "scattering",
+    file("out", "Room (TOML) to write.", required=True),
+)
+"""Options of a room that is made of a list of materials."""
 
 
-@click.command("import", short_help="A program's material list and a mesh to a room.")
-@click.argument("program", type=click.Choice((*PROGRAMS, "catalogue", "library", "check")))
-@click.argument("materials", type=click.Path(), required=False)
-@click.option(
-    "--mesh",
-    type=click.Path(),
-    help="Mesh (OBJ, glTF, COLLADA, DXF, PLY, STL, 3MF, IFC), for areas and volume.",
-)
-@click.option(
-    "--unit", type=float, help="The mesh's unit in m; by default what the file states, else 1."
-)
-@click.option("--space", help="Space of a building model (IFC), if it has several.")
-@click.option(
-    "--weld",
-    type=float,
-    default=0.01,
-    show_default=True,
-    help="In a mesh that does not close: distance in m within which corners are one.",
-)
-@click.option(
-    "--hole",
-    type=float,
-    help="Largest area in m² of a hole that is closed; by default 1 % of the walls.",
-)
-@click.option(
-    "--open",
-    "as_drawn",
-    is_flag=True,
-    help="Take a mesh that cannot be closed as it is drawn: V by rays with its uncertainty, no mesh "
-    "for tracers.",
-)
-@click.option("--mended", type=click.Path(dir_okay=False), help="Mended mesh (OBJ) to write.")
-@click.option(
-    "--picture", type=click.Path(dir_okay=False), help="Picture (PNG) of the mesh to write."
-)
-@click.option("--name", help="The room's name; by default that of the list, the mesh or --out.")
-@click.option("--volume", type=float, help="The room's volume in m³, without a mesh.")
-@click.option(
-    "--area",
-    "areas",
-    multiple=True,
-    metavar="MATERIAL=M2",
-    help="Area of a material in m², without a mesh; one option per material.",
-)
-@click.option(
-    "--catalogue",
-    "in_catalogue",
-    multiple=True,
-    metavar="MATERIAL=ENTRY",
-    help="Take a material from the catalogue (Vorländer 2008).",
-)
-@takes("as", "bands", shared=False)
-@click.option(
-    "--temperature", type=float, help="Temperature of the air in °C (20 with --humidity alone)."
-)
-@click.option(
-    "--humidity", type=float, help="Relative humidity in % (50 with --temperature alone)."
-)
-@click.option(
-    "--sigma",
-    "sigma_table",
-    type=click.Path(),
-    help="Table of sigma (CSV): material,sigma or one column per band.",
-)
-@click.option(
-    "--sigma-relative",
-    type=float,
-    default=0.3,
-    show_default=True,
-    help="sigma as a share of alpha.",
-)
-@click.option(
-    "--sigma-minimum", type=float, default=0.01, show_default=True, help="Smallest sigma."
-)
-@click.option("--iso-12999-2", is_flag=True, help="Use at least the sigma between laboratories.")
-@click.option(
-    "--in-situ-factor",
-    type=float,
-    default=1.0,
-    show_default=True,
-    help="Factor on every sigma, such as 2 where specimens were mounted otherwise.",
-)
-@takes("scattering", shared=False)
-@click.option("--out", type=click.Path(dir_okay=False), help="Room (TOML) to write.")
-@takes()
-def import_room(
+@click.group("import", short_help="A program's material list and a mesh to a room.")
+def import_room() -> None:
+    """Make a room of a program's materials and a mesh, or stated areas and volume.
+
+    `rtcal import check MESH` looks at a mesh alone.
+    """
+
+
+@import_room.command(short_help="V, S and the defects of a mesh.")
+@takes(click.argument("mesh", type=click.Path()), *_MESH)
+def check(
+    mesh: str, as_drawn: bool, mended: str | None, picture: str | None, **options: Any
+) -> None:
+    """Print V, S and the defects of MESH (OBJ, glTF, COLLADA, DXF, PLY, STL, 3MF, IFC).
+
+    Every defect is listed with its effect on V and S, and mended where that is safe.
+
+    Example: rtcal import check hall.glb --picture hall.png
+    """
+    fit_ending("--mended", mended, ".obj")
+    spare([path for path in (mended, picture) if path is not None], [mesh])
+    done = _read(mesh, as_drawn, picture, options)
+    if mended is not None:
+        _closed(done).save(mended)
+    notes = [as_options(note, ["unit"]) for note in done.notes]
+    record = {
+        "volume": done.volume,
+        "volume_uncertainty": done.volume_uncertainty,
+        "size": done.size,
+        "areas": done.areas,
+        "area_uncertainty": done.area_uncertainty,
+        "defects": [asdict(defect) for defect in done.defects],
+        "notes": notes,
+    }
+    tell("\n".join([*notes, str(done)]), record)
+
+
+def _imported(
     program: str,
-    materials: str | None,
     mesh: str | None,
-    unit: float | None,
-    space: str | None,
-    weld: float,
-    hole: float | None,
     as_drawn: bool,
     mended: str | None,
     picture: str | None,
@@ -151,50 +166,26 @@ def import_room(
     temperature: float | None,
     humidity: float | None,
     sigma_table: str | None,
-    sigma_relative: float,
-    sigma_minimum: float,
-    iso_12999_2: bool,
-    in_situ_factor: float,
     scattering: float | None,
-    out: str | None,
+    out: str,
+    materials: str | None = None,
+    **stated: Any,
 ) -> None:
-    """Make a room of a program's MATERIALS and a mesh, or stated areas and volume.
-
-    The room's file names the mesh. Add [sources] and [receivers] to it for what needs positions. A mesh
-    that does not close is mended where that is safe: every defect is listed with its effect on V and S,
-    and the mended mesh is written beside the room. `rtcal import check MESH` does only that. MATERIALS
-    of a library are a folder or a file of product data (CSV, xlsx).
-
-    A list states neither uncertainty nor air. Without the options for them, the assumptions are
-    printed.
-
-    \b
-    Example: rtcal import catt hall.geo --volume 2000 \\
-        --area wood=300 --area plaster=800 --out room.toml
-
-    \b
-    Example: rtcal import odeon hall.Li8 \\
-        --mesh hall.obj --out room.toml
-
-    \b
-    Example: rtcal import check hall.glb --picture hall.png
-    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    """Write a room of a program's materials; ``stated`` are how a mesh is read, and the sigma."""
+    from rtcal import io
     from rtcal.acoustics.air import Air
     from rtcal.acoustics.priors import SigmaRule
+    from rtcal.datasets import catalogue
     from rtcal.io.material_list import read_sigma
 
-    options = {"unit": unit, "space": space, "weld": weld, "largest_hole": hole}
-    if program == "check":
-        _refuse_unused_options()
-        _check(materials or mesh, as_drawn, mended, picture, options)
-        return
-    if out is None:
-        raise DataError("--out is missing: the room's file (TOML) to write")
     written = [path for path in (out, mended, picture) if path is not None]
     spare(written, [path for path in (materials, mesh, sigma_table) if path is not None])
     fit_ending("--out", out, ".toml")
     fit_ending("--mended", mended, ".obj")
-    listed = _materials(program, materials)
+    options = {key: stated.pop(key) for key in ("unit", "space", "weld", "largest_hole")}
+    listed: MaterialList = (
+        catalogue.material_list() if materials is None else getattr(io, program).read(materials)
+    )
     model = None if mesh is None else _read(mesh, as_drawn, picture, options)
     volume, surfaces = _volume_and_surfaces(model, as_drawn, volume, areas, listed.names)
     used = list(dict.fromkeys(surface.material for surface in surfaces))
@@ -205,15 +196,10 @@ def import_room(
     place = "--area" if mesh is None else mesh
     own = _entries("--as", listed, renamed, used, place)
     listed = listed.with_spellings(used)
-    catalogue = _materials("catalogue", None) if chosen else listed
-    others = own | _entries("--catalogue", catalogue, chosen, used, place)
+    offered = catalogue.material_list() if chosen else listed
+    others = own | _entries("--catalogue", offered, chosen, used, place)
     _require_all(listed, others, program, used, place)
-    rule = SigmaRule(
-        relative=sigma_relative,
-        minimum=sigma_minimum,
-        iso_12999_2=iso_12999_2,
-        in_situ_factor=in_situ_factor,
-    )
+    rule = SigmaRule(**stated)
     sigma = {} if sigma_table is None else read_sigma(sigma_table)
     air = {"temperature": temperature, "humidity": humidity}
     climate = {name: value for name, value in air.items() if value is not None}
@@ -232,7 +218,7 @@ def import_room(
     )
     of_mesh: list[str] = []
     if mesh is not None and model is not None:
-        room = _with_scene(room, mesh, model, unit, out, mended)
+        room = _with_scene(room, mesh, model, options["unit"], out, mended)
         room, of_mesh = _with_uncertainty(room, model)
     room.save(out)
     in_use = {listed.listed(name).name for name in used if name not in others}
@@ -250,42 +236,40 @@ def import_room(
     _tell(room, unused, notes + of_mesh, scatter)
 
 
-def _refuse_unused_options() -> None:
-    """Raise DataError for an option that ``check`` would not use."""
-    context = click.get_current_context()
-    for option in context.command.params:
-        stated = context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
-        if stated and option.name not in _USED_BY_CHECK:
-            raise DataError(
-                f"import check does not use {option.opts[0]}: it reads the mesh alone and writes no "
-                "room; leave it out"
-            )
-    if context.params["materials"] is not None and context.params["mesh"] is not None:
-        raise DataError("import check reads one mesh: leave --mesh out")
+def _add_import(program: str) -> None:
+    """Add ``rtcal import PROGRAM``, with a file of MATERIALS unless they are the catalogue's."""
+    of = {"catalogue": "the catalogue", "library": "product data (CSV, xlsx; a file or a folder)"}
+    source = of.get(program, f"MATERIALS of {program}")
+    materials = () if program == "catalogue" else ("MATERIALS",)
+    example = "" if program == "catalogue" else f" {_EXAMPLES.get(program, 'materials')}"
+
+    @takes(*materials, *_ROOM)
+    def command(**stated: Any) -> None:
+        _imported(program, **stated)
+
+    command.__doc__ = f"""Make a room of {source} and a mesh, or stated areas and volume.
+
+    The room's file names the mesh. Add [sources] and [receivers] to it for what needs positions. A mesh
+    that does not close is mended where that is safe: every defect is listed with its effect on V and S,
+    and the mended mesh is written beside the room.
+
+    A list states neither uncertainty nor air. Without the options for them, the assumptions are
+    printed.
+
+    \b
+    Example: rtcal import {program}{example} --volume 2000 \\
+        --area wood=300 --area plaster=800 --out room.toml
+
+    \b
+    Example: rtcal import {program}{example} \\
+        --mesh hall.obj --out room.toml
+    """
+    import_room.command(program, short_help=f"A room of {source}.")(command)
 
 
-def _check(
-    mesh: str | None, as_drawn: bool, mended: str | None, picture: str | None, options: Any
-) -> None:
-    """Print V, S and the defects of a mesh, without a list of materials; write it and its picture."""
-    if mesh is None:
-        raise DataError("which mesh? rtcal import check room.obj")
-    fit_ending("--mended", mended, ".obj")
-    spare([path for path in (mended, picture) if path is not None], [mesh])
-    done = _read(mesh, as_drawn, picture, options)
-    if mended is not None:
-        _closed(done).save(mended)
-    notes = [as_options(note, ["unit"]) for note in done.notes]
-    record = {
-        "volume": done.volume,
-        "volume_uncertainty": done.volume_uncertainty,
-        "size": done.size,
-        "areas": done.areas,
-        "area_uncertainty": done.area_uncertainty,
-        "defects": [asdict(defect) for defect in done.defects],
-        "notes": notes,
-    }
-    tell("\n".join([*notes, str(done)]), record)
+_EXAMPLES = {"catt": "hall.geo", "odeon": "hall.Li8", "library": "products"}
+for _program in (*PROGRAMS, "library", "catalogue"):
+    _add_import(_program)
 
 
 def _read(mesh: str, as_drawn: bool, picture: str | None, options: Any) -> Mended:
@@ -402,20 +386,6 @@ def _with_uncertainty(room: Room, model: Mended) -> tuple[Room, list[str]]:
         each = ", ".join(f"{m} to {100 * u:.2g} %" for m, u in area_sigma.items())
         notes.append(f"Areas are known (area_sigma), by what was mended: {each}")
     return room, notes
-
-
-def _materials(program: str, path: str | None) -> MaterialList:
-    from rtcal import io
-    from rtcal.datasets import catalogue
-
-    if program == "catalogue":
-        if path is not None:
-            raise DataError(f"{path}: import catalogue takes no file of materials")
-        return catalogue.material_list()
-    if path is None:
-        raise DataError(f"a file of materials for {program} is missing")
-    listed: MaterialList = getattr(io, program).read(path)
-    return listed
 
 
 def _centre_frequencies(

@@ -13,7 +13,7 @@ from rtcal.command.main import cli, main
 
 LONG = "a" * 300 + ".toml"
 """A name that no file system of today takes."""
-FIRST = {"import": "catt", "export": "catt", "example": "room"}
+FIRST = {"export": "catt", "example": "room"}
 """A command's argument that is a choice."""
 OTHERS = {"measured": "t.csv", "simulated": "t.csv", "state": "state.json"}
 REFUSED_BEFORE = {
@@ -25,10 +25,11 @@ REFUSED_BEFORE = {
     ("verify", "after"),
     ("plan", "further"),
     ("measure", "positions"),
-    ("import", "mesh"),
-    ("import", "mended"),
-    ("import", "picture"),
-    ("import", "sigma_table"),
+    *(
+        (f"import {program}", path)
+        for program in ("bras", "catt", "catalogue", "library", "odeon", "pyroomacoustics")
+        for path in ("mesh", "mended", "picture", "sigma_table")
+    ),
     ("learn", "room"),
 }
 """Paths that are not opened, since another argument is refused before."""
@@ -90,7 +91,7 @@ def test_of_what_is_read(
             arguments.append(value if is_path(parameter) else FIRST[words[0]])
         else:
             options += [parameter.opts[-1], *[value] * parameter.nargs]
-    if words[0] == "import" or any(p.name == "out" and p.required for p in command.params):
+    if any(p.name == "out" and p.required for p in command.params):
         options += ["--out", "new.toml"]
     before = sorted(tmp_path.iterdir())
     assert code([*words, *arguments, *options]) == 2
