@@ -655,7 +655,7 @@ def test_check_needs_no_material_list(tmp_path: Path, capsys: pytest.CaptureFixt
     for arguments, rule in (
         ((broken, "--picture", picture), "hole of 70 m²"),
         ((), "Missing argument 'MESH'"),
-        *(((path, o, 1), f"No such option: {o}") for o in ("--out", "--volume", "--mesh")),
+        *(((path, o, 1), f"No such option '{o}'") for o in ("--out", "--volume", "--mesh")),
     ):
         assert rule in said_by(capsys, "check", *arguments, code=2)
 

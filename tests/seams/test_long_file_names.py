@@ -27,7 +27,7 @@ REFUSED_BEFORE = {
     ("measure", "positions"),
     *(
         (f"import {program}", path)
-        for program in ("bras", "catt", "catalogue", "library", "odeon", "pyroomacoustics")
+        for program in ("check", "bras", "catt", "catalogue", "library", "odeon", "pyroomacoustics")
         for path in ("mesh", "mended", "picture", "sigma_table")
     ),
     ("learn", "room"),
