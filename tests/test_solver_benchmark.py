@@ -198,4 +198,4 @@ def test_the_page_is_that_of_the_table() -> None:
     root = Path(__file__).resolve().parents[1]
     folder = root / "benchmarks" / "solvers" / "results"
     text = render.text(folder, "full")
-    assert (root / "docs" / "solver_comparison.md").read_text(encoding="utf-8") == text
+    assert (folder.parent / "README.md").read_text(encoding="utf-8") == text

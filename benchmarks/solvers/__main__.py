@@ -25,7 +25,7 @@ def main() -> None:
         run.finish(given.folder, given.size)
         print(f"{len(rows)} solves in {given.folder / given.size}.csv.gz")
     else:
-        render.page(given.folder, given.size, ROOT / "docs")
+        render.page(given.folder, given.size, ROOT / "benchmarks" / "solvers")
 
 
 if __name__ == "__main__":

@@ -334,6 +334,6 @@ def _named(rows: Sequence[Row], route: str) -> str:
     return ", ".join(f'"{name}"' for name in found) or "none here"
 
 
-def page(folder: Path, size: str, docs: Path) -> None:
+def page(folder: Path, size: str, out: Path) -> None:
     """Write the page."""
-    write_text(docs / "solver_comparison.md", text(folder, size))
+    write_text(out / "README.md", text(folder, size))
