@@ -74,7 +74,7 @@ def test_alpha_and_sizes_have_intervals(hidden: tuple[Case, np.ndarray]) -> None
     ratio = found.sigma / drawn.sigma[rows]
     assert 0.9 < ratio.mean() < 1.1  # 1,500 samples know a sigma to 2 %; bounds cut some
     assert (found.sigma <= case.room.sigma * (1 + 1e-9)).all()
-    (effect,) = found.effects
+    (effect,) = found.to_dict()["effects"]
     assert effect["size_interval"] == [20.0, 56.0]
     assert effect["unit"] == "m²"
     assert 20 < effect["size"] < 56

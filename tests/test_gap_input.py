@@ -90,7 +90,7 @@ def test_an_effect_of_one_s_own_is_added_verified_and_simulated(tmp_path: Path) 
     assert seen.verdict == "supported"
     assert seen.after < 0.5 * seen.before
     assert seen.corrected.sizes["organ"] == pytest.approx(40.0, rel=0.4)
-    assert seen.corrected.effects[0]["unit"] == "m²"
+    assert seen.corrected.to_dict()["effects"][0]["unit"] == "m²"
     corrected = finding.apply()
     room = corrected_room(corrected)
     assert room.materials[-1] == "organ"

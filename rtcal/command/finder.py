@@ -49,7 +49,7 @@ PROPOSED = 3
 SEEDS = (0, 1, 2)
 """Seeds of the simulator over which a gap at positions is printed."""
 _OF_POSITIONS = ("simulated", "match", "exclude", "scattering", "paths")
-_OF_MEANS = ("engine", "prior", "most", "expected")
+_OF_MEANS = ("prior", "most", "expected")
 _NEEDS_POSITIONS = " needs a room that states its sources and receivers, measured pair by pair"
 _NO_SURFACE = ": a finding without a geometry has no surface"
 _ENDINGS = (".csv", ".json", ".toml")
@@ -125,7 +125,6 @@ def searched(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) -> 
     if isinstance(case, Case):
         chosen |= {name: options[name] for name in ("most", "expected")}
         chosen["prior"] = numbers("--prior", options["prior"], "EFFECT=ODDS, such as opening=2")
-        chosen |= {"engines": options["engine"]} if options["engine"] else {}
     if options["before"] is not None:
         return find(case, **chosen)
     with _progress("step") as progress:
@@ -222,12 +221,6 @@ def verified(finding: Any, cache: Path) -> Any:
     "exclude",
     "scattering",
     "paths",
-    click.option(
-        "--engine",
-        multiple=True,
-        help="Simulator of the control rooms, at least two; by default path tracing and image "
-        "sources.",
-    ),
     several("without", "EFFECT", "Do not try this effect."),
     several(
         "only",

@@ -111,7 +111,7 @@ def find(
           earlier search.
         - ``cache``: folder in which simulations are kept, by a hash of all that they depend on.
         - ``progress``: called with what is computed, the number of finished steps and their total.
-        - By means over positions ``prior``, ``engines``, ``most`` and ``expected``, as
+        - By means over positions ``prior``, ``most`` and ``expected``, as
           `rtcal.finder.means.search.find` takes them.
 
     Returns

@@ -1,4 +1,4 @@
-"""Control rooms: rooms like the case's, without a missing effect, in independent simulators.
+"""Control rooms: rooms like the case's, without a missing effect, in two independent simulators.
 
 The difference between simulator and model is the model's error. A control room is a box of the case's
 volume. Its walls along each axis absorb as much as the case's materials that face along this axis.
@@ -25,8 +25,7 @@ from rtcal.finder.case import Case
 from rtcal.finder.model import FEATURES, RoomState, predict
 from rtcal.finder.prior import by_name
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.path_tracing import LONGEST, PathTracing, ScatteringModel, Tracer
-from rtcal.simulators.ray_tracing import RayTracing
+from rtcal.simulators.path_tracing import LONGEST, PathTracing, ScatteringModel
 from rtcal.simulators.shoebox import ImageSource, mean_energy
 from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError
@@ -46,7 +45,6 @@ a fifth shorter than by any equation.
 """
 _RECEIVERS = 4
 _PATHS = 3000
-_RAYS = 4000
 _IMAGES = 300_000
 """Image sources of a pair that are counted one by one. Of later ones the mean is taken."""
 _BIN = 0.001
@@ -73,26 +71,26 @@ class ControlRooms:
 
 
 def bias_estimates(controls: Sequence[ControlRooms]) -> Array:
-    """Return each engine's estimate of the model's bias, (n_engines + 1, *one room's shape).
+    """Return each engine's estimate of the model's bias, (n_estimates, *one room's shape).
 
-    NaN where an engine cannot estimate it (`Engine.relative`); control rooms from outside rtcal
-    estimate every mean. The last row is 0, the model's own estimate. It draws the mean over the rows
-    towards 0, since a second simulator confirms only a part of the bias that the first one shows.
+    Image sources estimate none (`ENGINES`); control rooms from outside rtcal do. The last row is 0, the
+    model's own estimate. It draws the mean over the rows towards 0, since a second simulator confirms
+    only a part of the bias that the first one shows.
     """
-    out = [c.mean for c in controls]
-    for mean, c in zip(out, controls, strict=True):
-        if c.engine in ENGINES:
-            mean[:, [FEATURES.index(f) for f in ENGINES[c.engine].relative]] = np.nan
-    return np.array([*out, np.zeros_like(out[0])])
+    means = [c.mean for c in controls if _estimates_bias(c)]
+    return np.array([*means, np.zeros_like(controls[0].mean)])
+
+
+def _estimates_bias(controls: ControlRooms) -> bool:
+    return controls.engine not in ENGINES or ENGINES[controls.engine].estimates_bias
 
 
 def recentred(controls: Sequence[ControlRooms]) -> list[ControlRooms]:
-    """Replace each mean that an engine cannot estimate by the mean over the others."""
-    estimates = bias_estimates(controls)
-    bias = np.nanmean(estimates, axis=0)
+    """Replace the mean of an engine that cannot estimate the bias by the estimated one."""
+    bias = bias_estimates(controls).mean(axis=0)
     return [
-        ControlRooms(c.engine, c.errors + np.where(np.isnan(own), bias - c.mean, 0.0))
-        for c, own in zip(controls, estimates, strict=False)
+        c if _estimates_bias(c) else ControlRooms(c.engine, c.errors + (bias - c.mean))
+        for c in controls
     ]
 
 
@@ -206,40 +204,26 @@ Simulation = Callable[[Array, float], Array]
 """Simulate alpha (3, n_bands) for a duration in s: features (n_features, n_bands)."""
 
 
-def _path_tracing(control: ControlRoom, number: int, seed: int) -> Simulation:
+def _path_tracing(control: ControlRoom, number: int) -> Simulation:
     """Trace the paths once; other coefficients only change their weights."""
-    return _traced(
-        control,
-        number + 1,
-        PathTracing,
+    tracer = PathTracing(
+        **control.positions,
+        geometry=control.geometry,
+        n_batches=2,
+        scattering=control.scattering,
         n_paths=_PATHS,
         scattering_model=control.scattering_model,
         workers=1,
     )
 
-
-def _rays(control: ControlRoom, number: int, seed: int) -> Simulation:
-    """Trace rays with pyroomacoustics (extra ``geometry``)."""
-    return _traced(control, seed + number, RayTracing, n_rays=_RAYS)
-
-
-def _traced(control: ControlRoom, seed: int, kind: type[Tracer], **options: Any) -> Simulation:
-    tracer = kind(
-        **control.positions,
-        geometry=control.geometry,
-        n_batches=2,
-        scattering=control.scattering,
-        **options,
-    )
-
     def simulate(alpha: Array, duration: float) -> Array:
-        energy = tracer.energy(alpha, min(duration, LONGEST), seed=seed)
+        energy = tracer.energy(alpha, min(duration, LONGEST), seed=number + 1)
         return _features(energy.mean((0, 1)), tracer.bin_width)
 
     return simulate
 
 
-def _image_sources(control: ControlRoom, number: int, seed: int) -> Simulation:
+def _image_sources(control: ControlRoom, number: int) -> Simulation:
     """Count image sources; walls scatter nothing. Of later images the mean is taken."""
     direct, c = control.distances, control.room.speed_of_sound
     radius = (3 * _IMAGES * control.room.volume / (4 * np.pi)) ** (1 / 3)
@@ -274,7 +258,7 @@ class Engine:
     ----------
     name : str
     simulator : function
-        Prepares a control room, from it, its number and the seed.
+        Prepares a control room, from it and its number.
     stream : int
         Stream of the random numbers, so that engines draw different rooms.
     setups : int
@@ -284,17 +268,17 @@ class Engine:
     models : sequence of str
         Scattering models, two setups with each in turn. Both have a scattering coefficient, but their
         decays differ by some percent. None of a simulator that scatters nothing.
-    relative : tuple of str
-        Features whose scatter the engine estimates, but not their mean.
+    estimates_bias : bool
+        Whether it estimates the mean of the model's error, and not its scatter alone.
     """
 
     name: str
-    simulator: Callable[[ControlRoom, int, int], Simulation]
+    simulator: Callable[[ControlRoom, int], Simulation]
     stream: int
     setups: int
     duration: float
     models: Sequence[ScatteringModel] = ()
-    relative: tuple[str, ...] = ()
+    estimates_bias: bool = True
 
     def run(self, case: Case, seed: int, progress: TaskProgress | None = None) -> ControlRooms:
         """Simulate the control rooms of a case."""
@@ -307,7 +291,7 @@ class Engine:
         for number, (coefficient, model) in enumerate(scattering):
             source, receivers = _places(np.array(room.dimensions), places[number])
             control = ControlRoom(room, geometry, share, source, receivers, coefficient, model)
-            simulate = self.simulator(control, number, seed)
+            simulate = self.simulator(control, number)
             duration = self.duration * float(control.time(case.room.alpha).max())
             simulated = [simulate(control.by_axis(a), duration) for a in alphas[number]]
             errors.append(simulated - control.features(case, alphas[number]))
@@ -359,21 +343,9 @@ ENGINES: Mapping[str, Engine] = {
         Engine("path tracing", _path_tracing, 1, 32, 1.15, tuple(SCATTERING)),
         # Without scattering slow decays along an axis stay. Its T is up to 2.3 times as long as by any
         # equation, and its decay is bent.
-        Engine("image sources", _image_sources, 5, 6, 2.0, relative=FEATURES),
-        # Its receivers count twice the energy that walls scatter.
-        Engine("rays", _rays, 4, 6, 1.15, ("vector",), relative=("g",)),
+        Engine("image sources", _image_sources, 5, 6, 2.0, estimates_bias=False),
     )
 }
-
-
-def checked_engines(engines: object) -> list[str]:
-    """Return the names of at least two engines, each once; DataError otherwise."""
-    names = list(dict.fromkeys(map(str, checks.listed("engines", engines))))
-    if unknown := sorted(set(names) - set(ENGINES)):
-        raise DataError(f'engine "{unknown[0]}" is not one of {", ".join(ENGINES)}')
-    if len(names) < 2:
-        raise DataError(f"engines = {names}: a threshold needs at least two engines")
-    return names
 
 
 def checked_controls(case: Case, controls: object, least: int = 2) -> tuple[ControlRooms, ...]:
@@ -396,8 +368,6 @@ def checked_controls(case: Case, controls: object, least: int = 2) -> tuple[Cont
     return every
 
 
-DEFAULT_ENGINES = ("path tracing", "image sources")
-"""Engines of the control rooms, unless others are stated."""
 FOLDER = ".rtcal_cache"
 """Name of the folder beside a case's file."""
 
@@ -406,11 +376,10 @@ FOLDER = ".rtcal_cache"
 def control_rooms(
     case: Case,
     seed: int = 0,
-    engines: Sequence[str] = DEFAULT_ENGINES,
     progress: TaskProgress | None = None,
     cache: str | os.PathLike[str] | None = None,
 ) -> tuple[ControlRooms, ...]:
-    """Simulate the case's control rooms with at least two engines, or read them from a folder.
+    """Simulate the case's control rooms with the two engines, or read them from a folder.
 
     They are a fixed sequence: positions and scattering are spread evenly, and what is drawn for a
     material belongs to its name. `rtcal.find` takes that of the seed 0. Another one shows how much a
@@ -419,15 +388,10 @@ def control_rooms(
     A file of the folder ``cache`` holds the rooms of one engine. Its name is a hash of everything that
     they depend on: the case, the seed, the engine and the version of rtcal. The folder can be deleted
     at any time. If a file cannot be read or written, the rooms are simulated without an error.
-
-    Raises
-    ------
-    DataError
-        For fewer than two engines, or an engine that rtcal lacks.
     """
     checks.whole("seed", seed, 0)
     where, rooms = None if cache is None else checks.path("cache", cache), []
-    for name in checked_engines(engines):
+    for name in ENGINES:
         controls = None
         if where is not None:
             content = json.dumps([case.to_dict(), seed, name, __version__], sort_keys=True)

@@ -692,10 +692,9 @@ def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelD
     n, k = len(case.configurations), case.room.n_bands
     size = n * len(FEATURES) * k
     estimates = bias_estimates(controls)
-    bias = np.nanmean(estimates, axis=0)
-    degrees = np.maximum(np.isfinite(estimates).sum(axis=0) - 1, 1)
-    between = (np.nan_to_num(estimates - bias) / np.sqrt(degrees)).reshape(len(estimates), size)
-    rows = [between]
+    bias = estimates.mean(axis=0)
+    degrees = max(len(estimates) - 1, 1)
+    rows = [((estimates - bias) / np.sqrt(degrees)).reshape(len(estimates), size)]
     for c in controls:
         centred = np.nan_to_num(c.errors - c.mean).reshape(-1, size)
         rows.append(centred / np.sqrt(max(len(centred) - 1, 1) * len(controls)))

@@ -18,13 +18,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.equations import LinearEquation, mean_equation
-from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.calibration.fit import fit
 from rtcal.calibration.measured import data_history, times_in_room
-from rtcal.calibration.methods import calibrate
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import LinearObservations, PriorDeviation
@@ -85,9 +83,9 @@ class Recalibrated(Result):
 
     @property
     def interval(self) -> tuple[Array, Array]:
-        """Ends of alpha's 90 % interval, each (n_materials, n_bands): alpha ± 1.645 sigma in 0 to 1."""
-        spread = NORMAL_90 * self.sigma
-        return np.clip(self.alpha - spread, 0, 1), np.clip(self.alpha + spread, 0, 1)
+        """Ends of alpha's 90 % interval, (n_materials, n_bands) each: `JointResult.interval`."""
+        low, high = self.joint.interval
+        return low[: len(self.alpha)], high[: len(self.alpha)]
 
     @cached_property
     def room(self) -> Room:
@@ -115,19 +113,6 @@ class Recalibrated(Result):
         return {p.name: p.size for p in self.case.applied if np.isfinite(p.effect.neutral)}
 
     @property
-    def effects(self) -> list[dict[str, Any]]:
-        """The effects with their sizes, and the 90 % intervals with which they were added."""
-        return [
-            p.to_dict()
-            | {
-                "size": self.sizes.get(p.name),
-                "unit": p.effect.unit,
-                "material": p.effect.material(p.parameters, self.case.room),
-            }
-            for p in self.case.applied
-        ]
-
-    @property
     def effects_in_words(self) -> list[str]:
         """A line per effect, with its size."""
         out = []
@@ -152,12 +137,8 @@ class Recalibrated(Result):
         return [Table([*named], rows, title), *(Note(w, "  ") for w in self.effects_in_words)]
 
     def __repr__(self) -> str:
-        """Return one line: the room, and the effects with their sizes."""
-        sizes = (
-            p.name if p.name not in self.sizes else f"{p.name} {self.sizes[p.name]:.3g}"
-            for p in self.case.applied
-        )
-        effects = text.shortened(", ".join(sizes)) or "no effect"
+        """Return one line: the room, and the effects."""
+        effects = text.shortened(", ".join(p.name for p in self.case.applied)) or "no effect"
         name = text.shortened(self.case.room.name)
         return f'<Recalibrated "{name}": {len(self.alpha)} materials, with {effects}>'
 
@@ -165,7 +146,15 @@ class Recalibrated(Result):
         """Return plain values for JSON."""
         low, high = self.interval
         return {
-            "effects": self.effects,
+            "effects": [
+                p.to_dict()
+                | {
+                    "size": self.sizes.get(p.name),
+                    "unit": p.effect.unit,
+                    "material": p.effect.material(p.parameters, self.case.room),
+                }
+                for p in self.case.applied
+            ],
             "materials": [
                 {
                     "name": m,
@@ -190,8 +179,8 @@ _STEP = 1e-5
 """Change of alpha over which ln T is differentiated."""
 _LEAST_U = 0.002
 """Relative uncertainty of T at least: a stated one of 0 would leave the prior no weight."""
-_EXACT_U = 1e-4
-"""That with which a T is matched exactly by an equation that is no function of the mean alpha."""
+_EXACT_U = 1e-5
+"""That with which a T is matched exactly."""
 _T20 = FEATURES.index("t20")
 _TIMES = LinearObservations("ln T")
 
@@ -202,26 +191,7 @@ def plain(case: Case) -> Recalibrated:
     A band whose T no alpha reaches gets the nearest reachable T.
     """
     case.require_fresh()
-    case, equation = replace(case, applied=()), mean_equation(case.equation)
-    if not isinstance(equation, LinearEquation):
-        return LogTimes.of(case, [0], exact=True).calibrated()
-    data, first = LogTimes.of(case, [0]), case.configurations[0]
-    times = np.exp(data.measured)
-    measured = Measurement(
-        centre_frequencies=case.room.centre_frequencies,
-        values={"t20": times},
-        uncertainty={"t20": times * np.minimum(data.u, 0.9)},
-    )
-    room = _room(case, {}, *first.coefficients(case.room)).replace(air=first.air or case.room.air)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", MissingAirWarning)  # it is among the finding's notes
-        solved = calibrate(room, measured, equation=equation.linear(), unreachable="nearest")
-    alpha = np.array(case.room.alpha)
-    own = [m not in first.changes for m in case.room.materials]
-    alpha[own] = solved.alpha[own]
-    changed = [solved.alpha[case.room.material_index(m)] for m in first.changes]
-    others = [c.changes[m].alpha for c, m in data.changed if c is not first]
-    return data.result(np.array([*alpha, *changed, *others]), solved.joint)
+    return LogTimes.of(replace(case, applied=()), [0], exact=True).calibrated()
 
 
 @single_threaded_blas()
@@ -251,24 +221,6 @@ def recalibrate(
     bias = None if discrepancy is None else checked_discrepancy(case, discrepancy).bias
     fitted = [c for c in range(len(case.configurations)) if c not in left_out]
     return LogTimes.of(case, fitted, bias).calibrated()
-
-
-def _room(case: Case, further: Mapping[str, str], alpha: Array, sigma: Array) -> Room:
-    """Return the case's room with other coefficients, and ``further`` materials, each like another."""
-    room = case.room
-    rows = [*range(room.n_materials), *map(room.material_index, further.values())]
-    return Room(
-        name=room.name,
-        volume=room.volume,
-        materials=[*room.materials, *further],
-        areas=room.areas[rows],
-        alpha=alpha,
-        sigma=sigma,
-        centre_frequencies=room.centre_frequencies,
-        air=room.air,
-        alpha_min=None if room.alpha_min is None else np.minimum(room.alpha_min[rows], alpha),
-        band_correlation=room.band_correlation,
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,7 +317,19 @@ class LogTimes:
         further = {f"{m} in {c.name}": m for c, m in self.changed}
         alpha = np.array([*room.alpha, *(c.changes[m].alpha for c, m in self.changed)])
         sigma = np.array([*room.sigma, *(c.changes[m].sigma for c, m in self.changed)])
-        unknowns = _room(case, further, alpha, sigma)
+        rows = [*range(room.n_materials), *map(room.material_index, further.values())]
+        unknowns = Room(
+            name=room.name,
+            volume=room.volume,
+            materials=[*room.materials, *further],
+            areas=room.areas[rows],
+            alpha=alpha,
+            sigma=sigma,
+            centre_frequencies=room.centre_frequencies,
+            air=room.air,
+            alpha_min=None if room.alpha_min is None else np.minimum(room.alpha_min[rows], alpha),
+            band_correlation=room.band_correlation,
+        )
         equation = mean_equation(state(case, case.configurations[0]).equation).linear()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MissingAirWarning)  # it is among the finding's notes
@@ -379,11 +343,8 @@ class LogTimes:
                 most=_ROUNDS,
                 settled=lambda step, end: bool(np.abs(end - step.alpha).max() < _SETTLED),
             )
-        return self.result(found.alpha, found.answer.joint)
-
-    def result(self, alpha: Array, joint: JointResult) -> Recalibrated:
-        """Return what coefficients (n_unknowns, n_bands) are calibrated to."""
-        case, n = self.case, self.case.room.n_materials
+        alpha, joint = found.alpha, found.answer.joint
+        n = room.n_materials
         fitted = [case.configurations[c] for c in self.fitted]
         off = (self.predict(alpha) - self.values) / self.u[self.used]
         return Recalibrated(

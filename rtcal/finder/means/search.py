@@ -23,7 +23,6 @@ from rtcal.finder.claim import (
 from rtcal.finder.effects import AppliedEffect, Effect, checked_effects, judged_effects
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.engines import (
-    DEFAULT_ENGINES,
     ControlRooms,
     checked_controls,
     control_rooms,
@@ -81,7 +80,6 @@ def find(
     without: Sequence[str] = (),
     only: Sequence[str] = (),
     prior: Mapping[str, float] | None = None,
-    engines: Sequence[str] = DEFAULT_ENGINES,
     controls: Sequence[ControlRooms] | None = None,
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
@@ -100,15 +98,13 @@ def find(
         Prior odds of effects against the others, in place of their own: ``{"opening": 2.0}``. Those
         of "none" are against anything missing, those of "coefficients" against coefficients as stated.
         Where ``most`` is above 1, ``expected`` takes the place of those of "none".
-    engines : sequence of str
-        At least two simulators that the control rooms go through.
     effects, without, only, controls, cache, progress
         As `rtcal.find` takes them; ``without`` may have "coefficients" and "unknown".
 
     Raises
     ------
     DataError
-        If fewer than two engines are given, or control rooms of another case; if the room was
+        For control rooms of one engine, or of another case; if the room was
         calibrated on one of the case's T already; for an effect that breaks a rule, which the message
         names; if ``most`` or ``expected`` is out of its range.
 
@@ -130,7 +126,7 @@ def find(
     before = prior_of(case.room, effects, odds, left_out)
     predicted = predict_hypotheses(case, effects)
     if controls is None:
-        controls = control_rooms(case, 0, engines, progress, cache)
+        controls = control_rooms(case, 0, progress, cache)
     else:
         controls = checked_controls(case, controls)
     limits = thresholds(null_scores(case, observed, predicted, controls, before))
