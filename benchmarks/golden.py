@@ -368,7 +368,7 @@ def found(name: str) -> dict[str, Any]:
     finding = find(SHIPPED_CASES[name]())
     row = of_finding(finding, gaps=True)
     if finding.can_be_added:
-        row["applied"] = finding.apply().to_dict()
+        row["applied"] = finding.apply().case.to_dict()
     return row
 
 

@@ -16,7 +16,8 @@ import rtcal as rt
 from rtcal.acoustics.room import Surface
 from rtcal.calibration.posterior import distribution
 from rtcal.command.main import cli
-from rtcal.finder import Case, corrected_room, recalibrate, simulator
+from rtcal.finder import Case, recalibrate
+from rtcal.finder.apply import corrected_case
 from rtcal.finder.effects import AppliedEffect
 from rtcal.simulators.base import Simulator, run
 from rtcal.simulators.external import EquationSimulator
@@ -39,7 +40,7 @@ def test_an_absorber_is_as_large_as_its_interval_reaches(
     hidden: tuple[Case, np.ndarray], equation: str
 ) -> None:
     """Up to 18 m² more than its 40 m²: there alpha = 1. The law of corrected rooms has the rest."""
-    room = corrected_room(replace(hidden[0], equation=equation, applied=[OPENING]))
+    room = corrected_case(replace(hidden[0], equation=equation, applied=[OPENING])).room
     assert room.materials == (*hidden[0].room.materials, "opening")
     assert 40.0 < room.areas[-1] < 40.0 + 18.0  # an opening in a wall hides some of it
     assert (room.alpha[-1] + 1.6449 * room.sigma[-1]).max() == pytest.approx(1.0, rel=1e-3)
@@ -50,7 +51,7 @@ def test_an_absorber_at_its_own_size_raises_no_alarm(
     hidden: tuple[Case, np.ndarray],
 ) -> None:
     """It may be larger as well as smaller: no bound is active, and p is printed."""
-    room = corrected_room(replace(hidden[0], applied=[OPENING]))
+    room = corrected_case(replace(hidden[0], applied=[OPENING])).room
     t = rt.Eyring().reverberation_time(room)
     for factor in (0.97, 1.03):
         result = rt.calibrate(
@@ -95,7 +96,7 @@ def test_saved_and_loaded_it_calibrates_to_the_same_numbers(
     case.save(str(tmp_path / "case.json"))
     again = Case.from_file(str(tmp_path / "case.json"))
     assert again.to_dict() == case.to_dict()
-    room = corrected_room(case)
+    room = corrected_case(case).room
     room.save(str(tmp_path / "room.toml"))
     loaded = rt.Room.from_file(str(tmp_path / "room.toml"))
     assert loaded.air == rt.Air(25, 30)
@@ -132,7 +133,8 @@ def test_the_model_is_a_simulator_that_the_loop_calibrates(
     """Also where no equation gives T: a coupled room's decay is bent."""
     shape = AppliedEffect("coupled room", {"aperture": 15.0, "volume": 400.0, "alpha": 0.1})
     case = replace(hidden[0], applied=[shape])
-    sim, room = simulator(case), corrected_room(case)
+    made = corrected_case(case)
+    sim, room = made.simulator(), made.room
     assert isinstance(sim, Simulator)
     wanted = sim.simulate(np.clip(1.2 * room.alpha, 0, 1))
     assert wanted.mean("edt") != pytest.approx(wanted.mean("t20"), rel=0.01)
@@ -171,7 +173,7 @@ def boxed() -> Case:
         name="as built", measured=rt.Measurement.from_values([500, 1000], t20=[1.0, 1.0])
     )
     case = Case(room=room, configurations=[state_], applied=[opened])
-    t20 = rt.Eyring().reverberation_time(corrected_room(case))
+    t20 = rt.Eyring().reverberation_time(corrected_case(case).room)
     measured = rt.Measurement.from_values([500, 1000], t20=t20)
     return replace(case, configurations=[replace(state_, measured=measured)])
 
@@ -184,7 +186,8 @@ def images(room: rt.Room) -> ImageSource:
 
 def test_a_geometric_simulator_takes_the_absorber_on_its_walls() -> None:
     case = boxed()
-    room, sim = corrected_room(case), simulator(case, images)
+    made = corrected_case(case)
+    room, sim = made.room, made.simulator(images)
     with_it = run(sim, room.alpha).mean("t20")
     without = run(images(case.room), case.room.alpha).mean("t20")
     # An image source model's T is not Eyring's; by how much the opening shortens it, nearly is.
@@ -229,15 +232,16 @@ def test_a_geometry_without_what_the_finding_changed_is_refused(changed: str) ->
     }[changed]
     case = replace(case, applied=[effect])
     with pytest.raises(DataError, match=re.escape(said)):
-        simulator(case, drawn(3.0))
-    anew, room = simulator(case, drawn(3.6)), corrected_room(case)
+        corrected_case(case).simulator(drawn(3.0))
+    made = corrected_case(case)
+    anew, room = made.simulator(drawn(3.6)), made.room
     np.testing.assert_allclose(
         anew.simulate(room.alpha).mean("t20"),
-        simulator(case).simulate(room.alpha).mean("t20"),
+        made.simulator().simulate(room.alpha).mean("t20"),
         rtol=1e-9,
     )
     # What the finding leaves as stated may be drawn otherwise, as always.
-    assert simulator(replace(case, applied=[]), drawn(3.6))
+    assert corrected_case(replace(case, applied=[])).simulator(drawn(3.6))
 
 
 def test_the_command_s_room_is_one_that_rtcal_calibrates(
@@ -252,14 +256,17 @@ def test_the_command_s_room_is_one_that_rtcal_calibrates(
         assert found.exit_code == 0, found.output
         return found.stdout
 
-    room, found = str(tmp_path / "room.toml"), str(tmp_path / "found.json")
+    found = str(tmp_path / "found.json")
     done("find", str(tmp_path / "case.json"), "--out", found)
-    out = str(tmp_path / "corrected.json")
-    said = json.loads(done("apply", found, "--out", out, "--room", room, "--json"))
-    low, high = said["applied"][0]["size_interval"]
+    out = tmp_path / "corrected"
+    said = json.loads(done("apply", found, "--out", str(out), "--json"))
+    room = str(out / "room.toml")
+    assert {"case.json", "room.toml"} <= {p.name for p in out.iterdir()}
+    (added,) = said["corrected"]["effects"]
+    low, high = added["size_interval"]
     assert low < 39.6 < high
     assert len(said["calibrated"]["materials"]) == 6
-    assert rt.Room.from_file(room).materials[-1] == said["applied"][0]["effect"]
+    assert rt.Room.from_file(room).materials[-1] == added["effect"]
     done("calibrate", room, str(tmp_path / "measured.csv"), "--out", str(tmp_path / "out"))
     written = rt.Room.from_file(str(tmp_path / "out" / "room.toml"))
     np.testing.assert_allclose(

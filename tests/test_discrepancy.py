@@ -25,6 +25,7 @@ from rtcal.finder import (
     recalibrate,
     verify,
 )
+from rtcal.finder.apply import corrected_case
 from rtcal.finder.effects import (
     AppliedEffect,
     CoupledDecay,
@@ -35,7 +36,6 @@ from rtcal.finder.effects import (
     WrongVolume,
 )
 from rtcal.finder.means import problem as problem_of_means
-from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.engines import ControlRooms, recentred
 from rtcal.finder.means.problem import (
     MeansHypotheses,
@@ -397,9 +397,9 @@ def test_t_alone_proves_nothing_and_the_record_says_so() -> None:
 def test_added_twice_is_added_once_and_survives_a_file(tmp_path: Path) -> None:
     case = opened()
     finding = find(case, effects=[Opening()], controls=controls_of(case))
-    corrected = finding.apply()
-    assert finding.apply(corrected) is corrected
-    corrected.save(str(tmp_path / "corrected.json"))
+    corrected = finding.apply().case
+    assert finding.with_effects(corrected) is corrected
+    (tmp_path / "corrected.json").write_text(corrected.to_json("Do not simulate with it."))
     again = Case.from_file(str(tmp_path / "corrected.json"))
     assert again.to_dict() == corrected.to_dict()
     error = finding.discrepancy
@@ -574,19 +574,20 @@ def test_a_field_of_walls_that_absorb_nothing_decays() -> None:
 def test_what_a_room_cannot_hold_is_said() -> None:
     case = opened()
     coupled = AppliedEffect("coupled room", {"aperture": 8.0, "volume": 300.0, "alpha": 0.05})
-    assert not_in_room(replace(case, applied=(AppliedEffect("opening", {"area": 8.0}),))) == []
+    opening = AppliedEffect("opening", {"area": 8.0})
+    assert not corrected_case(replace(case, applied=(opening,))).notes
     low = AppliedEffect("resonator", {"area": 8.0, "resonance": 100.0, "quality": 3.0})
-    (hidden,) = not_in_room(replace(case, applied=(low,)))
+    (hidden,) = corrected_case(replace(case, applied=(low,))).notes
     assert hidden.startswith("resonator: it hides wall that absorbs more than it does")
     assert "2000 Hz" in hidden
     larger = replace(case, applied=(AppliedEffect("area", {"material": 0.0, "ratio": 2.0}),))
     was = case.room.areas[0]
     assert f'the area of "{case.room.materials[0]}" is {2 * was:.4g} m² and was' in str(
-        not_in_room(larger)
+        corrected_case(larger).notes
     )
-    assert "coupled room" in not_in_room(replace(case, applied=(coupled,)))[0]
+    assert "coupled room" in corrected_case(replace(case, applied=(coupled,))).notes[0]
     sabine = replace(case, applied=(AppliedEffect("formula", {"equation": 0.0}),))
-    assert "sabine" in not_in_room(sabine)[0]
+    assert "sabine" in corrected_case(sabine).notes[0]
 
 
 def test_bands_without_a_trustworthy_t_are_dropped_and_named() -> None:

@@ -62,15 +62,15 @@ def test_the_commands_find_add_and_prove(folder: Path) -> None:
     assert found["engines"] == ["path tracing", "image sources"]
     # The truth, datasets/hidden_room. Every candidate is shown with its size.
     assert found["sizes"]["opening"]["low"] < 39.6 < found["sizes"]["opening"]["high"]
-    out, saved = folder / "corrected.json", str(folder / "found.json")
+    out, saved = folder / "corrected", str(folder / "found.json")
     run("find", case, "--out", saved, "--quiet")
     assert f"Added: {found['candidates'][0]} (" in run("apply", saved, "--out", str(out))
-    for name in ("app", "app.toml"):  # `rtcal find` would read them as TOML
+    for name in ("app.json", "app.toml"):
         refused = CliRunner().invoke(cli, ["apply", saved, "--out", str(folder / name)])
         assert isinstance(refused.exception, rt.errors.DataError)
-        assert f"--out {folder / 'app.json'}" in str(refused.exception)
+        assert f"it is a folder: --out {folder / 'app'}" in str(refused.exception)
         assert not (folder / name).exists()
-    again = json.loads(run("find", str(out), "--json"))
+    again = json.loads(run("find", str(out / "case.json"), "--json"))
     assert again["verdict"] in ("none", "hint")
     assert again["score"] < 0.2 * found["score"]
     assert "all that was held out" in run("verify", saved)

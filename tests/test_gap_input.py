@@ -19,15 +19,14 @@ from rtcal.finder import (
     Absorber,
     Case,
     Effect,
-    corrected_room,
     library,
     plan,
     recalibrate,
-    simulator,
     verify,
 )
+from rtcal.finder.apply import corrected_case
 from rtcal.finder.effects import AppliedEffect, Opening
-from rtcal.finder.means.engines import ControlRooms, Engine
+from rtcal.finder.means.engines import FOLDER, ControlRooms, Engine
 from rtcal.finder.means.problem import ModelDiscrepancy, state
 from rtcal.finder.model import Decay, RoomState
 from rtcal.finder.search import find
@@ -92,11 +91,11 @@ def test_an_effect_of_one_s_own_is_added_verified_and_simulated(tmp_path: Path) 
     assert seen.corrected.sizes["organ"] == pytest.approx(40.0, rel=0.4)
     assert seen.corrected.to_dict()["effects"][0]["unit"] == "m²"
     corrected = finding.apply()
-    room = corrected_room(corrected)
+    room = corrected.room
     assert room.materials[-1] == "organ"
-    t20 = simulator(corrected).simulate(room.alpha).mean("t20")
+    t20 = corrected.simulator().simulate(room.alpha).mean("t20")
     np.testing.assert_allclose(t20, case.configurations[0].measured.mean("t20"), rtol=0.1)
-    assert find(corrected, controls=controls_of(case, 0.01)).verdict == "none"
+    assert find(corrected.case, controls=controls_of(case, 0.01)).verdict == "none"
     target = tmp_path / "own.json"
     refused(lambda: corrected.save(str(target)), '"organ"', "not in the library", "cannot be saved")
     assert not target.exists()
@@ -108,8 +107,10 @@ def test_one_s_own_of_a_library_s_name_is_not_taken_for_the_library_s(tmp_path: 
 
     case = opened(25.0)
     finding = find(case, effects=[Wide()], controls=controls_of(case))
-    refused(lambda: finding.apply().save(str(tmp_path / "a.json")), '"opening"', "cannot be saved")
-    find(case, effects=[Opening()], controls=controls_of(case)).apply().save(
+    refused(
+        lambda: finding.apply().case.save(str(tmp_path / "a.json")), '"opening"', "cannot be saved"
+    )
+    find(case, effects=[Opening()], controls=controls_of(case)).apply().case.save(
         str(tmp_path / "b.json")
     )
     assert (tmp_path / "b.json").exists()
@@ -141,13 +142,14 @@ class Bent(Effect):
 def test_no_simulator_is_said_to_have_a_decay_of_one_s_own() -> None:
     case = replace(opened(), applied=[AppliedEffect(Bent(), {"share": 0.1})])
     assert np.isfinite(recalibrate(case).alpha).all()
-    plain = simulator(replace(case, applied=[])).simulate(case.room.alpha)
-    assert (simulator(case).simulate(case.room.alpha).mean("t30") > 1.02 * plain.mean("t30")).all()
+    plain = corrected_case(replace(case, applied=[])).simulator().simulate(case.room.alpha)
+    bent = corrected_case(case).simulator().simulate(case.room.alpha)
+    assert (bent.mean("t30") > 1.02 * plain.mean("t30")).all()
 
     def make(room: rt.Room) -> object:
         return rt.EquationSimulator(rt.Eyring(), room)
 
-    refused(lambda: simulator(case, make), "bent: it bends the decay")  # type: ignore[arg-type]
+    refused(lambda: corrected_case(case).simulator(make), "bent: it bends the decay")  # type: ignore[arg-type]
 
 
 # What is no effect, and effects that break a rule.
@@ -390,15 +392,15 @@ def test_commands_simulate_a_case_s_control_rooms_once(
     found = str(tmp_path / "found.json")
     assert command("find", path, "--out", found) != ""
     command("verify", found)
-    command("apply", found, "--out", str(tmp_path / "out.json"))
+    command("apply", found, "--out", str(tmp_path / "out"))
     assert runs == ["path tracing", "image sources"]
     assert command("find", path, "--seed", "1") == said  # nothing is drawn
     assert runs == ["path tracing", "image sources"]
-    # Another case in the same folder has rooms of its own.
-    command("find", str(tmp_path / "out.json"))
+    # Another case has rooms of its own.
+    command("find", str(tmp_path / "out" / "case.json"))
     assert len(runs) == 4
     # Damaged files and a deleted folder only cost the time to simulate again.
-    (folder,) = (f for f in tmp_path.iterdir() if f.is_dir())
+    folder = tmp_path / FOLDER
     for file in folder.iterdir():
         file.write_bytes(file.read_bytes()[:50])
     assert command("find", path) == said

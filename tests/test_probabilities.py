@@ -100,7 +100,7 @@ def test_coefficients_off_together_are_a_verdict_in_words_and_a_prior_to_go_on_f
     either = replace(sure, verdict="ambiguous", candidates=(*together, *candidates_of("volume")))
     assert "one of coefficients that are off together (" in sentence_of(either)
     assert "look for another source" in str(sure)
-    moved = sure.apply()
+    moved = sure.apply().case
     assert moved.applied == ()
     assert (moved.room.alpha >= case.room.alpha).all()
     true = np.array(ALPHA * np.geomspace(2.4, 1.6, 6))
@@ -238,7 +238,7 @@ def test_one_size_everywhere() -> None:
     finding = find(case, only=["opening"], controls=controls(case))
     assert finding.can_be_added
     assert finding.size is not None
-    (added,) = finding.apply().applied
+    (added,) = finding.apply().case.applied
     assert added.parameters["area"] == finding.size.mean
     assert added.size_interval == (finding.size.low, finding.size.high)
     result = rt.finder.verify(finding)
@@ -246,10 +246,7 @@ def test_one_size_everywhere() -> None:
     words = f"{finding.size.mean:.3g} m² (90 %: {finding.size.low:.3g} to {finding.size.high:.3g})"
     for text in (size_of(finding, str(finding.best_effect)), result.corrected.effects_in_words[0]):
         assert words in text
-    assert (
-        f"{finding.size.mean:.3g} m²"
-        in rt.finder.corrected_room(finding.apply()).sources["opening"]
-    )
+    assert f"{finding.size.mean:.3g} m²" in finding.apply().room.sources["opening"]
     assert distances(case, case.configurations[0]).shape == (1,)
 
 

@@ -88,9 +88,9 @@ def test_findings_are_read_back(tmp_path: Path, kept: Path) -> None:
     case, _ = rt.datasets.hidden_room()
     finding = rt.find(case, cache=kept)
     again = back(finding, tmp_path / "finding")
-    assert again.apply().to_json() == finding.apply().to_json()
+    assert again.apply().to_dict() == finding.apply().to_dict()
     back(rt.finder.verify(finding), tmp_path / "verification")
-    back(rt.finder.recalibrate(finding.apply()), tmp_path / "recalibrated")
+    back(rt.finder.recalibrate(finding.apply().case), tmp_path / "recalibrated")
     back(rt.finder.plan(case), tmp_path / "plan")
 
 

@@ -219,12 +219,12 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert together.low < 1.3 < together.high
     assert alone is not None
     assert abs(together.mean - 1.3) < abs(alone.mean - 1.3)
-    corrected = found.apply()
+    corrected = found.apply().case
     assert [a.name for a in corrected.applied] == list(found.members)
     done = rt.finder.recalibrate(corrected, found.discrepancy)
     plain = rt.finder.recalibrate(case)
     assert np.abs(done.alpha - ALPHA).max() < 0.5 * np.abs(plain.alpha - ALPHA).max()
-    assert found.apply(corrected).applied == corrected.applied
+    assert found.with_effects(corrected).applied == corrected.applied
     assert "size" in json.dumps(found.to_dict(), allow_nan=False)
     assert "volume" in str(found)
     assert repr(found).startswith("<Finding named: volume")
@@ -259,7 +259,7 @@ def test_a_family_alone_is_not_called_a_name() -> None:
     assert found.named_families == ("field",)
     assert found.verdict == "family"
     assert str(found).startswith("family: Missing from the model")
-    assert found.apply().applied
+    assert found.apply().case.applied
 
 
 def test_an_unknown_effect_is_said_to_be_unknown() -> None:

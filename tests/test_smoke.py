@@ -110,7 +110,7 @@ of_finding.correct = lambda *_, **__: ("nothing to add", {}, {})
         long(
             4, "import sys; sys.modules['jinja2'] = None", ["report", "calibrated"], "rtcal[report]"
         ),
-        long(6, NOTHING_TO_ADD, ["apply", "case.toml", "--out", "c.json"], ""),
+        long(6, NOTHING_TO_ADD, ["apply", "case.toml", "--out", "c"], ""),
         long(130, fails_with("KeyboardInterrupt"), CALIBRATE, ""),
     ],
 )

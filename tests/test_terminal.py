@@ -91,7 +91,7 @@ CALLS: list[tuple[str, list[str], int]] = [
     ("missing-effect", ["find", "case.json", "--out", "gap"], 0),
     ("missing-effect", ["verify", "gap"], 0),
     ("missing-effect", ["verify", "case.json"], 2),
-    ("missing-effect", ["apply", "gap", "--out", "c.json", "--room", "c.toml"], 0),
+    ("missing-effect", ["apply", "gap", "--out", "c"], 0),
     (
         "room",
         ["study", "--trials", "9", "--realisations", "30", "--kind", "shoebox", "--kind", "halls"],

@@ -329,12 +329,16 @@ def test_the_command_writes_numbers_and_page(
     assert "0 pairs of before and after are not among the 6" in capsys.readouterr().err
     out = str(tmp_path / "changed")
     assert run("apply", names["out"], "--out", out, "--json") == 0
-    assert json.loads(capsys.readouterr().out)["written"] == [
-        str(tmp_path / "changed" / "room.toml")
-    ]
+    said = json.loads(capsys.readouterr().out)
+    assert said["written"] == [str(tmp_path / "changed" / "room.toml")]
+    # What the verification says against the room stands in its file, too.
+    caution = said["corrected"]["caution"]
+    assert caution.startswith("Do not simulate with it")
+    text = (tmp_path / "changed" / "room.toml").read_text(encoding="utf-8")
+    assert text.startswith(f"# {caution}\n")
     for name in ("q.json", "q.toml"):
         assert run("apply", names["out"], "--out", str(tmp_path / name)) == 2
-        assert f"of two states it is a folder: --out {tmp_path / 'q'}" in " ".join(
+        assert f"it is a folder: --out {tmp_path / 'q'}" in " ".join(
             capsys.readouterr().err.split()
         )
         assert not (tmp_path / name).exists()

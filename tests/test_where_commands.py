@@ -93,8 +93,7 @@ def test_nothing_found_is_said_and_nothing_is_written(
         (("--at", "a,b,c"), '--at "a,b,c" is not X,Y,Z in m'),
         (("--at", "6,2,0", "--form", "material"), "at is the middle of a patch"),
         (("--form", "hole"), "'hole' is not one of"),
-        (("--room", "x.toml"), "--room: with a geometry"),
-        (("--out", "pairs.csv"), "--out pairs.csv is a file; with a geometry it is a folder"),
+        (("--out", "pairs.csv"), "--out pairs.csv is a file; it is a folder: --out pairs"),
     ],
 )
 def test_a_wrong_option_is_refused(

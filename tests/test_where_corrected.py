@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.claim import Candidate
-from rtcal.finder.corrected import corrected_geometry
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import of_geometry, patched
 from rtcal.io import catt, geometry_files, obj, odeon
@@ -165,7 +165,7 @@ def test_the_corrected_room_absorbs_what_was_found(box: PositionsCase, form: str
     assert made.room.total_area == pytest.approx(box.room.total_area)
     added = made.room.absorption_area - box.room.absorption_area
     assert added == pytest.approx(6.0 * np.full(2, 0.8 - 0.12))
-    assert np.array_equal(made.simulator.scattering, made.room.scattering)
+    assert np.array_equal(made.simulator().scattering, made.room.scattering)
 
 
 def test_a_patch_of_alpha_1_is_drawn_larger(box: PositionsCase) -> None:
@@ -219,7 +219,7 @@ def test_every_engine_hears_the_correction(box: PositionsCase) -> None:
         assert ratio == pytest.approx(wanted, rel=0.12), type(after).__name__
 
     for made in (patch, wall):
-        falls(box.simulator, made.simulator, made.room)
+        falls(box.simulator, made.simulator(), made.room)
     places = {"sources": SOURCES, "receivers": RECEIVERS}
     image = ImageSource(room=box.room, **places, duration=1.5)
     falls(image, ImageSource(room=wall.room, **places, duration=1.5), wall.room)
@@ -245,7 +245,7 @@ def test_pyroomacoustics_hears_the_correction(box: PositionsCase) -> None:
     before = rays(box.geometry, box.room)
     for form in ("patch", "material"):
         made = corrected_geometry(box, candidate("east", 8.0), form)
-        other = mean_t(made.simulator, made.room.alpha) / mean_t(box.simulator, box.room.alpha)
+        other = mean_t(made.simulator(), made.room.alpha) / mean_t(box.simulator, box.room.alpha)
         ratio = rays(made.geometry, made.room) / before
         assert ratio == pytest.approx(other, rel=0.06), form
         assert (ratio < 0.87).all()
@@ -266,7 +266,9 @@ def test_what_is_written_is_read_again(geometry: Polyhedron, tmp_path: Path) -> 
     assert list(of_geometry(mesh)) == list(of_geometry(made.geometry))
     assert (room.scene.sources, room.scene.receivers) == (SOURCES, RECEIVERS)
     heard = geometry_files.path_tracing(room, n_paths=6400)
-    assert mean_t(heard, room.alpha) == pytest.approx(mean_t(made.simulator, room.alpha), rel=1e-9)
+    assert mean_t(heard, room.alpha) == pytest.approx(
+        mean_t(made.simulator(), room.alpha), rel=1e-9
+    )
     for program, name in ((catt, "catt.txt"), (odeon, "odeon.txt")):
         listed = program.read(tmp_path / name)
         assert len(listed.materials) == room.n_materials
@@ -274,7 +276,7 @@ def test_what_is_written_is_read_again(geometry: Polyhedron, tmp_path: Path) -> 
             columns = [list(material.centre_frequencies).index(f) for f in BANDS]
             assert np.asarray(material.alpha)[columns] == pytest.approx(alpha, abs=0.005)
     assert made.room.scattering is not None
-    assert "scattering" in made.lost["odeon.txt"]  # a list for ODEON has no column for it
-    assert "scattering" not in made.lost.get("catt.txt", ())
+    assert "scattering" in made.reports["odeon.txt"].lost  # a list for ODEON has no column for it
+    assert "scattering" not in made.reports["catt.txt"].lost
     for name in ("catt.txt", "odeon.txt"):  # the lists have bands that the room lacks
-        assert made.filled[name]
+        assert made.reports[name].notes

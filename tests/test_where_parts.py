@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.corrected import corrected_geometry
+from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.effects import library
 from rtcal.finder.positions import surfaces
 from rtcal.finder.positions.problem import materials, on_parts, shifts

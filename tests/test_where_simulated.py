@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.corrected import corrected_geometry
+from rtcal.finder.apply import corrected_geometry
 from rtcal.loop import ControlRuns
 from rtcal.simulators import RayTracing
 from rtcal.support.errors import DataError

@@ -51,7 +51,6 @@ SEEDS = (0, 1, 2)
 _OF_POSITIONS = ("simulated", "match", "exclude", "scattering", "paths")
 _OF_MEANS = ("prior", "most", "expected")
 _NEEDS_POSITIONS = " needs a room that states its sources and receivers, measured pair by pair"
-_NO_SURFACE = ": a finding without a geometry has no surface"
 _ENDINGS = (".csv", ".json", ".toml")
 """Endings of the files that rtcal reads, which no folder of `apply` has."""
 
@@ -339,17 +338,7 @@ def verify(found: str, before: str | None, after: str | None) -> None:
 @click.command(short_help="Add what was found to the model.")
 @takes(
     "FOUND",
-    click.option(
-        "--out",
-        type=click.Path(),
-        required=True,
-        help="The case with the effect, a name that ends in .json; of two states or with a geometry, "
-        "a folder.",
-    ),
-    file(
-        "room",
-        "The room with the effect (TOML), for rtcal calibrate. Absorbers are materials of it.",
-    ),
+    click.option("--out", type=click.Path(), required=True, help="Folder for the files."),
     choice(
         "form",
         ("patch", "material"),
@@ -367,59 +356,39 @@ def verify(found: str, before: str | None, after: str | None) -> None:
         help="The candidate to add; needed where none has a probability of 0.3.",
     ),
 )
-def apply(
-    found: str, out: str, room: str | None, form: str | None, at: Any, effect: str | None
-) -> None:
-    """Add the named effect to the model, and print the calibration with it.
+def apply(found: str, out: str, **options: Any) -> None:
+    """Add what was found to the model, and write the room with it into a folder.
 
     FOUND is what `rtcal find --out` wrote. If the finding is ambiguous, the best candidate is added if
     its probability is at least 0.3, and the others are printed; else --effect must name one. If there
     is nothing to add, nothing is written and the exit code is 6. Of a finding with --most 3, the most
     probable set is added.
 
-    The written case can be used like any other. Neither it nor the room is calibrated. Areas and volume
-    stay as stated: absorbers stand free in the room. A volume is changed only where its error is
-    claimed, at 0.9.
+    room.toml is the room, for rtcal calibrate. It is not calibrated. Areas and volume stay as stated:
+    absorbers stand free in it. A volume is changed only where its error is claimed, at 0.9. case.json
+    is the case with the effect, which can be used like any other; the calibration with it is printed.
 
-    With a geometry, a folder gets room, mesh, and lists of materials for CATT and ODEON. The
+    With a geometry, room.obj is the mesh, and catt.txt and odeon.txt are lists of materials. The
     patch stands in the middle of its surface unless --at states a place. Where the best family on one
     surface has less than 0.3, --effect or --at must be stated.
 
-    Of two states, a folder gets the room of the second state: calibrated to what was measured before,
+    Of two states, room.toml is the room of the second state: calibrated to what was measured before,
     with what changed.
 
-    \b
-    Example: rtcal apply found \\
-        --out corrected.json --room corrected.toml
-    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    Where the verification in FOUND says not to simulate with it, so do the output and the files.
+
+    Example: rtcal apply found --out corrected
+    """
     from rtcal.report import of_finding
 
-    finding, _ = saved(found)
+    finding, verification = saved(found)
     target = Path(out)
-    if finding.kind == "means":
-        refuse({"form": form, "at": at}, _NO_SURFACE)
-        if target.suffix != ".json":
-            raise DataError(
-                f"--out {out}: the case is written as JSON, and read as TOML by a name that does not "
-                f"end in .json: --out {target.with_suffix('.json')}"
-            )
-    else:
-        of = "of two states" if finding.kind == "states" else "with a geometry"
-        if target.is_file():
-            raise DataError(f"--out {out} is a file; {of} it is a folder")
-        if target.suffix in _ENDINGS:
-            name = target.with_suffix("")
-            raise DataError(
-                f"--out {out} has the ending of a file; {of} it is a folder: --out {name}"
-            )
-        if finding.kind == "states":
-            refused = {"form": form, "at": at, "room": room, "effect": effect}
-            refuse(refused, " is not of two states")
-        refuse({"room": room}, ": with a geometry the room is written into the folder of --out")
-    with errors_name_options("effect", "at"):
-        chosen: Any = {"effect": effect, "form": form, "at": at}
-        said, record, files = of_finding.correct(finding, target, room, **chosen)
-    if files and finding.kind != "means":
+    if target.is_file() or target.suffix in _ENDINGS:
+        what = "is a file" if target.is_file() else "has the ending of a file"
+        raise DataError(f"--out {out} {what}; it is a folder: --out {target.with_suffix('')}")
+    with errors_name_options("effect", "at", "form"):
+        said, record, files = of_finding.correct(finding, target, verification, **options)
+    if files:
         make_folder(target)
     write_all(files)
     tell(said, record)

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from rtcal.finder.effects import Effect as Effect
     from rtcal.finder.effects import library as library
     from rtcal.finder.finding import Finding as Finding
-    from rtcal.finder.means.corrected import corrected_room as corrected_room
-    from rtcal.finder.means.corrected import simulator as simulator
     from rtcal.finder.means.engines import control_rooms as control_rooms
     from rtcal.finder.means.planning import plan as plan
     from rtcal.finder.means.recalibration import recalibrate as recalibrate

@@ -134,6 +134,7 @@ class CaseTable(FileTable):
     facing: list[list[Number | None]] | None = None
     applied: list[EffectTable] = []
     climate_uncertainty: tuple[Number, Number] = CLIMATE_UNCERTAINTY
+    caution: str = ""  # for whoever opens the file
 
 
 @dataclass(frozen=True)
@@ -500,9 +501,10 @@ class Case:
         """Write the case as JSON, whole or not at all; DataError as `to_dict`."""
         write_text(path, self.to_json())
 
-    def to_json(self) -> str:
-        """Return the text that `save` writes."""
-        return json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
+    def to_json(self, caution: str = "") -> str:
+        """Return the text that `save` writes; a ``caution`` stands at its head."""
+        head = {"caution": caution} if caution else {}
+        return json.dumps(head | self.to_dict(), indent=1, allow_nan=False) + "\n"
 
     def require_fresh(self) -> None:
         """Raise DataError for data that would count twice, and for a configuration only planned.

@@ -18,6 +18,13 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
+from rtcal.finder.apply import (
+    Corrected,
+    changed_room,
+    corrected_case,
+    corrected_geometry,
+    surface_at,
+)
 from rtcal.finder.case import Case
 from rtcal.finder.claim import (
     CLAIMED,
@@ -39,7 +46,6 @@ from rtcal.finder.claim import (
     percent,
     unexplained,
 )
-from rtcal.finder.corrected import Corrected, changed_room, corrected_geometry, surface_at
 from rtcal.finder.effects import AppliedEffect, CoupledRoom, Effect, WrongVolume, checked_effects
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.positions.case import PositionsCase
@@ -406,13 +412,12 @@ class Finding(Result):
 
     def apply(
         self,
-        case: Case | None = None,
         *,
         effect: str | None = None,
         form: str | None = None,
         at: Sequence[float] | None = None,
-    ) -> Case | Corrected:
-        """Return what was found in the model: of means the case with it, else the `Corrected` room.
+    ) -> Corrected:
+        """Return the model with what was found in it: its room, its simulator and, of means, its case.
 
         Of means the most probable effects are added, each with its size beside the others; of an
         ambiguous finding and a family the best candidate. Where the coefficients are off together, the
@@ -423,8 +428,6 @@ class Finding(Result):
 
         Parameters
         ----------
-        case : Case, optional
-            Of means, to which it is added; by default the finding's own.
         effect : str, optional
             The candidate to add instead of the most probable one.
         form : {"patch", "material"}, optional
@@ -456,20 +459,9 @@ class Finding(Result):
         >>> print(abs(now / [0.9, 0.7] - 1) < 0.1)  # within 10 %
         [ True  True]
         """
-        if self.kind != "means":
-            _refuse(self, case=case)
-            return self.corrected(effect=effect, form=form, at=at)
-        _refuse(self, form=form, at=at)
-        return self.with_effects(case, self.chosen(effect))
-
-    def corrected(
-        self,
-        *,
-        effect: str | None = None,
-        form: str | None = None,
-        at: Sequence[float] | None = None,
-    ) -> Corrected:
-        """Return the room with what was found at positions or between two states, as `apply`."""
+        if self.kind == "means":
+            _refuse(self, form=form, at=at)
+            return corrected_case(self.with_effects(members=self.chosen(effect)))
         if (nothing := self.reason_for_none) is not None:
             raise DataError(nothing)
         if self.kind == "states":

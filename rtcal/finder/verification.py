@@ -39,9 +39,9 @@ from rtcal.acoustics.observables import (
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
+from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.case import LEVELS, Case
 from rtcal.finder.claim import DISTINCT_NATS, Candidate
-from rtcal.finder.corrected import corrected_geometry
 from rtcal.finder.finding import LEAST_PAIRS, Finding, feature_names, rivals, support
 from rtcal.finder.means.problem import (
     MeansProblem,
@@ -933,7 +933,7 @@ def _gaps_at_positions(
     # in the stated geometry.
     stated = case.simulator.denser()
     with_added = [
-        stated if best is None else corrected_geometry(case.only(half), best).simulator.denser()
+        stated if best is None else corrected_geometry(case.only(half), best).simulator().denser()
         for half, best in zip(halves, added, strict=True)
     ]
     names = [*MODELS.values()]

@@ -27,7 +27,6 @@ from rtcal.finder.finding import (
     sentence_of,
     sentences,
 )
-from rtcal.finder.means.corrected import corrected_room, not_in_room
 from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.means.verdict import TWO
 from rtcal.finder.positions.places import Place
@@ -523,21 +522,21 @@ def _of_states(finding: Finding, verification: Verification | None) -> list[Any]
 def correct(
     finding: Finding,
     out: Path,
-    room: str | None = None,
+    verification: Verification | None = None,
     *,
     effect: str | None = None,
     form: str | None = None,
     at: Sequence[float] | None = None,
 ) -> tuple[str, dict[str, Any], dict[Path, bytes]]:
-    """Add what was found to the model: the case calibrated with it, or a room and its lists.
+    """Add what was found to the model, with the caution of its verification.
 
     Parameters
     ----------
     finding : Finding
     out : Path
-        Of means, the case with the effect (JSON); else a folder.
-    room : str, optional
-        Of means, the room with the effect (TOML).
+        A folder.
+    verification : Verification, optional
+        The finding's. Of means it holds the calibration with the effect, which is else made.
     effect, form, at
         As `Finding.apply` takes them.
 
@@ -554,28 +553,22 @@ def correct(
     record = finding.to_dict()
     if (nothing := finding.reason_for_none) is not None:
         return f"{nothing}\nNothing is written.", {**record, "sentence": nothing}, {}
-    if finding.kind != "means":
-        made = finding.corrected(effect=effect, form=form, at=at)
-        said = "\n".join([finding.headline, *made.in_words])
-        return said, {**record, **made.to_dict()}, made.contents(out)
-    members = finding.chosen(effect)
-    case = finding.with_effects(members=members)
-    calibrated = recalibrate(case, finding.discrepancy)
-    files, absent = {out: case.to_json().encode()}, list[str]()
-    if room is not None:
-        files[Path(room)] = corrected_room(case).to_text(Path(room).parent).encode()
-        absent = not_in_room(case)
-    sentence = added(finding, members)
-    lines = [
-        sentence,
-        *lines_of(calibrated.blocks()),
-        *(f"  note: {note}" for note in finding.notes),
-        *(f"  not in {room}: {line}" for line in absent),
-    ]
-    record |= {
-        "sentence": sentence,
-        "applied": [p.to_dict() for p in case.applied],
-        "calibrated": calibrated.to_dict(),
-        "not_in_room": absent,
-    }
-    return "\n".join(lines), record, files
+    made = finding.apply(effect=effect, form=form, at=at)
+    if verification is not None:
+        made = replace(made, caution=verification.misses_in_words)
+    lines = [finding.headline, *made.in_words]
+    record["corrected"] = made.to_dict()
+    if made.model is not None:
+        members = finding.chosen(effect)
+        calibrated = None if verification is None else verification.corrected
+        if calibrated is None or members != finding.members:
+            calibrated = recalibrate(made.model.case, finding.discrepancy)
+        lines = [
+            added(finding, members),
+            *([made.caution] if made.caution else []),
+            *lines_of(calibrated.blocks()),
+            *(f"  note: {note}" for note in finding.notes),
+            *(f"  not in the room: {note}" for note in made.notes),
+        ]
+        record |= {"sentence": lines[0], "calibrated": calibrated.to_dict()}
+    return "\n".join(lines), record, made.contents(out)

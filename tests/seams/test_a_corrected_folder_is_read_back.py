@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.corrected import corrected_geometry
+from rtcal.finder.apply import corrected_geometry
 from rtcal.io import catt, geometry_files, obj, odeon
 from rtcal.simulators import Polyhedron
 from tests.test_where_corrected import BANDS, L_PLAN, candidate, case_in, prism, triangulated

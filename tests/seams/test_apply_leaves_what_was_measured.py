@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder import Case, corrected_room
+from rtcal.finder import Case
+from rtcal.finder.apply import corrected_case
 from rtcal.finder.effects import AppliedEffect, Effect, checked_grid, library
 from rtcal.finder.finding import Finding
-from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.problem import state
 from rtcal.report import of_finding
 from rtcal.support.errors import DataError
@@ -54,7 +54,7 @@ def test_stated_areas_and_volume_stay(case: Case, effect: Effect, equation: str)
     stated = case.room
     for place in (0.0, 0.3, 0.7, 1.0):
         with_it = replace(case, equation=equation, applied=[at(case, effect, place)])
-        room = corrected_room(with_it)
+        room = corrected_case(with_it).room
         n = stated.n_materials
         assert room.materials[:n] == stated.materials
         assert effect.name in ABOUT or room.volume == stated.volume
@@ -65,7 +65,7 @@ def test_stated_areas_and_volume_stay(case: Case, effect: Effect, equation: str)
             gain = room.absorption_area - stated.absorption_area
             assert (gain >= 0).all()
             # A panel that absorbs less than the wall it hides, in every band, is no material.
-            hides = any("takes absorption away" in line for line in not_in_room(with_it))
+            hides = any("takes absorption away" in line for line in corrected_case(with_it).notes)
             assert gain.max() > 0 or hides
         if effect.name not in ABOUT:
             assert room.dimensions == stated.dimensions
@@ -79,7 +79,7 @@ def test_the_order_of_two_absorbers_leaves_the_total(case: Case) -> None:
         AppliedEffect("furniture", {"absorption_area": 12.0}),
         AppliedEffect("opening", {"area": 6.0}),
     ]
-    one, other = (corrected_room(replace(case, applied=each)) for each in (two, two[::-1]))
+    one, other = (corrected_case(replace(case, applied=each)).room for each in (two, two[::-1]))
     assert sorted(one.materials) == sorted(other.materials)
     np.testing.assert_allclose(
         rt.Eyring().reverberation_time(one), rt.Eyring().reverberation_time(other), rtol=1e-9
@@ -112,11 +112,11 @@ def test_an_improbable_candidate_is_added_only_by_its_name(finding: Finding) -> 
         unsure.apply()
     assert all(f"{n} ({unsure.percent(n)})" in str(refused.value) for n in names)
     assert not unsure.can_be_verified
-    assert [p.name for p in unsure.apply(effect=names[0]).applied] == names[:1]
+    assert [p.name for p in unsure.apply(effect=names[0]).case.applied] == names[:1]
     with pytest.raises(DataError, match='effect = "organ" is no candidate'):
         unsure.apply(effect="organ")
     sure = with_odds(finding, "ambiguous", first=0.3, second=0.2)
-    assert [p.name for p in sure.apply().applied] == [sure.best_effect]
+    assert [p.name for p in sure.apply().case.applied] == [sure.best_effect]
 
 
 def test_no_page_advises_an_improbable_candidate(finding: Finding, tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case, kept: P
             guess.apply(effect=stated)
     assert of_finding._corrected(guess, None, {}) == []
     claimed = replace(guess, verdict="named", named=("volume",), probabilities={"volume": 0.95})
-    assert corrected_room(claimed.apply()).volume == pytest.approx(1.3 * case.room.volume)
+    assert claimed.apply().room.volume == pytest.approx(1.3 * case.room.volume)
 
 
 def torn_at_positions(first: float, verdict: str = "ambiguous") -> Finding:

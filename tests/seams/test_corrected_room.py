@@ -2,7 +2,7 @@
 
 For every effect and size, alone and in pairs: absorption area, T and level of the state with the
 effects are those of the case that is read again, of the corrected room, of its simulators and of its
-file. What one of them cannot hold it says: in `not_in_room`, or by a typed error.
+file. What one of them cannot hold it says: in its notes, or by a typed error.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.equations import mean_equation
-from rtcal.finder import Case, corrected_room, recalibrate, simulator
+from rtcal.finder import Case, recalibrate
+from rtcal.finder.apply import corrected_case
 from rtcal.finder.effects import AppliedEffect, Effect, checked_grid, library
-from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.problem import distances, state
 from rtcal.finder.model import FEATURES, RoomState, predict
 from rtcal.simulators.external import EquationSimulator
@@ -101,8 +101,9 @@ def agree(case: Case) -> None:
         again = Case.from_dict(json.loads(case.to_json()))
         np.testing.assert_array_equal(predict([state(again, first)], at).features[0], wanted)
 
-    room, absent = corrected_room(case), not_in_room(case)
-    model = simulator(case).simulate(room.alpha)
+    made = corrected_case(case)
+    room, absent = made.room, made.notes
+    model = made.simulator().simulate(room.alpha)
     rows = dict(zip(FEATURES, wanted, strict=True))
     t20 = np.exp(rows["t20"])
     for name, value in (
@@ -141,7 +142,7 @@ def agree(case: Case) -> None:
         return  # it counts a patch otherwise than a wall that is as absorbing on average
     spread, refused = None, ""
     try:
-        spread = simulator(case, lambda r: EquationSimulator(equation, r))
+        spread = made.simulator(lambda r: EquationSimulator(equation, r))
     except DataError as error:
         refused = str(error)
     if spread is None:
@@ -155,7 +156,7 @@ def test_what_is_stated_of_the_areas_stays_in_the_corrected_room(case: Case) -> 
     """A room that stated how sure its areas are had no corrected room: a row was missing."""
     room = case.room.replace(area_sigma=0.05, surfaces=())
     porous = next(e for e in library() if e.name == "porous")
-    made = corrected_room(replace(case, room=room, applied=[of(porous, case, 0.5)]))
+    made = corrected_case(replace(case, room=room, applied=[of(porous, case, 0.5)])).room
     assert made.area_sigma.tolist() == [*[0.05] * room.n_materials, 0.0]
 
 
@@ -168,7 +169,7 @@ def test_a_stated_material_whose_alpha_an_effect_changes_says_so(
     for place in (0.0, 0.5, 1.0):
         p = of(effect, case, place)
         of_case = replace(case, room=case.room.replace(sources=stated), applied=[p])
-        room = corrected_room(of_case)
+        room = corrected_case(of_case).room
         read = rt.Room.from_text(room.to_text(), "room.toml")
         for row, name in enumerate(case.room.materials):
             held, says = stated.get(name, ""), read.sources.get(name, "")
@@ -220,7 +221,7 @@ def test_the_calibrated_room_has_the_calibrated_model_s_time(case: Case, effect:
     calibrated = recalibrate(changed)
     assert calibrated.off < 0.5
     known = ("formula", "surfaces", "dimensions", "speed of sound")
-    if any(not line.startswith(known) for line in not_in_room(changed)):
+    if any(not line.startswith(known) for line in corrected_case(changed).notes):
         return  # `agree` shows that the room lacks it
     after = state(changed, at)
     equation = replace(mean_equation(after.equation), speed_of_sound=after.speed_of_sound)

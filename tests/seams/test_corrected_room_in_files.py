@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder import Case, corrected_room, simulator
+from rtcal.finder import Case
+from rtcal.finder.apply import corrected_case
 from rtcal.finder.effects import Effect, library
-from rtcal.finder.means.corrected import not_in_room
 from rtcal.io import bras, catt, odeon, pyroomacoustics
 from tests.seams.test_corrected_room import EVERY, of
 
@@ -56,7 +56,8 @@ def test_a_file_of_a_corrected_room_is_the_room(
 ) -> None:
     module, how = FORMATS[name]
     for i, changed in enumerate(corrected(case, effect)):
-        room = corrected_room(changed)
+        made = corrected_case(changed)
+        room = made.room
         path = tmp_path / f"out{i}"
         report = module.write(room, path, **how)
         names = room.materials
@@ -88,8 +89,8 @@ def test_a_file_of_a_corrected_room_is_the_room(
         read = rt.Eyring().reverberation_time(again)
         np.testing.assert_allclose(report.reverberation_time_as_read, read, rtol=1e-12)
         # d ln T / d alpha is largest where little absorbs: the decimals' share of what does.
-        model = simulator(changed).simulate(room.alpha).mean("t20")[shared]
-        if not [line for line in not_in_room(changed) if not line.startswith(OF_GEOMETRY)]:
+        model = made.simulator().simulate(room.alpha).mean("t20")[shared]
+        if not [line for line in made.notes if not line.startswith(OF_GEOMETRY)]:
             np.testing.assert_allclose(rows, model, rtol=1e-9)
         absorbed = room.areas @ room.alpha[:, shared]
         share = HALF_OF_THE_LAST_DECIMAL * room.total_area / absorbed

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.corrected import Corrected, corrected_geometry
+from rtcal.finder.apply import Corrected, corrected_geometry
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
 from rtcal.loop.positions import PositionsResult
@@ -347,10 +347,10 @@ def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path: Path) -> None
     assert again.areas.keys() == {*whole, made.material}
     assert again.areas["floor"] == pytest.approx(whole.pop("floor") - 4.0, rel=1e-6)
     assert {n: again.areas[n] for n in whole} == pytest.approx(whole, rel=1e-9)
-    for name, lost in made.lost.items():
+    for name, report in made.reports.items():
         words = {SAID[n] for n in SAID if n not in ("dimensions", "clipped", "scattering", "scene")}
-        assert {"mesh", "sources and receivers"} <= {*lost}
-        assert words - {"what scattering means", SAID["calibration"]} <= set(lost), name
+        assert {"mesh", "sources and receivers"} <= {*report.lost}
+        assert words - {"what scattering means", SAID["calibration"]} <= set(report.lost), name
 
 
 def test_a_patchs_folder_names_the_balloons_files(tmp_path: Path) -> None:
@@ -360,7 +360,7 @@ def test_a_patchs_folder_names_the_balloons_files(tmp_path: Path) -> None:
     scene = replace(made.case.room.scene, directivity={"S1": file})
     simulator = made.case.simulator
     simulator = replace(simulator, room=simulator.room.replace(scene=scene))
-    replace(made, case=replace(made.case, simulator=simulator)).save(tmp_path / "new")
+    corrected_geometry(replace(made.case, simulator=simulator), made.added).save(tmp_path / "new")
     stated = (tmp_path / "new" / "room.toml").read_text(encoding="utf-8")
     assert 'file = "../speaker.sofa"' in stated
     read = rt.Room.from_file(str(tmp_path / "new" / "room.toml")).scene.directivity["S1"]

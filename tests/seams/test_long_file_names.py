@@ -60,9 +60,7 @@ CASES = [
     pytest.param(words, command, parameter, id=" ".join((*words, parameter.name or "")))
     for words, command in commands(cli)
     for parameter in command.params
-    if is_path(parameter)
-    and parameter.name != "out"
-    and (words, parameter.name) != (("apply",), "room")  # written only where something is added
+    if is_path(parameter) and parameter.name != "out"
 ]
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rtcal.finder.corrected import corrected_geometry
+from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.effects import library
 from rtcal.finder.positions.problem import on_surfaces
 from rtcal.simulators import Polyhedron

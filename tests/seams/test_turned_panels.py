@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder import corrected_room, simulator, verify
+from rtcal.finder import verify
 from rtcal.finder.finding import best_title
 from rtcal.finder.search import find
 from rtcal.report.of_finding import rests_on, to_do
@@ -34,7 +34,7 @@ def test_turned_panels_are_named_added_and_verified(
     assert "of its area covered" in str(finding)
 
     corrected = finding.apply()
-    room = corrected_room(corrected)
+    room = corrected.room
     room.save(str(tmp_path / "room.toml"))
     measured = case.configurations[0].measured.mean("t20")
     off = {
@@ -46,7 +46,7 @@ def test_turned_panels_are_named_added_and_verified(
     }
     assert off["stated"] > 0.7
     assert off["written"] < 0.25 * off["stated"]
-    modelled = simulator(corrected).simulate(room.alpha).mean("t20")
+    modelled = corrected.simulator().simulate(room.alpha).mean("t20")
     np.testing.assert_allclose(rt.Eyring().reverberation_time(room), modelled, rtol=1e-9)
     # Calibrating the written room moves no stated material to an end: no floor is driven to 0.
     calibrated = rt.calibrate(room, case.configurations[0].measured)

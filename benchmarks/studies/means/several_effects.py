@@ -95,7 +95,7 @@ def searched(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) ->
         with contextlib.suppress(
             DataError
         ):  # nothing found, or nothing probable enough to be added
-            added = rmse(recalibrate(found.apply(), found.discrepancy).alpha, truth)
+            added = rmse(recalibrate(found.apply().case, found.discrepancy).alpha, truth)
         row["rmse"] = [rmse(case.room.alpha, truth), simple, added, rmse(found.alpha, truth)]
     return row
 

@@ -27,9 +27,9 @@ from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import LinearObservations, PriorDeviation
 from rtcal.files.saved import Result
+from rtcal.finder.apply import corrected_case
 from rtcal.finder.case import Case, Configuration
 from rtcal.finder.claim import amount
-from rtcal.finder.means.corrected import corrected_room
 from rtcal.finder.means.problem import (
     ModelDiscrepancy,
     checked_discrepancy,
@@ -89,7 +89,7 @@ class Recalibrated(Result):
 
     @cached_property
     def room(self) -> Room:
-        """`corrected_room` with the calibrated coefficients, their sigma, and the record of it."""
+        """The corrected room with the calibrated coefficients, their sigma, and the record of it."""
         stated = self.case.room
         data = [times_in_room(stated, c.measured) for c in self.case.configurations]
         calibrated = stated.replace(
@@ -105,7 +105,7 @@ class Recalibrated(Result):
                 version=__version__,
             ),
         )
-        return corrected_room(replace(self.case, room=calibrated))
+        return corrected_case(replace(self.case, room=calibrated)).room
 
     @property
     def sizes(self) -> dict[str, float]:

@@ -1,0 +1,844 @@
+"""The model with what was found in it: of means, on a surface, and of the second of two states.
+
+Means over positions know no place. Volume and areas stay as stated, unless an effect is about that very
+number, and absorption that belongs to no stated material becomes a further one, which stands free. Its
+area is such that alpha = 1 in its most absorbing band is the upper end of the size's 90 % interval, so
+that a calibration can increase the absorber as well as decrease it. A room cannot represent a decay's
+shape or noise, which `Corrected.notes` say; the simulator of the corrected model does.
+
+A candidate at positions has a surface, and so a geometry. Of two states the room is made of the
+measured difference, band by band, and not of an effect with its parameters.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.changes import Further, new_name, with_materials
+from rtcal.acoustics.equations import mean_equation
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.priors import NORMAL_90
+from rtcal.acoustics.room import CHANGED, POSITION, Directivity, Material, Room, Scene, Surface
+from rtcal.calibration.methods import calibrate
+from rtcal.files import disk
+from rtcal.files.disk import make_folder, write_all
+from rtcal.finder.case import Case, Configuration
+from rtcal.finder.claim import Candidate, amount
+from rtcal.finder.effects import AppliedEffect
+from rtcal.finder.means.problem import distances, state, with_applied
+from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions, predict
+from rtcal.finder.positions.case import PositionsCase
+from rtcal.finder.positions.surfaces import NEAR, face_at, of_geometry, patched
+from rtcal.finder.states.case import StatesCase
+from rtcal.io import catt, odeon
+from rtcal.io.material_list import ExportReport
+from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
+from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support import checks
+from rtcal.support.errors import DataError
+from rtcal.support.text import listed
+from rtcal.support.types import Array
+
+CASE, ROOM, MESH, CATT, ODEON = "case.json", "room.toml", "room.obj", "catt.txt", "odeon.txt"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Corrected:
+    """The model of a room with what was found in it.
+
+    Attributes
+    ----------
+    case : Case, PositionsCase or StatesCase
+        Of means with the effects in its model, to be searched and recalibrated like any other.
+    room : Room
+        Not calibrated, but of two states to the first one. Of means it has by the model's equation the
+        absorption area and T of the case's model, without what the ``notes`` list. (A calibration of
+        Millington's model uses Eyring's equation.) A material that was added or changed has a sigma of
+        what the size's interval and the spectrum leave open. With a patch a box states no dimensions,
+        since simulators of boxes know one material per wall. The mesh is ``geometry``.
+    geometry : Polyhedron or None
+        None where no surface is claimed.
+    surfaces : tuple of str
+        Those that have changed, each with a material of its own; empty where all materials share it.
+    notes : tuple of str
+        What the room does not hold: decay shape, noise, equation. Why the form is another than the one
+        that was asked for, and what was assumed.
+    added : Candidate or None
+        At positions, what was added.
+    material, form : str
+        Name of its material, and "patch" where it has faces of its own, or "material" where the whole
+        surface absorbs as much.
+    support : str
+        Verdict, probability and rivals of what was added, in words.
+    caution : str
+        Why it is not to be simulated with, by the finding's verification; "" where nothing says so. It
+        stands at the head of its files.
+    model : CaseModel or None
+        Of means.
+    """
+
+    case: Case | PositionsCase | StatesCase
+    room: Room
+    geometry: Polyhedron | None = None
+    surfaces: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    added: Candidate | None = None
+    material: str = ""
+    form: str = ""
+    support: str = ""
+    caution: str = ""
+    model: CaseModel | None = None
+
+    def simulator(self, make: Callable[[Room], Simulator] | None = None) -> Any:
+        """Return a simulator of the corrected model; the rows of alpha are those of the ``room``.
+
+        By default it is the case's own: its path tracing in the new geometry, in which a new material
+        scatters as its surface does, or of means its equation, decay and noise.
+
+        Parameters
+        ----------
+        make : function, optional
+            Of means, builds a simulator for a room of the stated materials, with the air, volume and
+            areas of the finding: ``lambda room: PathTracing(room=room, geometry=..., ...)``. Absorbers
+            are spread over all its walls, each of which absorbs the same share of what it reflected.
+
+        Raises
+        ------
+        DataError
+            If no surface is claimed; if ``make``'s simulator cannot represent an effect: a coupled
+            room, a noise floor, a custom effect on the decay, or an area or volume other than its
+            geometry's.
+        """
+        if self.model is not None:
+            return self.model if make is None else self.model.spread_over(make)
+        tracer = self.tracer
+        if make is not None:
+            raise DataError("make is of means over positions: here the case has a simulator")
+        if self.geometry is None or tracer is None:
+            raise DataError("no surface is claimed: the room has no geometry of its own")
+        scattering = self.room.scattering
+        return replace(tracer, room=self.room, geometry=self.geometry, scattering=scattering)
+
+    @property
+    def tracer(self) -> PathTracing | None:
+        """The simulator of the case as it was."""
+        return None if isinstance(self.case, Case) else self.case.simulator
+
+    @property
+    def in_words(self) -> list[str]:
+        """The caution, what was added at positions, and what room and lists do not hold."""
+        rows = [self.caution] if self.caution else []
+        if self.added is not None:
+            sure = f" ({self.support})" if self.support else ""
+            said = f"Added: {self.added.title}, {self.added.in_words}, as {self.form}"
+            rows.append(f'{said}, material "{self.material}"{sure}.')
+        rows += self.notes
+        for name, report in self.reports.items():
+            rows += [f"{name}: {'. '.join(report.notes)}."] if report.notes else []
+            rows += [f"{name} lacks: {', '.join(report.lost)}."] if report.lost else []
+        return rows
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what was added or changed as plain values."""
+        case = self.case
+        return {
+            "added": None if self.added is None else self.added.to_dict(),
+            "effects": [p.to_dict() for p in case.applied] if isinstance(case, Case) else [],
+            "form": self.form,
+            "surfaces": list(self.surfaces),
+            "notes": list(self.notes),
+            "caution": self.caution,
+            "lists": {
+                name: {"notes": list(report.notes), "lost": list(report.lost)}
+                for name, report in self.reports.items()
+            },
+            "room": self.room.to_dict(),
+        }
+
+    def contents(self, folder: Path) -> dict[Path, bytes]:
+        """Return the content of each file of the room in a folder, as `save` writes them."""
+        head = f"# {self.caution}\n" if self.caution else ""
+        made = {ROOM: (head + self._with_mesh(folder / MESH).to_text(folder)).encode()}
+        if isinstance(self.case, Case):
+            made[CASE] = self.case.to_json(self.caution).encode()
+        if self.geometry is not None:
+            made[MESH] = self.geometry.to_text().encode()
+        made |= {name: content for name, (content, _) in self._lists.items()}
+        return {folder / name: content for name, content in made.items()}
+
+    def save(self, folder: str | os.PathLike[str]) -> list[Path]:
+        """Write its files into a folder, all or none, and return their paths.
+
+        ``room.toml`` and, where a surface is claimed, its mesh ``room.obj`` are for rtcal and any
+        program that reads a mesh; of means ``case.json`` is the case. At positions ``catt.txt``
+        and ``odeon.txt`` are lists of materials. Octaves that the room lacks have the coefficients of
+        the nearest one there. In CATT's list a name has an underscore in place of a character that CATT
+        does not read.
+        """
+        where = checks.path("folder", folder)
+        contents = self.contents(where)
+        make_folder(where)
+        write_all(contents)
+        return [*contents]
+
+    def _with_mesh(self, mesh: Path) -> Room:
+        """Return the room with its mesh, and the faces of each surface, as its file states it."""
+        if self.geometry is None:
+            return self.room
+        scene = replace(self.room.scene, mesh=mesh, surfaces=self._faces(self.geometry))
+        return self.room.replace(scene=scene)
+
+    def _faces(self, solid: Polyhedron) -> dict[str, list[str]]:
+        """The faces that each surface of the case has now, and the patch; none if it states none."""
+        case = self.case
+        if not isinstance(case, PositionsCase) or case.surfaces is None:
+            return {}
+        before = case.geometry.names
+        owners = {before[i]: name for name, faces in case.faces.items() for i in faces}
+        made: dict[str, list[str]] = {}
+        for name, material in zip(solid.names, solid.materials, strict=True):
+            # A face that is new is of the patch, or a piece of the wall that it is cut from.
+            cut = material if material == self.material else self.surfaces[0]
+            if owner := owners.get(name, "" if name in before else cut):
+                made.setdefault(owner, []).append(name)
+        return made
+
+    @property
+    def reports(self) -> dict[str, ExportReport]:
+        """What the lists of materials do not hold, and notes on their bands, by file name."""
+        return {name: report for name, (_, report) in self._lists.items()}
+
+    @cached_property
+    def _lists(self) -> dict[str, tuple[bytes, ExportReport]]:
+        """The lists of materials for CATT and ODEON, and their reports, by file name."""
+        if self.added is None:
+            return {}
+        room = self._with_mesh(Path(MESH))
+        # Their writers fill in a list that exists; these are new ones.
+        with disk.at_once(), tempfile.TemporaryDirectory(prefix="rtcal-") as empty:
+            reports = {
+                CATT: catt.write(room, Path(empty, CATT), missing_bands="nearest"),
+                ODEON: odeon.write(room, Path(empty, ODEON), missing_bands="nearest"),
+            }
+            return {n: (Path(empty, n).read_bytes(), r) for n, r in reports.items()}
+
+    def __repr__(self) -> str:
+        if isinstance(self.case, Case):
+            return f'<Corrected room "{self.room.name}"{_with_effects(self.case)}>'
+        on = listed([f'"{name}"' for name in self.surfaces]) if self.surfaces else "all materials"
+        what = "second state" if self.added is None else self.added.title
+        return f"<Corrected room: {what} on {on}>"
+
+
+# Means over positions.
+
+
+_LARGEST_SHARE = 0.5
+"""Share of the wall area up to which an absorber is enlarged for its size's interval. The limit only
+bounds how far a calibration can enlarge the absorber."""
+_MOST = 10.0
+"""Area of an absorber over that of the walls beyond which no such absorber is made."""
+_NO_ABSORPTION = 1e-12
+"""Change of the absorption over the wall area under which an effect absorbs nothing."""
+_OFF_GEOMETRY = 0.01
+"""Share by which a geometry may differ from an area or a volume that the finding has changed."""
+_STEP = 1e-4
+"""Step of alpha for a derivative."""
+_HELD = ("volume", "areas", "alpha", "air", "speed_of_sound", "covering", "objects", "equation")
+"""Parts of a state that a room, or the equation that is named beside it, represents."""
+_DECAY = "a room has surfaces and air only"
+_NO_AIR = "its air is not that of a climate (ISO 9613-1)"
+_TOO_MUCH = "no area of a further material absorbs so much"
+_HIDES = "it hides wall that absorbs more than it does, which the stated areas keep, at"
+_TAKES = "it takes absorption away, and no stated surface is known that loses it"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CaseModel(RoomSimulator):
+    """A case's model with its effects as a `Simulator`; the rows of alpha are those of the ``room``.
+
+    Attributes
+    ----------
+    case : Case
+    room, stated : Room
+        With further materials for what absorbs, and with the stated ones alone.
+    whole : RoomState
+        The model's state at the room's coefficients.
+    absent : mapping of str to list of str
+        Why a room cannot represent an effect.
+    inner : Simulator or None
+        A simulator of the stated materials over whose walls the absorbers are spread. None: T20, EDT,
+        T30, C80 and G of the case's first configuration, by the model itself.
+    """
+
+    case: Case
+    room: Room
+    stated: Room
+    whole: RoomState
+    absent: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    inner: Simulator | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the model to which calibrated coefficients belong."""
+        own = f"the model of {self.case.room.name}" if self.inner is None else self.inner.name
+        return f"{own}{_with_effects(self.case)}"
+
+    @property
+    def deterministic(self) -> bool:
+        """Whether its results do not depend on the seed."""
+        return self.inner is None or self.inner.deterministic
+
+    def state(self, alpha: Array) -> RoomState:
+        """Return the model's state at coefficients (n_materials, n_bands) of the room.
+
+        What the further materials absorb more or less than at the room's own stands free, so that a
+        decay's shape is the same, too.
+        """
+        equation = mean_equation(self.whole.equation)
+
+        def absorbed(of: Array) -> Array:
+            h = equation.contribution(np.minimum(of, equation.largest_alpha))
+            mean = np.minimum(self.room.areas @ h / self.room.total_area, highest(equation))
+            return np.asarray(self.room.total_area * equation.exponent(mean))
+
+        new = replace(self.whole, alpha=alpha[: self.stated.n_materials])
+        more = absorbed(alpha) - absorbed(self.room.alpha)
+        walls = new.surface_absorption - self.whole.surface_absorption
+        return new.with_objects(more - walls)
+
+    def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
+        """Simulate alpha (n_materials, n_bands)."""
+        s = self.state(check_alpha(self, alpha))
+        if self.inner is not None:
+            return run(self.inner, self._on_walls(s), seed=seed)
+        features = predict([s], distances(self.case, self.case.configurations[0])).features[0]
+        rows = dict(zip(FEATURES, features, strict=True))
+        t20 = np.exp(rows["t20"])
+        return Measurement.from_values(
+            self.centre_frequencies,
+            t20=t20,
+            edt=t20 * np.exp(rows["edt"]),
+            t30=t20 * np.exp(rows["t30"]),
+            c80=rows["c80"],
+            g=rows["g"],
+        )
+
+    def _on_walls(self, s: RoomState) -> Array:
+        """Return coefficients of the stated materials with which the walls absorb all."""
+        linear = mean_equation(s.equation).linear()
+        bare = replace(s, covering=0.0, objects=0.0)
+        whole, walls = (linear.inverse(_absorbing(at) / at.total_area) for at in (s, bare))
+        whole = np.where(np.isfinite(whole), np.minimum(whole, 1.0), 1.0)
+        more = (whole - walls) / (1 - walls)
+        spread = np.where(more > 0, s.alpha + more * (1 - s.alpha), s.alpha * whole / walls)
+        return np.asarray(np.clip(spread, 0.0, 1.0))
+
+    def spread_over(self, make: Callable[[Room], Simulator]) -> CaseModel:
+        """Return the model in a simulator that ``make`` builds for the stated materials."""
+        if not callable(make):
+            raise DataError(f"make = {make!r} is not a function of a room")
+        for p in self.case.applied:
+            absent = self.absent.get(p.name, ())
+            why = next((cause for cause in (_DECAY, _NO_AIR, _TOO_MUCH) if cause in absent), "")
+            if why and p.effect.not_in_simulator is not None:
+                raise DataError(f"{p.name}: {p.effect.not_in_simulator if why == _DECAY else why}")
+        inner, room = make(self.stated), self.case.room
+        if not isinstance(inner, Simulator):
+            raise DataError(
+                f"make returned {checks.shown(inner)}, which is no rtcal.simulators.Simulator"
+            )
+        if tuple(inner.materials) != tuple(room.materials):
+            raise DataError(
+                f"{inner.name} has the materials {', '.join(inner.materials)}; the case has "
+                f"{', '.join(room.materials)}"
+            )
+        if not np.array_equal(inner.centre_frequencies, room.centre_frequencies):
+            raise DataError(
+                f"{inner.name} has {bands.span(inner.centre_frequencies)}; the case has "
+                f"{bands.span(room.centre_frequencies)}"
+            )
+        if (geometry := getattr(inner, "geometry", None)) is not None:
+            self._check_geometry(geometry)
+        return replace(self, inner=inner)
+
+    def _check_geometry(self, geometry: Polyhedron) -> None:
+        """Refuse a geometry without an area, or the volume, that the finding has changed."""
+        before, after = self.case.room, self.stated
+        pairs = [("volume", before.volume, after.volume, geometry.volume, "m³")]
+        for name, one, other in zip(before.materials, before.areas, after.areas, strict=True):
+            drawn = geometry.areas.get(name, 0.0)
+            pairs.append((f'area of "{name}"', float(one), float(other), drawn, "m²"))
+        for what, one, other, drawn, unit in pairs:
+            if one != other and abs(drawn - other) > _OFF_GEOMETRY * other:
+                raise DataError(
+                    f"{what}: the finding has {other:.4g} {unit}, the simulator's geometry "
+                    f"{drawn:.4g} {unit}; draw it anew"
+                )
+
+
+def _with_effects(case: Case) -> str:
+    return "".join(f" with {p.name}" for p in case.applied)
+
+
+def _absorbing(s: RoomState) -> Array:
+    """Return the absorption area of walls and objects in m², (n_bands,)."""
+    return np.asarray(s.surface_absorption + s.objects)
+
+
+def corrected_case(case: Case) -> Corrected:
+    """Return the room of a case with its effects: a step per effect, then an absorber for each.
+
+    A change of a stated material, such as a cover, is in its row, and its source says so. Absorbers are
+    materials after the stated ones, with the walls' mean scattering.
+
+    Raises DataError for coefficients below 0 or above 1.
+    """
+    base = replace(case.configurations[0], changes={}, suspect_removed=False, air=None)
+    room, air, last_air = case.room, case.room.air, "air"
+    first = after = state(replace(case, applied=()), base)
+    absent: dict[str, list[str]] = {}
+    gains: list[tuple[AppliedEffect, Array]] = []
+    sources = dict(room.sources)
+    for p in case.applied:
+        before, after = after, with_applied(after, [p], base)
+        for row in np.flatnonzero((after.alpha != before.alpha).any(axis=1)).tolist():
+            name = room.materials[row]
+            changed = f"changed by rtcal find: {p.name}, {_size(p)}"
+            sources[name] = "; ".join(filter(None, [sources.get(name, ""), changed]))
+        pairs = [(getattr(after, k), getattr(before, k)) for k in ("covering", "objects")]
+        gain = np.array([one - other + np.zeros(room.n_bands) for one, other in pairs])
+        if gain.any():
+            gains.append((p, gain))
+        if any(
+            not np.array_equal(getattr(after, f.name), getattr(before, f.name))
+            for f in fields(RoomState)
+            if f.name not in _HELD
+        ):
+            absent[p.name] = [_DECAY]
+        climate = p.effect.air(air, p.parameters)
+        air = climate if _is_air(climate, after) else air
+        if not np.array_equal(after.air, before.air):
+            last_air = p.name
+    if not _is_air(air, after):
+        absent[last_air] = [_NO_AIR]
+    stated = room.replace(
+        air=air,
+        alpha=after.alpha,
+        sigma=_sigma(case, base, first, after),
+        alpha_min=None if room.alpha_min is None else np.minimum(room.alpha_min, after.alpha),
+        sources=sources,
+    )
+    if after.volume != room.volume or not np.array_equal(after.areas, room.areas):
+        resized: dict[str, Any] = {"volume": after.volume, "areas": after.areas}
+        stated = stated.replace(**resized, dimensions=None, surfaces=())
+    made, further = stated, _absorbers(stated, after, gains, absent)
+    if further:
+        new = [
+            Surface(name=f.material.name, material=f.material.name, area=f.area) for f in further
+        ]
+        surfaces = (*stated.surfaces, *new) if stated.surfaces else ()
+        made = with_materials(stated, further, surfaces=surfaces)
+    model = CaseModel(case, made, stated, after, absent)
+    return Corrected(case=case, room=made, notes=tuple(_not_in_room(model)), model=model)
+
+
+def _not_in_room(model: CaseModel) -> list[str]:
+    """Return, in words, what a room cannot represent: decay shape, noise, equation, surfaces."""
+    stated, room, whole = model.case.room, model.room, model.whole
+    out = [f"{name}: {'; '.join(why)}" for name, why in model.absent.items()]
+    if whole.equation != model.case.equation:
+        out.append(f"formula: a room names no equation; calibrate it with {whole.equation}")
+    speed, own = whole.speed_of_sound, room.speed_of_sound
+    if speed != own:
+        out.append(
+            f"speed of sound: the model has {speed:.1f} m/s, the room {own:.1f} m/s, that of its air; "
+            f"so its T is {abs(100 * (speed / own - 1)):.1f} % {'shorter' if own > speed else 'longer'}"
+        )
+    lost = [n for n in ("surfaces", "dimensions") if getattr(stated, n) and not getattr(room, n)]
+    resized = []
+    if room.volume != stated.volume:
+        resized = [f"the volume is {room.volume:.4g} m³ and was {stated.volume:.4g}"]
+    for name, was, area in zip(stated.materials, stated.areas, room.areas, strict=False):
+        if area != was:
+            resized.append(f'the area of "{name}" is {area:.4g} m² and was {was:.4g}')
+    if resized:
+        out.append(f"{listed([*lost, 'areas as stated'])}: {listed(resized)}")
+    return out
+
+
+def _absorbers(
+    stated: Room,
+    whole: RoomState,
+    gains: Sequence[tuple[AppliedEffect, Array]],
+    absent: dict[str, list[str]],
+) -> list[Further]:
+    """Return a material for each effect that adds absorption; ``absent`` gets what none represents.
+
+    ``gains`` (2, n_bands) are what each effect changes of the state's covering and objects.
+    """
+    equation, walls = mean_equation(whole.equation), whole.total_area
+    at = replace(whole, covering=0.0, objects=0.0)
+    scattering = None
+    if stated.scattering is not None:
+        scattering = (stated.areas @ stated.scattering / stated.total_area).tolist()
+    names, further = list(stated.materials), list[Further]()
+    area, contribution = walls, walls * mean_contributions(equation, [at])[0]
+    absorbed = at.surface_absorption
+    top = float(equation.contribution(np.array(min(1.0, equation.largest_alpha))))
+    for p, (covering, objects) in gains:
+        before, at = at, replace(at, covering=at.covering + covering, objects=at.objects + objects)
+        gain = (_absorbing(at) - _absorbing(before)) / walls
+        if (gain <= _NO_ABSORPTION).all():
+            if (gain < -_NO_ABSORPTION).any():
+                absent.setdefault(p.name, []).insert(0, _TAKES)
+            continue
+
+        def standing(
+            size: float,
+            wanted: Array = absorbed + walls * gain,
+            area: float = area,
+            other: Array = contribution,
+        ) -> Array:
+            """Return h of an absorber of this area with which the room absorbs what is wanted."""
+            mean = equation.inverse(wanted / (area + size))
+            return np.asarray(((area + size) * mean - other) / size)
+
+        least = _smallest(standing, top, walls)
+        if least is None:
+            absent.setdefault(p.name, []).insert(0, _TOO_MUCH)
+            continue
+        spread = p.size_sigma / max(abs(p.size), 1e-9)
+        larger = _smallest(standing, top / (1 + NORMAL_90 * spread), walls) or least
+        size = max(least, min(larger, _LARGEST_SHARE * walls))
+        h = standing(size)
+        if (h < 0).any():
+            places = listed(bands.labels(stated.centre_frequencies[h < 0]))
+            absent.setdefault(p.name, []).insert(0, f"{_HIDES} {places}")
+        h = np.clip(h, 0, top)
+        alpha = equation.coefficient(h)
+        names.append(new_name(names, p.name))
+        material = Material(
+            names[-1],
+            alpha.tolist(),
+            np.minimum(alpha * spread, 1.0).tolist(),
+            0.0,
+            scattering,
+            f"rtcal find: {_size(p)}. It stands free with {size:.3g} m², so that a calibration can "
+            "make it absorb more",
+        )
+        further.append(Further(material, size))
+        area, contribution = area + size, contribution + size * h
+        absorbed = area * equation.exponent(np.minimum(contribution / area, highest(equation)))
+    return further
+
+
+def _smallest(standing: Callable[[float], Array], top: float, walls: float) -> float | None:
+    """Return the smallest area in m² at which no band of an absorber exceeds ``top``; None if none."""
+
+    def fits(size: float) -> bool:
+        return bool((standing(size) <= top).all())  # NaN, where no mean absorbs as much, does not
+
+    high = _MOST * walls
+    if not fits(high):
+        return None
+    low = 1e-9 * walls
+    while high / low > 1 + 1e-13:
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if fits(middle) else (middle, high)
+    return high
+
+
+def _size(p: AppliedEffect) -> str:
+    return amount(p.size, p.effect.unit, p.size_interval).rstrip()
+
+
+def _is_air(air: Any, s: RoomState) -> bool:
+    """Return whether a state has this air's attenuation."""
+    attenuation = 0.0 if air is None else air.attenuation(s.frequencies)
+    return bool(np.allclose(attenuation, s.air, rtol=1e-12, atol=0))
+
+
+def _sigma(case: Case, base: Configuration, before: RoomState, after: RoomState) -> Array:
+    """Return sigma of the stated materials: that of what is seen of them, and of the effects' sizes."""
+    if np.array_equal(after.alpha, before.alpha):
+        return case.room.sigma
+    at = np.array(case.room.alpha)
+    step = np.where(at < 0.5, _STEP, -_STEP)
+    seen = (state(case, base, at + step).alpha - after.alpha) / step  # of what is not covered
+    variance = (case.room.sigma * seen) ** 2
+    for i, p in enumerate(case.applied):
+        if p.size_interval is not None:
+            sized = (
+                [*case.applied[:i], p.resized(end), *case.applied[i + 1 :]]
+                for end in p.size_interval
+            )
+            low, high = (state(replace(case, applied=each), base).alpha for each in sized)
+            variance = variance + ((high - low) / (2 * NORMAL_90)) ** 2
+    return np.minimum(np.sqrt(variance), 1.0)
+
+
+# Surfaces.
+
+
+SPECTRUM_ERROR = 0.15
+"""Relative standard deviation of the alpha of what was found: by so much catalogues differ."""
+HEADROOM = 0.9
+"""Size over area of a patch of alpha = 1. It is drawn larger, so that a calibration can make it absorb
+more as well as less."""
+_LEAST_SIGMA = 0.01
+_NOTED = 0.05
+"""Share of a change that does not fit, from which on a note says so."""
+_GONE = 1e-6
+"""Share of all surfaces under which a material is no longer there."""
+
+
+def corrected_geometry(
+    case: PositionsCase, added: Candidate, form: str = "patch", at: Sequence[float] | None = None
+) -> Corrected:
+    """Return room and geometry with a candidate on its surface; see `rtcal.finder.Finding.apply`."""
+    if form not in ("patch", "material"):
+        raise DataError(f'form = "{form}" is not "patch" or "material"')
+    if added.surface is None:
+        raise DataError(f"{added.title} stands on no surface: there is nothing to add to one")
+    if form == "material" and at is not None:
+        raise DataError('at is the middle of a patch; form = "material" is the whole surface')
+    room, faces = case.room, case.faces[added.surface]
+    name = new_name(room.materials, f"{added.effect} on {added.surface}")
+    geometry, notes = None, list[str]()
+    if form == "patch":
+        wanted = added.size * max(1.0, float(added.spectrum.max()) / HEADROOM)
+        middle = added.middle if at is None else at
+        place = None if middle is None else point(middle)
+        geometry = patched(case.geometry, faces, wanted, name, name, place)
+        if geometry is None:
+            form = "material"
+            notes.append(
+                f'A patch of {wanted:.3g} m² does not fit on "{added.surface}" of '
+                f"{case.areas[added.surface]:.3g} m²: the whole surface is the new material."
+            )
+    if geometry is None:
+        geometry = _with_material(case.geometry, name, faces)
+    area = geometry.areas[name]
+    if form == "patch" and not np.isclose(area, added.size, rtol=1e-3):
+        notes.append(
+            f"The patch is drawn with {area:.3g} m² for {added.size:.3g} m², and its coefficients are "
+            "lower for it: so a calibration can make it absorb more as well as less."
+        )
+    # The rest of what is larger than the size absorbs as the wall does.
+    behind = _behind(room, case.geometry, geometry) / area
+    below, share = behind @ room.alpha, min(added.size / area, 1.0)
+    alpha = below + share * (added.spectrum - below)
+    deviation = np.log(max(added.high, added.size) / max(added.low, 1e-9)) / (2 * NORMAL_90)
+    variance = (share * added.spectrum * SPECTRUM_ERROR) ** 2
+    variance += (share * (added.spectrum - below) * deviation) ** 2
+    variance += ((1 - share) * (behind @ room.sigma)) ** 2
+    drawn = notes if form == "patch" else []
+    new = Material(
+        name,
+        np.clip(alpha, 0.0, 1.0).tolist(),
+        np.clip(np.sqrt(variance), _LEAST_SIGMA, 1.0).tolist(),
+        scattering=(behind @ case.simulator.scattering).tolist(),
+        source=" ".join([f"rtcal find: {added.title}, {added.in_words}.", *drawn]),
+    )
+    # Simulators of boxes know one material per wall.
+    stated = room.replace(dimensions=None) if form == "patch" else room
+    return Corrected(
+        case=case,
+        room=_in_geometry(stated, case.simulator, geometry, [new], case.position_uncertainty),
+        geometry=geometry,
+        surfaces=(added.surface,),
+        notes=tuple(notes),
+        added=added,
+        material=name,
+        form=form,
+    )
+
+
+def _behind(room: Room, before: Polyhedron, after: Polyhedron) -> Array:
+    """Return the area of each material that is no longer in a geometry, (n_materials,) in m²."""
+    stated, left = before.areas, after.areas
+    return np.array([stated.get(m, 0.0) - left.get(m, 0.0) for m in room.materials])
+
+
+def _with_material(geometry: Polyhedron, material: str, faces: NDArray[np.intp]) -> Polyhedron:
+    """Return the geometry with a material on these faces."""
+    materials = list(geometry.materials)
+    for i in faces.tolist():
+        materials[i] = material
+    return replace(geometry, materials=materials)
+
+
+def _in_geometry(
+    room: Room,
+    tracer: PathTracing,
+    geometry: Polyhedron,
+    new: Sequence[Material],
+    uncertainty: float = POSITION,
+) -> Room:
+    """Return the room with the new materials of a geometry, and its tracer's scattering and places.
+
+    A material keeps its stated area but for what new ones take of it in the geometry. The scene names
+    no mesh: the room's own is that of the geometry before.
+    """
+    left = room.areas - _behind(room, tracer.geometry, geometry)
+    drawn = geometry.areas
+    kept = [
+        i
+        for i, name in enumerate(room.materials)
+        if (name in drawn or name not in tracer.geometry.areas)
+        and left[i] > _GONE * room.total_area
+    ]
+    of_files = {
+        name: of
+        for name, of in room.scene.directivity.items()
+        if isinstance(of, Directivity) and of.file is not None
+    }
+    scene = Scene(
+        sources=tracer.sources,
+        receivers=tracer.receivers,
+        directivity={**tracer.directivity, **of_files},  # a balloon is too much for a file
+        position_uncertainty=uncertainty,
+    )
+    stated = room.replace(
+        scattering=tracer.scattering, scattering_model=tracer.scattering_model, surfaces=()
+    )
+    further = [Further(material, drawn[material.name]) for material in new]
+    surfaces = geometry.surfaces if room.surfaces else ()
+    return with_materials(stated, further, kept, left[kept], surfaces=surfaces, scene=scene)
+
+
+def surface_at(case: PositionsCase, at: Sequence[float]) -> str:
+    """Return the name of the surface at a place; DataError if it is far from every surface."""
+    place = point(at)
+    face, distance = face_at(case.geometry, place)
+    name = next((n for n, faces in case.faces.items() if face in faces), None)
+    if name is None or distance > NEAR:
+        where = ", ".join(f"{x:g}" for x in place)
+        nearest = "" if name is None else f'; the nearest is "{name}", {distance:.2g} m away'
+        raise DataError(f"at = ({where}) m is on no surface{nearest}")
+    return name
+
+
+def point(at: Sequence[float]) -> Array:
+    """Return a place as an array (3,) in m; DataError for anything else."""
+    place = checks.array("at", at)
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise DataError(f"at = {at!r} is not three finite numbers in m")
+    return place
+
+
+# Two states.
+
+
+def changed_room(
+    case: StatesCase, area: Array, change: Array, surfaces: Sequence[str], kinds: Sequence[str]
+) -> Corrected:
+    """Return the room of the second state; see `rtcal.finder.Finding.apply`.
+
+    Its coefficients are those of a calibration to the first state, with the change's mean; their sigma
+    is the calibration's and the change's.
+
+    Parameters
+    ----------
+    case : StatesCase
+    area, change : array (n_bands,), (3, n_bands)
+        Absorption area before and its change in m², as of `Finding`.
+    surfaces : sequence of str
+        Those that are claimed.
+    kinds : sequence of str
+        What may have changed.
+    """
+    labels, found = bands.labels(case.room.centre_frequencies), case.differences
+    stated = case.room.replace(calibration=None)
+    fitted = calibrate(stated, found.before, equation=case.equation, unreachable="nearest")
+    # T before, not that of the changed room, stays on record: it is not to count twice.
+    record = replace(cast("Any", fitted.room.calibration), method=CHANGED)
+    before = fitted.room.replace(calibration=record)
+    change = np.where(np.isfinite(change), change, 0.0)
+    mean, spread = change[0], (change[2] - change[1]) / (2 * NORMAL_90)
+    notes = []
+    if not found.measured.all():
+        at = listed(
+            [label for label, known in zip(labels, found.measured, strict=True) if not known]
+        )
+        notes.append(f"Nothing is known of {at}: there the room is that of the first state.")
+    geometry, tracer = None, case.simulator
+    names, rows = list(before.materials), [*np.diag(before.areas)]
+    if surfaces and tracer is not None:
+        geometry, faces, rows = tracer.geometry, of_geometry(tracer.geometry), []
+        for surface in surfaces:
+            names.append(new_name(names, f"{surface}, changed"))
+            after = _with_material(geometry, names[-1], faces[surface])
+            rows.append(_behind(before, geometry, after))
+            geometry = after
+    # What changes is of the materials in proportion to the areas in its row.
+    areas = np.array(rows).sum(axis=1)
+    mix = np.array(rows) / areas[:, np.newaxis]
+    alpha, sigma = _with_change(mix @ before.alpha, mix @ before.sigma, areas, mean, spread)
+    lacking = mean - areas @ (alpha - mix @ before.alpha)
+    sources = [
+        "; ".join(
+            [
+                *filter(
+                    None, {before.sources.get(names[i]): 0 for i in np.flatnonzero(row > _GONE)}
+                ),
+                "changed by rtcal find: two states",
+            ]
+        )
+        for row in mix
+    ]
+    if geometry is not None and tracer is not None:
+        columns = (alpha.tolist(), sigma.tolist(), (mix @ tracer.scattering).tolist(), sources)
+        of_names = zip(names[before.n_materials :], *columns, strict=True)
+        new = [Material(name, a, s, 0.0, scatters, of) for name, a, s, scatters, of in of_names]
+        room = _in_geometry(before, tracer, geometry, new)
+    else:
+        changed = dict(before.sources)
+        for i in np.flatnonzero((alpha != before.alpha).any(axis=1)).tolist():
+            changed[names[i]] = sources[i]
+        room = before.replace(alpha=alpha, sigma=sigma, sources=changed)
+        notes.append("Where it changed is not told: every material has its share.")
+    off = before.areas @ before.alpha - area
+    for k, label in enumerate(labels):
+        if abs(lacking[k]) > _NOTED * abs(mean[k]):
+            notes.append(
+                f"At {label} {abs(lacking[k]):.1f} m² of the change of {mean[k]:+.1f} m² do not fit on "
+                "what has changed."
+            )
+        if abs(off[k]) > _NOTED * area[k]:
+            notes.append(
+                f"At {label} no coefficients of the room give T before: its absorption area is off by "
+                f"{off[k]:+.1f} m²."
+            )
+    if len(kinds) > 1:
+        notes.append(
+            f"What it is made of is not told ({listed(kinds)}): its amount is in the room."
+        )
+    on = () if geometry is None else tuple(surfaces)
+    return Corrected(case=case, room=room, geometry=geometry, surfaces=on, notes=tuple(notes))
+
+
+def _with_change(
+    alpha: Array, sigma: Array, areas: Array, change: Array, spread: Array
+) -> tuple[Array, Array]:
+    """Return alpha and sigma with a change of the absorption area, as far as it fits.
+
+    ``alpha`` and ``sigma`` are (n, n_bands), ``areas`` (n,), and the others in m² (n_bands,).
+    """
+    by_share = np.where(change > 0, 1 - alpha, alpha)
+    room = np.maximum(areas @ by_share, 1e-9)
+    new = np.clip(alpha + np.clip(change / room, -1.0, 1.0) * by_share, 0.0, 1.0)
+    wide = np.hypot(sigma, by_share * spread / room)
+    return new, np.clip(wide, _LEAST_SIGMA, 1.0)
