@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.changes import Further, new_name, with_materials
+from rtcal.acoustics.changes import new_name
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
@@ -445,11 +445,10 @@ def corrected_case(case: Case) -> Corrected:
         stated = stated.replace(**resized, dimensions=None, surfaces=())
     made, further = stated, _absorbers(stated, after, gains, absent)
     if further:
-        new = [
-            Surface(name=f.material.name, material=f.material.name, area=f.area) for f in further
-        ]
+        new = [Surface(name=m.name, material=m.name, area=float(m.area or 0)) for m in further]
         surfaces = (*stated.surfaces, *new) if stated.surfaces else ()
-        made = with_materials(stated, further, surfaces=surfaces)
+        rows = [*map(stated.material, stated.materials), *further]
+        made = stated.with_rows(rows, surfaces=surfaces)
     model = CaseModel(case, made, stated, after, absent)
     return Corrected(case=case, room=made, notes=tuple(_not_in_room(model)), model=model)
 
@@ -483,7 +482,7 @@ def _absorbers(
     whole: RoomState,
     gains: Sequence[tuple[AppliedEffect, Array]],
     absent: dict[str, list[str]],
-) -> list[Further]:
+) -> list[Material]:
     """Return a material for each effect that adds absorption; ``absent`` gets what none represents.
 
     ``gains`` (2, n_bands) are what each effect changes of the state's covering and objects.
@@ -493,7 +492,7 @@ def _absorbers(
     scattering = None
     if stated.scattering is not None:
         scattering = (stated.areas @ stated.scattering / stated.total_area).tolist()
-    names, further = list(stated.materials), list[Further]()
+    names, further = list(stated.materials), list[Material]()
     area, contribution = walls, walls * mean_contributions(equation, [at])[0]
     absorbed = at.surface_absorption
     top = float(equation.contribution(np.array(min(1.0, equation.largest_alpha))))
@@ -529,16 +528,18 @@ def _absorbers(
         h = np.clip(h, 0, top)
         alpha = equation.coefficient(h)
         names.append(new_name(names, p.name))
-        material = Material(
-            names[-1],
-            alpha.tolist(),
-            np.minimum(alpha * spread, 1.0).tolist(),
-            0.0,
-            scattering,
-            f"rtcal find: {_size(p)}. It stands free with {size:.3g} m², so that a calibration can "
-            "make it absorb more",
+        further.append(
+            Material(
+                names[-1],
+                alpha.tolist(),
+                np.minimum(alpha * spread, 1.0).tolist(),
+                0.0,
+                scattering,
+                f"rtcal find: {_size(p)}. It stands free with {size:.3g} m², so that a calibration "
+                "can make it absorb more",
+                size,
+            )
         )
-        further.append(Further(material, size))
         area, contribution = area + size, contribution + size * h
         absorbed = area * equation.exponent(np.minimum(contribution / area, highest(equation)))
     return further
@@ -714,9 +715,10 @@ def _in_geometry(
     stated = room.replace(
         scattering=tracer.scattering, scattering_model=tracer.scattering_model, surfaces=()
     )
-    further = [Further(material, drawn[material.name]) for material in new]
+    rows = [replace(stated.material(room.materials[i]), area=float(left[i])) for i in kept]
+    rows += [replace(material, area=drawn[material.name]) for material in new]
     surfaces = geometry.surfaces if room.surfaces else ()
-    return with_materials(stated, further, kept, left[kept], surfaces=surfaces, scene=scene)
+    return stated.with_rows(rows, surfaces=surfaces, scene=scene)
 
 
 def surface_at(case: PositionsCase, at: Sequence[float]) -> str:
