@@ -78,11 +78,11 @@ def main() -> None:
             return ImageSource(room=room(n_bands), duration=0.5, **POINTS)
 
         images = made()
-        images.energy(alpha)  # compiles
+        images.decays(alpha)[0]  # compiles
         count, weigh = [], []
         for _ in range(REPEATS):
             count.append(seconds(made))
-            weigh += [seconds(lambda i=images, a=alpha: i.energy(a)) for _ in range(REPEATS)]
+            weigh += [seconds(lambda i=images, a=alpha: i.decays(a)) for _ in range(REPEATS)]
         ratio = min(count) / min(weigh)
         print(
             f"image sources, {len(images.images[0].bins)} of them, 0.5 s, {n_bands} bands: "

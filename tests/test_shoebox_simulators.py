@@ -147,7 +147,7 @@ def test_image_sources_are_pyroomacoustics() -> None:
     bins = np.floor((length - direct) / (room.speed_of_sound * 0.001) + 1e-9).astype(int)
     energy = (1 - alpha) ** other.sources[0].orders / (4 * np.pi * length**2)
     expected = np.bincount(bins, energy)[:200]
-    assert images.energy(room.alpha)[0, 0] == pytest.approx(expected, rel=1e-9)
+    assert images.decays(room.alpha)[0][0, 0] == pytest.approx(expected, rel=1e-9)
     t20 = float(observable("t20").value(expected, images.bin_width))
     assert 0.1 < t20 < 0.5
     assert images.simulate(room.alpha).mean("t20")[0] == pytest.approx(t20, rel=1e-9)
@@ -169,7 +169,7 @@ def test_image_sources_by_hand() -> None:
             loss = np.prod((1 - ALPHA) ** counts[:, np.newaxis], axis=0)
             expected[:, b] += loss * np.exp(-room.air_attenuation * d) / (4 * np.pi * d**2)
     # A bin's images share the mean of their lengths in the air's term: 8e-3/m times half of 0.34 m.
-    assert images.energy(ALPHA)[0] == pytest.approx(expected, rel=1.4e-3)
+    assert images.decays(ALPHA)[0][0] == pytest.approx(expected, rel=1.4e-3)
     assert (expected[:, 1:] > 0).any()
 
 
@@ -182,7 +182,7 @@ def test_late_images_have_their_mean_over_positions() -> None:
         for n, m in (("S", 5), ("R", 8))
     )
     images = ImageSource(room=room, sources=sources, receivers=receivers, duration=0.6)
-    counted = images.energy(np.repeat(of_axis, 2, axis=0))
+    counted = images.decays(np.repeat(of_axis, 2, axis=0))[0]
     distances = np.array([np.linalg.norm(sources[s] - receivers[r]) for s, r in images.box.pairs])
     times = (np.arange(counted.shape[-1]) + 0.5) * images.bin_width
     mean = mean_energy(room, of_axis, distances, times) * images.bin_width
@@ -193,19 +193,18 @@ def test_late_images_have_their_mean_over_positions() -> None:
 
 def test_image_numba_and_numpy_weigh_alike() -> None:
     images = ImageSource(room=box(rt.Air()), sources=SOURCE, receivers=RECEIVER, duration=0.2)
-    compiled = images.energy(ALPHA)
+    compiled = images.decays(ALPHA)[0]
     assert compiled.min() >= 0
     assert compiled.sum() > 0
     with in_place_of(kernels, reference):
-        assert images.energy(ALPHA) == pytest.approx(compiled, rel=1e-12, abs=0)
+        assert images.decays(ALPHA)[0] == pytest.approx(compiled, rel=1e-12, abs=0)
 
 
 def test_a_black_wall_reflects_nothing() -> None:
     alpha = ALPHA.copy()
     alpha[:, 1] = 1.0
-    energy = ImageSource(room=box(), sources=SOURCE, receivers=RECEIVER, duration=0.1).energy(
-        alpha
-    )[0]
+    images = ImageSource(room=box(), sources=SOURCE, receivers=RECEIVER, duration=0.1)
+    energy = images.decays(alpha)[0][0]
     assert energy[1, 0] > 0
     assert (energy[1, 1:] == 0).all()
     assert energy[0, 50:].sum() > 0

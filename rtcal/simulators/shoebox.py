@@ -63,7 +63,19 @@ class Shoebox(NamedTuple):
 class ShoeboxSimulator(RoomSimulator, ABC):
     """A deterministic simulator of shoeboxes, whose T is a smooth function of alpha.
 
-    The parameters are described by `ScatteringDelayNetwork` and `ImageSource`.
+    Parameters
+    ----------
+    room : Room
+        A shoebox: with dimensions, and a surface for each of
+        `rtcal.simulators.geometry.SHOEBOX_WALLS` or a single material. The simulation takes its
+        bands, air and speed of sound, not its alpha.
+    sources, receivers : mapping of name to (x, y, z)
+        Positions in m, inside the room.
+
+    Raises
+    ------
+    DataError
+        If the room is no shoebox, or a position is outside it.
     """
 
     room: Room
@@ -74,11 +86,6 @@ class ShoeboxSimulator(RoomSimulator, ABC):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "box", shoebox_of(self.room, self.sources, self.receivers))
-
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Name that calibrated coefficients belong to."""
 
     @property
     def tracing(self) -> PathTracing:
@@ -223,11 +230,8 @@ class ImageSource(ShoeboxSimulator):
 
     Parameters
     ----------
-    room : Room
-        A shoebox: with dimensions, and a surface for each of
-        `rtcal.simulators.geometry.SHOEBOX_WALLS` or a single material.
-    sources, receivers : mapping of name to (x, y, z)
-        In m, inside the room.
+    room, sources, receivers
+        As of `ShoeboxSimulator`.
     duration : float
         Length of the decay in s after the direct sound. A decay of two thirds of T holds T20. The
         number of images grows with the cube of the duration.
@@ -237,7 +241,7 @@ class ImageSource(ShoeboxSimulator):
     Raises
     ------
     DataError
-        If the room is no shoebox, a position is outside it, or a pair needs over 50 million images.
+        As `ShoeboxSimulator`, and if a pair needs over 50 million images.
 
     References
     ----------
@@ -258,6 +262,7 @@ class ImageSource(ShoeboxSimulator):
     duration: float
     bin_width: float = 0.001
     images: tuple[Images, ...] = field(init=False)
+    name: ClassVar[str] = "image sources"
 
     def __post_init__(self) -> None:
         checks.positive("duration", self.duration, "s")
@@ -274,19 +279,13 @@ class ImageSource(ShoeboxSimulator):
         positions = product(self.box.sources, self.box.receivers)
         object.__setattr__(self, "images", tuple(self._images(s, r) for s, r in positions))
 
-    @property
-    def name(self) -> str:
-        """Name that calibrated coefficients belong to."""
-        return "image sources"
+    def decays(self, alpha: Array) -> tuple[Array, float]:
+        """Return the energy in each bin after the direct sound, and the width of the bins in s.
 
-    def energy(self, alpha: Array) -> Array:
-        """Return the energy in each bin after the direct sound, (n_pairs, n_bands, n_bins), in 1/m².
-
-        The source has unit energy: the direct sound is 1 / (4 pi d²). The air attenuates each bin
-        by the mean length of its images.
+        The air attenuates each bin by the mean length of its images.
         """
         reflected = self._reflected(check_alpha(self, alpha))
-        return np.stack([self._summed(images, reflected) for images in self.images])
+        return np.stack([self._summed(images, reflected) for images in self.images]), self.bin_width
 
     def _reflected(self, alpha: Array) -> Array:
         """Return (1 - alpha)^hits of every wall and number of hits, (6, n_bands, n_hits); 0**0 is 1."""
@@ -319,10 +318,6 @@ class ImageSource(ShoeboxSimulator):
                     for wall in range(len(walls))
                 ]
             )
-
-    def decays(self, alpha: Array) -> tuple[Array, float]:
-        """Return `energy` and the width of its bins in s."""
-        return self.energy(alpha), self.bin_width
 
     @property
     def _n_bins(self) -> int:
@@ -491,12 +486,8 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
 
     Parameters
     ----------
-    room : Room
-        A shoebox: with dimensions, and a surface for each of
-        `rtcal.simulators.geometry.SHOEBOX_WALLS` or a single material. The simulation takes its
-        bands, air and speed of sound, not its alpha.
-    sources, receivers : mapping of name to (x, y, z)
-        Positions in m, inside the room.
+    room, sources, receivers
+        As of `ShoeboxSimulator`.
     sampling_rate : float
         In Hz. Delays are whole samples, so the mean free path 4V/S needs at least 10 samples.
     line_of_sight : bool
@@ -507,7 +498,7 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
     Raises
     ------
     DataError
-        If the room is no shoebox, a position is outside it, or the sampling rate is too low.
+        As `ShoeboxSimulator`, and if the sampling rate is too low.
 
     References
     ----------
@@ -574,9 +565,15 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
 
     def decays(self, alpha: Array) -> tuple[Array, float]:
         """Return energy decays that hold T20, or of ``longest``, and the width of their bins in s."""
-        duration = min(self._estimate(check_alpha(self, alpha)), self.longest)
+        # T20 needs two thirds of Eyring's T in the most reverberant band, after the first delay.
+        delays = [network.direct_delay for network in self.networks]
+        t = Eyring().time(self.room, self.room.areas @ check_alpha(self, alpha)).max()
+        duration = min(max(float(t), 0.1) + max(delays) / self.sampling_rate, self.longest)
         while True:
-            energy = self._from_onset(self.impulse_responses(alpha, duration)) ** 2
+            responses = self.impulse_responses(alpha, duration)
+            n = responses.shape[2] - max(delays)
+            onsets = zip(responses, delays, strict=True)
+            energy = np.stack([r[:, delay : delay + n] for r, delay in onsets]) ** 2
             if duration >= self.longest or not TARGET.too_short(energy).any():
                 return energy / (4 * np.pi), 1 / self.sampling_rate
             duration = min(1.6 * duration, self.longest)
@@ -600,23 +597,6 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
                 by_beta = 2 * heard.real * heard.imag / (_STEP * 4 * np.pi)
                 gradient[wall] = -by_beta / (2 * reflection[wall])[:, np.newaxis]
             yield gradient
-
-    def _estimate(self, alpha: Array) -> float:
-        """Return Eyring's T in s of the most reverberant band, at least 0.1, plus the first delay.
-
-        T20 needs two thirds of T.
-        """
-        t = Eyring().time(self.room, self.room.areas @ alpha).max()
-        travel = max(n.direct_delay for n in self.networks) / self.sampling_rate
-        return float(max(t, 0.1) + travel)
-
-    def _from_onset(self, responses: Array) -> Array:
-        """Return the responses from the time of the direct sound on, all of one length."""
-        delays = [network.direct_delay for network in self.networks]
-        length = responses.shape[2] - max(delays)
-        return np.stack(
-            [r[:, delay : delay + length] for r, delay in zip(responses, delays, strict=True)]
-        )
 
     def _render(self, network: Network, reflection: NDArray[Any], out: NDArray[Any]) -> None:
         """Write one pair's responses, (n_bands, n_samples); complex for complex reflection factors."""

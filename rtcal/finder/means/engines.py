@@ -231,7 +231,7 @@ def _image_sources(control: ControlRoom, number: int) -> Simulation:
     images = ImageSource(**control.positions, duration=counted, bin_width=_BIN)
 
     def simulate(alpha: Array, duration: float) -> Array:
-        early = images.energy(alpha)
+        early = images.decays(alpha)[0]
         times: Array = (np.arange(early.shape[-1], duration / _BIN) + 0.5) * _BIN
         late = mean_energy(control.room, alpha, direct, times) * _BIN
         return _features(np.concatenate([early, late], axis=-1), _BIN)
