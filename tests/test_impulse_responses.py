@@ -12,8 +12,7 @@ import pytest
 
 from rtcal.io import budget
 from rtcal.io import impulse_responses as ir
-from rtcal.io.analysis import Floor
-from rtcal.io.impulse_responses import clipped_samples
+from rtcal.io.impulse_responses import Floor, clipped_samples
 from rtcal.support.errors import DataError
 from tests.fuzz import wav
 from tests.test_io_commands import run

@@ -15,8 +15,7 @@ import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.modes import MeasuredModes, absorption, admittance
 from rtcal.modes.measured import match
-from rtcal.modes.model import AtFrequencies, admittance_slope
-from rtcal.modes.room_modes import box_modes
+from rtcal.modes.room_modes import AtFrequencies, admittance_slope, box_modes
 from rtcal.report.pages import page_of
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError

@@ -12,7 +12,7 @@ import rtcal as rt
 from rtcal.acoustics.observables import observable
 from rtcal.finder import Case, Configuration
 from rtcal.finder.means.problem import _uncertainty, observe
-from rtcal.io.analysis import with_uncertainty
+from rtcal.io.impulse_responses import with_uncertainty
 from rtcal.support.errors import DataError
 
 F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]

@@ -37,7 +37,7 @@ from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
 from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
-    from rtcal.io.analysis import Analysis
+    from rtcal.io.impulse_responses import Analysis
     from rtcal.io.tables import MeasuredTable
     from rtcal.report.document import Heading
 
@@ -94,7 +94,7 @@ def measure(
     """
     from rtcal.acoustics.marks import in_measurement
     from rtcal.io import impulse_responses
-    from rtcal.io.analysis import with_uncertainty
+    from rtcal.io.impulse_responses import with_uncertainty
     from rtcal.support.speed import bar
 
     spare([path for path in (out, positions) if path is not None], responses)

@@ -33,6 +33,8 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from enum import Enum
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -56,11 +58,13 @@ from rtcal.acoustics.observables import (
     OBSERVABLES,
     TARGET,
     DecaySlope,
+    observable,
     of_kind,
+    parameter_label,
 )
 from rtcal.io import budget, sofa
-from rtcal.io.analysis import MOST_NAMED, Analysis, Floor, spread
-from rtcal.support import checks, library
+from rtcal.io.tables import MOST_NAMED, means, spread
+from rtcal.support import checks, library, text
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
@@ -139,6 +143,114 @@ def read(
     if repeats:
         require_repeats(places_of([*responses]), os.fspath(paths[0]))
     return _analysis(responses, bands, _ranges(minimum_range), progress, doubts)
+
+
+class Floor(Enum):
+    """What ends the range of levels of a decay, as a sentence with a place for the range in dB."""
+
+    NOISE = "It is {} dB."
+    CUT = "It is {} dB at the end of the response, which is cut off before the noise."
+    END = "It is {} dB at the end of the response, be it noise or a cut decay."
+    FLAT = "No decay of 10 dB stands out of the end of the response, be it noise or a cut decay."
+    SHORT = "The response is silent or shorter than 50 ms."
+    LATE = (
+        "The energy arrives late, as in a recording of a sweep, of interrupted noise or of two sounds: "
+        "it is no decay."
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analysis:
+    """The parameters of impulse responses, the reasons for missing values, and notes.
+
+    Attributes
+    ----------
+    measurement : Measurement
+    impulse_to_noise_ratio : array (n_pairs, n_bands)
+        dB; of repeats, the least.
+    floors : tuple of tuples of Floor, (n_pairs, n_bands)
+        What ends each decay's range.
+    minimum_range : mapping of str to float
+        Impulse-to-noise ratio in dB that each parameter needed.
+    notes : tuple of str
+        Doubts about the other values.
+    """
+
+    measurement: Measurement
+    impulse_to_noise_ratio: Array
+    floors: tuple[tuple[Floor, ...], ...]
+    minimum_range: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """Return the means by band, what is missing by band, and the notes."""
+        lines = means(self.measurement)
+        if missing := self.missing:
+            needed: dict[float, list[str]] = {}
+            for name in self.measurement.values:
+                needed.setdefault(self.minimum_range[name], []).append(parameter_label(name))
+            parts = [f"{ratio:g} dB for {', '.join(names)}" for ratio, names in needed.items()]
+            rule = "Missing values. Impulse-to-noise ratio needed (ISO 3382)"
+            lines += ["", *text.wrapped(f"{rule}: {'; '.join(parts)}.")]
+            for sentence in missing:
+                lines += text.wrapped(sentence, indent="  ")
+        for note in self.notes:
+            lines += text.wrapped(f"note: {note}")
+        return "\n".join(lines)
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """A sentence per band: how many pairs lack which parameter, their range in dB, what ends it."""
+        sentences, n = [], len(self.measurement.pairs)
+        for k, frequency in enumerate(self.measurement.centre_frequencies):
+            lacking: dict[tuple[int, ...], list[str]] = {}
+            for parameter, values in self.measurement.values.items():
+                rows = tuple(np.flatnonzero(np.isnan(values[:, k])).tolist())
+                lacking.setdefault(rows, []).append(parameter_label(parameter))
+            lacking.pop((), None)
+            if not lacking:
+                continue
+            where = "; ".join(
+                ", ".join(names) + (f" in {self._pairs(rows)}" if n > 1 else "")
+                for rows, names in sorted(lacking.items(), key=lambda item: -len(item[0]))
+            )
+            of_floor: dict[Floor, list[int]] = {}
+            for i in sorted({i for rows in lacking for i in rows}):
+                of_floor.setdefault(self.floors[i][k], []).append(i)
+            why = []
+            for floor, some in of_floor.items():
+                sentence = floor.value.format(spread(self.impulse_to_noise_ratio[some, k], ".1f"))
+                why.append(
+                    sentence if len(of_floor) == 1 else f"In {self._pairs(some)}: {sentence}"
+                )
+            sentences.append(f"{_bands.label(frequency)}: no {where}. {' '.join(why)}")
+        return tuple(sentences)
+
+    def _pairs(self, rows: Sequence[int]) -> str:
+        """Return how many pairs these are, and which, up to `MOST_NAMED`."""
+        n = len(self.measurement.pairs)
+        named = [" to ".join(self.measurement.pairs[i]) for i in rows]
+        which = f" ({text.first_of(named, MOST_NAMED)})" if len(rows) < n else ""
+        return f"{len(rows)} of {n} pairs{which}"
+
+
+def with_uncertainty(measurement: Measurement) -> Measurement:
+    """Return the measurement with the uncertainty of each value, from theory and round robins.
+
+    Per value: that of one response, whose field is noise (`Observable.scatter`). In common to the pairs
+    of a band: what teams differ by (Bork 2005).
+    """
+    frequencies, values = measurement.centre_frequencies, measurement.values
+    times = measurement.reverberation_time
+    own: dict[str, Array] = {}
+    common: dict[str, Array] = {}
+    for p, table in values.items():
+        kind = observable(p)
+        told = kind.decay_time(table)
+        decay = np.where(np.isfinite(table), np.where(np.isfinite(told), told, times), np.nan)
+        own[p] = kind.of_value(kind.scatter(frequencies, decay), table)
+        common[p] = kind.of_value(kind.between_teams(frequencies), measurement.mean(p))
+    return replace(measurement, uncertainty=own, common_uncertainty=common)
 
 
 _RATES = 2000, 400_000  # Hz

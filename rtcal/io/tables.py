@@ -27,7 +27,10 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
 from rtcal.acoustics import bands
+from rtcal.acoustics.marks import in_measurement
 from rtcal.acoustics.measurement import (
     Measurement,
     names_of_repeats,
@@ -36,10 +39,15 @@ from rtcal.acoustics.measurement import (
     places_of,
     require_repeats,
 )
-from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, parameter_label
+from rtcal.acoustics.observables import (
+    OBSERVABLES,
+    REVERBERATION,
+    SUMMARY,
+    observable,
+    parameter_label,
+)
 from rtcal.files.disk import read_bytes, write_bytes
 from rtcal.io import instruments, workbook
-from rtcal.io.analysis import means, unusual
 from rtcal.io.table_columns import (
     DECAY_TIMES_OF_RT60,
     DOUBTFUL,
@@ -72,6 +80,8 @@ from rtcal.io.text import Row, Sheet, decode, number, sheets_of_text, shown, uni
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
+from rtcal.support.text import table as table_lines
+from rtcal.support.types import Array
 
 __all__ = ["measurement", "read", "write"]
 __dir__ = __all__.copy
@@ -1129,3 +1139,82 @@ def _measured(tables: Sequence[_Table], notes: list[str], options: _Options) -> 
     if options.repeats:
         require_repeats(placed, places)
     return MeasuredTable(measured, (*report, *note_of_repeats(placed)))
+
+
+# -- what was read
+
+MOST_NAMED = 4
+"""Largest number of pairs or files that a sentence names."""
+_FAR = 3.0
+"""Ratio of a time to the median over the pairs above which it is told as a likely typing error."""
+
+
+def means(measurement: Measurement) -> list[str]:
+    """Return the means over the pairs as the lines of a table, one row per parameter."""
+    n, rows, of_all = len(measurement.pairs), [], []
+    for parameter in measurement.values:
+        kind, mean = observable(parameter), measurement.mean(parameter)
+        cells = [format(v, f".{kind.decimals}f") if np.isfinite(v) else "-" for v in mean]
+        rows.append((f"{kind.label} / {kind.unit}".removesuffix(" / "), cells))
+        overall = kind.overall(mean, measurement.centre_frequencies)
+        if np.isfinite(overall):
+            of_all.append(f"{kind.label} of all bands: {overall:.{kind.decimals}f}")
+    title = f"Means over {n} pairs of source and receiver:" if n > 1 else "Values:"
+    header = ("", bands.labels(measurement.centre_frequencies))
+    return [title, *table_lines(rows, header=header), *of_all]
+
+
+def spread(values: Sequence[float] | Array, form: str) -> str:
+    """Return the ends of some values; one number if they are printed alike.
+
+    Examples
+    --------
+    >>> spread([0.5, 0.25], ".2f"), spread([0.5, 0.501], ".2f")
+    ('0.25 to 0.50', '0.50')
+    """
+    ends = dict.fromkeys(format(v, form) for v in (np.min(values), np.max(values)))
+    return " to ".join(ends)
+
+
+def unusual(measurement: Measurement) -> tuple[str, ...]:
+    """Return notes on likely typing errors, and on values that hardly any room or no other pair has."""
+    notes = [error.sentence for error in in_measurement(measurement)]
+    pairs, frequencies = measurement.pairs, measurement.centre_frequencies
+    for parameter, table in measurement.values.items():
+        kind = observable(parameter)
+        odd = np.argwhere((table < kind.usual[0]) | (table > kind.usual[1]))
+        if not odd.size:
+            notes += _far_from_others(measurement, parameter) if kind.unit == "s" else []
+            continue
+        i, k = odd[0]
+        place = "" if measurement.is_summary else f"{' to '.join(pairs[i])} "
+        more = f", and {len(odd) - 1} more" if len(odd) > 1 else ""
+        notes.append(
+            f"hardly any room has {kind.label} of {table[i, k]:g} {kind.unit} ({place}at "
+            f"{bands.label(frequencies[k])}{more}): look whether the column, the unit or the decimal "
+            "is another"
+        )
+    return tuple(notes)
+
+
+def _far_from_others(measurement: Measurement, parameter: str) -> list[str]:
+    """Return a note on times far from the median over the pairs of their band (`_FAR`)."""
+    table, pairs, label = measurement.values[parameter], measurement.pairs, bands.label
+    counts = np.isfinite(table).sum(axis=0)
+    median = np.full(len(counts), np.inf)
+    median[counts > 2] = np.nanmedian(table[:, counts > 2], axis=0)
+    # Early parameters are short near a source.
+    late = np.isfinite(median) & (observable(parameter) in REVERBERATION)
+    least = np.where(late, median, 0.0) / _FAR
+    found = [
+        f"{table[i, k]:g} s ({' to '.join(pairs[i])} at {label(measurement.centre_frequencies[k])}; "
+        f"median over the pairs {median[k]:.3g} s)"
+        for i, k in np.argwhere((table > _FAR * median) | (table < least))
+    ]
+    if not found:
+        return []
+    return [
+        f"{parameter_label(parameter)} is {_FAR:g} times as long as at the other pairs, or as short: "
+        f"{first_of(found, MOST_NAMED)}. Look whether the decimal is another, and whether the "
+        "row is a position"
+    ]

@@ -8,9 +8,7 @@ Gauss-Newton steps are each a QP:
 with d the measured decays and D those of the room's poles (`rtcal.modes.room_modes`), which are
 linearised at the last answer. Below the Schroeder frequency no field is diffuse, and T is not used:
 there it is some 1.3 times an equation's, since modes along walls decay slowly. C is the sum
-of what was measured, of the model, and of what admittance does between the bands (`rtcal.modes.model`).
-
-Modes are found in responses by `rtcal.modes.responses`.
+of what was measured, of the model, and of what admittance does between the bands.
 """
 
 from __future__ import annotations
@@ -40,10 +38,8 @@ from rtcal.calibration.table import coefficients
 from rtcal.calibration.terms import LinearObservations, Observed
 from rtcal.files.saved import Result
 from rtcal.io.sofa import Responses
-from rtcal.modes.measured import MeasuredModes, match
-from rtcal.modes.model import ABOVE, RoomPoles
-from rtcal.modes.responses import modes_in
-from rtcal.modes.room_modes import DECAY
+from rtcal.modes.measured import MeasuredModes, match, modes_in
+from rtcal.modes.room_modes import ABOVE, DECAY, RoomPoles
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks, text
 from rtcal.support.blocks import Block, Note, Row, Table

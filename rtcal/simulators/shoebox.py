@@ -88,6 +88,11 @@ class ShoeboxSimulator(RoomSimulator, ABC):
         object.__setattr__(self, "box", shoebox_of(self.room, self.sources, self.receivers))
 
     @property
+    @abstractmethod
+    def name(self) -> str:
+        """Name that calibrated coefficients belong to."""
+
+    @property
     def tracing(self) -> PathTracing:
         """A path tracing of the box, whose walls scatter half."""
         return PathTracing(

@@ -14,7 +14,7 @@ from rtcal.acoustics import observables
 from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.observables import MODULATIONS, OBSERVABLES, Observable, observable, register
 from rtcal.io import impulse_responses, tables
-from rtcal.io.analysis import means, with_uncertainty
+from rtcal.io.impulse_responses import means, with_uncertainty
 from rtcal.loop import control_runs
 from rtcal.simulators import ImageSource
 from tests import test_where

@@ -25,7 +25,7 @@ import rtcal as rt
 from benchmarks.studies.room_modes import modes_world as w
 from rtcal.acoustics.bands import schroeder_frequency
 from rtcal.acoustics.room_errors import prior_covariance
-from rtcal.modes.model import AtFrequencies, RoomPoles, admittance, admittance_slope
+from rtcal.modes.room_modes import AtFrequencies, RoomPoles, admittance, admittance_slope
 from rtcal.simulators.geometry import Polyhedron
 
 HIGHEST = 140.0

@@ -21,8 +21,8 @@ import numpy as np
 from scipy.io import loadmat
 
 import rtcal as rt
-from rtcal.modes.model import RoomPoles
-from rtcal.modes.responses import Spectra, fitted
+from rtcal.modes.measured import Spectra, fitted
+from rtcal.modes.room_modes import RoomPoles
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 
 LOWEST, HIGHEST = 20.0, 100.0
