@@ -587,3 +587,17 @@ def test_the_command_predicts_and_writes(tmp_path: Path) -> None:
     low, high = variant["interval_90"]
     assert all(a < t < b for a, t, b in zip(low, variant["reverberation_time"], high, strict=True))
     assert rt.load(tmp_path / "after").predictions[0].name == "panels"
+
+
+def test_a_calibrated_room_s_t_is_not_called_a_stated_one(result: rt.CalibrationResult) -> None:
+    """Its file alone predicts: what is printed says whose T before it is."""
+    file = rt.Room.from_text(result.room.to_text(), "room.toml")
+    for room, kind in ((file, "calibrated room"), (result.prior, "stated coefficients")):
+        made = predict(room, Change(cover="walls", by=PANEL, area=3), equation=result.equation)
+        shown = str(made)
+        assert made.before_is == kind
+        assert f"T before ({kind})" in shown
+        assert ("stated coefficients" in shown) == (kind == "stated coefficients")
+    assert made.time_before == pytest.approx(
+        result.equation.reverberation_time(result.prior), rel=1e-12
+    )

@@ -272,7 +272,7 @@ def test_a_room_in_which_equations_differ_is_marked() -> None:
         assert result.verdict.level != "agrees"
 
 
-def test_directions_by_dimensions_name_or_mesh_mark_a_room_and_none_does_not() -> None:
+def test_directions_by_dimensions_name_or_mesh_mark_a_room_and_none_is_said() -> None:
     room = _box(0.8)
     kinds = {}
     walls = {"floor": "b", "ceiling": "a", "west": "c", "east": "c", "south": "c", "north": "c"}
@@ -295,7 +295,37 @@ def test_directions_by_dimensions_name_or_mesh_mark_a_room_and_none_does_not() -
             kinds["dimensions"] = uneven_marks(boxed, facing(boxed))
             mesh = Polyhedron.shoebox((8, 7.5, 3), walls)
             kinds["mesh"] = uneven_marks(bare, facing(bare, mesh))
-    assert kinds.pop("none") == ()
+    (unknown,) = kinds.pop("none")
+    assert unknown.kind == "directions_unknown"
+    assert "state axis for each [[surface]]" in unknown.advice
+    assert "if all of a faced one way" in unknown.text
+    even = bare.replace(alpha=np.full_like(bare.alpha, 0.1))
+    assert uneven_marks(even, facing(even)) == ()
     assert {len(marks) for marks in kinds.values()} == {1}, kinds
     texts = {kind: marks[0].text for kind, marks in kinds.items()}
     assert texts["axis"] == texts["mesh"] == texts["dimensions"]
+
+
+def test_a_shift_that_a_bound_leaves_to_another_material_contradicts_what_was_stated() -> None:
+    """T of a ceiling at 1 and of walls that absorb five standard deviations more than stated.
+
+    z says little, since the ceiling's sigma is large: but it cannot move as far. The oracle is the
+    distance in standard deviations of the only coefficients within the bounds that have this T.
+    """
+    room = _box(0.95)
+    room = room.replace(sigma=[[0.3, 0.05], [0.01, 0.01], [0.01, 0.01]])
+    true = room.alpha.copy()
+    true[:, 0] = 1.0, 0.03 + 0.05 * 60 / 93, 0.03 + 0.05
+    result = rt.calibrate(room, rt.Eyring().reverberation_time(room.replace(alpha=true)))
+    assert np.abs(result.plausibility.z).max() < 2
+    distance = np.linalg.norm(result.shift_in_sigmas[:, 0])
+    assert distance > 5
+    (mark,) = [m for m in result.trust_marks if m.kind == "implausible"]
+    assert mark.frequency == 500
+    assert "within the bounds" in mark.text
+    assert result.verdict.level == "contradicts"
+    assert "At 500 Hz the measurement asks" in " ".join(str(result).split())
+    inside = rt.calibrate(
+        room, rt.Eyring().reverberation_time(room.replace(alpha=room.alpha * 1.01))
+    )
+    assert not [m for m in inside.trust_marks if m.kind == "implausible"]

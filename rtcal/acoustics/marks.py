@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.bands import hertz, mid_frequency_time, schroeder_frequency
-from rtcal.acoustics.changes import enough_known
+from rtcal.acoustics.changes import NOT_KNOWN, enough_known
 from rtcal.acoustics.equations import ArauPuchades, Eyring
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import (
@@ -299,6 +299,7 @@ _ADVICE: dict[str, tuple[str, str]] = {
         "tracing (`rtcal fit` with a mesh, `rtcal loop` with a simulator), and predict a change of one "
         "surface there",
     ),
+    "directions_unknown": ("", NOT_KNOWN),
     "wide_sigma": (
         "",
         "any T agrees with so large a sigma: is it relative to alpha, or in percent?",
@@ -490,15 +491,17 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     """Return the mark of a room whose absorption is so uneven that equations differ by over one JND.
 
     Compared are Eyring's T, for which all surfaces count alike, and Arau-Puchades', for which the
-    surfaces of each axis count for themselves (`rtcal.acoustics.equations.ArauPuchades`).
+    surfaces of each axis count for themselves (`rtcal.acoustics.equations.ArauPuchades`). Where most of
+    the absorption has no known direction the mark says that this is not judged, if the equations
+    differed with all of the material that absorbs most across one axis.
 
     Parameters
     ----------
     room : Room
         With the coefficients to compare by.
     shares : array (n_materials, 3)
-        Directions of each material, as `rtcal.acoustics.changes.facing` returns them. Where most of
-        the absorption has no known direction there is no mark; the rest counts a third each.
+        Directions of each material, as `rtcal.acoustics.changes.facing` returns them. Unknown ones
+        count a third each.
 
     Examples
     --------
@@ -510,8 +513,14 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     >>> uneven_marks(room, facing(room))[0].text[:66]
     "the absorption is uneven: Arau-Puchades' equation gives 0.89 s for"
     """
-    if not enough_known(room, shares):
-        return ()
+    known, total = enough_known(room, shares), room.total_area
+    absorbed = np.where(np.isnan(shares[:, 0]), room.areas * room.alpha.mean(axis=1), -1.0)
+    most = int(np.argmax(absorbed))
+    if not known:
+        # As little of the others beside it as the shape of a cube leaves.
+        others = max(total / 3 - room.areas[most], 0.0) / max(total - room.areas[most], 1e-9)
+        shares = np.tile([(1 - others) / 2, (1 - others) / 2, others], (room.n_materials, 1))
+        shares[most] = 0, 0, 1
     along = room.areas[:, np.newaxis] * np.where(np.isnan(shares), 1 / 3, shares)
     eyring, arau = Eyring().reverberation_time(room), ArauPuchades().by_axes(room, along)
     with np.errstate(invalid="ignore"):
@@ -519,11 +528,62 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     k = int(np.argmax(differ))
     if not differ[k] > 1:
         return ()
-    text = (
-        f"the absorption is uneven: Arau-Puchades' equation gives {arau[k]:.2f} s for Eyring's "
-        f"{eyring[k]:.2f} s at {room.centre_frequencies[k]:g} Hz, {differ[k]:.1f} JND apart"
+    times = (
+        f"{arau[k]:.2f} s for Eyring's {eyring[k]:.2f} s at {room.centre_frequencies[k]:g} Hz, "
+        f"{differ[k]:.1f} JND apart"
     )
-    return (mark("equations_differ", None, text),)
+    if known:
+        text = f"the absorption is uneven: Arau-Puchades' equation gives {times}"
+        return (mark("equations_differ", None, text),)
+    text = (
+        f"whether the absorption is uneven is not judged: if all of {room.materials[most]} faced one "
+        f"way, Arau-Puchades' equation would give {times}"
+    )
+    return (mark("directions_unknown", None, text),)
+
+
+def z_within_bounds(
+    room: Room, difference: Array, variance: Array, shift: Array, active: NDArray[Any]
+) -> Array:
+    """Return z of bands in which coefficients stand at bounds, (n_bands,); NaN elsewhere.
+
+    It is the distance of the nearest point within the bounds that has the measured T from what was
+    stated, in standard deviations, which tells the probability beyond it to first order: z² is the sum
+    of the squared shifts of the coefficients at bounds, over sigma, and r² over its variance, where r
+    of b - S'mu is left to the others.
+
+    Parameters
+    ----------
+    room : Room
+        With the stated coefficients.
+    difference, variance : array (n_bands,)
+        b - S'mu in m², and its variance without bounds.
+    shift, active : array (n_materials, n_bands)
+        alpha - mu, and where it stands at a bound.
+
+    References
+    ----------
+    A. M. Hasofer, N. C. Lind, J. Eng. Mech. Div. ASCE 100, 111-121 (1974).
+
+    Examples
+    --------
+    The ceiling reaches 1 after half a standard deviation, so that the walls have to move by 9.
+
+    >>> room = Room(name="box", volume=60, materials=["ceiling", "walls"], areas=[20, 74],
+    ...             alpha=[[0.95], [0.05]], sigma=[[0.1], [0.01]], centre_frequencies=[1000])
+    >>> shift, variance = np.array([[0.05], [0.09]]), (room.areas[:, None] * room.sigma) ** 2
+    >>> args = room.areas @ shift, variance.sum(axis=0), shift, np.array([[1], [0]])
+    >>> print(z_within_bounds(room, *args).round(1))
+    [9.]
+    """
+    at, areas = np.asarray(active) != 0, room.areas[:, np.newaxis]
+    of_bounds = np.where(at, areas * room.sigma, 0.0)
+    left = difference - np.sum(np.where(at, areas * shift, 0.0), axis=0)
+    spread = np.maximum(variance - np.sum(of_bounds**2, axis=0), 0.0)
+    sigma = np.where(at & (room.sigma > 0), room.sigma, np.inf)
+    squares = np.sum((shift / sigma) ** 2, axis=0)
+    squares += np.divide(left**2, spread, out=np.zeros_like(left), where=spread > 0)
+    return np.where(at.any(axis=0), np.sign(difference) * np.sqrt(squares), np.nan)
 
 
 def trust_marks(
@@ -548,7 +608,7 @@ def trust_marks(
     active : array (n_materials, n_bands)
         Where a coefficient stands at a bound: -1 for the lower, 1 for the upper one, else 0.
     z : array (n_bands,)
-        See `Plausibility`.
+        See `Plausibility`; where a coefficient stands at a bound as of `z_within_bounds`.
     unreachable : sequence of float
         Centre frequencies in Hz of bands that were moved to the nearest end.
     bent : sequence of TrustMark
@@ -606,7 +666,10 @@ def trust_marks(
             add("at_bound", f, f"{room.materials[i]} stands at its {side} bound", advised)
         if abs(z[k]) > LARGE_Z:
             side = "more" if z[k] > 0 else "less"
-            add("implausible", f, f"T asks for {side} absorption than was stated, |z| over 2")
+            bound = " within the bounds" if active[:, k].any() else ""
+            add(
+                "implausible", f, f"T asks for {side} absorption than was stated, |z|{bound} over 2"
+            )
     return tuple(marks)
 
 

@@ -1322,6 +1322,11 @@ def of_pairs(
     return fingerprint(parameter, cells)
 
 
+def is_calibrated(room: Room) -> bool:
+    """Return whether a room's coefficients are those of its own calibration."""
+    return room.calibration is not None and room.calibration.method not in (ARCHIVE, CHANGED)
+
+
 def times_of(room: Room) -> Array:
     """Return the T in s that a calibrated room's record names, (n_bands,); NaN where it names none.
 

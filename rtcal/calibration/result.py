@@ -32,6 +32,7 @@ from rtcal.acoustics.marks import (
     plausibility,
     trust_marks,
     uneven_marks,
+    z_within_bounds,
 )
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import Assumptions, of_absorption
@@ -705,6 +706,15 @@ class CalibrationResult(Result):
         together = of_absorption(room.areas, room.alpha, room.sigma, room.centre_frequencies)
         return plausibility(deviation[bands], covariance[bands, bands], at_bound, together)
 
+    @property
+    def _z_within_bounds(self) -> Array:
+        """`Plausibility.z`, but within the bounds where a matched band has a coefficient at one."""
+        n, (deviation, covariance) = self.prior.n_bands, self.joint.innovation
+        bands = slice(self.configuration * n, (self.configuration + 1) * n)
+        variance, active = np.diag(covariance)[bands], np.where(self.matched, self.active, 0)
+        bounded = z_within_bounds(self.prior, deviation[bands], variance, self.shift, active)
+        return np.where(np.isnan(bounded), self.plausibility.z, bounded)
+
     @cached_property
     def air_share(self) -> Array:
         """The air's share of the whole absorption of the calibrated room, (n_bands,)."""
@@ -724,7 +734,7 @@ class CalibrationResult(Result):
                 self.measured_uncertainty,
                 self.air_share,
                 self.active,
-                self.plausibility.z,
+                self._z_within_bounds,
                 [u.frequency for u in self.unreachable],
                 self.measured_data.bent,
             ),

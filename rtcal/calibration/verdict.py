@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.marks import LARGE_Z, MET, P_CONTRADICTION, agreement
+from rtcal.acoustics.marks import MET, P_CONTRADICTION, agreement
 from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
 
@@ -105,8 +105,7 @@ def _evidence(record: Mapping[str, Any]) -> tuple[str, str, float | None, str]:
     q = f"Q = {found['q']:.1f}, {free} degree{'s' * (free != 1)} of freedom"
     if p is not None:
         q += f", p = {p:.2g}"
-    far = np.abs(numbers(found["z"])) > LARGE_Z
-    where = bands.hertz(np.asarray(record["centre_frequencies"])[far].tolist())
+    where = bands.hertz(_far(record))
     asks = (
         f"{f'at {where} the measurement asks' if where else 'in no band does the measurement ask'} for "
         "an absorption more than two standard deviations from the stated one"
@@ -118,6 +117,12 @@ def _evidence(record: Mapping[str, Any]) -> tuple[str, str, float | None, str]:
             "also allows for errors of the equation and of the measurement."
         )
     return q, asks, p, together
+
+
+def _far(record: Mapping[str, Any]) -> list[float]:
+    """Return the bands in Hz whose T asks for what was stated as unlikely, within the bounds."""
+    marks = record["trust_marks"]
+    return [m["frequency"] for m in marks if m["kind"] == "implausible"]
 
 
 def _longer(record: Mapping[str, Any]) -> str:
@@ -138,7 +143,7 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
     """Return what p and z say of the materials, where the calibrated room has the measured T."""
     q, asks, p, together = _evidence(record)
     found = record["plausibility"]
-    far = bool((np.abs(numbers(found["z"])) > LARGE_Z).any())
+    far = bool(_far(record))
     if not found["degrees_of_freedom"]:
         return CalibrationVerdict(
             "open", "No T was measured in a band of the model", "There is no verdict."

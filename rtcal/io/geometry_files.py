@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 from typing import Any
 
+import numpy as np
+
+from rtcal.acoustics.marks import OFF_VOLUME
 from rtcal.acoustics.room import Directivity, Room
-from rtcal.io import balloon, obj
+from rtcal.io import balloon, obj, units
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing, area_doubt, volume_doubt
 from rtcal.simulators.shoebox import box_of
@@ -44,6 +47,8 @@ def mesh_doubt(room: Room) -> str:
     """Return in a sentence where a room's areas or volume are not those of its mesh; "" if they are.
 
     A room that states no mesh has none to differ from. A mesh that cannot be read is a doubt, too.
+    DataError where volume or surface is a power of ten times that of the mesh: a wrong unit, or a
+    decimal point. Nothing that is computed with it could be right.
 
     Examples
     --------
@@ -55,8 +60,26 @@ def mesh_doubt(room: Room) -> str:
         return ""
     try:
         geometry = read(room)
+    except units.UnitError:
+        raise
     except DataError as error:
         return f"the room's areas and volume are not compared with its mesh: {error}"
+    rows = room.material_rows([*dict.fromkeys(geometry.materials)])
+    both = {
+        "volume": (room.volume, geometry.volume, "m³"),
+        "areas": (float(room.areas[rows].sum()), float(geometry.face_areas.sum()), "m²"),
+    }
+    for name, (own, of_mesh, unit) in both.items():
+        power = round(float(np.log10(own / of_mesh)))
+        if not power or abs(own / of_mesh / 10.0**power - 1) > OFF_VOLUME:
+            continue
+        hint = "check its decimal point and unit"
+        if name == "volume" and power % 3 == 0:
+            hint = (
+                f"with unit = {room.scene.unit * 10.0 ** (power // 3):g} in [geometry] both agree"
+            )
+        times = f"10^{power} times the {of_mesh:.4g} {unit} of the mesh"
+        raise DataError(f"{name} = {own:.4g} {unit} is {times}: {hint}")
     return ". ".join(filter(None, (volume_doubt(geometry, room), area_doubt(geometry, room))))
 
 

@@ -81,21 +81,25 @@ def in_words(size: Sequence[float]) -> str:
     return f"{' × '.join(rounded(x, 3) for x in size)} m"
 
 
+class UnitError(DataError):
+    """A mesh whose unit is not the stated one."""
+
+
 def check_volume(volume: float, unit: float, path: str) -> None:
-    """Raise DataError for a volume that no room has; the message has the volume in other units.
+    """Raise UnitError for a volume that no room has; the message has the volume in other units.
 
     Examples
     --------
     >>> check_volume(60e9, 1.0, "room.obj")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    rtcal.support.errors.DataError: room.obj: V = 6e+10 m³ is not from 0.001 to 2e+07 m³, as ...
+    rtcal.io.units.UnitError: room.obj: V = 6e+10 m³ is not from 0.001 to 2e+07 m³, as ...
     """
     low, high = VOLUME_LIMITS
     if low <= volume <= high:
         return
     others = _in_other_units(volume, unit, VOLUME_LIMITS)
-    raise DataError(
+    raise UnitError(
         f"{path}: V = {volume:.3g} m³ is not from {low:g} to {high:g} m³, as in any room"
         + (f"; it is {' or '.join(others)}" if others else "")
     )

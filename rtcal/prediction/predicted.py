@@ -19,7 +19,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.changed_time import KnownRoom, TimeChange, probability_within
 from rtcal.acoustics.changes import Change, Placed, Target, Variant, placed
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.room import Room, refuse_repeats
+from rtcal.acoustics.room import Room, is_calibrated, refuse_repeats
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
@@ -134,9 +134,12 @@ class Prediction(Result):
 
     @property
     def before_is(self) -> str:
-        """The kind of T before: "measured", "calibrated model" or "stated coefficients"."""
+        """The kind of T before: "measured", "calibrated model" or "stated coefficients".
+
+        "calibrated room" where nothing was measured, and the coefficients are those of a calibration.
+        """
         if not self.known.measured.any():
-            return words.STATED
+            return words.CALIBRATED if is_calibrated(self.before) else words.STATED
         return words.MEASURED if self.known.exact else words.MODEL
 
     @cached_property
@@ -282,7 +285,8 @@ class Prediction(Result):
         if not self.half_width.any():
             return [words.NOTHING_CHANGES]
         labels = bands.labels(known.room.centre_frequencies)
-        said = [words.GIVEN if known.measured.any() else words.NOTHING_MEASURED]
+        stated = words.CALIBRATED_BEFORE if is_calibrated(known.room) else words.NOTHING_MEASURED
+        said = [words.GIVEN if known.measured.any() else stated]
         if known.measured.any() and not known.measured.all():
             said.append(words.not_measured([labels[k] for k in np.flatnonzero(~known.measured)]))
         if not self.model.is_placed:

@@ -17,6 +17,7 @@ SIZES = "volume, areas and climate"
 MEASUREMENT = "the measured T"
 BEFORE = "T before, which was not measured"
 MEASURED, MODEL, STATED = "measured", "calibrated model", "stated coefficients"
+CALIBRATED = "calibrated room"
 """What T before is."""
 ALIKE, CHANGED_ALONE = (
     "the simulator, alike in both states",
@@ -70,6 +71,10 @@ REMARK = (
 )
 NOTHING_CHANGES = "Nothing changes: T stays as it was before, whatever is not known of the room."
 NOTHING_MEASURED = "Nothing was measured: the interval is that of the stated coefficients."
+CALIBRATED_BEFORE = (
+    "T before is that of the calibrated room, and the interval that of its coefficients' sigma. Give "
+    "the room as it was before its calibration, and what was measured: T before then counts as that."
+)
 GIVEN = "T before is given: its own uncertainty is stated apart and is no part of the interval."
 UNPLACED = (
     "The room does not say which way the surfaces face that change. The interval allows for all of "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -64,3 +65,36 @@ def test_a_mesh_that_cannot_be_read_is_said_and_stops_no_equation(
     said = calibrated(str(files / "room.toml"), files, capsys)
     assert "not compared with its mesh" in said
     assert "room.obj: No such file" in said
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            'mesh = "room.obj"',
+            'mesh = "room.obj"\nunit = 0.001',
+            "179 m³ in m (unit = 1)",
+        ),
+        (
+            'mesh = "room.obj"',
+            'mesh = "room.obj"\nunit = 10',
+            "with unit = 1 in [geometry] both agree",
+        ),
+        ("volume = 179.20000000000002", "volume = 17.92", "volume = 17.92 m³ is 10^-1 times"),
+        (r"area = ([\d.]+)", r"area = \g<1>e2", "areas = 2.208e+04 m² is 10^2 times"),
+    ],
+)
+def test_a_power_of_ten_between_room_and_mesh_is_refused(
+    files: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, said: str
+) -> None:
+    """A wrong unit or decimal point: no figure that follows from it could be right."""
+    path = files / "room.toml"
+    text = path.read_text()
+    changed = re.sub(old, new, text)
+    assert changed != text
+    path.write_text(changed)
+    with pytest.raises(SystemExit) as stop:
+        main(["calibrate", str(path), str(files / "pairs.csv"), "--out", str(files / "made")])
+    assert stop.value.code == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+    assert not (files / "made").exists()
