@@ -13,10 +13,10 @@ from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.finder import positions as positions
-    from rtcal.finder import states as states
     from rtcal.finder.case import Case as Case
     from rtcal.finder.case import ChangedMaterial as ChangedMaterial
     from rtcal.finder.case import Configuration as Configuration
+    from rtcal.finder.case import StatesCase as StatesCase
     from rtcal.finder.effects import Absorber as Absorber
     from rtcal.finder.effects import Effect as Effect
     from rtcal.finder.effects import library as library

@@ -32,14 +32,13 @@ from rtcal.acoustics.room import CHANGED, POSITION, Directivity, Material, Room,
 from rtcal.calibration.methods import calibrate
 from rtcal.files import disk
 from rtcal.files.disk import make_folder, write_all
-from rtcal.finder.case import Case, Configuration
+from rtcal.finder.case import Case, Configuration, StatesCase
 from rtcal.finder.claim import Candidate, amount
 from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.means.problem import distances, state, with_applied
 from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions, predict
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import NEAR, face_at, of_geometry, patched
-from rtcal.finder.states.case import StatesCase
 from rtcal.io import catt, odeon
 from rtcal.io.material_list import ExportReport
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
@@ -762,19 +761,17 @@ def changed_room(
     kinds : sequence of str
         What may have changed.
     """
-    labels, found = bands.labels(case.room.centre_frequencies), case.differences
+    labels = bands.labels(case.room.centre_frequencies)
     stated = case.room.replace(calibration=None)
-    fitted = calibrate(stated, found.before, equation=case.equation, unreachable="nearest")
+    fitted = calibrate(stated, case.times[0], equation=case.equation, unreachable="nearest")
     # T before, not that of the changed room, stays on record: it is not to count twice.
     record = replace(cast("Any", fitted.room.calibration), method=CHANGED)
     before = fitted.room.replace(calibration=record)
     change = np.where(np.isfinite(change), change, 0.0)
     mean, spread = change[0], (change[2] - change[1]) / (2 * NORMAL_90)
     notes = []
-    if not found.measured.all():
-        at = listed(
-            [label for label, known in zip(labels, found.measured, strict=True) if not known]
-        )
+    if not case.known.all():
+        at = listed([label for label, known in zip(labels, case.known, strict=True) if not known])
         notes.append(f"Nothing is known of {at}: there the room is that of the first state.")
     geometry, tracer = None, case.simulator
     names, rows = list(before.materials), [*np.diag(before.areas)]

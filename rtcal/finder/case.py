@@ -32,31 +32,35 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.changes import enough_known, facing
-from rtcal.acoustics.equations import mean_equation
+from rtcal.acoustics.equations import Eyring, LinearEquation, mean_equation
 from rtcal.acoustics.measurement import Measurement, MeasurementTable
-from rtcal.acoustics.observables import observable
-from rtcal.acoustics.room import PlainRoom, Room, of_plain, refuse_repeated_data
-from rtcal.calibration.measured import times_in_room
+from rtcal.acoustics.observables import MATCH, REVERBERATION, observable, parameter_label
+from rtcal.acoustics.room import Directivity, PlainRoom, Room, of_plain, refuse_repeated_data
+from rtcal.calibration.measured import notes_of_bands, times_in_room
 from rtcal.files.disk import json_numbers, read_text, write_text
 from rtcal.files.schema import FileTable, Number, json_object, read, toml_table
 from rtcal.finder.effects import AppliedEffect, check_parameters, library
 from rtcal.io import geometry_files
+from rtcal.simulators.base import checked_parameters
+from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError, OtherBandsWarning
-from rtcal.support.text import shortened
+from rtcal.support.text import as_sentence, first_of, shortened
 from rtcal.support.types import Array, read_only
 
 PARAMETERS = ("t20", "edt", "t30", "c80", "g")
@@ -620,3 +624,215 @@ def files_of_case(path: str) -> list[Path]:
     table = _table(_content(path, read_text(path, MAX_BYTES)))
     names = [table.room, *(c.measured for c in table.configuration)]
     return [Path(path), *(Path(path).parent / name for name in names if isinstance(name, str))]
+
+
+_LEAST = 1e-6
+"""Least standard uncertainty that is taken of a stated mean, of its share: none is exact."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StatesCase:
+    """A room that was measured twice, at the same positions with the same equipment.
+
+    Two measurements are compared with each other, so that neither the coefficients' prior nor a
+    configuration counts: the first state calibrates.
+
+    Parameters
+    ----------
+    room : Room
+        Its volume, areas and air.
+    before, after : Measurement
+        Means over positions, or pairs. The pairs that both have are compared, source by source.
+    equation : LinearEquation
+        Turns T into an absorption area; Eyring's unless given. Sabine's overstates the change of a
+        room that absorbs much.
+    simulator : PathTracing, optional
+        Of the same room, with every source's directivity: then surfaces are told apart.
+    match : sequence of str
+        Parameters that tell surfaces apart, where both states have them. Of the level, both states have
+        one reference. Without a simulator T alone is compared.
+    climate_uncertainty : (float, float)
+        Standard uncertainties of a stated climate in K and in percent of relative humidity, in each of
+        the two states. A room whose air is not stated may have any indoor climate in either.
+
+    Attributes
+    ----------
+    states : two Measurement
+        What is compared: the pairs that both have, in the room's bands.
+    times : array (2, n_bands)
+        Mean T20, or else T30, in s over these pairs, before and after.
+    change : array (n_pairs, n_bands)
+        ln(T after / T before); NaN where one is missing.
+    variance : array (n_pairs, n_bands)
+        Of the noise of ``change``, of both states. A pair's is the larger of what is stated and of what
+        theory expects of one decay, 0.88 / sqrt(B T) for T20. The noise of a decay does not cancel:
+        another absorption is another field. Measured in a laboratory whose panels were turned, the
+        differences scatter by 0.9 to 1.3 times the theory of both states.
+    notes : tuple of str
+        Bands and pairs that one state lacks, what is converted, and where the uncertainties
+        come from.
+
+    Raises
+    ------
+    DataError
+        If no pair, or no T20 or T30 in a band of the room, is in both; if the simulator is of another
+        room, or lacks a measured pair; for a ``match`` without a simulator, and an uncertainty of a
+        climate that is not stated, which would have no effect.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room = rt.Room(name="box", volume=200, materials=["all"], areas=[220], alpha=[[0.1] * 2],
+    ...                sigma=[[0.05] * 2], centre_frequencies=[500, 1000])
+    >>> before = rt.Measurement.from_values([500, 1000], t20=[1.5, 1.4])
+    >>> after = rt.Measurement.from_values([500, 1000], t20=[1.1, 0.9])
+    >>> case = rt.finder.StatesCase(room=room, before=before, after=after)
+    >>> print(case.change.round(2))
+    [[-0.31 -0.44]]
+    """
+
+    room: Room
+    before: Measurement
+    after: Measurement
+    equation: LinearEquation = field(default_factory=Eyring)
+    simulator: PathTracing | None = None
+    match: Sequence[str] = MATCH
+    climate_uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
+    states: tuple[Measurement, Measurement] = field(init=False)
+    times: Array = field(init=False)
+    change: Array = field(init=False)
+    variance: Array = field(init=False)
+    notes: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        put = partial(object.__setattr__, self)
+        checks.instance("room", self.room, Room)
+        checks.instance("before", self.before, Measurement).refuse_large_uncertainty()
+        checks.instance("after", self.after, Measurement).refuse_large_uncertainty()
+        checks.instance("equation", self.equation, LinearEquation)
+        put("match", checked_parameters(self.match))
+        if self.simulator is None and self.match != checked_parameters(MATCH):
+            raise DataError("match needs a simulator: without one T alone is compared")
+        put("climate_uncertainty", checked_climate_uncertainty(self.climate_uncertainty))
+        if self.room.air is None and self.climate_uncertainty != CLIMATE_UNCERTAINTY:
+            raise DataError(
+                "climate_uncertainty is that of a stated climate, and the room states no air"
+            )
+        notes = self._compare_pairs(put)
+        put("notes", (*notes, *self._compare_times(put)))
+        if self.simulator is not None:
+            checks.instance("simulator", self.simulator, PathTracing)
+            if self.simulator.room is not self.room:
+                raise DataError("simulator is of another room; make it with this one")
+            if lacking := [p for p in self.pairs if p not in self.simulator.pairs]:
+                raise DataError(f"simulator lacks {' to '.join(lacking[0])}, which was measured")
+
+    def _compare_pairs(self, put: Callable[[str, object], None]) -> list[str]:
+        """Set ``states``; return notes on bands and pairs that one lacks."""
+        two = {"before": self.before, "after": self.after}
+        states = {n: m.in_bands(self.room.centre_frequencies) for n, m in two.items()}
+        pairs = [p for p in states["before"].pairs if p in states["after"].pairs]
+        if not pairs:
+            each = (
+                "means over positions"
+                if m.is_summary
+                else first_of([*map(" to ".join, m.pairs)], 1)
+                for m in two.values()
+            )
+            raise DataError(
+                "before and after have no source and receiver in common; two states are measured at "
+                f"the same positions, and these are {' and '.join(each)}"
+            )
+        put("states", tuple(m.select(pairs) for m in states.values()))
+        of_bands = {n: "; ".join(notes_of_bands(self.room, m)) for n, m in two.items()}
+        if of_bands["before"] == of_bands["after"]:
+            of_bands = {"before and after": of_bands["before"]}
+        notes = [as_sentence(f"{name}: {note}") for name, note in of_bands.items() if note]
+        for name, state in states.items():
+            if others := [" to ".join(p) for p in state.pairs if p not in pairs]:
+                notes.append(f"Only {name} has {first_of(others, 1)}: left out.")
+        return notes
+
+    def _compare_times(self, put: Callable[[str, object], None]) -> list[str]:
+        """Set ``times``, ``change`` and ``variance``; return notes on pairs and uncertainties."""
+        frequencies, shape = self.room.centre_frequencies, (len(self.pairs), self.room.n_bands)
+        change, variance = np.full((2, *shape), np.nan)
+        times, unstated = np.full((2, self.room.n_bands), np.nan), False
+        for o in reversed(REVERBERATION):  # the first replaces the others
+            if not all(o.key in m.values for m in self.states):
+                continue
+            values = np.array([m.values[o.key] for m in self.states])
+            both = np.isfinite(values).all(axis=0)
+            some, count = both.any(axis=0), np.maximum(both.sum(axis=0), 1)
+            means = np.where(both, values, 0.0).sum(axis=1) / count
+            relative = np.zeros(shape)
+            for m, v, mean in zip(self.states, values, means, strict=True):
+                if m.is_summary:
+                    u = np.fmax(m.mean_uncertainty(o.key)[np.newaxis] / v, _LEAST)
+                    unstated |= o.key not in m.uncertainty and m.n_sources is None
+                else:
+                    theory = o.scatter(frequencies, np.where(some, mean, np.nan))
+                    u = np.fmax(theory, m.uncertainty.get(o.key, np.zeros(shape)) / v)
+                relative = relative + u**2
+            # Of states that are exchanged it is the same to the last digit, of the other sign.
+            of_log = np.log(values[1]) - np.log(values[0])
+            times[:, some] = means[:, some]
+            change[:, some] = np.where(both, of_log, np.nan)[:, some]
+            variance[:, some] = np.where(both, relative, np.nan)[:, some]
+        if not np.isfinite(change).any():
+            labels = " or ".join(parameter_label(o.key) for o in REVERBERATION)
+            raise DataError(
+                f"no {labels} in any band of the room that before and after have in common"
+            )
+        for name, of in (("times", times), ("change", change), ("variance", variance)):
+            put(name, read_only(of))
+        notes = []
+        if empty := np.flatnonzero(np.isnan(change).all(axis=1)).tolist():
+            without = first_of([" to ".join(self.pairs[i]) for i in empty], 3)
+            notes.append(f"No T of both states at {without}: left out.")
+        if unstated:
+            notes.append(
+                "A mean T states neither its uncertainty nor of how many positions it is: it is taken "
+                "as that of one position (ISO 3382-2). State either, or give the pairs."
+            )
+        return notes
+
+    @property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """The pairs that both states have; ``(("*", "*"),)`` of means over positions."""
+        return tuple(self.states[0].pairs)
+
+    @property
+    def of_means(self) -> bool:
+        """Whether means over positions are compared."""
+        return self.states[0].is_summary
+
+    @property
+    def same(self) -> bool:
+        """Whether T of every pair is the same in both states, as of one file given twice."""
+        return not np.nan_to_num(self.change).any()
+
+    @property
+    def falls(self) -> bool:
+        """Whether T is shorter after than before, in the mean of ln T as far as each is known.
+
+        Where the mean is 0, the first T that changed decides, so that states that are exchanged differ.
+        """
+        mean = np.nansum(self.change / self.variance)
+        if mean == 0 and not self.same:
+            mean = self.change[np.nan_to_num(self.change) != 0][0]
+        return bool(mean <= 0)
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """In which bands there is a difference, (n_bands,)."""
+        return np.asarray(np.isfinite(self.change).any(axis=0))
+
+    @property
+    def sources_unstated(self) -> tuple[str, ...]:
+        """The measured sources whose directivity is not stated, or unknown."""
+        if self.simulator is None:
+            return ()
+        stated = self.simulator.directivity
+        sources = dict.fromkeys(source for source, _ in self.pairs)
+        return tuple(s for s in sources if not isinstance(stated.get(s), Directivity))

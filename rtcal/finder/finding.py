@@ -25,7 +25,7 @@ from rtcal.finder.apply import (
     corrected_geometry,
     surface_at,
 )
-from rtcal.finder.case import Case
+from rtcal.finder.case import Case, StatesCase
 from rtcal.finder.claim import (
     CLAIMED,
     DISTINCT_NATS,
@@ -51,8 +51,6 @@ from rtcal.finder.means.verdict import Fit
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, OffTogether
 from rtcal.finder.records import data_of, record_of_means, record_of_several
-from rtcal.finder.states.case import StatesCase
-from rtcal.finder.states.evidence import ADDED
 from rtcal.loop.measured_pairs import without_place
 from rtcal.support import blocks, checks, text
 from rtcal.support.blocks import Block, Note, Row, Table
@@ -392,7 +390,7 @@ class Finding(Result):
         if self.kind == "means":
             return self.can_be_added and len(self.members) == 1 and self._least >= LEAST_ADDED
         if self.kind == "states":
-            return self.detected and len(self.case.differences.pairs) >= LEAST_PAIRS
+            return self.detected and len(self.case.pairs) >= LEAST_PAIRS
         return self.can_be_added and len(self.pairs) >= LEAST_PAIRS
 
     @property
@@ -1103,7 +1101,7 @@ def _change_in_words(f: Finding) -> str:
     size = f.size
     if size is None or not np.isfinite(size.mean):  # nothing but the climate was tried
         return "another climate of the air"
-    more = f.families.get(f"{ADDED} absorption", 0.0) > (1 - f.probabilities[NONE]) / 2
+    more = f.families.get("added absorption", 0.0) > (1 - f.probabilities[NONE]) / 2
     said = f"{'more' if more else 'less'} absorption{f', {f.spectrum}' if f.spectrum else ''}"
     low, high = sorted((abs(size.low), abs(size.high)))
     at = bands.label(f.middle[0])
@@ -1170,21 +1168,21 @@ def _interval(change: Array, digits: int) -> str:
 
 def _blocks_of_states(f: Finding) -> list[Block]:
     """Return the headline, both T and the change by band, and notes."""
-    found, digits = f.case.differences, _decimals(f.change)
-    measured = np.flatnonzero(found.measured).tolist()
+    case, digits = f.case, _decimals(f.change)
+    measured = np.flatnonzero(case.known).tolist()
     columns = {
-        "T / s": [f"{found.before[k]:.2f}" for k in measured],
-        "after / s": [f"{found.after[k]:.2f}" for k in measured],
+        "T / s": [f"{case.times[0, k]:.2f}" for k in measured],
+        "after / s": [f"{case.times[1, k]:.2f}" for k in measured],
         "area / m²": [f"{f.area[k]:.1f}" for k in measured],
         "change / m² (90 %)": [_interval(f.change[:, k], digits) for k in measured],
     }
-    names = bands.labels(found.centre_frequencies[measured])
+    names = bands.labels(case.room.centre_frequencies[measured])
     table = Table.of_columns(names, columns)
     return [Note(f.headline), table, *map(Note, _sentences_of_states(f))]
 
 
 def _record_of_states(f: Finding) -> dict[str, Any]:
-    found, most = f.case.differences, islice(f.sets.items(), 20)
+    most = islice(f.sets.items(), 20)
     return {
         "sets": [{"surfaces": list(names), "probability": p} for names, p in most],
         "bands_of_size": list(f.middle),
@@ -1197,12 +1195,11 @@ def _record_of_states(f: Finding) -> dict[str, Any]:
             }
             for c in f.candidates
         ],
-        **{
-            name: json_numbers(getattr(found, name))
-            for name in ("centre_frequencies", "before", "after")
-        },
+        "centre_frequencies": json_numbers(f.case.room.centre_frequencies),
+        "before": json_numbers(f.case.times[0]),
+        "after": json_numbers(f.case.times[1]),
         "absorption_area_before": json_numbers(f.area),
-        "pairs": [list(pair) for pair in found.pairs],
+        "pairs": [list(pair) for pair in f.case.pairs],
     }
 
 

@@ -8,18 +8,18 @@ from typing import Any, TypeAlias
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.finder import positions, states
-from rtcal.finder.case import Case, Configuration
+from rtcal.finder import positions
+from rtcal.finder.case import Case, Configuration, StatesCase
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions.search import find as find_at_positions
-from rtcal.finder.states.search import find as find_between
+from rtcal.finder.states import find as find_between
 from rtcal.io import geometry_files
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 
-AnyCase: TypeAlias = Case | positions.PositionsCase | states.StatesCase
+AnyCase: TypeAlias = Case | positions.PositionsCase | StatesCase
 
 
 def case_of(
@@ -53,7 +53,7 @@ def case_of(
             )
         for name in filter(stated.get, stated):
             raise DataError(f"{name} is not of a search for what changed between these two states")
-        return states.StatesCase(room=room, before=before, after=measured, simulator=simulator)
+        return StatesCase(room=room, before=before, after=measured, simulator=simulator)
     if not measured.is_summary and simulator is not None:
         return positions.PositionsCase(simulator=simulator, measured=measured, **stated)
     if not measured.is_summary and room.scene.sources:
@@ -147,7 +147,7 @@ def find(
         case = room
     search: Callable[..., Any] = find_by_means
     kind = "by means over positions"
-    if isinstance(case, states.StatesCase):
+    if isinstance(case, StatesCase):
         search, kind = find_between, "for what changed between two states"
     elif isinstance(case, positions.PositionsCase):
         search, kind = find_at_positions, "at positions"

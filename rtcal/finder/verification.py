@@ -40,7 +40,7 @@ from rtcal.acoustics.priors import NORMAL_90
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.finder.apply import corrected_geometry
-from rtcal.finder.case import LEVELS, Case
+from rtcal.finder.case import LEVELS, Case, StatesCase
 from rtcal.finder.claim import DISTINCT_NATS, Candidate
 from rtcal.finder.finding import LEAST_PAIRS, Finding, feature_names, rivals, support
 from rtcal.finder.means.problem import (
@@ -58,8 +58,7 @@ from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.finder.prior import SCALES, probability_off
-from rtcal.finder.states.case import Differences, StatesCase
-from rtcal.finder.states.search import find as find_change
+from rtcal.finder.states import find as find_change
 from rtcal.loop.control_runs import trace_ahead
 from rtcal.loop.measured_pairs import Pair, gap_at_pairs
 from rtcal.loop.positions import calibrate_positions
@@ -990,7 +989,7 @@ def _verify_states(
     seed: int = 0,
 ) -> Verification:
     checks.whole("seed", seed, 0)
-    found: Differences = finding.case.differences
+    found: StatesCase = finding.case
     if not finding.detected:
         raise DataError(f'the verdict is "{finding.verdict}"; there is no change to verify')
     if (before is None) != (after is None):
@@ -999,7 +998,7 @@ def _verify_states(
     if before is not None and after is not None:
         if seed:
             raise DataError("seed is of halves of the pairs: what was found predicts further pairs")
-        found = _at_new_pairs(finding, before, after).differences
+        found = _at_new_pairs(finding, before, after)
         return _of_states(finding, found, finding.shift, "the other pairs")
     _check_pairs(found.pairs)
     predicted = np.full(found.change.shape, np.nan)
@@ -1019,8 +1018,8 @@ def _of_pairs(case: StatesCase, pairs: Sequence[Pair]) -> StatesCase:
 
 def _at_new_pairs(finding: Finding, before: Measurement, after: Measurement) -> StatesCase:
     """Return the case of the pairs that a finding had not; DataError for fewer than two."""
-    fitted = finding.case.differences.pairs
-    if finding.case.differences.of_means or before.is_summary or after.is_summary:
+    fitted = finding.case.pairs
+    if finding.case.of_means or before.is_summary or after.is_summary:
         raise DataError("means over positions have no pairs that were not fitted")
     new = [p for p in before.pairs if p in after.pairs and p not in fitted]
     if len(new) < _LEAST_NEW:
@@ -1031,13 +1030,13 @@ def _at_new_pairs(finding: Finding, before: Measurement, after: Measurement) -> 
     return _of_pairs(replace(finding.case, before=before, after=after), new)
 
 
-def _of_states(finding: Finding, held: Differences, predicted: Array, fitted: str) -> Verification:
+def _of_states(finding: Finding, held: StatesCase, predicted: Array, fitted: str) -> Verification:
     """Return what the gaps of T after say of a finding.
 
     ``predicted`` (n_bands,) or (n_pairs, n_bands) are shifts of ln T at the pairs ``held`` out, which
     the ``fitted`` pairs predict. A gap is as if nothing had changed, and as predicted.
     """
-    found, ratio = finding.case.differences, np.exp(held.change)
+    found, ratio = finding.case, np.exp(held.change)
     gaps = np.stack([gap_jnd(np.ones_like(ratio), ratio), gap_jnd(np.exp(predicted), ratio)])
     # In steps of 1 JND each (ln T), so that states that are exchanged have the same means, gains and
     # misses: a JND of the longer T is another one than of the shorter.
@@ -1051,18 +1050,18 @@ def _of_states(finding: Finding, held: Differences, predicted: Array, fitted: st
         after=float(np.nanmean(with_change)),
         **_gain_over_pairs(np.nanmean(without - with_change, axis=1)[np.newaxis]),
         misses=_misses_over_pairs(
-            {TARGET.key: (found.after, left)},
+            {TARGET.key: (found.times[1], left)},
             found.pairs,
-            found.centre_frequencies,
+            found.room.centre_frequencies,
             # The geometric mean is the same of two states that are exchanged.
-            np.sqrt(found.before * found.after),
+            np.sqrt(found.times[0] * found.times[1]),
             _prediction_error(finding),
         ),
         notes=() if found is held else held.notes,
         gaps=gaps[:, np.newaxis, np.newaxis],
         details={
             "pairs": [list(pair) for pair in held.pairs],
-            "centre_frequencies": json_numbers(held.centre_frequencies),
+            "centre_frequencies": json_numbers(held.room.centre_frequencies),
             "before": json_numbers(gaps[0]),
             "after": json_numbers(gaps[1]),
         },
@@ -1078,8 +1077,8 @@ def _prediction_error(finding: Finding) -> Array:
     total = case.room.total_area
     air = 4 * case.room.air_attenuation * case.room.volume
     area, sign = finding.area, 1.0
-    if not case.differences.falls:
-        area, sign = case.equation.absorption_area(case.room, case.differences.after), -1.0
+    if not case.falls:
+        area, sign = case.equation.absorption_area(case.room, case.times[1]), -1.0
     areas = np.clip(area + sign * finding.change[1:], 0.0, 0.999 * total)
     low, high = total * case.equation.exponent(areas / total) + air
     out = np.abs(np.log(high / low)) / (2 * NORMAL_90 * np.log1p(TARGET.jnd))

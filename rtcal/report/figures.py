@@ -623,18 +623,18 @@ def frontier(costs: Mapping[float, float], promised: float, cost: float) -> Any:
 
 def states(finding: Finding) -> Any:
     """Return T(f) before and after a change."""
-    found = finding.case.differences
-    k, f = found.measured, found.centre_frequencies[found.measured]
+    k = finding.case.known
+    f, (before, after) = finding.case.room.centre_frequencies[k], finding.case.times[:, k]
     figure, axes = new_figure()
-    axes.plot(f, found.before[k], color=BLACK, linestyle="--", marker=".", label="before")
-    axes.plot(f, found.after[k], color=ORANGE, marker="o", label="after")
-    _times_axes(axes, f, "T", 1.1 * float(max(found.before[k].max(), found.after[k].max())))
+    axes.plot(f, before, color=BLACK, linestyle="--", marker=".", label="before")
+    axes.plot(f, after, color=ORANGE, marker="o", label="after")
+    _times_axes(axes, f, "T", 1.1 * float(max(before.max(), after.max())))
     return figure
 
 
 def change(finding: Finding) -> Any:
     """Return the change of the absorption area by band, with its interval."""
-    k = finding.case.differences.measured
+    k = finding.case.known
     figure, axes = new_figure()
     frequencies = finding.case.room.centre_frequencies[k]
     mean, low, high = finding.change[:, k]

@@ -474,7 +474,7 @@ def _of_states(finding: Finding, verification: Verification | None) -> list[Any]
     """Return the blocks of a finding between two states."""
     headline, *others = notes(finding.blocks())
     kinds = finding.candidates if finding.best is not None else ()
-    n = len(finding.case.differences.pairs)
+    n = len(finding.case.pairs)
     verified = [] if verification is None else [Note(f"Verification: {verification.sentence}")]
     claims = ["claimed" if s in finding.claimed_surfaces else "" for s in finding.surfaces]
     apply = (

@@ -13,8 +13,8 @@ import pytest
 import rtcal as rt
 from benchmarks.studies.means import real_data
 from benchmarks.studies.states import two_states
+from rtcal.finder import StatesCase
 from rtcal.finder.finding import Finding
-from rtcal.finder.states import StatesCase
 from rtcal.report.pages import page as page_of_result
 from tests.two_states import ALPHA, AREAS, BANDS, measured, room, times
 

@@ -17,8 +17,8 @@ import numpy as np
 
 import rtcal as rt
 from benchmarks.studies.means.real_data import lines
+from rtcal.finder import StatesCase
 from rtcal.finder.finding import Finding
-from rtcal.finder.states import StatesCase
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.types import Array
@@ -123,9 +123,9 @@ def studio() -> rt.Room:
 
 def line(name: str, finding: Finding) -> bool:
     """Print a change; return whether it was detected."""
-    found, case = finding.case.differences, finding.case
-    area = [case.equation.absorption_area(case.room, t) for t in (found.before, found.after)]
-    inside = np.isin(found.centre_frequencies, finding.middle)
+    case = finding.case
+    area = [case.equation.absorption_area(case.room, t) for t in case.times]
+    inside = np.isin(case.room.centre_frequencies, finding.middle)
     eyring = float((area[1] - area[0])[inside].mean())
     ratio = finding.size.mean / eyring
     print(

@@ -1,0 +1,1071 @@
+"""What changed between two states of one room: added or removed absorption, the climate, and where.
+
+Absorption was added or removed, the climate of the air is another, or both, or neither.
+
+ln T of a pair shifts by m + e. m is the shift of all pairs: the predicted one, with the errors of the
+spectrum and of the equation, what a remeasurement adds by itself, and what another climate adds, which
+is as uncertain as both climates (`climate_covariance`). e is what the pair has alone: noise of both
+states, and a share of the shift. The noise of each pair has a scale of its own, so that e
+follows a multivariate t distribution over the pair's bands; all pairs together have a further one. The
+integral over m is Laplace's at the mode that Gauss-Newton steps find.
+
+The change is not small: it is no shift on a linear scale, as positions have it, and it has no prior of
+coefficients, as means have it. So neither likelihood of theirs serves.
+
+Two states that are exchanged have the same answer, with "added" and "removed" exchanged and all changes
+of the other sign. So the state of the longer T is the first in every search, and what is added then is
+named "removed" where it was measured second. Where both are the same, the answer is half of each.
+
+Every pair's differences say on which surface something changed, where the directivities are known. The
+coefficients are scaled to T before. Then sets of surfaces absorb more, each with a share of the
+way to alpha = 1 that goes through the bands as a random walk, and the same paths are weighed with them.
+In the difference of two weighings the simulator's error and the coefficients' cancel to first order.
+Each set is weighed with the same climate in both states and with another one, whose error is taken as
+independent from band to band.
+
+T and an absolute level are tied. A source whose level shifts otherwise than T says has another gain in
+the two states, and its level is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, expit, gammaln, logsumexp
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.air import Air
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import DB, EARLY, LEVEL, OBSERVABLES, TARGET, gradients
+from rtcal.acoustics.room import Room
+from rtcal.finder.case import CLIMATE_UNCERTAINTY, StatesCase
+from rtcal.finder.claim import (
+    SAID,
+    Candidate,
+    Detection,
+    Size,
+    claimed,
+    most_probable_first,
+    over_frequency,
+    unexplained,
+)
+from rtcal.finder.effects import Effect, checked_effects
+from rtcal.finder.evidence import log_mixture, with_columns
+from rtcal.finder.finding import Finding
+from rtcal.finder.model import RoomState
+from rtcal.finder.positions import surfaces as of_room
+from rtcal.finder.positions.surfaces import Faces
+from rtcal.finder.positions.weighing import Weighing
+from rtcal.finder.prior import NO_EFFECT, NONE, UNKNOWN, UNKNOWN_ODDS, left_out_of
+from rtcal.simulators import base
+from rtcal.simulators.base import Observations
+from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support.errors import DataError
+from rtcal.support.text import first_of
+from rtcal.support.types import Array
+
+ADDED, REMOVED, AIR = "added", "removed", "air"
+_FAMILY = "added absorption"
+WALK = 0.5
+"""Standard deviation per octave of ln absorption, of a spectrum that no effect of the library has."""
+LEAST, MOST = 0.02, 6.0
+"""Sizes that are tried, over the absorption area before at 500 to 2000 Hz."""
+SIZES = 25
+INDOORS = (15.0, 30.0), (20.0, 70.0)
+"""Temperatures in °C and relative humidities in % of rooms whose climate is not stated."""
+AIR_ODDS = 0.5
+"""Prior odds that the climate changed and nothing else, against an effect of odds 1 on either side."""
+ANOTHER_CLIMATE = 0.5
+"""Prior probability that the climate changed as well, where absorption was added or removed."""
+THRESHOLD = float(np.log(20))
+"""Score from which a change is claimed: it exceeds ln 20 in at most one of twenty cases in which
+nothing changed, since the likelihood ratio then has the mean 1 (Markov's inequality)."""
+_SAMPLES = 4000
+_INTERVAL = (0.05, 0.95)
+
+
+@dataclass(frozen=True, eq=False)
+class Hypotheses:
+    """Nothing changed, then a spectrum with a size, added or removed, with another climate or without.
+
+    Attributes
+    ----------
+    names, families : tuple of str (n,)
+    log_weight : array (n,)
+        Log prior probabilities; they sum to 1.
+    size : array (n, n_bands)
+        Absorption area in m² before saturation, above 0 where T is shorter in the second state; 0 where
+        the climate changed and nothing else, or nothing.
+    covariance : array (n, n_bands, n_bands)
+        Of the error of ln |size|.
+    of_air : array (n,) of bool
+        Where the climate of the air is another.
+    """
+
+    names: tuple[str, ...]
+    families: tuple[str, ...]
+    log_weight: Array
+    size: Array
+    covariance: Array
+    of_air: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls,
+        room: Room,
+        before: Array,
+        where: NDArray[np.bool_],
+        effects: Sequence[Effect],
+        without: Collection[str],
+        more: str,
+    ) -> Hypotheses:
+        """Return the hypotheses of a room with this absorption area before in m², in some bands.
+
+        Parameters
+        ----------
+        room : Room
+        before : array (n_bands_of_where,)
+        where : array (n_bands,) of bool
+            Bands of the room to take.
+        effects : sequence of Effect
+        without : collection of str
+            Names of `tried` that are left out.
+        more : {"added", "removed"}
+            The name of a size above 0.
+        """
+        middle = bands.is_middle(room.centre_frequencies[where])
+        area = float(before[middle if middle.any() else slice(None)].mean())
+        levels, n = area * np.geomspace(LEAST, MOST, SIZES), int(where.sum())
+        climates = (
+            {False: 1.0} if AIR in without else {False: 1 - ANOTHER_CLIMATE, True: ANOTHER_CLIMATE}
+        )
+        rows: list[tuple[str, str, float, Array, Array, bool]] = [
+            (
+                f"{side} {name}",
+                ", ".join(filter(None, [f"{side} absorption", kind])),
+                probability * weight / len(levels),
+                sign * level * spectrum,
+                covariance,
+                another,
+            )
+            for side, sign in ((more, 1.0), (_OTHER[more], -1.0))
+            for name, kind, weight, spectra, covariance in _shapes(room, where, effects, without)
+            for spectrum in spectra
+            for level in levels
+            for another, probability in climates.items()
+        ]
+        if AIR not in without:
+            rows.append((AIR, "climate", 2 * AIR_ODDS, np.zeros(n), np.eye(n), True))
+        odds = sum(row[2] for row in rows) * NO_EFFECT / (1 - NO_EFFECT)
+        rows.insert(0, (NONE, NONE, odds, np.zeros(n), np.eye(n), False))
+        names, families, weights, sizes, covariances, of_air = zip(*rows, strict=True)
+        log_weight = np.log(np.array(weights) / np.sum(weights))
+        arrays = log_weight, np.array(sizes), np.array(covariances), np.array(of_air)
+        return cls(names, families, *arrays)
+
+
+_OTHER = {ADDED: REMOVED, REMOVED: ADDED}
+
+
+def _turned(name: str) -> str:
+    """Return the name of an effect or a family with "added" and "removed" exchanged."""
+    side, space, rest = name.partition(" ")
+    return f"{_OTHER.get(side, side)}{space}{rest}"
+
+
+def adding(effects: Sequence[Effect]) -> list[Effect]:
+    """Return the effects that add absorption, whose spectra are tried, in the order of their names."""
+    some = [effect for effect in effects if effect.family.startswith(f"{_FAMILY}, ")]
+    return sorted(some, key=lambda effect: effect.name)
+
+
+def tried(effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Return the names of what is tried between two states with a library of effects."""
+    return (*(effect.name for effect in adding(effects)), AIR, UNKNOWN)
+
+
+def _shapes(
+    room: Room, where: NDArray[np.bool_], effects: Sequence[Effect], without: Collection[str]
+) -> Iterator[tuple[str, str, float, Array, Array]]:
+    """Yield name, kind, prior odds of a spectrum, spectra and their error; of "unknown" at last.
+
+    A spectrum (n_bands,) is above 0, and its mean is 1. Its error is the covariance of its logarithm.
+    """
+    frequencies = room.centre_frequencies
+    base = RoomState.of_room(room, np.zeros(len(room.areas)))
+    for effect in adding(effects):
+        if effect.name in without:
+            continue
+        every = [alpha for _, alpha in effect.on_surface(frequencies)]
+        if not every:  # objects: what one size of them adds in m²
+            added = effect.added_absorption(base, effect.change(base, effect.grid(base)[0]))
+            every = [np.ones(len(frequencies)) if added is None else added]
+        # A coefficient of 0 is a thousandth of the largest.
+        raised = [np.maximum(alpha, 1e-3 * alpha.max()) for alpha in every]
+        spectra = np.array([alpha / alpha.mean() for alpha in raised])[:, where]
+        kind = effect.family.removeprefix(f"{_FAMILY}, ")
+        if kind in KINDS.values() and where.sum() > 1:
+            # By the rule of the change which is found, so that both agree: furniture, of the
+            # library's family "flat", rises twofold. A kind that the library does not have stays.
+            kind = KINDS[over_frequency(spectra.mean(axis=0))]
+        weight = effect.prior_odds(room) / len(every)
+        error = effect.error_over_bands(frequencies)[np.ix_(where, where)]
+        yield effect.name, kind, weight, spectra / spectra.mean(axis=1, keepdims=True), error
+    if UNKNOWN not in without:
+        octaves = np.log2(frequencies[where] / 1000)
+        far, apart = np.abs(octaves), np.abs(np.subtract.outer(octaves, octaves))
+        # A random walk from 0 in both directions.
+        walk = WALK**2 * (far[:, np.newaxis] + far - apart) / 2
+        yield UNKNOWN, "", UNKNOWN_ODDS, np.ones((1, len(octaves))), walk
+
+
+KINDS = {
+    "rising with frequency": "rising",
+    "alike at all frequencies": "flat",
+    "falling with frequency": "low",
+}
+"""Kinds of the families that the library has, by how their spectra go with frequency."""
+
+
+def climate_covariance(room: Room, uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY) -> Array:
+    """Return the covariance in m⁴ of the difference of the air's 4 m V, (n_bands, n_bands).
+
+    Both climates are independent of each other: normal about the stated one, with ``uncertainty`` in K
+    and in percent of relative humidity; any indoor one (`INDOORS`) where none is stated. So the
+    covariance is twice that of one state, by quadrature over the climates.
+    """
+    if room.air is None:
+        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        (low, high), (dry, damp) = INDOORS
+        temperatures = (low + high) / 2 + (high - low) / 2 * nodes
+        humidities = (dry + damp) / 2 + (damp - dry) / 2 * nodes
+    else:
+        nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
+        kelvin, percent = uncertainty
+        temperatures = np.clip(room.air.temperature + kelvin * nodes, -20.0, 50.0)
+        humidities = np.clip(room.air.humidity + percent * nodes, 1.0, 100.0)
+    pressure = (room.air or Air()).pressure
+    of_climate = np.array(
+        [
+            4 * room.volume * Air(float(t), float(h), pressure).attenuation(room.centre_frequencies)
+            for t in temperatures
+            for h in humidities
+        ]
+    )
+    weight = np.outer(weights, weights).ravel() / weights.sum() ** 2
+    off = of_climate - weight @ of_climate
+    return np.asarray(2 * (off * weight[:, np.newaxis]).T @ off)
+
+
+_NODES = 4
+"""Nodes of a quadrature over temperatures, and over humidities."""
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """The absorption of the first state, in the bands in which both states were measured.
+
+    Attributes
+    ----------
+    equation : LinearEquation
+    total_area : float
+        S in m².
+    area : array (n_bands,)
+        The surfaces' absorption area b in m², by the equation from T before.
+    air : array (n_bands,)
+        4 m V in m².
+    climate : array (n_bands, n_bands)
+        Covariance of ln T by another climate, at the mean of ln T of both states.
+    """
+
+    equation: LinearEquation
+    total_area: float
+    area: Array
+    air: Array
+    climate: Array
+
+    @classmethod
+    def of(cls, case: StatesCase, times: Array) -> Baseline:
+        """Return the baseline of a case with T in s of the first and the second state, (2, n_bands).
+
+        Raises InfeasibleError where no coefficients give the first.
+        """
+        room, where = case.room, case.known
+        area = case.equation.absorption_area(room, np.where(where, times[0], np.nan))[where]
+        air = 4 * room.air_attenuation[where] * room.volume
+        made = cls(case.equation, room.total_area, area, air, np.zeros((len(area), len(area))))
+        whole = made.whole(area) * np.sqrt(times[0][where] / times[1][where])
+        of_air = climate_covariance(room, case.climate_uncertainty)[np.ix_(where, where)]
+        return replace(made, climate=of_air / np.outer(whole, whole))
+
+    def after(self, size: Array) -> Array:
+        """Return the surfaces' absorption area after a change in m², (..., n_bands).
+
+        What is added covers surfaces: b + (S - b) (1 - exp(-size / (S - b))). What is removed, of a
+        size below 0, leaves b exp(size / b). To first order both are b + size.
+        """
+        left = self._left(size)
+        covered = -np.expm1(-np.minimum(np.abs(size) / left, _MOST_COVERED))
+        return np.asarray(self.area + np.sign(size) * left * covered)
+
+    def shift(self, size: Array) -> tuple[Array, Array]:
+        """Return the shift of ln T and its derivative by ln |size|, both (..., n_bands).
+
+        ``size`` (..., n_bands) is an absorption area in m², before it saturates.
+        """
+        mean = self.after(size) / self.total_area
+        whole, before = self.whole(mean * self.total_area), self.whole(self.area)
+        by_area = size * np.exp(-np.abs(size) / self._left(size)) * self.equation.slope(mean)
+        return np.asarray(-np.log(whole / before)), np.asarray(-by_area / whole)
+
+    def whole(self, area: Array) -> Array:
+        """Return S a + 4 m V in m², of the surfaces' absorption area in m²."""
+        exponent = self.equation.exponent(area / self.total_area)
+        return np.asarray(self.total_area * exponent + self.air)
+
+    def _left(self, size: Array) -> Array:
+        """The area to cover, or to remove, in m²."""
+        left = np.where(size > 0, self.total_area - self.area, self.area)
+        return np.maximum(left, 1e-6 * self.total_area)
+
+
+_MOST_COVERED = 30.0
+"""Largest size over the area that is left to cover or to remove: all but e^-30 of it is."""
+
+
+PAIR, COMMON = 0.15, 0.1
+"""Error of a pair's shift, and of all pairs' in a band, over the predicted shift; this and what follows
+was chosen on the development part, `benchmarks/studies/states`."""
+REMEASURED = 0.01
+"""Standard deviation of ln T by which a band differs if nothing changed: climate, equipment."""
+DEGREES, OF_MEANS = 5.0, 15.0
+"""Degrees of freedom of a pair's noise, and of that of means over positions."""
+SCALES = {0.7: 0.2, 1.0: 0.5, 1.4: 0.2, 2.0: 0.1}
+"""Scales of all pairs' noise and their prior probabilities."""
+_USUAL = 1
+"""Number of the most probable scale."""
+_STEPS = 12
+"""Most Gauss-Newton steps."""
+_SETTLED = 1e-3
+"""Largest last step of ln size."""
+_WEIGHINGS = 5
+"""Steps of the pairs' weights at each of them."""
+_FIRST = 3
+"""Gauss-Newton steps before the hypotheses that explain the data badly are dropped."""
+_NEGLIGIBLE = 25.0
+"""Evidence in nats below the best hypothesis', from which one is dropped."""
+_MOST_AT_ONCE = 20_000
+"""Pairs times hypotheses that are computed at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """Each hypothesis with each scale: its evidence, and what it makes of the sizes.
+
+    Attributes
+    ----------
+    log : array (n, n_scales)
+        Log probability density of the data, with the prior probability of hypothesis and scale.
+    mean : array (n, n_scales, n_bands)
+        Of ln |size| less that of the grid.
+    covariance : array (n, n_scales, n_bands, n_bands)
+    shift : array (n, n_scales, n_bands)
+        Mean of the shift of ln T by what changed: that of the size, and that of the climate.
+    """
+
+    log: Array
+    mean: Array
+    covariance: Array
+    shift: Array
+
+
+def chance_of_climate(change: Array, variance: Array, baseline: Baseline, degrees: float) -> float:
+    """Return the p-value of the pairs' mean shift if the climate alone is another, by chi-square.
+
+    The covariance is that of the climate, of a remeasurement, and of the pairs' noise with the scale
+    and the pairs' weights that make the data most probable; one degree of freedom per band. A pair's
+    precision is at most that of its noise.
+    """
+    n = change.shape[1]
+    prior, best, inverse = baseline.climate + REMEASURED**2 * np.eye(n), -np.inf, variance
+    for scale, probability in SCALES.items():
+        spread, weight = scale**2 * variance[np.newaxis], np.ones((1, len(change)))
+        for _ in range(_STEPS):
+            evidence, _, _, weight = _integrated(
+                change, spread, np.zeros((1, n)), prior[np.newaxis], degrees, weight
+            )
+        if (log := float(evidence[0]) + math.log(probability)) > best:
+            best, inverse = log, np.minimum(weight[0], 1.0)[:, np.newaxis] / spread[0]
+    inverse = np.where(np.isfinite(change), inverse, 0.0)
+    precision = inverse.sum(axis=0)
+    mean = np.nansum(inverse * change, axis=0) / precision
+    square = mean @ np.linalg.solve(prior + np.diag(1 / precision), mean)
+    return float(chdtrc(n, square))
+
+
+def fits(
+    change: Array, variance: Array, baseline: Baseline, of: Hypotheses, degrees: float
+) -> Fits:
+    """Return the evidence of each hypothesis, and the sizes that each would have.
+
+    ``change`` and ``variance`` are (n_pairs, n_bands), NaN where nothing was measured. ``degrees`` is
+    `DEGREES` or `OF_MEANS`.
+    """
+    n, k = of.size.shape
+    shape = n, len(SCALES)
+    found = Fits(
+        np.full(shape, -np.inf),
+        np.zeros((*shape, k)),
+        np.zeros((*shape, k, k)),
+        np.zeros((*shape, k)),
+    )
+
+    def evaluate(rows: NDArray[np.intp], j: int, steps: int) -> None:
+        scale, probability = [*SCALES.items()][j]
+        for some in np.array_split(rows, -(-len(rows) * len(change) // _MOST_AT_ONCE)):
+            evidence, *rest = _fitted(
+                change, scale**2 * variance, baseline, of, some, degrees, steps
+            )
+            found.log[some, j] = evidence + math.log(probability)
+            for values, of_some in zip(
+                (found.mean, found.covariance, found.shift), rest, strict=True
+            ):
+                values[some, j] = of_some
+
+    evaluate(np.arange(n), _USUAL, _FIRST)
+    first = found.log[:, _USUAL]
+    kept = first > first.max() - _NEGLIGIBLE
+    kept[0] = True  # that nothing changed
+    first[~kept] = -np.inf
+    for j in range(len(SCALES)):
+        evaluate(np.flatnonzero(kept), j, _STEPS)
+    found.log[:] += of.log_weight[:, np.newaxis]
+    return found
+
+
+def _fitted(
+    change: Array,
+    variance: Array,
+    baseline: Baseline,
+    of: Hypotheses,
+    rows: NDArray[np.intp],
+    degrees: float,
+    steps: int,
+) -> tuple[Array, Array, Array, Array]:
+    """Return the `Fits` of some hypotheses with one scale, without the scale's prior probability."""
+    size, prior = of.size[rows], of.covariance[rows]
+    of_air = of.of_air[rows, np.newaxis, np.newaxis] * baseline.climate
+    stated, _ = baseline.shift(size)
+    spread = variance + ((PAIR * stated) ** 2)[:, np.newaxis]
+    other = REMEASURED**2 + (COMMON * stated) ** 2
+    z, weight = np.zeros_like(size), np.ones((len(size), len(change)))
+    for _ in range(steps):
+        shift, slope = baseline.shift(size * np.exp(z))
+        centre = shift - slope * z
+        of_shift = slope[:, :, None] * prior * slope[:, None, :]
+        whole = of_shift + of_air + other[:, :, None] * np.eye(size.shape[1])
+        log_evidence, mode, precision, weight = _integrated(
+            change, spread, centre, whole, degrees, weight
+        )
+        gain = np.linalg.solve(whole, slope[:, :, None] * prior).swapaxes(1, 2)
+        after = np.einsum("nkl,nl->nk", gain, mode - centre)
+        step = np.clip(after - z, -1.0, 1.0)
+        z = z + step
+        if np.abs(step).max() < _SETTLED:
+            break
+    # Var z = prior - gain (whole - var m) gain', with var m of the posterior.
+    of_mode = np.linalg.inv(precision)
+    covariance = prior - gain @ (whole - of_mode) @ gain.swapaxes(1, 2)
+    by_air = of_air @ np.linalg.solve(whole, (mode - centre)[:, :, np.newaxis])
+    return log_evidence, z, covariance, baseline.shift(size * np.exp(z))[0] + by_air[:, :, 0]
+
+
+def _integrated(
+    change: Array, spread: Array, centre: Array, prior: Array, degrees: float, weight: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return log evidence, mode and precision of the shift of all pairs, and the pairs' weights.
+
+    Parameters
+    ----------
+    change : array (n_pairs, n_bands)
+    spread : array (n or 1, n_pairs, n_bands)
+        Variance of each pair alone.
+    centre : array (n, n_bands)
+        Mean of the shift before the measurement.
+    prior : array (n, n_bands, n_bands)
+        Its covariance.
+    degrees : float
+    weight : array (n, n_pairs)
+        Of the pairs' precision, from which to begin.
+    """
+    known = np.isfinite(change)
+    count = known.sum(axis=1)
+    inverse = np.where(known, 1 / spread, 0.0)
+    d = np.where(known, change, 0.0)
+    of_prior = np.linalg.inv(prior)
+    at_prior = np.einsum("nkl,nl->nk", of_prior, centre)
+    for _ in range(_WEIGHINGS):
+        weighted = weight[:, :, None] * inverse
+        precision = of_prior + weighted.sum(axis=1)[:, :, None] * np.eye(change.shape[1])
+        pull = at_prior + (weighted * d).sum(axis=1)
+        mode = np.linalg.solve(precision, pull[:, :, None])[:, :, 0]
+        squares = (inverse * (d - mode[:, None]) ** 2).sum(axis=2)
+        weight = (degrees + count) / (degrees + squares)
+    log_det = np.where(known, np.log(np.where(known, spread, 1.0)), 0.0).sum(axis=(1, 2))
+    constant = gammaln((degrees + count) / 2) - gammaln(degrees / 2)
+    constant = constant - count / 2 * np.log(degrees * np.pi)
+    by_pair = constant - (degrees + count) / 2 * np.log1p(squares / degrees)
+    off = mode - centre
+    of_mode = np.einsum("nk,nkl,nl->n", off, of_prior, off)
+    determinants = np.linalg.slogdet(prior)[1] + np.linalg.slogdet(precision)[1]
+    log_evidence = by_pair.sum(axis=1) - (log_det + of_mode + determinants) / 2
+    return log_evidence, mode, precision, weight
+
+
+def find(
+    case: StatesCase,
+    *,
+    effects: Sequence[Effect] | None = None,
+    seed: int = 0,
+    only: Sequence[str] = (),
+    without: Sequence[str] = (),
+) -> Finding:
+    """Return what changed between two states of a room, from T20 (or T30) alone; see `rtcal.find`.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room = rt.Room(name="box", volume=200, materials=["all"], areas=[220], alpha=[[0.1] * 2],
+    ...                sigma=[[0.05] * 2], centre_frequencies=[500, 1000])
+    >>> pairs = [("S1", "R1"), ("S1", "R2"), ("S2", "R1"), ("S2", "R2")]
+    >>> before, after = (
+    ...     rt.Measurement(centre_frequencies=[500, 1000], values={"t20": t}, pairs=pairs)
+    ...     for t in ([[1.5, 1.4], [1.4, 1.4], [1.5, 1.3], [1.6, 1.5]],
+    ...               [[1.1, 0.9], [1.2, 1.0], [1.1, 1.0], [1.0, 0.9]])
+    ... )
+    >>> finding = rt.find(room, after, before=before)
+    >>> print(finding.verdict, finding.family)
+    family added absorption
+    """
+    of_library = checked_effects(effects)
+    if not adding(of_library):
+        raise DataError(
+            "none of the effects adds absorption, which is what may change between two states"
+        )
+    left_out = left_out_of(only, without, tried(of_library), [UNKNOWN])
+    room, where, degrees = case.room, case.known, OF_MEANS if case.of_means else DEGREES
+    sign, more, times = 1.0, ADDED, case.times
+    if not case.falls:
+        sign, more, times = -1.0, REMOVED, case.times[::-1]
+    change, variance = sign * case.change[:, where], case.variance[:, where]
+    baseline = Baseline.of(case, times)
+    every = Hypotheses.of(room, baseline.area, where, of_library, left_out, more)
+    found = fits(change, variance, baseline, every, degrees)
+    nothing, something = float(logsumexp(found.log[0])), float(logsumexp(found.log[1:]))
+    score = something - nothing - float(np.log(1 / NO_EFFECT - 1))
+    none = float(expit(nothing - something))
+    chances = np.exp(found.log - something)  # given that something changed
+    chances[0] = 0.0
+    given = chances.sum(axis=1)
+    names, families = [every.names], [every.families]
+    if case.same:  # half of each order
+        names, families = ([of, tuple(map(_turned, of))] for of in (every.names, every.families))
+    shares = np.tile(given / len(names), len(names))
+    probabilities = _summed(chain(*names), shares, none)
+    of_families = _with_sums(_summed(chain(*families), shares, none))
+    detection = Detection(score, THRESHOLD)
+    by_family_alone = [name for name in probabilities if name != AIR]
+    verdict, family = claimed(detection.verdict, probabilities, of_families, by_family_alone)
+    reasons = (_ONE_FILE,) if case.same else ()
+    if verdict == "named":  # the climate alone
+        chance = chance_of_climate(change, variance, baseline, degrees)
+        if chance < _LEAST_CHANCE:
+            verdict, family, reasons = "ambiguous", None, (_unlike_air(chance),)
+    asked = [name for name in tried(of_library) if name not in (*left_out, UNKNOWN)]
+    known = sum(p for name, p in probabilities.items() if not name.endswith(UNKNOWN)) - none
+    if left_out and asked and detection.verdict is None and known < SAID:
+        reasons = (_as_asked(asked, known), *reasons)
+    of_surfaces = given * every.size.any(axis=1)
+    frequencies = room.centre_frequencies[where]
+    changes, shift = np.full((3, room.n_bands), np.nan), np.full(room.n_bands, np.nan)
+    middle, of_sample, climate = np.zeros(0), np.zeros(0, dtype=str), 0.0
+    inside = bands.is_middle(frequencies)
+    inside = inside if inside.any() else np.ones_like(inside)
+    if of_surfaces.any():
+        drawn, rows = _samples(found, every, baseline, of_surfaces, seed)
+        # Of one state twice, each beside its mirror image: their mean is 0 to the last digit.
+        samples = np.stack([sign * drawn, -sign * drawn][: len(names)], axis=1)
+        samples = samples.reshape(-1, drawn.shape[1])
+        of_sample = np.stack([np.array(of)[rows] for of in names], axis=1).ravel()
+        changes[0, where] = samples.mean(axis=0)
+        changes[1:, where] = np.quantile(samples, _INTERVAL, axis=0)
+        middle = samples[:, inside].mean(axis=1)
+        family = _as_changed(family, changes[0, where])
+        climate = float((of_surfaces * every.of_air).sum() / of_surfaces.sum())
+    shift[where] = 0.0 if case.same else sign * np.einsum("ns,nsk->k", chances, found.shift)
+    probable = [n for n, p in probabilities.items() if n != NONE and p >= SAID]
+    probable = [name for name in probable if name == AIR or (of_sample == name).any()]
+    surfaces, sets, gains, note = _located(
+        case, family, of_families, change, variance, degrees, seed, AIR not in left_out
+    )
+    area = case.equation.absorption_area(room, np.where(where, case.times[0], np.nan))
+    kind_of = dict(zip(chain(*names), chain(*families), strict=True))
+    return Finding(
+        case=case,
+        verdict=verdict,
+        family=family,
+        probabilities=probabilities,
+        families=of_families,
+        detection=detection,
+        effects={effect.name: effect for effect in of_library},
+        candidates=tuple(
+            Candidate(
+                effect=name,
+                family=kind_of[name],
+                probability=probabilities[name],
+                **_size(middle[of_sample == name]).fields,
+            )
+            for name in probable
+        ),
+        area=area,
+        change=changes,
+        shift=shift,
+        size=_size(middle),
+        middle=tuple(frequencies[inside].tolist()),
+        surfaces=surfaces,
+        sets=sets,
+        climate=climate,
+        left_out=left_out,
+        reasons=(*_of_gains(gains), *reasons),
+        notes=(*case.notes, *filter(None, [note])),
+    )
+
+
+_ONE_FILE = "Before and after have the same T at every pair: are they one file?"
+_LEAST_CHANCE = 0.05
+"""Least p-value of what is named: of true changes of the climate one in twenty is not."""
+
+
+def _unlike_air(chance: float) -> str:
+    return (
+        "Another climate of the air is the most probable single change, but alone it does not explain "
+        f"T (p = {chance:.2g} by chi-square over the bands)."
+    )
+
+
+def _as_changed(family: str | None, change: Array) -> str | None:
+    """Return the family, without its kind where the change goes otherwise with frequency.
+
+    What is removed from a surface saturates, so the change goes less, or more, than the spectrum.
+    """
+    whole, _, kind = (family or "").partition(", ")
+    if kind not in KINDS.values() or len(change) < 2:
+        return family
+    return family if KINDS[over_frequency(change)] == kind else whole
+
+
+def _as_asked(names: Sequence[str], probability: float) -> str:
+    return (
+        f"{unexplained(names)} ({100 * probability:.0f} %): a spectrum that no effect has does, which "
+        "is tried in any case."
+    )
+
+
+_OF_MEANS = "T alone does not tell on which surface something changed."
+
+
+def _of_gains(gains: Mapping[str, float]) -> tuple[str, ...]:
+    """Return what to know of sources whose level has another gain after than before; () of none."""
+    if not gains:
+        return ()
+    each = first_of([f"{source} by {gain:+z.1f} dB" for source, gain in gains.items()], 3)
+    return (
+        f"The level is off beside what T says of the change: {each}. That is another gain, so the "
+        "level is left out there. Measure both states with one reference.",
+    )
+
+
+def _located(
+    case: StatesCase,
+    family: str | None,
+    families: Mapping[str, float],
+    change: Array,
+    variance: Array,
+    degrees: float,
+    seed: int,
+    climate: bool,
+) -> tuple[Mapping[str, float], Mapping[tuple[str, ...], float], Mapping[str, float], str]:
+    """Return on which surfaces something changed, and gains, as `locate`; and why no surface is told.
+
+    ``climate`` is whether another one is tried.
+    """
+    simulator = case.simulator
+    if simulator is None:
+        return {}, {}, {}, _OF_MEANS
+    absorption = family is not None and "absorption" in family
+    if unstated := case.sources_unstated:
+        why = (
+            f"The directivity of {first_of(unstated, 1)} is not stated, so no surface is told. An "
+            "omnidirectional source has the index 0."
+        )
+        return {}, {}, {}, why if absorption else ""
+    of_air, weights, forth = None, None, case.falls
+    if absorption:
+        forth = families[f"{ADDED} absorption"] > families[f"{REMOVED} absorption"]
+        # How far each pair's differences lie from the pairs' mean tells how noisy the pair is.
+        mean = np.nansum(change / variance, axis=0) / np.nansum(1 / variance, axis=0)
+        squares = np.nansum((change - mean) ** 2 / variance, axis=1)
+        count = np.isfinite(change).sum(axis=1)
+        weights = np.minimum(1.0, (degrees + count) / (degrees + squares))
+        if climate:
+            of_two = np.diag(climate_covariance(case.room, case.climate_uncertainty))
+            of_air = np.sqrt(of_two) / (4 * case.room.volume)
+    states, sign = (case.states, 1.0) if forth else (case.states[::-1], -1.0)
+    surfaces, sets, gains = locate(simulator, *states, case.match, seed, weights, of_air)
+    return surfaces, sets, {source: sign * gain for source, gain in gains.items()}, ""
+
+
+def _summed(names: Iterable[str], given: Array, none: float) -> dict[str, float]:
+    """Return the probability of "none" and of each name, the most probable first."""
+    out = {NONE: none}
+    for name, p in zip(names, (given * (1 - none)).tolist(), strict=True):
+        out[name] = out.get(name, 0.0) + p
+    return most_probable_first(out)
+
+
+def _with_sums(families: dict[str, float]) -> dict[str, float]:
+    """Return the families with the sums of all added and of all removed absorption."""
+    out = dict(families)
+    for side in (ADDED, REMOVED):
+        whole = f"{side} absorption"
+        out[whole] = sum(p for family, p in families.items() if family.startswith(whole))
+    return most_probable_first(out)
+
+
+def _samples(
+    found: Fits, every: Hypotheses, baseline: Baseline, given: Array, seed: int
+) -> tuple[Array, NDArray[np.intp]]:
+    """Return samples of the change of the absorption area in m², (n, n_bands), and their hypotheses."""
+    rng = np.random.default_rng(seed)
+    rows = rng.choice(len(given), _SAMPLES, p=given / given.sum())
+    of_rows = found.log[rows]
+    by_scale = np.exp(of_rows - logsumexp(of_rows, axis=1, keepdims=True))
+    beyond = rng.random(_SAMPLES)[:, np.newaxis] > np.cumsum(by_scale, axis=1)
+    scale = np.minimum(beyond.sum(axis=1), by_scale.shape[1] - 1)
+    value, vector = np.linalg.eigh(found.covariance[rows, scale])
+    normal = rng.standard_normal(value.shape) * np.sqrt(np.maximum(value, 0.0))
+    z = found.mean[rows, scale] + np.einsum("nkl,nl->nk", vector, normal)
+    return baseline.after(every.size[rows] * np.exp(z)) - baseline.area, rows
+
+
+def _size(samples: Array) -> Size:
+    """Return the size of samples in m²; NaN of none, where no surface is taken to have changed."""
+    if not len(samples):
+        return Size(math.nan, math.nan, math.nan, "m²")
+    low, high = np.quantile(samples, _INTERVAL)
+    return Size(float(samples.mean()), float(low), float(high), "m²")
+
+
+MOST_SURFACES = 8
+"""Largest number of surfaces of which sets are tried: the largest ones."""
+NODES = (0.08, 0.25, 0.55, 1.0)
+"""Shares of the way to alpha = 1 that are weighed; between them the shifts are interpolated."""
+SHARES = np.geomspace(0.02, 0.95, 30)
+POWER = 0.5
+"""Power of the likelihood: pairs and parameters share errors that no covariance of this module has."""
+MOST_DIRECT = 0.76
+"""Share of the direct sound in the energy, 5 dB above the rest, from which EDT says nothing."""
+ANOTHER_GAIN = 0.3
+"""Prior probability that sources have another gain in the second state. In three boxes of another's
+tracer, two draws each, gains of 1.0 to 1.2 dB made 5 of 12 answers wrong without it, none with it."""
+GAIN = 1.5
+"""Standard deviation in dB, per band, by which a source has another gain in two states, if it has."""
+MOST_GAIN = 1.5
+"""Shift in dB of a source's level beside what T says, from which its level is left out."""
+_MISSING = 1e6
+_TINY = 1e-8
+
+
+def sets_of(simulator: PathTracing, surfaces: Mapping[str, Faces]) -> list[tuple[str, ...]]:
+    """Return the sets of surfaces that are tried: one, two, three walls, and all walls."""
+    area = {n: float(simulator.geometry.face_areas[f].sum()) for n, f in surfaces.items()}
+    largest = sorted(sorted(area, key=lambda n: -area[n])[:MOST_SURFACES])
+    upright = [n for n in largest if of_room.kind(simulator.geometry, surfaces[n]) == "wall"]
+    out: list[tuple[str, ...]] = [(n,) for n in largest]
+    out += combinations(largest, 2)
+    out += combinations(upright, 3)
+    if len(upright) > 3:
+        out.append(tuple(upright))
+    return out
+
+
+def locate(
+    simulator: PathTracing,
+    before: Measurement,
+    after: Measurement,
+    match: Sequence[str],
+    seed: int = 0,
+    weights: Array | None = None,
+    climate: Array | None = None,
+) -> tuple[Mapping[str, float], Mapping[tuple[str, ...], float], Mapping[str, float]]:
+    """Return the probability of each surface, and of each set, that it absorbs more after than before.
+
+    The third are the sources whose level is left out, and by how many dB it shifts beside what T says.
+
+    Parameters
+    ----------
+    simulator : PathTracing
+        With every source's directivity.
+    before, after : Measurement
+        Of the same pairs of the simulator, in the room's bands; before absorbs less.
+    match : sequence of str
+        Parameters that are compared: those that both states have and the directivities allow, and T20.
+    weights : array (n_pairs,), optional
+        Precision of each pair's noise over the expected one. Without it no surface is told, and the
+        gains alone are found.
+    climate : array (n_bands,), optional
+        Standard deviation in 1/m by which the air's attenuation differs in two states, if it does; None
+        where another climate is not tried.
+    """
+    wanted = dict.fromkeys((TARGET.key, *simulator.trusted(match)))
+    states = (before, after)
+    match = [n for n in wanted if all(OBSERVABLES[n].key_in(m.values) in m.values for m in states)]
+    level = match.index(LEVEL.key) if LEVEL.key in match else None
+    if weights is None and level is None:
+        return {}, {}, {}
+    pairs, frequencies = before.pairs, simulator.centre_frequencies
+    rows = [simulator.pairs.index(p) for p in pairs]
+    two = [Observations.of_measurement(m, match, pairs).values for m in states]
+    change = two[1] - two[0]
+    weighing = _scaled_to(simulator, before, match, rows, seed)
+    energy = weighing.energy(weighing.alpha)[0]
+    gains = dict[str, float]()
+    if level is not None:
+        times = [m.reverberation_time for m in states]
+        gains = _gains(simulator, pairs, energy[rows], times, change[level])
+        change[level][[source in gains for source, _ in pairs]] = np.nan
+    if weights is None:
+        return {}, {}, gains
+    direct = energy[rows, :, 0] / energy[rows].sum(axis=-1)
+    if EARLY.key in match:
+        change[match.index(EARLY.key)][direct > MOST_DIRECT] = np.nan
+    shorter = np.nanmean(np.exp(two[0][0] - two[1][0]), axis=0) if match[0] == TARGET.key else 1.0
+    noise = _noise(energy[rows], simulator, match) * (1 + np.asarray(shorter))[:, None, None]
+    noise = noise / weights[:, None, None, None]
+    faces = of_room.of_geometry(simulator.geometry)
+    tried = sets_of(simulator, faces)
+    groups = [np.concatenate([faces[n] for n in names]) for names in tried]
+    base = _observed(energy, simulator, match)
+    shifts = np.array(
+        [
+            [np.zeros_like(base), *(_observed(decay, simulator, match) - base for decay in decays)]
+            for decays in weighing.of_groups(groups, NODES)
+        ]
+    )[:, :, :, rows]
+    # What a decay lacks under any set counts for none: EDT, where the direct sound is all there is.
+    change[~np.isfinite(shifts).all(axis=(0, 1))] = np.nan
+    shifts = np.where(np.isfinite(shifts), shifts, 0.0)
+
+    def evidence_of(sources: Sequence[str], by_air: Array | None) -> Array:
+        common = _common_errors(pairs, match, sources, by_air, len(frequencies))
+        return np.array([_evidence(change, s, noise, match, frequencies, common) for s in shifts])
+
+    def in_climate(by_air: Array | None) -> Array:
+        as_calibrated = evidence_of((), by_air)
+        if level is None:
+            return as_calibrated
+        every = [*dict.fromkeys(source for source, _ in pairs)]
+        return log_mixture(as_calibrated, evidence_of(every, by_air), ANOTHER_GAIN)
+
+    evidence = in_climate(None)
+    if climate is not None:
+        attenuation = simulator.room.air_attenuation + climate
+        in_it = _observed(weighing.energy(weighing.alpha, attenuation)[0], simulator, match)
+        by_air = np.nan_to_num(np.moveaxis((in_it - base)[:, rows], 0, -1))
+        evidence = log_mixture(evidence, in_climate(by_air), ANOTHER_CLIMATE)
+    chances = dict(zip(tried, np.exp(evidence - logsumexp(evidence)).tolist(), strict=True))
+    by_surface = {n: sum(p for names, p in chances.items() if n in names) for n in faces}
+    return most_probable_first(by_surface), most_probable_first(chances), gains
+
+
+def _gains(
+    simulator: PathTracing,
+    pairs: Sequence[tuple[str, str]],
+    energy: Array,
+    times: Sequence[Array],
+    change: Array,
+) -> dict[str, float]:
+    """Return by how many dB a source's level shifts beside what T says, if by `MOST_GAIN` or more.
+
+    By T every path but the direct one loses in proportion to its length. The mean is over a source's
+    pairs and bands.
+
+    Parameters
+    ----------
+    energy : array (n_pairs, n_bands, n_bins)
+        Decays of the state before; the direct sound is in the first bin.
+    times : two arrays (n_bands,)
+        Mean T in s before and after.
+    change : array (n_pairs, n_bands)
+        Of the level in dB.
+    """
+    ends = np.array([(simulator.sources[s], simulator.receivers[r]) for s, r in pairs], dtype=float)
+    arrival = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / simulator.room.speed_of_sound
+    seconds = arrival[:, np.newaxis] + simulator.bin_width * np.arange(energy.shape[-1])
+    faster = 6 * np.log(10) * (1 / times[1] - 1 / times[0])
+    kept = np.exp(-faster[:, np.newaxis] * seconds[:, np.newaxis])
+    kept[..., 0] = 1.0
+    off = change - DB * np.log((energy * kept).sum(axis=-1) / energy.sum(axis=-1))
+    means = {}
+    for source in dict.fromkeys(s for s, _ in pairs):
+        own = off[[s == source for s, _ in pairs]]
+        if np.isfinite(own).any() and abs(mean := float(np.nanmean(own))) >= MOST_GAIN:
+            means[source] = mean
+    return means
+
+
+def _scaled_to(
+    simulator: PathTracing, before: Measurement, match: Sequence[str], rows: list[int], seed: int
+) -> Weighing:
+    """Return a weighing whose coefficients have T before: the stated ones, scaled band by band."""
+    wanted = before.reverberation_time
+    tracer = simulator
+    factor = np.ones(simulator.room.n_bands)
+    for _ in range(3):
+        weighing = Weighing(tracer, match, seed)
+        (of_t20,) = _observed(weighing.energy(weighing.alpha)[0], simulator, (TARGET.key,))
+        simulated = np.exp(of_t20[rows])
+        room = tracer.room
+        air = 4 * room.air_attenuation * room.volume
+        constant = 24 * np.log(10) / room.speed_of_sound * room.volume
+        damped = np.maximum(constant / np.array([wanted, simulated.mean(axis=0)]) - air, 1e-3)
+        factor = np.where(np.isfinite(wanted), damped[0] / damped[1], 1.0)
+        alpha = -np.expm1(factor * np.log1p(-np.minimum(room.alpha, base.LARGEST_ALPHA)))
+        scaled = replace(tracer, room=room.replace(alpha=np.clip(alpha, 1e-4, 0.99)))
+        scaled._traced.update(tracer._traced)  # alpha weighs the same paths
+        tracer = scaled
+    return Weighing(tracer, match, seed)
+
+
+def _observed(energy: Array, simulator: PathTracing, match: Sequence[str]) -> Array:
+    """Return the parameters of decays as observed, (n_parameters, n_pairs, n_bands); NaN without."""
+    kinds = [OBSERVABLES[name] for name in match]
+    return np.array([k.observed(k.value(energy, simulator.bin_width)) for k in kinds])
+
+
+def _noise(energy: Array, simulator: PathTracing, match: Sequence[str]) -> Array:
+    """Return the covariance of the parameters of one noise-like response.
+
+    (n_pairs, n_bands, n_parameters, n_parameters). A bin of width w has the relative variance
+    1 / (B w) in a band of bandwidth B; the direct sound in the first bin has none.
+    """
+    width = simulator.bin_width
+    by_bin = gradients(energy, width, match) * energy[None]
+    by_bin[..., 0] = 0.0
+    f = simulator.centre_frequencies
+    bandwidth = bands.bandwidth_factor(f) * f
+    covariance = np.einsum("prkb,qrkb->rkpq", by_bin, by_bin)
+    return np.asarray(np.nan_to_num(covariance / (bandwidth * width)[:, None, None]))
+
+
+def _common_errors(
+    pairs: Sequence[tuple[str, str]],
+    match: Sequence[str],
+    sources: Sequence[str],
+    climate: Array | None,
+    n_bands: int,
+) -> tuple[Array, Array]:
+    """Return what several pairs err by together, and its variance where nothing changes.
+
+    All pairs share an error of each parameter, those of each of ``sources`` a gain of the level, and
+    all another climate, whose standard deviation shifts them by ``climate`` (n_pairs, n_bands,
+    n_parameters).
+
+    Returns
+    -------
+    columns : array (n_pairs, n_bands, n_parameters, n_errors)
+    variance : array (n_errors,)
+    """
+    again = np.array([OBSERVABLES[name].remeasured for name in match])
+    shared = np.broadcast_to(np.eye(len(match)), (len(pairs), len(match), len(match)))
+    gain = np.zeros((len(pairs), len(match), len(sources)))
+    for r, (source, _) in enumerate(pairs):
+        if source in sources:
+            gain[r, list(match).index(LEVEL.key), sources.index(source)] = 1.0
+    variance = np.concatenate([again**2, np.full(len(sources), GAIN**2)])
+    columns = np.repeat(np.concatenate([shared, gain], axis=2)[:, np.newaxis], n_bands, axis=1)
+    if climate is None:
+        return columns, variance
+    return np.concatenate([columns, climate[..., np.newaxis]], axis=3), np.append(variance, 1.0)
+
+
+def _evidence(
+    change: Array,
+    shifts: Array,
+    noise: Array,
+    match: Sequence[str],
+    frequencies: Array,
+    common: tuple[Array, Array],
+) -> float:
+    """Return the log evidence of a set of surfaces.
+
+    Parameters
+    ----------
+    change : array (n_parameters, n_pairs, n_bands)
+    shifts : array (n_nodes, n_parameters, n_pairs, n_bands)
+        At a share of 0 and those of `NODES`.
+    noise : array (n_pairs, n_bands, n_parameters, n_parameters)
+    common
+        As `_common_errors`.
+    """
+    nodes = np.array([0.0, *NODES])
+    to = np.array([np.interp(SHARES, nodes, row) for row in np.eye(len(nodes))]).T
+    predicted = np.einsum("jn,nprk->jrkp", to, shifts)
+    mean = predicted.mean(axis=1)  # over the pairs: (n_shares, n_bands, n_parameters)
+    observed = np.moveaxis(change, 0, -1)
+    known = np.isfinite(observed)
+    off = np.where(known, observed - predicted, 0.0)
+    one = np.eye(len(match))
+    own = np.where(known, 0.0, _MISSING)[None] + (PAIR * mean[:, None]) ** 2
+    own_covariance = noise[None] + (own[..., None] + _TINY) * one
+    inverse = np.linalg.inv(own_covariance)
+    pulled = np.einsum("jrkpq,jrkq->jrkp", inverse, off)
+    columns, least = common
+    variance = np.broadcast_to(least, (*mean.shape[:2], len(least))).copy()
+    variance[..., : len(match)] += (COMMON * mean) ** 2
+    b = np.einsum("rkpc,jrkp->jkc", columns, pulled)
+    held = np.einsum("rkpc,jrkpq,rkqd->jkcd", columns, inverse, columns, optimize=True)
+    squares = np.einsum("jrkp,jrkp->jk", off, pulled)
+    half = np.linalg.slogdet(own_covariance)[1].sum(axis=1) / 2
+    root = np.sqrt(variance)[..., None]
+    square, half = with_columns(
+        squares[..., None], half[..., None], root * b[..., None], root * held * root.swapaxes(2, 3)
+    )
+    log_likelihood = -POWER * (square / 2 + half)[..., 0]
+    used = np.asarray(known.any(axis=(0, 2)))
+    return _through_bands(log_likelihood.T, frequencies, used)
+
+
+def _through_bands(log_likelihood: Array, frequencies: Array, used: NDArray[np.bool_]) -> float:
+    """Return the log of the mean over all random walks of ln share through the bands.
+
+    ``log_likelihood`` is (n_bands, n_shares).
+    """
+    steps = np.subtract.outer(np.log(SHARES), np.log(SHARES))
+    at = np.full(len(SHARES), -np.log(len(SHARES)))
+    last = None
+    for k in np.flatnonzero(used).tolist():
+        if last is not None:
+            variance = WALK**2 * abs(float(np.log2(frequencies[k] / frequencies[last])))
+            move = -(steps**2) / (2 * variance)
+            move = move - logsumexp(move, axis=0)
+            at = logsumexp(move + at, axis=1)
+        at = at + log_likelihood[k]
+        last = k
+    return float(logsumexp(at))
