@@ -39,7 +39,7 @@ def drawn(kept: Path) -> dict[str, Any]:
     verification = rt.finder.verify(finding)
     found["evidence"] = figures.evidence(finding)
     found["residuals"] = figures.residuals(finding)
-    for draw in (figures.corrected_times, figures.corrected_shifts, figures.decay):
+    for draw in (figures.corrected_times, figures.corrected_shifts):
         found[f"of a finding: {draw.__name__}"] = draw(verification)
     found["probabilities"] = figures.probabilities(sought(case_with(*BOTH)))
     fitted = SimpleNamespace(
@@ -79,7 +79,7 @@ def test_text_is_legible_on_a_phone(drawn: dict[str, Any]) -> None:
         < LEAST
     }
     assert not small, f"px of the smallest text: {small}"
-    assert len(drawn) >= 16
+    assert len(drawn) >= 15
 
 
 def look(line: Any) -> tuple[object, ...]:

@@ -11,7 +11,6 @@ import os
 import textwrap
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import cycle
 from pathlib import Path
 from string import ascii_uppercase
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.marks import gap_jnd, letters, rms
-from rtcal.acoustics.observables import TARGET, DecaySlope, of_kind, parameter_label
+from rtcal.acoustics.observables import TARGET, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.files.disk import make_folder, write_all, write_bytes
 from rtcal.files.saved import NUMBERS
@@ -380,19 +379,15 @@ def plane_of(
         weight = result.prior.areas * result.prior.sigma[:, k]
         rows = np.sort(np.argsort(-weight, kind="stable")[:2])
     else:
-        if missing := [name for name in pair if name not in result.prior.materials]:
-            raise DataError(f'the room has no material "{missing[0]}"')
-        rows = np.array([result.prior.materials.index(name) for name in pair])
+        rows = np.array([result.prior.material_index(name) for name in pair])
         if rows[0] == rows[1]:
             raise DataError(f'a plane takes two materials, not "{pair[0]}" twice')
     others = np.delete(np.arange(len(result.prior.areas)), rows)
     left = result.target[k] - result.added_absorption[k]
     left -= result.prior.areas[others] @ result.alpha[others, k]
     names = result.prior.materials[rows[0]], result.prior.materials[rows[1]]
-    correlation = 0.0
-    for pair_of, value in result.prior.material_correlation.items():
-        if set(pair_of) == set(names):
-            correlation = value
+    correlated = result.prior.material_correlation
+    correlation = next((v for both, v in correlated.items() if {*both} == {*names}), 0.0)
     fixed = f", the {len(others)} others as calibrated" if len(others) else ""
     return plane(
         result.prior.alpha[rows, k],
@@ -406,19 +401,14 @@ def plane_of(
     )
 
 
-def _band(calibration: CalibrationResult, frequency: float | None) -> int:
+def _band(result: CalibrationResult, frequency: float | None) -> int:
     """Index of the matched band at ``frequency``; for None, of that with the largest gap before."""
-    if frequency is None:
-        if not calibration.matched.any():
-            raise DataError("no band was matched, so there is no plane to show")
-        gap = np.abs(np.where(calibration.matched, np.nan_to_num(calibration.gap_before), -1.0))
-        return int(np.argmax(np.where(calibration.matched, gap, -1.0)))
-    matching = np.flatnonzero(
-        (calibration.prior.centre_frequencies == frequency) & calibration.matched
-    )
-    if not len(matching):
-        raise DataError(f"{frequency:g} Hz is no band of the room that was matched")
-    return int(matching[0])
+    wanted = result.prior.centre_frequencies == frequency
+    known = result.matched & (wanted if frequency is not None else True)
+    if not known.any():
+        place = "no band" if frequency is None else f"{frequency:g} Hz is no band of the room that"
+        raise DataError(f"{place} was matched, so there is no plane to show")
+    return int(np.argmax(np.where(known, np.abs(np.nan_to_num(result.gap_before)), -1.0)))
 
 
 def plane(
@@ -648,8 +638,6 @@ def change(finding: Finding) -> Any:
 
 _STRONG = 4.0
 """Residual in standard deviations at which the colours of the map saturate."""
-_BENT = 0.01
-"""Least visible change of ln EDT/T20 or ln T30/T20 in a drawn decay."""
 _PLAIN: dict[str, Any] = {"color": GREEN, "marker": "^"}
 _CORRECTED: dict[str, Any] = {"color": BLUE, "marker": "D"}
 """Marks of a plain calibration, and of the one with the effect that was found."""
@@ -759,57 +747,6 @@ def probabilities(finding: Finding) -> Any:
     axes.set_xlabel("Probability that it is there / %; hatched: the most probable set")
     axes.legend(loc="lower right")
     return figure
-
-
-def bends(verification: Verification) -> bool:
-    """Whether the effect bends the decay: whether EDT/T20 or T30/T20 change visibly."""
-    shapes = [model.features[:, 1:3] for model in verification.calibrations]
-    return bool(np.abs(shapes[1] - shapes[0]).max() > _BENT)
-
-
-def decay(verification: Verification) -> Any:
-    """Return the decay of the band with the largest residual of shape: measured, plain, corrected."""
-    finding = verification.finding
-    case, first = finding.case, finding.case.configurations[0].measured
-    shape = np.abs(finding.residuals[0, 1:3])
-    band = int(np.nanargmax(np.nanmax(np.where(np.isfinite(shape), shape, -1), axis=0)))
-    t = np.linspace(0, 0.8 * float(first.reverberation_time[band]), 200)
-    figure, axes = new_figure()
-    for slope, style in zip(of_kind(DecaySlope).values(), cycle(("--", ":", "-"))):
-        value = float(first.mean(slope.key)[band])
-        if np.isfinite(value):
-            levels = np.array([slope.upper, slope.lower])
-            line = {"color": BLACK, "linestyle": style, "linewidth": 3, "alpha": 0.5}
-            label = f"measured {slope.label} {value:.2f} s"
-            axes.plot(-levels / 60 * value, levels, **line, label=label)
-    plain, corrected = verification.calibrations
-    for model, colour, style, label in (
-        (plain, GREEN, "-.", "plainly calibrated"),
-        (corrected, BLUE, "-", f"with {finding.best_effect}"),
-    ):
-        level = _level(model.case, model.alpha, band, t)
-        axes.plot(t, level, color=colour, linestyle=style, label=shown(label))
-    axes.set_ylim(-40, 1)
-    axes.set_xlabel("Time / s")
-    axes.set_ylabel(f"Level at {case.room.centre_frequencies[band]:g} Hz / dB")
-    axes.legend()
-    return figure
-
-
-def _level(case: Any, alpha: Array, band: int, t: Array) -> Array:
-    """Return the level of the decay in a band at times t in s, in dB."""
-    from rtcal.finder.means.problem import state
-
-    room_state = state(case, case.configurations[0], alpha)
-    decayed = room_state.decay()
-    weights, rates = decayed.weights[band], decayed.rates[band]
-    left = (weights / rates * np.exp(-np.outer(t, rates))).sum(1)
-    total = (weights / rates).sum()
-    if room_state.floor_db is not None:
-        density = 10 ** (room_state.floor_db / 10) * weights.sum()
-        end = room_state.record * 6 * np.log(10) * total / weights.sum()
-        left, total = left + density * np.maximum(end - t, 0), total + density * end
-    return np.asarray(10 * np.log10(np.maximum(left / total, 1e-9)))
 
 
 def corrected_shifts(verification: Verification) -> Any:

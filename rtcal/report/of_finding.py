@@ -56,7 +56,7 @@ from rtcal.support.text import as_sentence, listed
 
 PAGE = "report.html"
 _FIGURES = {
-    "means": ("evidence", "probabilities", "residuals", "reverberation_time", "decay", "shifts"),
+    "means": ("evidence", "probabilities", "residuals", "reverberation_time", "shifts"),
     "positions": ("map", "plan", "gap"),
 }
 WRITTEN = (NUMBERS, PAGE, *(f"{name}.png" for names in _FIGURES.values() for name in names))
@@ -291,7 +291,7 @@ def _corrected(
             corrected.alpha,
             corrected.interval,
         ),
-        SideBySide([[drawn[name]] for name in ("shifts", "decay") if name in drawn]),
+        *[drawn[name] for name in ("shifts",) if name in drawn],
     ]
 
 
@@ -316,7 +316,7 @@ def _unknowable(finding: Finding, verification: Verification | None) -> str:
 
 
 def _pictures_of_means(finding: Finding, verified: Verification | None) -> dict[str, Picture]:
-    """Return the figures by name; those of shifts, T and decay need a verification."""
+    """Return the figures by name; those of shifts and T need a verification."""
     shown = {
         "evidence": Picture(
             lambda: figures.evidence(finding),
@@ -349,11 +349,6 @@ def _pictures_of_means(finding: Finding, verified: Verification | None) -> dict[
         "their 90 % intervals: a plain calibration's count on a model that lacks nothing.",
         tall=True,
     )
-    if figures.bends(verified):
-        shown["decay"] = Picture(
-            lambda: figures.decay(verified),
-            "The decay in the band whose shape differs most: alpha cannot bend it, the effect does.",
-        )
     return shown
 
 
