@@ -404,7 +404,7 @@ def plane_of(
 def _band(result: CalibrationResult, frequency: float | None) -> int:
     """Index of the matched band at ``frequency``; for None, of that with the largest gap before."""
     wanted = result.prior.centre_frequencies == frequency
-    known = result.matched & (wanted if frequency is not None else True)
+    known = result.matched if frequency is None else result.matched & wanted
     if not known.any():
         place = "no band" if frequency is None else f"{frequency:g} Hz is no band of the room that"
         raise DataError(f"{place} was matched, so there is no plane to show")

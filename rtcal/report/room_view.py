@@ -1,10 +1,9 @@
 """The room of a page in three dimensions: its parts coloured by numbers, its sources and receivers.
 
 It is the room of a calibration, of a calibration to every position, or of a finding. The page holds it
-three times: as data that its script draws with WebGL and turns, as still pictures for print and for
-browsers without WebGL, and as tables. Nothing is fetched. A still picture is an axonometric projection
-as the shapes of an SVG: faces towards the reader are left out, so that the room can be looked into.
-``room.js`` projects in the same way.
+three times: as data that its script (``room.js``) draws with WebGL and turns, as still pictures for
+print and for browsers without WebGL, and as tables. Nothing is fetched. A picture is an axonometric
+projection: faces towards the reader are left out, so that the room can be looked into.
 """
 
 from __future__ import annotations
@@ -12,9 +11,9 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +24,8 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.marks import rms
 from rtcal.acoustics.room import Room
 from rtcal.io import geometry_files
+from rtcal.report import figures
+from rtcal.report.document import Picture
 from rtcal.report.figures import likely_shares
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.blocks import Note
@@ -44,9 +45,8 @@ ABOVE, BELOW = np.radians([30, -30])
 """Directions from which the view looks, above the horizontal: floor or ceiling is seen."""
 TURNS = np.radians([35, 125, 215, 305])
 """Directions round z, of which the one is taken that shows most of what is to be seen."""
-_WIDTH, _HEIGHT = 460, 330
-_MARGIN = 20
-_SIZE = 7
+_RASTERIZED = 500
+"""Number of faces above which a still picture is of dots, so that a page stays small."""
 _FLAT = 0.01
 """Largest sine between the normals of two faces without an edge between them."""
 _MOST_NAMES = 40
@@ -74,136 +74,9 @@ def between(colours: Sequence[str], share: float) -> str:
     return "#" + "".join(f"{int(np.floor(c + 0.5)):02x}" for c in mixed)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Look:
-    """A direction of view of a geometry: ``turn`` round z, ``tilt`` above the horizontal, in radians.
-
-    ``owners`` (n_faces,) is the part of each face, -1 without one.
-    """
-
-    geometry: Polyhedron
-    owners: NDArray[np.int64]
-    turn: float
-    tilt: float
-
-    @cached_property
-    def frame(self) -> tuple[float, Array, Array]:
-        """Units of the picture per m, its origin in m, and its size."""
-        right, up, _ = axes_of(self.turn, self.tilt)
-        corners = self.geometry.vertices
-        flat = np.stack([corners @ right, corners @ up], axis=1)
-        low, high = flat.min(axis=0), flat.max(axis=0)
-        space = np.array([_WIDTH, _HEIGHT]) - 2 * _MARGIN
-        scale = float((space / np.maximum(high - low, 1e-9)).min())
-        origin = np.array([low[0] - _MARGIN / scale, high[1] + _MARGIN / scale])
-        return scale, origin, scale * (high - low) + 2 * _MARGIN
-
-    @property
-    def box(self) -> str:
-        """The picture's extent as an SVG's viewBox."""
-        width, height = self.frame[2]
-        return f"0 0 {width:.0f} {height:.0f}"
-
-    @cached_property
-    def edges(self) -> NDArray[np.int64]:
-        """Vertices of the edges that are drawn, (n_edges, 2): between parts, and where a part bends."""
-        of_edge: dict[tuple[int, int], list[int]] = {}
-        for i, face in enumerate(self.geometry.faces):
-            for edge in _around(face):
-                of_edge.setdefault(edge, []).append(i)
-
-        def drawn(faces: list[int]) -> bool:
-            if len(faces) < 2 or len({int(self.owners[i]) for i in faces}) > 1:
-                return True
-            bends = np.cross(self.geometry.normals[faces[0]], self.geometry.normals[faces[1:]])
-            return bool((np.linalg.norm(bends, axis=1) > _FLAT).any())
-
-        kept = [edge for edge, faces in of_edge.items() if drawn(faces)]
-        return np.array(kept, dtype=np.int64).reshape(-1, 2)
-
-    def shapes(self) -> dict[str, Any]:
-        """Return polygons (points, part, edges), the farthest first, and the edges before them."""
-        flat = self._flat(self.geometry.vertices)
-        into = axes_of(self.turn, self.tilt)[2]
-        drawn = {(int(a), int(b)) for a, b in self.edges}
-        depth = self.geometry.vertices @ into
-        faces = [list(face) for face in self.geometry.faces]
-        order = sorted(
-            np.flatnonzero(self.geometry.normals @ into > 0),
-            key=lambda i: (-float(depth[faces[i]].max()), -float(depth[faces[i]].mean())),
-        )
-        of_face = {i: drawn.intersection(_around(faces[i])) for i in order}
-        return {
-            "polygons": [
-                (_points(flat[faces[i]]), int(self.owners[i]), _path(flat, of_face[i]))
-                for i in order
-            ],
-            "near": _path(flat, drawn.difference(*of_face.values())),
-        }
-
-    def marks(self, stands: Sequence[tuple[str, str, Any, str]]) -> list[dict[str, Any]]:
-        """Return sources and receivers: (kind, name, place, colour), with names unless many."""
-        low, s = self.geometry.vertices[:, 2].min(), _SIZE
-        made = []
-        for kind, name, place, colour in stands:
-            (x, y), (_, foot) = self._flat(np.array([place, (place[0], place[1], low)]))
-            triangle = np.array([(x, y - s), (x - s, y + 0.7 * s), (x + s, y + 0.7 * s)])
-            made.append(
-                {
-                    "kind": kind,
-                    "name": name if len(stands) <= _MOST_NAMES else "",
-                    "x": f"{x:.1f}",
-                    "y": f"{y:.1f}",
-                    "foot": f"{foot:.1f}",
-                    "corners": _points(triangle),
-                    "colour": colour,
-                }
-            )
-        return made
-
-    def _flat(self, points: Array) -> Array:
-        """Return points (n, 3) in m in the picture, (n, 2), whose y is downward."""
-        scale, origin, _ = self.frame
-        right, up, _ = axes_of(self.turn, self.tilt)
-        flat = np.stack([points @ right, points @ up], axis=1) - origin
-        return np.asarray(flat * scale * (1, -1))
-
-
-def axes_of(turn: float, tilt: float) -> Array:
-    """Return the unit vectors to the right, upward and into the picture, (3, 3)."""
-    across, along = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
-    right = np.array([*across, 0.0])
-    up = np.array([*(np.sin(tilt) * along), np.cos(tilt)])
-    into = np.array([*(np.cos(tilt) * along), -np.sin(tilt)])
-    return np.stack([right, up, into])
-
-
-def look(
-    geometry: Polyhedron, owners: NDArray[np.int64], weights: Array, tilt: float = ABOVE
-) -> Look:
-    """Return the look from which most of the faces' weights (n_faces,) is seen from inside."""
-
-    def seen(turn: float) -> float:
-        return float(weights @ np.clip(geometry.normals @ axes_of(turn, tilt)[2], 0, None))
-
-    turn = float(max(TURNS, key=seen))
-    return Look(geometry=geometry, owners=owners, turn=turn, tilt=float(tilt))
-
-
-def _points(flat: Array) -> str:
-    return " ".join(f"{x:.1f},{y:.1f}" for x, y in flat)
-
-
-def _around(face: Sequence[int]) -> list[tuple[int, int]]:
-    """Return the edges of a face, each with its lower vertex first."""
-    return [(min(a, b), max(a, b)) for a, b in zip(face, [*face[1:], face[0]], strict=True)]
-
-
-def _path(flat: Array, edges: Iterable[tuple[int, int]]) -> str:
-    """Return edges as the path of an SVG."""
-    return "".join(
-        "M{:.1f} {:.1f}L{:.1f} {:.1f}".format(*flat[a], *flat[b]) for a, b in sorted(edges)
-    )
+def into_picture(turn: float, tilt: float) -> Array:
+    """Return the unit vector into the picture, (3,), of a view: turned round z, tilted above."""
+    return np.array([-np.cos(tilt) * np.sin(turn), np.cos(tilt) * np.cos(turn), -np.sin(tilt)])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -226,6 +99,11 @@ class Quantity:
     factor: float = 1.0
     unit: str = ""
     still: bool = True
+
+    @property
+    def title(self) -> str:
+        """The name, and what its first column is."""
+        return ", ".join(filter(None, (self.name, self.columns[0])))
 
     def text(self, value: float) -> str:
         """Return a value as the page prints it."""
@@ -294,46 +172,116 @@ class RoomSection:
         return Quantity(name=name, head=name, columns=whens, values=gaps, digits=1, **ends)
 
     @cached_property
-    def _looks(self) -> list[Look]:
-        """From above and from below; by area and the first quantity faces are to be seen."""
+    def owners(self) -> NDArray[np.int64]:
+        """The part of each face, (n_faces,), -1 without one."""
         owners = np.full(len(self.geometry.faces), -1)
         for i, faces in enumerate(self.parts.values()):
             owners[faces] = i
+        return owners
+
+    def turn(self, tilt: float) -> float:
+        """Return the turn from which most is seen of what has a large area and first quantity."""
         first = self.quantities[0]
         shares = np.nan_to_num(first.values[:, 0] - first.low) / (first.high - first.low)
-        weights = self.geometry.face_areas * (0.05 + np.append(shares, 0.0)[owners])
-        return [look(self.geometry, owners, weights, tilt) for tilt in (ABOVE, BELOW)]
+        weights = self.geometry.face_areas * (0.05 + np.append(shares, 0.0)[self.owners])
+
+        def seen(turn: float) -> float:
+            facing = self.geometry.normals @ into_picture(turn, tilt)
+            return float(weights @ np.clip(facing, 0, None))
+
+        return float(max(TURNS, key=seen))
 
     @property
-    def looks(self) -> list[dict[str, Any]]:
-        """Each look's shapes, with sources and receivers in the colour of their last gap."""
-        last = self.gap.values[:, -1] if self.whens else np.full(len(self.stands), np.nan)
-        marks = [
-            (s.kind, s.name, s.place, self.gap.colour(gap))
-            for s, gap in zip(self.stands, last, strict=True)
-        ]
-        return [
-            {"name": name, "box": of.box, **of.shapes(), "marks": of.marks(marks)}
-            for name, of in zip(("above", "below"), self._looks, strict=True)
-        ]
+    def edges(self) -> NDArray[np.int64]:
+        """Vertices of the edges that are drawn, (n_edges, 2): between parts, and where a part bends."""
+        of_edge: dict[tuple[int, int], list[int]] = {}
+        for i, face in enumerate(self.geometry.faces):
+            for a, b in zip(face, [*face[1:], face[0]], strict=True):
+                of_edge.setdefault((min(a, b), max(a, b)), []).append(i)
+
+        def drawn(faces: list[int]) -> bool:
+            if len(faces) < 2 or len({int(self.owners[i]) for i in faces}) > 1:
+                return True
+            bends = np.cross(self.geometry.normals[faces[0]], self.geometry.normals[faces[1:]])
+            return bool((np.linalg.norm(bends, axis=1) > _FLAT).any())
+
+        kept = [edge for edge, faces in of_edge.items() if drawn(faces)]
+        return np.array(kept, dtype=np.int64).reshape(-1, 2)
+
+    @property
+    def stills(self) -> list[Picture]:
+        """The pictures for print, and for browsers that cannot turn the room."""
+        shown = [q for q in self.quantities if q.still]
+        return [Picture(partial(self.still, q), f"{q.title}, from above and below") for q in shown]
+
+    def still(self, quantity: Quantity) -> Any:
+        """Return the figure of the parts by a quantity's first column, from above and from below.
+
+        Faces towards the reader are left out. Sources and receivers have the colour of their last gap.
+        """
+        figure, _ = figures.new_figure(6.6, 3.7)
+        figure.clear()
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import LinearSegmentedColormap, Normalize
+        from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+        corners, faces = self.geometry.vertices, self.geometry.faces
+        colours = np.array([*map(quantity.colour, quantity.values[:, 0]), GREY])[self.owners]
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        for place, tilt in ((121, ABOVE), (122, BELOW)):
+            turn = self.turn(tilt)
+            facing = self.geometry.normals @ into_picture(turn, tilt) > 0
+            inner = np.flatnonzero(facing).tolist()
+            options: dict[str, Any] = {"projection": "3d", "proj_type": "ortho"}
+            axes = figure.add_subplot(place, **options, computed_zorder=False)
+            walls = Poly3DCollection(
+                [corners[[*faces[i]]] for i in inner],
+                zsort="max",
+                facecolors=colours[inner].tolist(),
+                edgecolors="#4d4d4d",
+                linewidths=0.4,
+                clip_on=False,
+            )
+            walls.set_rasterized(len(inner) > _RASTERIZED)
+            axes.add_collection3d(walls)
+            for stand in self.stands:
+                x, y, z = stand.place
+                colour = self.gap.colour(stand.gaps[-1]) if stand.gaps else GREY
+                axes.plot([x, x], [y, y], [z, low[2]], color="0.5", linewidth=0.8)
+                marker = "^" if stand.kind == "source" else "o"
+                axes.plot([x], [y], [z], marker, color=colour, markeredgecolor="black")
+                if len(self.stands) <= _MOST_NAMES:
+                    axes.text(x, y, z, f"  {figures.shown(stand.name, 12)}", fontsize=9)
+            axes.view_init(np.degrees(tilt), np.degrees(turn) - 90)
+            axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+            axes.set_box_aspect(np.maximum(high - low, 1e-3), zoom=0.95)
+            axes.set_axis_off()
+        scale = Normalize(quantity.factor * quantity.low, quantity.factor * quantity.high)
+        shades = LinearSegmentedColormap.from_list(quantity.head, quantity.colours)
+        bar = figure.colorbar(
+            ScalarMappable(scale, shades), ax=figure.axes, location="bottom", aspect=40
+        )
+        unit = f" /{quantity.unit}" if quantity.unit else ""
+        bar.set_label(figures.shown(quantity.title + unit, 80), fontsize=9)
+        return figure
 
     @property
     def data(self) -> str:
         """The data of the script as JSON that holds no character of markup."""
-        geometry, above = self.geometry, self._looks[0]
+        geometry = self.geometry
         corners = np.round(1000 * geometry.triangles).astype(int).reshape(-1, 3)
         points, triangles = np.unique(corners, axis=0, return_inverse=True)
         content = {
             "points": points.ravel().tolist(),
             "triangles": triangles.ravel().tolist(),
-            "owners": above.owners[geometry.triangle_faces].tolist(),
-            "edges": np.round(1000 * geometry.vertices[above.edges]).astype(int).ravel().tolist(),
+            "owners": self.owners[geometry.triangle_faces].tolist(),
+            "edges": np.round(1000 * geometry.vertices[self.edges]).astype(int).ravel().tolist(),
             "parts": list(self.parts),
             "quantities": [q.plain for q in self.quantities],
             "gap": self.gap.plain,
             "stands": [{"kind": s.kind, "name": s.name, "place": s.place} for s in self.stands],
-            "turn": above.turn,
-            "tilt": above.tilt,
+            "turn": self.turn(ABOVE),
+            "tilt": float(ABOVE),
         }
         text = json.dumps(content, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
         for character in "<>&":

@@ -104,42 +104,21 @@ def test_a_mesh_that_is_gone_is_said_and_the_page_is_there(tmp_path) -> None:
     assert "room.obj" in said.text
 
 
-@pytest.mark.parametrize(
-    ("tilt", "seen"), [(room_view.ABOVE, "floor"), (room_view.BELOW, "ceiling")]
-)
-def test_a_still_shows_three_walls_of_a_box_from_inside(tilt, seen) -> None:
-    """Its area on paper is the projected one: area times the cosine, times the scale squared."""
-    look = room_view.look(BOX, np.arange(6), np.ones(6), tilt)
-    shapes = look.shapes()
-    names = {BOX.names[part] for _, part, _ in shapes["polygons"]}
-    assert seen in names
-    assert len(names) == 3
-    into = room_view.axes_of(look.turn, tilt)[2]
-    for points, part, _ in shapes["polygons"]:
-        x, y = np.array([p.split(",") for p in points.split()], dtype=float).T
-        area = abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / 2
-        wanted = BOX.face_areas[part] * (BOX.normals[part] @ into) * look.frame[0] ** 2
-        assert area == pytest.approx(wanted, rel=0.01)  # a tenth of a unit of the picture
-    lines = sum(edges.count("M") for _, _, edges in shapes["polygons"])
-    assert (lines, shapes["near"].count("M")) == (12, 3)  # 9 edges of three walls, 3 of them twice
-
-
-def test_what_is_nearer_is_drawn_later() -> None:
-    """A box that stands in the far corner is not covered by the floor."""
-    inner = Polyhedron.shoebox((1, 1, 1), "box")
-    walls = [
-        (n, m, BOX.vertices[list(f)])
-        for n, m, f in zip(BOX.names, BOX.materials, BOX.faces, strict=True)
-    ]
-    for place in ([0.5, 0.5, 0], [3.5, 5.5, 0], [0.5, 5.5, 0], [3.5, 0.5, 0]):
-        inside = [
-            (f"box {k}", "box", inner.vertices[list(f)] + place) for k, f in enumerate(inner.faces)
-        ]
-        both = Polyhedron.from_polygons([*walls, *inside])
-        owners = np.array([m == "box" for m in both.materials], dtype=int)
-        look = room_view.look(both, owners, np.ones(len(both.faces)))
-        parts = [part for _, part, _ in look.shapes()["polygons"]]
-        assert parts == [0, 0, 0, 1, 1, 1]
+def test_a_still_shows_three_walls_of_a_box_from_inside(result) -> None:
+    (section,) = room_view.of_calibration(result)
+    for tilt, seen in ((room_view.ABOVE, [0, 0, 1]), (room_view.BELOW, [0, 0, -1])):
+        into = room_view.into_picture(section.turn(tilt), tilt)
+        assert np.linalg.norm(into) == pytest.approx(1)
+        inside = BOX.normals[BOX.normals @ into > 0]
+        assert len(inside) == 3
+        assert (-np.array(seen) == inside).all(axis=1).any()
+    picture = section.stills[0]
+    above, below, _ = picture.draw().axes
+    for axes, wanted in ((above, room_view.ABOVE), (below, room_view.BELOW)):
+        assert np.radians(axes.elev) == pytest.approx(wanted)
+        (walls,) = axes.collections
+        facing = section.geometry.normals @ room_view.into_picture(section.turn(wanted), wanted)
+        assert len(walls.get_facecolor()) == (facing > 0).sum()
 
 
 def test_the_gap_of_a_stand_is_that_of_its_pairs() -> None:

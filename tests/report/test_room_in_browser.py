@@ -50,7 +50,7 @@ def test_without_webgl_the_still_pictures_and_the_table_are_there(html) -> None:
     text = dom(html, "", "--disable-3d-apis", "--virtual-time-budget=4000")
     assert 'class="room turned"' not in text
     assert re.search(r'<div class="room-stage" hidden', text)
-    assert text.count("seen from above") == 2
+    assert text.count("from above and below</figcaption>") == 2
 
 
 _HANDS = """<body><iframe style="width: 1200px; height: 1400px" src="page.html#tilt=-60"></iframe>
