@@ -985,6 +985,69 @@ def shifts(result: PositionsResult, order: Sequence[int] | None = None) -> Any:
     return figure
 
 
+_RASTERIZED = 500
+"""Number of faces of a room above which its picture is of dots, so that a page stays small."""
+_MOST_NAMES = 40
+
+
+def room(
+    geometry: Polyhedron,
+    colours: Sequence[str],
+    views: Sequence[tuple[float, float, Sequence[int]]],
+    stands: Sequence[tuple[str, str, Sequence[float], str]],
+    scale: tuple[str, Sequence[str], tuple[float, float]],
+) -> Any:
+    """Return the figure of a room in which each face has its colour, from several sides.
+
+    Parameters
+    ----------
+    geometry : Polyhedron
+    colours : sequence of str (n_faces,)
+    views : sequence of (turn, tilt, faces)
+        Directions in radians, round z and above the horizontal, and the faces that are drawn.
+    stands : sequence of (kind, name, place, colour)
+        Sources and receivers.
+    scale : (label, colours, ends)
+        What the colours are.
+    """
+    figure, _ = new_figure(6.6, 3.7)
+    figure.clear()
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    corners = geometry.vertices
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    for k, (turn, tilt, faces) in enumerate(views):
+        options: dict[str, Any] = {"projection": "3d", "proj_type": "ortho"}
+        axes = figure.add_subplot(1, len(views), k + 1, **options, computed_zorder=False)
+        walls = Poly3DCollection(
+            [corners[[*geometry.faces[i]]] for i in faces],
+            zsort="max",
+            facecolors=[colours[i] for i in faces],
+            edgecolors="#4d4d4d",
+            linewidths=0.4,
+            clip_on=False,
+        )
+        walls.set_rasterized(len(faces) > _RASTERIZED)
+        axes.add_collection3d(walls)
+        for kind, name, (x, y, z), colour in stands:
+            axes.plot([x, x], [y, y], [z, low[2]], color="0.5", linewidth=0.8)
+            marker = "^" if kind == "source" else "o"
+            axes.plot([x], [y], [z], marker, color=colour, markeredgecolor=BLACK)
+            if len(stands) <= _MOST_NAMES:
+                axes.text(x, y, z, f"  {shown(name, 12)}", fontsize=9)
+        axes.view_init(np.degrees(tilt), np.degrees(turn) - 90)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+        axes.set_box_aspect(np.maximum(high - low, 1e-3), zoom=0.95)
+        axes.set_axis_off()
+    label, shades, ends = scale
+    mapped = ScalarMappable(Normalize(*ends), LinearSegmentedColormap.from_list(label, shades))
+    bar = figure.colorbar(mapped, ax=figure.axes, location="bottom", aspect=40)
+    bar.set_label(shown(label, 80), fontsize=9)
+    return figure
+
+
 def wireframe(mesh: Polyhedron | Faces, open_edges: Array | None = None) -> Any:
     """Return the figure of a mesh, drawn or mended, with its open edges, (n, 2, 3) in m, in red.
 

@@ -45,11 +45,8 @@ ABOVE, BELOW = np.radians([30, -30])
 """Directions from which the view looks, above the horizontal: floor or ceiling is seen."""
 TURNS = np.radians([35, 125, 215, 305])
 """Directions round z, of which the one is taken that shows most of what is to be seen."""
-_RASTERIZED = 500
-"""Number of faces above which a still picture is of dots, so that a page stays small."""
 _FLAT = 0.01
 """Largest sine between the normals of two faces without an edge between them."""
-_MOST_NAMES = 40
 MOST_FACES = 5000
 """Largest number of faces that are drawn: the page stays below 2 MB."""
 MOST_TRIANGLES = 20_000
@@ -219,51 +216,20 @@ class RoomSection:
 
         Faces towards the reader are left out. Sources and receivers have the colour of their last gap.
         """
-        figure, _ = figures.new_figure(6.6, 3.7)
-        figure.clear()
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import LinearSegmentedColormap, Normalize
-        from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-
-        corners, faces = self.geometry.vertices, self.geometry.faces
         colours = np.array([*map(quantity.colour, quantity.values[:, 0]), GREY])[self.owners]
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        for place, tilt in ((121, ABOVE), (122, BELOW)):
+        views = []
+        for tilt in (ABOVE, BELOW):
             turn = self.turn(tilt)
             facing = self.geometry.normals @ into_picture(turn, tilt) > 0
-            inner = np.flatnonzero(facing).tolist()
-            options: dict[str, Any] = {"projection": "3d", "proj_type": "ortho"}
-            axes = figure.add_subplot(place, **options, computed_zorder=False)
-            walls = Poly3DCollection(
-                [corners[[*faces[i]]] for i in inner],
-                zsort="max",
-                facecolors=colours[inner].tolist(),
-                edgecolors="#4d4d4d",
-                linewidths=0.4,
-                clip_on=False,
-            )
-            walls.set_rasterized(len(inner) > _RASTERIZED)
-            axes.add_collection3d(walls)
-            for stand in self.stands:
-                x, y, z = stand.place
-                colour = self.gap.colour(stand.gaps[-1]) if stand.gaps else GREY
-                axes.plot([x, x], [y, y], [z, low[2]], color="0.5", linewidth=0.8)
-                marker = "^" if stand.kind == "source" else "o"
-                axes.plot([x], [y], [z], marker, color=colour, markeredgecolor="black")
-                if len(self.stands) <= _MOST_NAMES:
-                    axes.text(x, y, z, f"  {figures.shown(stand.name, 12)}", fontsize=9)
-            axes.view_init(np.degrees(tilt), np.degrees(turn) - 90)
-            axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-            axes.set_box_aspect(np.maximum(high - low, 1e-3), zoom=0.95)
-            axes.set_axis_off()
-        scale = Normalize(quantity.factor * quantity.low, quantity.factor * quantity.high)
-        shades = LinearSegmentedColormap.from_list(quantity.head, quantity.colours)
-        bar = figure.colorbar(
-            ScalarMappable(scale, shades), ax=figure.axes, location="bottom", aspect=40
-        )
+            views.append((turn, float(tilt), np.flatnonzero(facing).tolist()))
+        marks = [
+            (s.kind, s.name, s.place, self.gap.colour(s.gaps[-1]) if s.gaps else GREY)
+            for s in self.stands
+        ]
         unit = f" /{quantity.unit}" if quantity.unit else ""
-        bar.set_label(figures.shown(quantity.title + unit, 80), fontsize=9)
-        return figure
+        ends = quantity.factor * quantity.low, quantity.factor * quantity.high
+        scale = quantity.title + unit, quantity.colours, ends
+        return figures.room(self.geometry, colours.tolist(), views, marks, scale)
 
     @property
     def data(self) -> str:
