@@ -86,16 +86,20 @@ class MeasuredPairs:
         """Where there is a value, (n_parameters, n_pairs, n_bands)."""
         return np.isfinite(self.observations.values)
 
-    def in_values(self, jnd: ArrayLike) -> Array:
-        """Return JND of each parameter, (n_parameters,), as deviations of the values, (n_used,)."""
-        found = np.empty(self.used.shape)
-        for p, (name, number) in enumerate(
-            zip(self.observations.parameters, np.atleast_1d(jnd), strict=True)
-        ):
-            kind, values = observable(name), self.observations.natural(name)
-            unit = np.broadcast_to(kind.jnd_of(values), values.shape)
-            found[p] = number * kind.of_observed(unit, values)
-        return np.asarray(found[self.used])
+    def among(self, pairs: Sequence[Pair]) -> NDArray[np.int64]:
+        """Return which of the values at all of a simulator's pairs are used, (n_used,).
+
+        The pairs stand in the simulator's order, so the values used do, too.
+        """
+        n_parameters, _, n_bands = self.used.shape
+        used = np.zeros((n_parameters, len(pairs), n_bands), dtype=bool)
+        used[:, [pairs.index(pair) for pair in self.observations.pairs]] = self.used
+        return np.flatnonzero(used)
+
+    def residual(self, simulated: Observations) -> Array:
+        """Return measured less simulated, (n_used,)."""
+        off = self.observations.values - simulated.at(self.observations).values
+        return np.asarray(off[self.used])
 
     def gap(self, simulated: Array) -> Array:
         """Return simulated less measured in JND, as `gap_at_pairs` does."""

@@ -327,7 +327,7 @@ class PositionsFit:
         self._residual, self._gaps = here.residual(), here.gaps()
         # No parameter is given up for the others, but for what is no more than noise.
         self._limit = np.array([self._gaps[0], *np.maximum(self._gaps[1:], FITS)])
-        self._unit = here.data.in_values(np.ones(len(here.data.used)))
+        self._unit = here.data.observations.one_jnd[here.data.used]
         self._parameter = np.nonzero(here.data.used)[0]
 
     def run(self) -> Fitted:
@@ -1180,7 +1180,8 @@ class PositionsResult(Result):
         """The chi-square of each pair given all others, and its degrees of freedom, (n_pairs,)."""
         matrix = self.steps[-1].matrix
         # One wrong pair makes the unexplained error larger, and would then be explained by it.
-        deviation = self.measured.in_values(self.unexplained)
+        unit = self.measured.observations.one_jnd
+        deviation = (self.unexplained[:, np.newaxis, np.newaxis] * unit)[self.measured.used]
         stated = self.covariance - np.diag(deviation**2)
         expected = matrix @ self.prior_covariance @ matrix.T + stated
         precision, rows = np.linalg.inv(expected), rows_of_pairs(self.measured.used)

@@ -28,7 +28,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -52,12 +51,19 @@ from rtcal.loop.control_runs import (
     noise_of_a_run,
     simulated_controls,
 )
-from rtcal.loop.measured_pairs import Linearisation, by_band, of_level
+from rtcal.loop.measured_pairs import by_band, of_level
 from rtcal.prediction import words
 from rtcal.prediction.predicted import COVERAGE, Predictions
 from rtcal.simulators import geometry as facets
-from rtcal.simulators.base import Simulator, checked_parameters, complete, jacobian, observe
-from rtcal.simulators.geometry import WELD, Plane, Polyhedron, convex_parts
+from rtcal.simulators.base import (
+    Observations,
+    Simulator,
+    checked_parameters,
+    complete,
+    jacobian,
+    observe,
+)
+from rtcal.simulators.geometry import Plane, Polyhedron, convex_parts, cut_face
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks, text
 from rtcal.support.blocks import Block, Note, Row
@@ -101,22 +107,6 @@ class PositionsPrediction(Result):
         Where the interval is that of samples, since the simulator departs from its linear model.
     shares : mapping of str to array (n_parameters, n_bands)
         Of the variance of the mean over the pairs, by what it comes from.
-
-    Examples
-    --------
-    >>> from rtcal.prediction import Change
-    >>> room = Room(name="box", volume=60, materials=["plaster"], areas=[94], alpha=[[0.2]],
-    ...             sigma=[[0.04]], centre_frequencies=[1000])
-    >>> t = np.log([[[0.5], [0.5]]])  # one pair and the mean
-    >>> found = PositionsPrediction(
-    ...     name="window", changes=(Change(open="plaster", area=2.0),), before=room,
-    ...     simulator="a simulator",
-    ...     parameters=("t20",), pairs=(("S1", "R1"),), simulated_before=t + 0.1, middle=t,
-    ...     sigma=0 * t + 0.05, uncalibrated_sigma=0 * t + 0.2,
-    ...     low=t - 0.08, high=t + 0.08, sampled=t > 1,
-    ...     shares={"alpha of what stays": np.ones((1, 1))})
-    >>> found.mean("t20"), found.change("t20")[-1].round(2)
-    (array([0.5]), array([-1.9]))
     """
 
     record_kind: ClassVar[str] = "prediction at positions 1"
@@ -287,6 +277,175 @@ def quantiles(
     return low, high, sampled
 
 
+Move = tuple[int, int, Array]
+"""What a partial cover moved: the numbers of the material below and of the new one, and the share
+that it takes of what was each of the room's materials, (n_before,)."""
+
+
+class ChangedRoom:
+    """A room after changes, and which materials its walls then have.
+
+    Raises DataError for a change that a simulator does not know the place of.
+
+    Attributes
+    ----------
+    before, after : Room
+        With the prior's coefficients.
+    changes : tuple of Change
+    new : list of int
+        Rows of the new materials in the changed room.
+    materials : tuple of str (n_materials,)
+        The room's materials, and then the new ones.
+    mixture : array (n_before, n_materials)
+        Share of each material in what was each of the room's.
+    moves : list of Move
+        The partial covers.
+    """
+
+    def __init__(self, before: Room, changes: Sequence[Change]) -> None:
+        for change in changes:
+            if change.kind not in ("cover", "open", "air"):
+                raise DataError(
+                    f"{change}: a simulator does not know where; state the changed room's own mesh, or "
+                    "predict T by an equation"
+                )
+        self.before, self.changes = before, tuple(changes)
+        self.after = changed(before, self.changes)
+        self.new = [i for i, m in enumerate(self.after.materials) if m not in before.materials]
+        self.materials = (*before.materials, *(self.after.materials[i] for i in self.new))
+        self.mixture = np.eye(before.n_materials, len(self.materials))
+        self.moves: list[Move] = []
+        for change in self.changes:
+            if change.surface is None:
+                continue
+            old, new = map(self.materials.index, (change.surface, name_of(change.material)))
+            has = float(before.areas @ self.mixture[:, old])
+            share = 1.0 if change.area is None else min(change.area / has, 1.0)
+            moved = share * self.mixture[:, old]
+            self.mixture[:, new] += moved
+            self.mixture[:, old] -= moved
+            if share < 1:
+                self.moves.append((old, new, moved))
+
+    def walls(self, alpha: Array) -> Array:
+        """Return the coefficients of what was each of the room's materials, (n_before, n_bands).
+
+        ``alpha`` is that of all materials, or of the room's, which leaves the new ones as stated.
+        """
+        if len(alpha) < len(self.materials):
+            alpha = np.vstack([alpha, self.after.alpha[self.new]])
+        return np.asarray(self.mixture @ alpha)
+
+    def simulator(self, simulator: Any) -> Any:
+        """Return the simulator with the air after the change."""
+        if self.after.air is None or self.after.air == self.before.air:
+            return simulator
+        return complete(simulator).with_air(self.after.air)
+
+
+class State:
+    """A state of the room: the calibrated simulator's values there, and how they depend on the unknown.
+
+    Rows are values: ``match`` x pairs x bands.
+
+    Parameters
+    ----------
+    result : PositionsResult
+    room : ChangedRoom
+        Without changes it is the state that was measured.
+    match : sequence of str
+
+    Attributes
+    ----------
+    alpha : array (n_materials, n_bands)
+        The calibrated coefficients, and those stated of the new materials.
+    walls : array (n_before, n_bands)
+        Coefficients of what was each of the room's materials.
+    values : Observations
+    by_wall : array (n_parameters, n_pairs, n_bands, n_before)
+        Derivatives of all rows by the coefficients of the walls.
+    by_alpha : array (rows, n_materials * n_bands)
+        Those by alpha of all materials.
+    by_room : array (n_errors, rows)
+        Change of all rows by errors of volume, areas and climate.
+    groups : array (n_groups, n_parameters, n_pairs, n_bands) or None
+        The values of groups of paths; None without paths.
+    by_scattering : array (rows, n_materials) or None
+        Derivatives of all rows by each material's scattering; None where it was not fitted.
+    """
+
+    def __init__(self, result: Any, room: ChangedRoom, match: Sequence[str]) -> None:
+        self.room, self.match, self.seed = room, tuple(match), result.seed
+        self.simulator = room.simulator(result.weighed)
+        self.alpha = np.vstack([result.alpha, room.after.alpha[room.new]])
+        self.walls = room.walls(self.alpha)
+        self.values = self.simulated(self.alpha)
+        self.by_wall = jacobian(self.simulator, self.walls, match, seed=self.seed)
+        self.by_alpha = by_band(np.einsum("pikm,me->pike", self.by_wall, room.mixture))
+        there = room.before.replace(alpha=np.clip(self.walls, 0, 1), calibration=None)
+        levels = of_level(match, *self.by_wall.shape[1:3])
+        self.by_room = value_changes(there, by_band(self.by_wall), levels)
+        able = complete(self.simulator)
+        self.groups = able.observe_in_groups(self.walls, GROUPS, match, seed=self.seed)
+        self.by_scattering = None
+        if result.scattering is not None:
+            random = replace(self.simulator, scattering_model="random")
+            stated = np.zeros(room.before.n_materials)
+            of_materials = material_scattering(random, self.walls, match, stated, self.seed)
+            self.by_scattering = of_materials.slope
+
+    def simulated(self, alpha: Array) -> Observations:
+        """Return the observations for coefficients of all materials."""
+        walls = self.room.walls(np.clip(alpha, 0.0, 1.0))
+        return observe(self.simulator, walls, self.match, seed=self.seed)
+
+    def by_covers(self, assumed: float) -> Array:
+        """Return the change of all rows by the error of each partial cover's area, (n_covers, rows).
+
+        It is that of the surface below; ``assumed`` where the room states none.
+        """
+        before, after, a = self.room.before, self.room.after, self.alpha
+        stated = [*before.area_sigma, *after.area_sigma[self.room.new]]
+        if not before.area_sigma.any() and not before.common_area_sigma:
+            stated = [assumed] * len(stated)
+        rows = [
+            max(stated[old], _LEAST_AREA)
+            * np.einsum("pikm,mk->pik", self.by_wall, moved[:, np.newaxis] * (a[new] - a[old]))
+            for old, new, moved in self.room.moves
+        ]
+        return np.reshape(rows, (-1, len(self.by_alpha)))
+
+    def by_places(self) -> Array:
+        """Return the change of all rows by the places of the covers, (n_places, rows).
+
+        Its square is their covariance: where each lies has nothing to do with the others.
+        """
+        if not self.room.moves or complete(self.simulator).tracing is not self.simulator:
+            return np.zeros((0, len(self.by_alpha)))
+        by_piece, parent, places = in_pieces(self.simulator, self.room.moves)
+
+        def simulated(alpha: Array) -> Array:
+            alpha = np.clip(alpha, 0.0, 1.0)
+            return observe(by_piece, alpha, self.match, seed=self.seed).values.ravel()
+
+        even = self.walls[parent]
+        middle, rows = simulated(even), []
+        for (below, new, moved), of_move in zip(self.room.moves, places, strict=True):
+            other = self.alpha[new] - self.alpha[below]
+            for covered in of_move:
+                more = (covered - moved[parent])[:, np.newaxis] * other
+                rows.append((simulated(even + more) - middle) / np.sqrt(len(of_move)))
+        return np.array(rows)
+
+    def new_prior(self, least: float) -> Array:
+        """Return the covariance of alpha of the new materials; sigma is 0, or at least ``least``."""
+        room, sigma = self.room.before, self.room.after.sigma[self.room.new]
+        sigma = np.where(sigma > 0, np.maximum(sigma, least), sigma)
+        of_bands = bands.correlation(room.centre_frequencies, room.band_correlation)
+        blocks = np.kron(np.eye(len(sigma)), of_bands)
+        return np.asarray(blocks * np.outer(sigma.ravel(), sigma.ravel()))
+
+
 _FLAT = 0.05
 """Extent of a surface along an axis, over its largest, below which it has no ends along it."""
 _TILT = (0.1, 0.03)
@@ -296,99 +455,52 @@ _LEAST_AREA = 1e-5
 _HALVINGS = 40
 """Of the interval that holds the edge of a cover: to the last digit."""
 
-Move = tuple[int, int, Array]
-"""What a partial cover moved: the numbers of the material below and of the new one, and the share
-that it takes of what was each of the room's materials, (n_before,)."""
-HalfSpace = tuple[Array, float]
-"""A direction and an offset in m: the points x with x @ direction at most the offset."""
 
+def in_pieces(
+    tracer: PathTracing, moves: Sequence[Move]
+) -> tuple[PathTracing, NDArray[np.int64], list[NDArray[np.bool_]]]:
+    """Return a tracing whose surfaces are cut where covers may end.
 
-@dataclass(frozen=True, eq=False)
-class Pieces:
-    """A tracing whose surfaces are cut where covers may end, each piece with coefficients of its own.
-
-    Attributes
-    ----------
-    tracer : PathTracing
-    parent : int array (n_pieces,)
-        Number of the room's material of each piece.
-    moves : tuple of Move
-        The partial covers; where each lies has nothing to do with the others.
-    places : tuple of array (n_places, n_pieces)
-        Which pieces each of them covers, for every place.
+    Each piece has coefficients of its own. Also the number of the room's material of each piece,
+    (n_pieces,), and for each cover which pieces it covers at every place, (n_places, n_pieces).
     """
-
-    tracer: PathTracing
-    parent: NDArray[np.int64]
-    moves: tuple[Move, ...]
-    places: tuple[Array, ...]
-
-    @classmethod
-    def of(cls, tracer: PathTracing, moves: Sequence[Move]) -> Pieces:
-        """Return the tracing with the covered surfaces cut."""
-        geometry, room = tracer.geometry, tracer.room
-        owner = room.material_rows(geometry.materials)
-        ends = [_ends(geometry, owner, moved) for _, _, moved in moves]
-        cut: list[tuple[str, str, Array]] = []
-        parent: list[int] = []
-        for face, own in enumerate(owner.tolist()):
-            sides = [
-                s for of, (*_, moved) in zip(ends, moves, strict=True) if moved[own] for s in of
-            ]
-            for piece in _cut(geometry, face, sides):
-                cut.append((f"{len(cut)}", f"{room.materials[own]} ({len(cut)})", piece))
-                parent.append(own)
-        numbers = np.array(parent)
-        solid = Polyhedron.from_polygons(cut)
-        pieces = Room(
-            name=room.name,
-            volume=room.volume,
-            materials=solid.materials,
-            areas=solid.face_areas,
-            alpha=room.alpha[numbers],
-            sigma=room.sigma[numbers],
-            centre_frequencies=room.centre_frequencies,
-            air=room.air,
-        )
-        middles = np.array([solid.vertices[list(f)].mean(axis=0) for f in solid.faces])
-        places = tuple(
-            np.array([(middles @ along < offset) & (moved[numbers] > 0) for along, offset in of])
-            for of, (*_, moved) in zip(ends, moves, strict=True)
-        )
-        scattering = tracer.scattering[numbers]
-        by_piece = replace(tracer, geometry=solid, room=pieces, scattering=scattering)
-        return cls(by_piece, numbers, tuple(moves), places)
-
-    def differences(self, walls: Array, alpha: Array, match: Sequence[str], seed: int) -> Array:
-        """Return what places of covers change, (n_places, n_values): its square is their covariance.
-
-        Parameters
-        ----------
-        walls : array (n_before, n_bands)
-            Coefficients of the room's surfaces with the covers spread evenly.
-        alpha : array (n_materials, n_bands)
-            Of all materials.
-        match : sequence of str
-        seed : int
-        """
-
-        def simulated(alpha: Array) -> Array:
-            return observe(self.tracer, np.clip(alpha, 0.0, 1.0), match, seed=seed).values.ravel()
-
-        even = walls[self.parent]
-        middle = simulated(even)
-        rows = []
-        for (below, new, moved), places in zip(self.moves, self.places, strict=True):
-            for covered in places:
-                more = (covered - moved[self.parent])[:, np.newaxis] * (alpha[new] - alpha[below])
-                rows.append((simulated(even + more) - middle) / np.sqrt(len(places)))
-        return np.array(rows).reshape(-1, middle.size)
+    geometry, room = tracer.geometry, tracer.room
+    owner = room.material_rows(geometry.materials)
+    ends = [_ends(geometry, owner, moved) for _, _, moved in moves]
+    cut: list[tuple[str, str, Array]] = []
+    parent: list[int] = []
+    for face, own in enumerate(owner.tolist()):
+        sides = [s for of, (*_, moved) in zip(ends, moves, strict=True) if moved[own] for s in of]
+        for piece in cut_face(geometry, face, sides):
+            cut.append((f"{len(cut)}", f"{room.materials[own]} ({len(cut)})", piece))
+            parent.append(own)
+    numbers, solid = np.array(parent), Polyhedron.from_polygons(cut)
+    pieces = Room(
+        name=room.name,
+        volume=room.volume,
+        materials=solid.materials,
+        areas=solid.face_areas,
+        alpha=room.alpha[numbers],
+        sigma=room.sigma[numbers],
+        centre_frequencies=room.centre_frequencies,
+        air=room.air,
+    )
+    middles = np.array([solid.vertices[list(f)].mean(axis=0) for f in solid.faces])
+    places = [
+        np.array([(middles @ along < offset) & (moved[numbers] > 0) for along, offset in of])
+        for of, (*_, moved) in zip(ends, moves, strict=True)
+    ]
+    scattering = tracer.scattering[numbers]
+    return replace(tracer, geometry=solid, room=pieces, scattering=scattering), numbers, places
 
 
-def _ends(geometry: Polyhedron, owner: NDArray[np.int64], moved: Array) -> list[HalfSpace]:
+def _ends(
+    geometry: Polyhedron, owner: NDArray[np.int64], moved: Array
+) -> list[tuple[Array, float]]:
     """Return the half spaces that hold a cover at either end of its surface, along each axis.
 
-    ``moved`` (n_before,) is the share that is covered of each of the room's materials.
+    They are the points x with x @ direction at most an offset in m. ``moved`` (n_before,) is the share
+    that is covered of each of the room's materials.
     """
     faces = np.flatnonzero(moved[owner] > 0)
     faces = faces[np.argsort(-geometry.face_areas[faces], kind="stable")]
@@ -414,209 +526,6 @@ def _ends(geometry: Polyhedron, owner: NDArray[np.int64], moved: Array) -> list[
     return found
 
 
-def _cut(geometry: Polyhedron, face: int, sides: Sequence[HalfSpace]) -> list[Array]:
-    """Return the pieces of a face on either side of every edge; the face itself without any."""
-    if not sides:
-        return [geometry.vertices[list(geometry.faces[face])]]
-    pieces = convex_parts(geometry, face)
-    for along, offset in sides:
-        both = [
-            piece
-            for whole in pieces
-            # What lies in the edge's own plane is on one side of it.
-            for piece in (
-                facets.cut(whole, along, offset) if np.ptp(whole @ along) > WELD else [whole]
-            )
-        ]
-        pieces = [piece for piece in both if facets.is_face(piece)]
-    return pieces
-
-
-@dataclass(frozen=True, eq=False)
-class ChangedRoom:
-    """A room, what is changed in it, and which materials its walls then have.
-
-    Raises DataError for a change that a simulator does not know the place of.
-
-    Attributes
-    ----------
-    before : Room
-        With the prior's coefficients.
-    changes : tuple of Change
-    """
-
-    before: Room
-    changes: tuple[Change, ...]
-
-    def __post_init__(self) -> None:
-        for change in self.changes:
-            if change.kind not in ("cover", "open", "air"):
-                raise DataError(
-                    f"{change}: a simulator does not know where; state the changed room's own mesh, or "
-                    "predict T by an equation"
-                )
-        _ = self._mixed  # raises where the room does not allow a change
-
-    @cached_property
-    def after(self) -> Room:
-        """The changed room, with the prior's coefficients."""
-        return changed(self.before, self.changes)
-
-    @cached_property
-    def new(self) -> list[int]:
-        """Rows of the new materials in the changed room."""
-        return [i for i, m in enumerate(self.after.materials) if m not in self.before.materials]
-
-    @property
-    def materials(self) -> tuple[str, ...]:
-        """The room's materials, and then the new ones."""
-        return (*self.before.materials, *(self.after.materials[i] for i in self.new))
-
-    @cached_property
-    def _mixed(self) -> tuple[Array, tuple[Move, ...]]:
-        """Shares of the materials in what each was, and what each partial cover moved of them."""
-        mixture = np.eye(self.before.n_materials, len(self.materials))
-        moves = []
-        for change in self.changes:
-            if change.surface is None:
-                continue
-            old, new = map(self.materials.index, (change.surface, name_of(change.material)))
-            has = float(self.before.areas @ mixture[:, old])
-            share = 1.0 if change.area is None else min(change.area / has, 1.0)
-            moved = share * mixture[:, old]
-            mixture[:, new] += moved
-            mixture[:, old] -= moved
-            if share < 1:
-                moves.append((old, new, moved))
-        return mixture, tuple(moves)
-
-    @property
-    def moves(self) -> tuple[Move, ...]:
-        """Each partial cover: from which material, to which, and its share of each wall."""
-        return self._mixed[1]
-
-    @property
-    def mixture(self) -> Array:
-        """Share of each material in what was each of the room's, (n_before, n_materials)."""
-        return self._mixed[0]
-
-    def all_alpha(self, alpha: Array) -> Array:
-        """Return coefficients of all materials for those of the room's, (n_materials, n_bands)."""
-        return np.vstack([alpha, self.after.alpha[self.new]])
-
-    def simulator(self, simulator: Any) -> Any:
-        """Return the simulator with the air after the change."""
-        if self.after.air is None or self.after.air == self.before.air:
-            return simulator
-        return complete(simulator).with_air(self.after.air)
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """A state of the room: the calibrated simulator's values there, and how they depend on the unknown.
-
-    Rows are values: ``match`` x pairs x bands.
-
-    Attributes
-    ----------
-    result : PositionsResult
-    room : ChangedRoom
-        Without changes it is the state that was measured.
-    match : tuple of str
-    assumptions : Assumptions
-    """
-
-    result: Any
-    room: ChangedRoom
-    match: tuple[str, ...]
-    assumptions: Assumptions
-
-    @cached_property
-    def simulator(self) -> Any:
-        """The simulator with the air of this state."""
-        return self.room.simulator(self.result.weighed)
-
-    @cached_property
-    def alpha(self) -> Array:
-        """The calibrated coefficients, and those stated of the new materials."""
-        return self.room.all_alpha(self.result.alpha)
-
-    @cached_property
-    def walls(self) -> Array:
-        """Coefficients of what was each of the room's materials, (n_before, n_bands)."""
-        return np.asarray(self.room.mixture @ self.alpha)
-
-    def simulated(self, alpha: Array) -> Any:
-        """Return the observations for coefficients of all materials."""
-        walls = self.room.mixture @ np.clip(alpha, 0.0, 1.0)
-        return observe(self.simulator, walls, self.match, seed=self.result.seed)
-
-    @cached_property
-    def by_wall(self) -> Array:
-        """Derivatives of all rows by the coefficients of the walls, (p, i, k, n_before)."""
-        return jacobian(self.simulator, self.walls, self.match, seed=self.result.seed)
-
-    @cached_property
-    def by_alpha(self) -> Array:
-        """Derivatives of all rows by alpha of all materials, (rows, n_materials * n_bands)."""
-        return by_band(np.einsum("pikm,me->pike", self.by_wall, self.room.mixture))
-
-    @cached_property
-    def by_room(self) -> Array:
-        """Change of all rows by errors of volume, areas and climate, (n_errors, rows)."""
-        room = self.room.before.replace(alpha=np.clip(self.walls, 0, 1), calibration=None)
-        levels = of_level(self.match, *self.by_wall.shape[1:3])
-        return value_changes(room, by_band(self.by_wall), levels)
-
-    @cached_property
-    def by_covers(self) -> Array:
-        """Change of all rows by the error of each partial cover's area, (n_covers, rows).
-
-        It is that of the surface below.
-        """
-        before, after, assumed = self.room.before, self.room.after, self.assumptions.areas
-        stated = [*before.area_sigma, *after.area_sigma[self.room.new]]
-        if not before.area_sigma.any() and not before.common_area_sigma:
-            stated = [assumed] * len(stated)
-        rows = [
-            max(stated[old], _LEAST_AREA)
-            * np.einsum("pikm,mk->pik", self.by_wall, moved[:, np.newaxis] * (a[new] - a[old]))
-            for a in (self.alpha,)
-            for old, new, moved in self.room.moves
-        ]
-        return np.reshape(rows, (-1, len(self.by_alpha)))
-
-    @cached_property
-    def by_places(self) -> Array:
-        """Change of all rows by the places of the covers, (n_places, rows)."""
-        if not self.room.moves or complete(self.simulator).tracing is not self.simulator:
-            return np.zeros((0, len(self.by_alpha)))
-        pieces = Pieces.of(self.simulator, self.room.moves)
-        return pieces.differences(self.walls, self.alpha, self.match, self.result.seed)
-
-    @cached_property
-    def groups(self) -> Array | None:
-        """The values of groups of paths, (n_groups, p, i, k); None without paths."""
-        able, seed = complete(self.simulator), self.result.seed
-        return able.observe_in_groups(self.walls, GROUPS, self.match, seed=seed)
-
-    @cached_property
-    def by_scattering(self) -> Array:
-        """Derivatives of all rows by each material's scattering, (rows, n_materials)."""
-        random = replace(self.simulator, scattering_model="random")
-        stated = np.zeros(self.room.before.n_materials)
-        return material_scattering(random, self.walls, self.match, stated, self.result.seed).slope
-
-    @cached_property
-    def new_prior(self) -> Array:
-        """Covariance of alpha of the new materials; sigma is 0, or at least the assumed one."""
-        room, sigma = self.room.before, self.room.after.sigma[self.room.new]
-        sigma = np.where(sigma > 0, np.maximum(sigma, self.assumptions.changed), sigma)
-        of_bands = bands.correlation(room.centre_frequencies, room.band_correlation)
-        blocks = np.kron(np.eye(len(sigma)), of_bands)
-        return np.asarray(blocks * np.outer(sigma.ravel(), sigma.ravel()))
-
-
 def _errors(before: State, after: State, controls: ControlRuns) -> Array:
     """Return the covariance of the simulator's errors before and after, of all values, (n, n).
 
@@ -631,53 +540,58 @@ def _errors(before: State, after: State, controls: ControlRuns) -> Array:
     noise = noise_of_a_run(tracer, groups)
     off = groups - groups.mean(axis=0)
     own = replace(controls, errors=off / np.sqrt(GROUPS - 1), levels=None, models=()).covariance()
-    fitted = before.result.scattering is not None
-    by_scattering = errors_by_scattering(controls, noise) if fitted else None
+    by_scattering = None
+    if before.by_scattering is not None and after.by_scattering is not None:
+        by_scattering = errors_by_scattering(controls, noise)
+        slope = np.vstack([before.by_scattering, after.by_scattering])
     if by_scattering is None:
         return controls.without_noise(noise).covariance() + own
-    slope = np.vstack([before.by_scattering, after.by_scattering])
     of_materials = MaterialScattering(slope=slope, traced=np.zeros(slope.shape[1])).covariance
     at = level(tracer.scattering, tracer.room.areas)
     return by_scattering.covariance(at, tracer.scattering_model) + of_materials + own
 
 
-def _unexplained(before: State, after: State, values: Any) -> Array:
+def _unexplained(before: State, after: State, errors: Array) -> Array:
     """Return the covariance of the calibration's unexplained errors before and after, (n, n).
 
     Such an error stays with its pair: that of a matched parameter is the same after the change.
     """
     rows = (*before.match, *after.match)
-    deviation = dict.fromkeys(rows, np.zeros(values.values[0].size))
-    for name, error in zip(before.match, before.result.unexplained, strict=True):
-        kind, own = observable(name), values.natural(name)
-        unit = np.broadcast_to(kind.jnd_of(own), own.shape)
-        deviation[name] = error * kind.of_observed(unit, own).ravel()
-    return np.block([[np.diag(deviation[p] * deviation[q] * (p == q)) for q in rows] for p in rows])
+    own = dict.fromkeys(rows, np.zeros(before.values.values[0].size))
+    for name, error, unit in zip(before.match, errors, before.values.one_jnd, strict=True):
+        own[name] = error * unit.ravel()
+    return np.block([[np.diag(own[p] * own[q] * (p == q)) for q in rows] for p in rows])
 
 
 def _predicted(
-    name: str, before: State, at: Linearisation, after: State, controls: ControlRuns
+    result: Any,
+    name: str,
+    before: State,
+    after: State,
+    controls: ControlRuns,
+    assumed: Assumptions,
 ) -> PositionsPrediction:
-    """Return the prediction, whose ``simulated_before`` is its own middle.
-
-    ``at`` is the calibrated simulator, against what was measured.
-    """
-    result, used, measured = before.result, at.used, at.data.covariance
+    """Return the prediction, whose ``simulated_before`` is its own middle."""
+    data = result.measured
+    used, measured = data.among(before.values.pairs), data.covariance
     matrix, by_room = before.by_alpha[used], before.by_room[:, used]
-    values = after.simulated(after.alpha).values
+    values = after.values.values
     shape, first = values.shape, len(before.by_alpha)
-    whole = _errors(before, after, controls) + _unexplained(before, after, at.simulated)
+    whole = _errors(before, after, controls) + _unexplained(before, after, result.unexplained)
     own, across, of_used = whole[first:, first:], whole[first:][:, used], whole[np.ix_(used, used)]
-    prior, new_prior, n_old = result.prior_covariance, after.new_prior, matrix.shape[1]
+    prior, new_prior = result.prior_covariance, after.new_prior(assumed.changed)
+    n_old = matrix.shape[1]
     old, new = after.by_alpha[:, :n_old], after.by_alpha[:, n_old:]
     of_alpha = prior @ matrix.T
     unknown = matrix @ of_alpha + by_room.T @ by_room + of_used + measured
     shared = old @ of_alpha + after.by_room.T @ by_room + across
     gain = np.asarray(np.linalg.solve(unknown, shared.T).T, dtype=np.float64)
     moved = (result.alpha - result.prior.alpha).ravel()
-    innovation = at.residual() + matrix @ moved
+    innovation = data.residual(before.values) + matrix @ moved
     middle = _with_mean(values + (gain @ innovation - old @ moved).reshape(shape))
     alike = across @ np.linalg.pinv(of_used, hermitian=True)
+
+    of_covers, of_places = after.by_covers(assumed.areas), after.by_places()
 
     def variances(covariance: Array) -> Array:
         """Return the variances of values and of their mean, of the covariance of all values."""
@@ -695,8 +609,8 @@ def _predicted(
                 of_new = new[:, rows] @ new_prior[rows, rows] @ new[:, rows].T
                 found[words.ALPHA.format(material)] = of_new
         found |= {
-            words.COVERS: after.by_covers.T @ after.by_covers,
-            words.PLACES: after.by_places.T @ after.by_places,
+            words.COVERS: of_covers.T @ of_covers,
+            words.PLACES: of_places.T @ of_places,
             words.ALIKE: kept @ of_used @ kept.T,
             words.CHANGED_ALONE: own - alike @ across.T,
             words.MEASUREMENT: gain @ measured @ gain.T,
@@ -827,7 +741,7 @@ def predict_positions(
     refuse_repeats("variants", variants)
     assumed = Assumptions() if assumptions is None else assumptions
     every = (Variant(_BEFORE, ()), *variants)
-    rooms = [ChangedRoom(result.prior, tuple(v.changes)) for v in every]
+    rooms = [ChangedRoom(result.prior, v.changes) for v in every]
     simulator, seed = result.weighed, result.seed
     for room in rooms:
         room.simulator(simulator)  # raises where it cannot take the change, before anything is run
@@ -839,7 +753,7 @@ def predict_positions(
         at_alpha: dict[bytes, Array] = {}
 
         def simulated(of: Simulator, alpha: Array, seed: int) -> Array:
-            walls = room.mixture @ room.all_alpha(alpha)
+            walls = room.walls(alpha)
             if of is not simulator:
                 return observe(room.simulator(of), walls, match, seed=seed).values
             if walls.tobytes() not in at_alpha:
@@ -867,17 +781,15 @@ def predict_positions(
             f"no control run tells the error of {result.simulator}: predict with a simulator that "
             "has a geometry, or T by an equation"
         )
-    before = State(result, rooms[0], result.parameters, assumed)
-    at = Linearisation(
-        simulator, result.measured, before.simulated(result.alpha), result.alpha, seed
-    )
+    before = State(result, rooms[0], result.parameters)
     as_it_is, *after_each = (
         _predicted(
+            result,
             variant.name,
             before,
-            at,
-            State(result, room, match, assumed),
+            State(result, room, match),
             controls.at((*result.parameters, *own), controls.pairs),
+            assumed,
         )
         for variant, room, own in zip(every, rooms, names, strict=True)
     )

@@ -315,6 +315,15 @@ class Observations:
         values = self.values[self.parameters.index(parameter)]
         return observable(parameter).natural(values)
 
+    @property
+    def one_jnd(self) -> Array:
+        """One JND of each value, as a difference of values, (n_parameters, n_pairs, n_bands)."""
+        found = np.empty(self.values.shape)
+        for row, name in zip(found, self.parameters, strict=True):
+            kind, own = observable(name), self.natural(name)
+            row[:] = kind.of_observed(np.broadcast_to(kind.jnd_of(own), own.shape), own)
+        return found
+
     def at(self, like: Observations) -> Observations:
         """Return the observations of another's parameters and pairs, which these have, too."""
         rows = [self.parameters.index(p) for p in like.parameters]

@@ -652,6 +652,25 @@ def cut(part: Array, normal: Array, offset: float) -> tuple[Array, Array]:
     return np.array(below).reshape(-1, 3), np.array(above).reshape(-1, 3)
 
 
+def cut_face(geometry: Polyhedron, face: int, edges: Sequence[tuple[Array, float]]) -> list[Array]:
+    """Return the pieces of a face on either side of every edge; the face itself without any.
+
+    An edge is where x @ direction is an offset in m. Pieces are convex, unless there is no edge.
+    """
+    if not edges:
+        return [geometry.vertices[list(geometry.faces[face])]]
+    pieces = convex_parts(geometry, face)
+    for along, offset in edges:
+        # What lies in the edge's own plane is on one side of it.
+        both = [
+            piece
+            for whole in pieces
+            for piece in (cut(whole, along, offset) if np.ptp(whole @ along) > WELD else [whole])
+        ]
+        pieces = [piece for piece in both if is_face(piece)]
+    return pieces
+
+
 def divided(part: Array, sides: Sequence[tuple[Array, float]]) -> tuple[Array, list[Array]]:
     """Return the piece of a convex polygon within all sides, and the pieces beyond each."""
     outside = []

@@ -201,7 +201,7 @@ def stated_alone(tracer: PathTracing, prediction: PositionsPrediction) -> Array:
     from rtcal.loop.predicted import ChangedRoom
 
     room = ChangedRoom(tracer.room, prediction.changes)
-    walls = room.mixture @ room.all_alpha(tracer.room.alpha)
+    walls = room.walls(tracer.room.alpha)
     values = observe(tracer, walls, MATCH, seed=5).values
     return np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.room import Surface
 from rtcal.simulators import geometry as facets
-from rtcal.simulators.geometry import WELD, Plane, Polyhedron, convex_parts
+from rtcal.simulators.geometry import WELD, Plane, Polyhedron, convex_parts, cut_face
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -242,23 +242,11 @@ def _quarters(geometry: Polyhedron, face: int, plane: Plane) -> list[tuple[int, 
     side = int(np.argmax(plane.size))
     axis = (plane.along, plane.across)[side]
     start = float(plane.middle @ axis) - plane.size[side] / 2
-    ends = start + np.arange(1, QUARTERS + 1) / QUARTERS * plane.size[side]
-    ends[-1] = np.inf
-    corners = geometry.vertices[list(geometry.faces[face])]
-    reach = corners @ axis
-    first, last = np.searchsorted(ends, [reach.min() + WELD, reach.max() - WELD]).tolist()
-    if first == last:
-        return [(first, corners)]
-    out = []
-    for polygon in convex_parts(geometry, face):
-        left = polygon
-        for quarter, end in enumerate(ends):
-            piece, left = facets.cut(left, axis, end)
-            if facets.is_face(piece):
-                out.append((quarter, piece))
-            if not facets.is_face(left):
-                break
-    return out
+    ends = start + np.arange(1, QUARTERS) / QUARTERS * plane.size[side]
+    reach = geometry.vertices[list(geometry.faces[face])] @ axis
+    within = ends[(ends > reach.min() + WELD) & (ends < reach.max() - WELD)]
+    pieces = cut_face(geometry, face, [(axis, float(end)) for end in within])
+    return [(int(np.searchsorted(ends, (piece @ axis).mean())), piece) for piece in pieces]
 
 
 def _parts(geometry: Polyhedron, surface: int, owner: Faces, quarters: Faces) -> list[Part]:
