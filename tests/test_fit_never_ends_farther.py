@@ -161,8 +161,8 @@ def test_gap_and_objective_are_at_most_those_of_the_start(name, prior, scale):
     assert after <= before + 1e-9
     each = [rms(gap, axis=(1, 2)) for gap in (result.gap_before, result.gap_after)]
     assert (each[1] <= np.maximum(each[0], 0.5) + 1e-9).all()  # none is given up for the others
-    start = objective(result, result.before, room.alpha)
-    assert objective(result, result.after, result.alpha) <= start * (1 + 1e-9)
+    start = objective(result, result.matched.before, room.alpha)
+    assert objective(result, result.matched.after, result.alpha) <= start * (1 + 1e-9)
     if prior == "none":
         assert result.refused
         assert (result.alpha == room.alpha).all()
@@ -191,7 +191,7 @@ def test_of_coefficients_that_are_as_likely_those_with_the_smallest_gap_are_take
     assert gap > 0.5
     assert rms(result.gap_after) < 0.9 * gap
     least = objective(result, heard, likeliest)
-    assert least - 0.01 < objective(result, result.after, result.alpha) < least + 0.5
+    assert least - 0.01 < objective(result, result.matched.after, result.alpha) < least + 0.5
 
 
 @pytest.mark.parametrize("factor", [1 / 3, 1.0, 3.0])
@@ -201,7 +201,7 @@ def test_a_fitted_scattering_ends_no_farther_either(prior, factor):
     result = fit("paths", room, measured("paths", np.clip(factor * ALPHA, 0.02, 0.9)))
     assert rms(result.gap_after) <= rms(result.gap_before) + 1e-9
     returned = precise(result.tracer).observe(result.alpha, MATCH)  # what its user gets
-    gap = result.measured.gap(returned.at(result.after).values)
+    gap = result.measured.gap(returned.at(result.matched.after).values)
     assert rms(gap) <= rms(result.gap_before) + 0.01
     if prior == "wide":
         assert rms(result.gap_after) < 1
@@ -233,7 +233,7 @@ def test_the_same_fit_twice_is_the_same():
     room, data = stated(PRIORS["wide"]), measured("paths", 2 * ALPHA)
     one, other = (fit("paths", room, data) for _ in range(2))
     assert (one.alpha == other.alpha).all()
-    assert (one.after.values == other.after.values).all()
+    assert (one.matched.after.values == other.matched.after.values).all()
     assert str(one) == str(other)
 
 

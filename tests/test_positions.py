@@ -62,9 +62,12 @@ def result(case, kept):
 
 def off_by_one(result, parameter, band=slice(None)):
     """The result with 1 more in what is observed after the calibration."""
-    off = result.after.values.copy()
+    off = result.matched.after.values.copy()
     off[result.parameters.index(parameter), :, band] += 1.0
-    return replace(result, after=replace(result.after, values=off))
+    return replace(
+        result,
+        matched=replace(result.matched, after=replace(result.matched.after, values=off)),
+    )
 
 
 def test_a_simulator_that_is_farther_from_the_measurement_than_before_is_not_to_be_used(result):
@@ -137,7 +140,7 @@ def test_what_is_heard_after_is_what_the_returned_tracer_gives(result):
     """Its scattering was fitted, too; an expected change by derivatives would be no simulation."""
     returned = result.weighed.observe(result.alpha, MATCH).values
     # Its paths end where they are no longer needed.
-    np.testing.assert_allclose(result.after.values, returned, atol=1e-3)
+    np.testing.assert_allclose(result.matched.after.values, returned, atol=1e-3)
     stated = precise(tracing(result.prior)).observe(result.alpha, MATCH).values
     assert np.abs((returned - stated).mean(axis=1)).max() > 0.01
 
@@ -392,7 +395,7 @@ def test_what_was_not_measured_is_not_beside(result):
         pairs=measured.pairs,
         values={"t20": measured.natural("t20")},
     )
-    others = [p for p in result.before.parameters if p != "t20"]
-    beside = Compared.of(one, others, measured.pairs, result.before, result.after)
+    others = [p for p in result.matched.before.parameters if p != "t20"]
+    beside = Compared.of(one, others, measured.pairs, result.matched.before, result.matched.after)
     assert beside.parameters == ()
     assert beside.gaps == {}

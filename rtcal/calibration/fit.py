@@ -139,7 +139,7 @@ def fit(
     most: int = 6,
     halvings: int = 6,
     covariance: Array | None = None,
-    allowed: Callable[[], bool] = lambda: True,
+    allowed: Callable[[Array], bool] = lambda end: True,
     settled: Callable[[GaussNewtonStep, Array], bool] | None = None,
 ) -> GaussNewtonFit:
     """Return where Gauss-Newton steps end: at no larger objective than that of the start.
@@ -163,7 +163,7 @@ def fit(
     covariance : array (n, n), optional
         In the QP in place of that of the data, which judges the steps all the same.
     allowed : callable
-        Whether the point that the data predicted last may be an end, whatever its objective.
+        Whether a point may be an end, whatever its objective.
     settled : callable, optional
         Whether a step, and the alpha at which it ended, is the last; by default where the whole step
         changes no coefficient by more than `SETTLED` of its prior sigma.
@@ -188,7 +188,7 @@ def fit(
                 off = data.values - data.predict(end)
             except (DataError, SimulatorError):
                 return True
-            return objective.value(end, off) > now or (np.isfinite(now) and not allowed())
+            return objective.value(end, off) > now or (np.isfinite(now) and not allowed(end))
 
         for share in (*0.5 ** np.arange(halvings + 1.0), 0.0):
             end = np.asarray(start + share * (answer.alpha - start))

@@ -315,7 +315,7 @@ def simulated_controls(
             except DataError:  # some draws leave a decay without a parameter
                 alpha = room.alpha
                 found, difference = error(control, alpha, of_run, again)
-            factors.append(ahead_factor(found, control, alpha))
+            factors.append(ahead_factor(match, found.values, control, alpha))
         except (TooShortError, DataError):
             # The paths of a run may be too few, or a place too near a source for an EDT.
             if again:
@@ -345,12 +345,18 @@ def noise_of_a_run(simulator: Any, groups: Array | None) -> Array:
     return np.asarray(of_group * simulator.n_paths / GROUPS / paths_of_a_run(simulator))
 
 
-def ahead_factor(found: Observations, tracer: PathTracing, alpha: Array) -> float:
-    """Return how many times Eyring's T the decays are followed, so that they hold T20 or T30."""
+def ahead_factor(
+    parameters: Sequence[str], values: Array, tracer: PathTracing, alpha: Array
+) -> float:
+    """Return how many times Eyring's T decays are followed, so that they hold T20 or T30.
+
+    ``values`` (n_parameters, n_pairs, n_bands) are expected.
+    """
     times = [
-        found.natural(o.key).max() * (observables.MARGIN_DB - o.lower) / 60
-        for o in REVERBERATION
-        if o.key in found.parameters
+        kind.natural(of).max() * (observables.MARGIN_DB - kind.lower) / 60
+        for name, of in zip(parameters, values, strict=True)
+        for kind in REVERBERATION
+        if kind.key == name
     ]
     return _SPARE * max(max(times, default=0.0) / eyring_seconds(tracer.room, alpha), 1.0)
 
@@ -566,7 +572,7 @@ class MaterialScattering:
 
 
 def material_scattering(
-    tracer: PathTracing, alpha: Array, parameters: Sequence[str], traced: Array, seed: int
+    tracer: PathTracing, alpha: Array, parameters: Sequence[str], seed: int
 ) -> MaterialScattering:
     """Return how the values of a tracer depend on the scattering of each material.
 
@@ -580,7 +586,8 @@ def material_scattering(
     noise = ((off - off.mean(axis=1, keepdims=True)) ** 2).mean(axis=(1, 2, 3), keepdims=True)
     share = share_of_signal(((slope - common) ** 2).mean(axis=(1, 2, 3), keepdims=True), noise)
     return MaterialScattering(
-        slope=(common + share * (slope - common)).reshape(-1, slope.shape[-1]), traced=traced
+        slope=(common + share * (slope - common)).reshape(-1, slope.shape[-1]),
+        traced=np.zeros(slope.shape[-1]),
     )
 
 

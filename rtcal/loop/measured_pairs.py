@@ -9,7 +9,7 @@ evaluation.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,9 +33,7 @@ from rtcal.acoustics.observables import (
 from rtcal.acoustics.room import Room, fingerprint, of_pairs, refuse_repeated_data
 from rtcal.calibration.measured import copied, times_in_room
 from rtcal.files.saved import stated
-from rtcal.loop.control_runs import ahead_factor, level
-from rtcal.simulators.base import Observations, checked_parameters, jacobian, observe
-from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.base import Observations, checked_parameters
 from rtcal.support.errors import DataError
 from rtcal.support.text import as_sentence
 from rtcal.support.types import Array, read_only
@@ -395,120 +393,6 @@ def response_noise(
     return np.asarray(np.einsum("p...b,q...b->...pq", by_bin, by_bin)) / (bandwidth * width)
 
 
-_LEAST_SCATTERING = 0.02
-"""Scattering below which paths are followed for no longer."""
-_AHEAD = 2.0
-"""How many times Eyring's T the paths with another scattering are followed at least, where as much is
-scattered as stated. Where less is, they are followed for longer in proportion: in one of ten judged
-rooms they were traced three times with 2.0 alone."""
-
-
-@dataclass
-class Linearisation:
-    """A simulator's values at ``alpha``, in the order of the measured ones; its calls are counted.
-
-    What was simulated is kept: no coefficients are simulated twice.
-
-    Attributes
-    ----------
-    simulator : Simulator
-    data : MeasuredPairs
-    simulated : Observations
-        At all pairs of the simulator.
-    alpha : array (n_materials, n_bands)
-    seed, calls : int
-    used : int array (n_used,)
-        Which of the values were measured, counted over the measured parameters at all pairs.
-    """
-
-    simulator: Any
-    data: MeasuredPairs
-    simulated: Observations
-    alpha: Array
-    seed: int
-    calls: int = 1
-    used: NDArray[np.int64] = field(init=False)
-    _simulated: dict[bytes, Observations] = field(init=False)
-    _slopes: dict[bytes, Array] = field(init=False, default_factory=dict)
-    _rows: list[int] = field(init=False)
-    _columns: list[int] = field(init=False)
-
-    def __post_init__(self) -> None:
-        parameters, pairs = self.data.observations.parameters, self.simulated.pairs
-        self._simulated = {self.alpha.tobytes(): self.simulated}
-        self._rows = [self.simulated.parameters.index(p) for p in parameters]
-        self._columns = [pairs.index(p) for p in self.data.observations.pairs]
-        shape = (len(parameters), *self.simulated.values.shape[1:])
-        used = np.zeros(shape, dtype=bool)
-        used[:, self._columns] = self.data.used
-        # The measured pairs stand in the simulator's order, so the values used do, too.
-        self.used = np.flatnonzero(used)
-
-    def move(self, alpha: Array) -> None:
-        """Go to another alpha, which is simulated unless it was."""
-        key = alpha.tobytes()
-        if key not in self._simulated:
-            self.calls += 1
-            parameters = self.simulated.parameters
-            self._simulated[key] = observe(self.simulator, alpha, parameters, seed=self.seed)
-        self.alpha, self.simulated = alpha, self._simulated[key]
-
-    def scattered(self, tracer: PathTracing, expected: Array) -> Linearisation:
-        """Return the values of a tracer with another scattering, at this alpha.
-
-        ``expected`` (n_parameters, n_pairs, n_bands) is the change of every value that is expected; it
-        says for how long the paths are followed.
-        """
-        likely = Observations(
-            parameters=self.data.observations.parameters,
-            pairs=self.simulated.pairs,
-            centre_frequencies=self.simulated.centre_frequencies,
-            values=self.everywhere() + expected,
-        )
-        now, then = (level(of.scattering, of.room.areas) for of in (self.simulator, tracer))
-        less = max(now / max(then, _LEAST_SCATTERING), 1.0)  # times that it scatters less than now
-        ahead = max(_AHEAD * less, ahead_factor(likely, tracer, self.alpha))
-        tracer.trace_ahead(self.alpha, ahead, seed=self.seed)
-        simulated = tracer.observe(self.alpha, self.simulated.parameters, seed=self.seed)
-        return Linearisation(
-            tracer, self.data, simulated, self.alpha, self.seed, calls=self.calls + 1
-        )
-
-    def everywhere(self) -> Array:
-        """Return the values at all pairs of the simulator, (n_parameters, n_all_pairs, n_bands)."""
-        return np.asarray(self.simulated.values[self._rows])
-
-    def values(self) -> Array:
-        """Return the values, (n_parameters, n_pairs, n_bands)."""
-        return np.asarray(self.everywhere()[:, self._columns])
-
-    def residual(self) -> Array:
-        """Return measured less simulated, (n_used,)."""
-        return np.asarray((self.data.observations.values - self.values())[self.data.used])
-
-    def gaps(self) -> Array:
-        """Return root mean square gaps in JND: of all that is matched, and of each parameter."""
-        gap = self.data.gap(self.values())
-        return np.array([rms(gap), *rms(gap, axis=(1, 2))])
-
-    @property
-    def of_level(self) -> NDArray[np.bool_]:
-        """Which of the values used are levels, (n_used,)."""
-        parameters, (_, n_pairs, n_bands) = self.data.observations.parameters, self.data.used.shape
-        return of_level(parameters, n_pairs, n_bands)[self.data.used.ravel()]
-
-    def linearised(self) -> Array:
-        """Return the derivatives of the values used, (n_used, n_materials * n_bands)."""
-        key = self.alpha.tobytes()
-        if key not in self._slopes:
-            self.calls += 1
-            parameters = self.data.observations.parameters
-            slopes = jacobian(self.simulator, self.alpha, parameters, seed=self.seed)
-            used = by_band(slopes[:, self._columns])[self.data.used.ravel()]
-            self._slopes[key] = used
-        return self._slopes[key]
-
-
 def of_level(parameters: Sequence[str], n_pairs: int, n_bands: int) -> NDArray[np.bool_]:
     """Return which values are levels, (n_parameters * n_pairs * n_bands,)."""
     return np.repeat([observable(p).part == "level" for p in parameters], n_pairs * n_bands)
@@ -588,7 +472,7 @@ class BeyondPrior:
         )
 
 
-def beyond_prior(here: Linearisation, room: Room, prior: Array, error: Array) -> BeyondPrior | None:
+def beyond_prior(model: Any, room: Room, prior: Array, error: Array) -> BeyondPrior | None:
     """Return how far the measured T is from the stated coefficients; None if they explain it.
 
     T20 or T30 is judged, else EDT. Absorption is inverse to T, so that T itself says how much more is
@@ -597,14 +481,14 @@ def beyond_prior(here: Linearisation, room: Room, prior: Array, error: Array) ->
 
     Parameters
     ----------
-    here : Linearisation
-        At the stated coefficients.
+    model : rtcal.loop.positions.PairsModel
     room : Room
+        With the stated coefficients.
     prior : array (n_unknowns, n_unknowns)
     error : array (n, n)
         Covariance of the simulator's error, of all values.
     """
-    data, parameters = here.data, here.data.observations.parameters
+    data, parameters = model.data, model.data.observations.parameters
     known = [o.key for o in (*REVERBERATION, EARLY) if o.key in parameters]
     if not known:
         return None
@@ -614,9 +498,9 @@ def beyond_prior(here: Linearisation, room: Room, prior: Array, error: Array) ->
     weight = (band[rows] == bands[:, np.newaxis]).astype(float)
     weight /= weight.sum(axis=1, keepdims=True)
     goal = np.exp(weight @ data.observations.values[data.used][rows])
-    has = np.exp(weight @ here.values()[data.used][rows])
+    has = np.exp(weight @ model.values(room.alpha)[data.used][rows])
     more = has / goal - 1
-    slopes, own = weight @ here.linearised()[rows], here.used[rows]
+    slopes, own = weight @ model.jacobian(room.alpha)[rows], model.used[rows]
     errors = data.covariance[np.ix_(rows, rows)] + error[np.ix_(own, own)]
     of_stated = np.sqrt(np.einsum("ku,uv,kv->k", slopes, prior, slopes))
     of_mean = np.sqrt(np.einsum("kr,rs,ks->k", weight, errors, weight))

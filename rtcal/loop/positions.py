@@ -17,7 +17,6 @@ import os
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -49,6 +48,7 @@ from rtcal.loop.control_runs import (
     ErrorsByScattering,
     MaterialScattering,
     Scattering,
+    ahead_factor,
     errors_by_scattering,
     fitted,
     level,
@@ -64,13 +64,14 @@ from rtcal.loop.measured_pairs import (
     T30_ALONE,
     BeyondPrior,
     Compared,
-    Linearisation,
     MeasuredPairs,
     Pair,
     beyond_prior,
+    by_band,
     history,
     left,
     means,
+    of_level,
     pairs_to_match,
     refuse_known,
     rows_of_pairs,
@@ -85,6 +86,7 @@ from rtcal.simulators.base import (
     Observations,
     Simulator,
     complete,
+    jacobian,
     observe,
 )
 from rtcal.simulators.path_tracing import PathTracing, ScatteringModel
@@ -96,7 +98,7 @@ from rtcal.support.types import Array
 
 
 def simulator_error(
-    here: Linearisation, controls: ControlRuns | None, fit_scattering: bool
+    model: PairsModel, alpha: Array, controls: ControlRuns | None, fit_scattering: bool
 ) -> tuple[Array, ErrorsByScattering | None]:
     """Return the covariance of the simulator's error, and its errors by scattering.
 
@@ -104,20 +106,17 @@ def simulator_error(
     second is None where the scattering stated is kept, as by every simulator but a `PathTracing` with
     the model "random". Only its paths tell what scattering does. Coefficients of 0 and 1 are kept, too.
     """
-    simulated, parameters = here.simulated, here.data.observations.parameters
-    shape = (len(parameters), *simulated.values.shape[1:])
+    parameters = model.data.observations.parameters
     if controls is None:
         error = np.array([observable(p).unknown_error for p in parameters])
-        variance = error[:, np.newaxis, np.newaxis] ** 2
-        return np.diag(np.broadcast_to(variance, shape).ravel()), None
-    controls, tracer = controls.at(parameters, simulated.pairs), here.simulator
-    able = complete(tracer)
-    groups = able.observe_in_groups(here.alpha, GROUPS, parameters, seed=here.seed)
-    noise = noise_of_a_run(tracer, groups)
+        number = model.everywhere(alpha)[0].size
+        return np.diag(np.repeat(error**2, number)), None
+    controls, able = controls.at(parameters, model.pairs), complete(model.simulator)
+    groups = able.observe_in_groups(alpha, GROUPS, parameters, seed=model.seed)
+    noise = noise_of_a_run(model.simulator, groups)
     whole = controls.without_noise(noise).covariance()
-    if not fit_scattering or not able.fits_scattering:
-        return whole, None
-    return whole, errors_by_scattering(controls, noise)
+    fitted = fit_scattering and able.fits_scattering
+    return whole, errors_by_scattering(controls, noise) if fitted else None
 
 
 _MOST_UNEXPLAINED = 100.0
@@ -199,16 +198,107 @@ a tracing."""
 POSITIONS = LinearObservations("positions")
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """A point of a fit: the values at every position, and their errors there, as an `Observation`.
+_LEAST_SCATTERING = 0.02
+"""Scattering below which paths are followed for no longer."""
+_AHEAD = 2.0
+"""How many times Eyring's T the paths with another scattering are followed at least, where as much is
+scattered as stated. Where less is, they are followed for longer in proportion: in one of ten judged
+rooms they were traced three times with 2.0 alone."""
+
+
+class PairsModel:
+    """A simulator's values at the measured pairs and their derivatives, for any alpha.
+
+    Nothing is simulated twice.
 
     Attributes
     ----------
-    here : Linearisation
-        The simulator with the scattering traced; steps move its alpha.
-    materials : MaterialScattering or None
-        What the scattering does there; None where the one stated is kept.
+    simulator : Simulator
+    data : MeasuredPairs
+    seed : int
+    used : int array (n_used,)
+        Which of the values were measured, counted over the measured parameters at all pairs.
+    of_level : bool array (n_used,)
+        Which of them are levels.
+    calls : int
+        Number of simulations and derivatives.
+    """
+
+    def __init__(
+        self, simulator: Any, data: MeasuredPairs, alpha: Array, first: Observations, seed: int
+    ) -> None:
+        """Begin with what is simulated for an alpha, also of parameters that are not matched."""
+        self.simulator, self.data, self.seed, self.calls = simulator, data, seed, 1
+        self.pairs, matched = first.pairs, data.observations
+        self.used, self.unit = data.among(first.pairs), matched.one_jnd[data.used]
+        self.of_level = of_level(matched.parameters, *data.used.shape[1:])[data.used.ravel()]
+        self._rows = [first.parameters.index(p) for p in matched.parameters]
+        self._columns = [first.pairs.index(pair) for pair in matched.pairs]
+        self._parameters = first.parameters
+        self._values, self._slopes = {alpha.tobytes(): first}, dict[bytes, Array]()
+
+    def simulated(self, alpha: Array) -> Observations:
+        """Return what is simulated at all pairs, also of parameters that are not matched."""
+        key = alpha.tobytes()
+        if key not in self._values:
+            self.calls += 1
+            found = observe(self.simulator, alpha, self._parameters, seed=self.seed)
+            self._values[key] = found
+        return self._values[key]
+
+    def everywhere(self, alpha: Array) -> Array:
+        """Return the matched parameters at all pairs, (n_parameters, n_all_pairs, n_bands)."""
+        return np.asarray(self.simulated(alpha).values[self._rows])
+
+    def values(self, alpha: Array) -> Array:
+        """Return those at the measured pairs, (n_parameters, n_pairs, n_bands)."""
+        return np.asarray(self.everywhere(alpha)[:, self._columns])
+
+    def residual(self, alpha: Array) -> Array:
+        """Return measured less simulated, (n_used,)."""
+        return np.asarray((self.data.observations.values - self.values(alpha))[self.data.used])
+
+    def gaps(self, alpha: Array) -> Array:
+        """Return root mean square gaps in JND: of all that is matched, and of each parameter."""
+        gap = self.data.gap(self.values(alpha))
+        return np.array([rms(gap), *rms(gap, axis=(1, 2))])
+
+    def jacobian(self, alpha: Array) -> Array:
+        """Return the derivatives of the values used, (n_used, n_materials * n_bands)."""
+        key = alpha.tobytes()
+        if key not in self._slopes:
+            self.calls += 1
+            parameters = self.data.observations.parameters
+            slopes = jacobian(self.simulator, alpha, parameters, seed=self.seed)
+            self._slopes[key] = by_band(slopes[:, self._columns])[self.data.used.ravel()]
+        return self._slopes[key]
+
+    def scattered(self, alpha: Array, tracer: PathTracing, change: Array) -> PairsModel:
+        """Return the model of a tracer with another scattering, begun at an alpha.
+
+        ``change`` (n,) of all values is expected; it says for how long the paths are followed.
+        """
+        likely = self.everywhere(alpha)
+        likely = likely + change.reshape(likely.shape)
+        now, then = (level(of.scattering, of.room.areas) for of in (self.simulator, tracer))
+        less = max(now / max(then, _LEAST_SCATTERING), 1.0)  # times that it scatters less than now
+        needed = ahead_factor(self.data.observations.parameters, likely, tracer, alpha)
+        tracer.trace_ahead(alpha, max(_AHEAD * less, needed), seed=self.seed)
+        first = tracer.observe(alpha, self._parameters, seed=self.seed)
+        return PairsModel(tracer, self.data, alpha, first, self.seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A point of a fit: the model there and its errors, as an `Observation`.
+
+    Attributes
+    ----------
+    model : PairsModel
+        With the scattering traced.
+    alpha : array (n_materials, n_bands)
+    materials : MaterialScattering
+        What the scattering does there; of no materials where the one stated is kept.
     error : array (n, n)
         Covariance of the simulator's error at all values, with that of an unknown scattering.
     unexplained : array (n_parameters,)
@@ -221,61 +311,55 @@ class Fitted:
         Whether no step led nearer, so that the start is returned.
     """
 
-    here: Linearisation
-    materials: Any
+    model: PairsModel
+    alpha: Array
+    materials: MaterialScattering
     error: Array
     unexplained: Array
     covariance: Array
     path: Any = None
     refused: bool = False
 
-    @cached_property
-    def factor(self) -> Array:
-        """The Cholesky factor of the covariance."""
-        return np.asarray(np.linalg.cholesky(self.covariance))
-
     @property
     def offset(self) -> Array:
         """How much larger values are with the scattering traced than with that stated, (n_used,)."""
-        return _offset(self.here, self.materials)
+        return np.asarray(-self.materials.back[self.model.used])
 
     @property
     def values(self) -> Array:
         """The measured values used, (n_used,), were the scattering the one traced."""
-        data = self.here.data
+        data = self.model.data
         return np.asarray(data.observations.values[data.used] + self.offset)
 
     def predict(self, alpha: Array) -> Array:
         """Return the simulated values used, (n_used,)."""
-        self.here.move(alpha)
-        return np.asarray(self.here.values()[self.here.data.used])
+        return np.asarray(self.model.values(alpha)[self.model.data.used])
 
     def jacobian(self, alpha: Array) -> Array:
         """Return their derivatives, (n_used, n_materials * n_bands)."""
-        self.here.move(alpha)
-        return self.here.linearised()
+        return self.model.jacobian(alpha)
 
     @property
     def residual(self) -> Array:
         """Measured less simulated with the scattering stated, by derivatives, (n_used,)."""
-        return self.here.residual() + self.offset
+        return self.model.residual(self.alpha) + self.offset
+
+    @property
+    def gaps(self) -> Array:
+        """Root mean square gaps in JND: of all that is matched, and of each parameter."""
+        return self.model.gaps(self.alpha)
 
     @property
     def pull(self) -> Array:
         """Inverse covariance times the residual, (n,): 0 where nothing was measured."""
         pull = np.zeros(len(self.error))
-        pull[self.here.used] = np.linalg.solve(self.covariance, self.residual)
+        pull[self.model.used] = np.linalg.solve(self.covariance, self.residual)
         return pull
 
-    @property
-    def last(self) -> GaussNewtonStep:
-        """The last step; a fit has taken one."""
-        step: GaussNewtonStep = self.path.steps[-1]
-        return step
-
-
-def _offset(here: Linearisation, materials: MaterialScattering | None) -> Array:
-    return np.zeros(len(here.used)) if materials is None else -materials.back[here.used]
+    def objective(self, unknown: Array | float = 0.0) -> ModelObjective:
+        """Return the objective with the simulator itself, without a covariance that is not known."""
+        factor = np.asarray(np.linalg.cholesky(self.covariance - unknown))
+        return ModelObjective(self.path.answer, POSITIONS, factor)
 
 
 class PositionsFit:
@@ -287,9 +371,9 @@ class PositionsFit:
 
     Parameters
     ----------
-    here : Linearisation
-        At the room's coefficients.
+    model : PairsModel
     room : Room
+        The fit starts at its coefficients.
     calibration : Calibration, optional
         Prior, further terms and constraints.
     measured : Measurement
@@ -299,11 +383,16 @@ class PositionsFit:
         Covariance of the simulator's error, with the scattering kept.
     by_scattering : ErrorsByScattering or None
         The errors by scattering, where it is fitted.
+
+    Attributes
+    ----------
+    calls : int
+        Number of simulations and derivatives.
     """
 
     def __init__(
         self,
-        here: Linearisation,
+        model: PairsModel,
         room: Room,
         calibration: Calibration | None,
         measured: Measurement,
@@ -311,7 +400,7 @@ class PositionsFit:
         error: Array,
         by_scattering: ErrorsByScattering | None,
     ) -> None:
-        self.here, self.room, self.prior = here, room, prior
+        self.model, self.start, self.room, self.prior = model, room.alpha, room, prior
         self.error, self.by_scattering = error, by_scattering
         objective: Any = PriorDeviation(
             band_correlation=room.band_correlation,
@@ -321,209 +410,197 @@ class PositionsFit:
         constraints: Any = ()
         if calibration is not None:
             objective, constraints = calibration.objective, calibration.constraints
-        whole = Calibration(objective + POSITIONS, constraints)
-        self._problem = whole.build(room)
+        self._problem = Calibration(objective + POSITIONS, constraints).build(room)
         self._times = None if calibration is None else measured
-        self._residual, self._gaps = here.residual(), here.gaps()
+        self._residual, self._gaps = model.residual(self.start), model.gaps(self.start)
         # No parameter is given up for the others, but for what is no more than noise.
         self._limit = np.array([self._gaps[0], *np.maximum(self._gaps[1:], FITS)])
-        self._unit = here.data.observations.one_jnd[here.data.used]
-        self._parameter = np.nonzero(here.data.used)[0]
+        self._parameter = np.nonzero(model.data.used)[0]
+        self._others: list[PairsModel] = []
+
+    @property
+    def calls(self) -> int:
+        """Number of simulations and derivatives."""
+        return sum(model.calls for model in (self.model, *self._others))
 
     def run(self) -> Fitted:
         """Return where the fit ends."""
-        ended = self._nearest()
-        if not ended.refused and ended.here.gaps()[0] > FITS:
-            self._close(ended)
-        return ended
-
-    def _nearest(self) -> Fitted:
-        """Return where the objective is least."""
+        ended = None
         if self.by_scattering is not None:
-            free = self._with_stated_scattering(guarded=False)
-            if (found := self._with_other_scattering(free)) is not None:
-                return found
-            self.here.move(self.room.alpha)
-        return self._with_stated_scattering(guarded=True)
+            ended = self._with_other_scattering(self._with_stated_scattering(guarded=False))
+        ended = ended or self._with_stated_scattering(guarded=True)
+        return ended if ended.refused or ended.gaps[0] <= FITS else self._closer(ended)
 
-    def _close(self, ended: Fitted) -> None:
-        """Move to a smaller gap where the objective is indistinct from its minimum.
+    def _closer(self, ended: Fitted) -> Fitted:
+        """Return a point with a smaller gap where the objective is indistinct from its minimum.
 
         An error of the simulator that all bands have in common counts once, and the deviation of every
         coefficient by itself: so coefficients that all are off by the same factor leave a part of the
         gap at the minimum.
         """
-        here, objective = ended.here, self._objective(ended, ended.factor)
-        start, gaps, residual, matrix = here.alpha, here.gaps(), ended.residual, here.linearised()
-        least = objective.value(start, residual)
-        most = min(least + _INDISTINCT, objective.value(self.room.alpha, self._residual))
-        values, covariance = (
-            residual + matrix @ start.ravel(),
-            self._weighted(ended, _GAP_WEIGHTS[0]),
+        objective, alpha, gaps = ended.objective(), ended.alpha, ended.gaps
+        residual, matrix = ended.residual, ended.jacobian(alpha)
+        least = objective.value(alpha, residual)
+        most = min(least + _INDISTINCT, objective.value(self.start, self._residual))
+        nearer = Observed(
+            matrix=matrix,
+            values=residual + matrix @ alpha.ravel(),
+            covariance=self._weighted(ended, _GAP_WEIGHTS[0]),
         )
-        nearer = Observed(matrix=matrix, values=values, covariance=covariance)
         answer = self._problem.solve(self._times, observed={POSITIONS: nearer}, method="positions")
-        way = answer.alpha - start
-        rise = objective.value(start + way, residual - matrix @ way.ravel()) - least
+        way = answer.alpha - alpha
+        rise = objective.value(alpha + way, residual - matrix @ way.ravel()) - least
         share = np.sqrt(_INDISTINCT / max(rise, _INDISTINCT))
         limit = np.maximum(gaps, FITS)
         for _ in range(_TRIALS):
-            alpha = start + share * way
+            moved = replace(ended, alpha=alpha + share * way)
             with suppress(DataError, SimulatorError):  # a decay without a time
-                here.move(alpha)
-                now = here.gaps()
-                inside = objective.value(alpha, ended.residual) <= most
+                now = moved.gaps
+                inside = objective.value(moved.alpha, moved.residual) <= most
                 if inside and now[0] < gaps[0] and (now <= limit).all():
-                    return
+                    return moved
             share /= 2
-        here.move(start)
-
-    @staticmethod
-    def _objective(at: Fitted, factor: Array) -> ModelObjective:
-        return ModelObjective(at.last.answer, POSITIONS, factor)
+        return ended
 
     def _with_stated_scattering(self, *, guarded: bool) -> Fitted:
         """Return where alpha ends with the scattering stated.
 
         If ``guarded``, no farther than the start. Else the scattering is still to be fitted.
         """
-        here = self.here
         # The first steps only lead near: with errors that were found at the start, where a simulator
         # is far from what was measured, its curvature would count as an error.
-        nothing = np.zeros(len(here.data.used))
-        at = self._steps(self._point(here, self._stated_materials(), nothing), np.inf)
+        nothing = np.zeros(len(self.model.data.used))
+        at = self._steps(self._point(self.model, self.start, unexplained=nothing), np.inf)
         for _ in range(_PASSES):
             before, path = at.unexplained, at.path
-            at = replace(self._point(here, self._stated_materials()), path=path)
-            objective = self._objective(at, at.factor)
-            now = objective.value(here.alpha, here.residual())
-            start = objective.value(self.room.alpha, self._residual)
+            at = replace(self._point(self.model, at.alpha), path=path)
+            objective = at.objective()
+            now = objective.value(at.alpha, at.residual)
+            start = objective.value(self.start, self._residual)
             begins_right = guarded and bool(np.isfinite(start))
-            if begins_right and not (now <= start and (here.gaps() <= self._limit).all()):
-                here.move(self.room.alpha)
+            if begins_right and not (now <= start and (at.gaps <= self._limit).all()):
+                at = replace(at, alpha=self.start)
             at = self._steps(at, self._limit if begins_right else np.inf)
             if np.abs(at.unexplained - before).max() < _ALIKE:
                 break
         misses = guarded and self._gaps[0] > FITS
         for weight in _GAP_WEIGHTS if misses else ():
-            if not np.array_equal(here.alpha, self.room.alpha):
+            if not np.array_equal(at.alpha, self.start):
                 break
             # The objective falls along its own step and the gap rises: a step may lower both.
-            self._steps(at, self._limit, weight)
-            at = self._steps(at, self._limit)
-        return replace(at, refused=misses and np.array_equal(here.alpha, self.room.alpha))
+            at = self._steps(self._steps(at, self._limit, weight), self._limit)
+        return replace(at, refused=misses and np.array_equal(at.alpha, self.start))
 
     def _with_other_scattering(self, free: Fitted) -> Fitted | None:
         """Return the nearest of the fits with scattering fitted, too; None if none is near."""
-        best, at, here = self._better(None, free), free, free.here
-        stated, tracer = free.materials, here.simulator
-        model, change, log_odds = self._first_scattering(free, stated)
-        if model == stated.model and not log_odds.any():
+        best, at, model = self._better(None, free), free, free.model
+        stated, tracer = free.materials, model.simulator
+        meaning, change, log_odds = self._first_scattering(free, stated)
+        if meaning == stated.model and not log_odds.any():
             return best
         for _ in range(_ROUNDS):
-            other = scattered(tracer, log_odds, model)
+            other = scattered(tracer, log_odds, meaning)
             try:
-                here = here.scattered(other, change.reshape(here.everywhere().shape))
+                model = model.scattered(at.alpha, other, change)
             except TooShortError:  # with so little scattering no decay ends
                 break
+            self._others.append(model)
             # Only paths of the model "random" tell the slopes; those of the other serve for both.
-            materials = self._materials(here) if model == "random" else stated
-            materials = replace(materials, traced=log_odds, model=model)
-            at = replace(self._point(here, materials), path=at.path)
-            best = self._better(best, replace(at, here=copy(here)))
+            materials = self._materials(model, at.alpha) if meaning == "random" else stated
+            materials = replace(materials, traced=log_odds, model=meaning)
+            at = replace(self._point(model, at.alpha, materials), path=at.path)
+            best = self._better(best, at)
             at = self._steps(at, np.inf)
             best = self._better(best, at)
             likely = materials.likely(at.pull).round(DIGITS)
             if np.abs(likely - log_odds).max() < _SETTLED_ODDS:
                 break
             change, log_odds = materials.slope @ (likely - log_odds), likely
-        if best is not None:
-            best.here.calls = here.calls
         return best
 
     def _first_scattering(
         self, kept: Fitted, materials: MaterialScattering
     ) -> tuple[ScatteringModel, Array, Array]:
         """Return the likelier model, the change of all values that is expected, and the log odds."""
-        here, used = kept.here, kept.here.used
-        matrix = here.linearised()
-        innovation = here.residual() + matrix @ (here.alpha - self.room.alpha).ravel()
+        used, matrix = kept.model.used, kept.jacobian(kept.alpha)
+        innovation = kept.model.residual(kept.alpha) + matrix @ (kept.alpha - self.start).ravel()
         of_data = kept.covariance - kept.error[np.ix_(used, used)]
         found = []
-        for model in MODELS:
+        for meaning in MODELS:
             added = np.zeros(len(materials.slope))
-            if model == "vector" and self.by_scattering is not None:
+            if meaning == "vector" and self.by_scattering is not None:
                 added = self.by_scattering.of_model.ravel()
-            error = self._error(here, replace(materials, model=model))
+            error = self._error(kept.model, replace(materials, model=meaning))
             left = innovation - added[used]
             whole = matrix @ self.prior @ matrix.T + of_data + error[np.ix_(used, used)]
             pull = np.zeros(len(added))
             pull[used] = np.linalg.solve(whole, left)
             log_odds = materials.likely(pull).round(DIGITS)
-            found.append((log_likelihood(left, whole), model, added, log_odds))
-        _, model, added, log_odds = max(found, key=lambda of: of[0])
-        return model, added + materials.slope @ log_odds, log_odds
+            found.append((log_likelihood(left, whole), meaning, added, log_odds))
+        _, meaning, added, log_odds = max(found, key=lambda of: of[0])
+        return meaning, added + materials.slope @ log_odds, log_odds
 
-    def _stated_materials(self) -> MaterialScattering | None:
-        """Return what the scattering stated does at the start's simulator; None where it is kept."""
-        return None if self.by_scattering is None else self._materials(self.here)
+    def _materials(self, model: PairsModel, alpha: Array) -> MaterialScattering:
+        """Return what the scattering of a tracing does; of no materials where it is kept."""
+        if self.by_scattering is None:
+            return MaterialScattering(slope=np.zeros((len(self.error), 0)), traced=np.zeros(0))
+        parameters = model.data.observations.parameters
+        return material_scattering(model.simulator, alpha, parameters, model.seed)
 
-    @staticmethod
-    def _materials(here: Linearisation) -> MaterialScattering:
-        tracer, parameters = here.simulator, here.data.observations.parameters
-        stated = np.zeros(tracer.room.n_materials)
-        return material_scattering(tracer, here.alpha, parameters, stated, here.seed)
-
-    def _error(self, here: Linearisation, materials: MaterialScattering | None) -> Array:
+    def _error(self, model: PairsModel, materials: MaterialScattering) -> Array:
         """Return the covariance of the simulator's error, with the scattering not known, (n, n)."""
-        if materials is None or self.by_scattering is None:
+        if self.by_scattering is None:
             return self.error
-        at = level(here.simulator.scattering, here.simulator.room.areas)
+        at = level(model.simulator.scattering, model.simulator.room.areas)
         return self.by_scattering.covariance(at, materials.model) + materials.covariance
 
     def _point(
         self,
-        here: Linearisation,
-        materials: MaterialScattering | None,
+        model: PairsModel,
+        alpha: Array,
+        materials: MaterialScattering | None = None,
         unexplained: Array | None = None,
     ) -> Fitted:
-        """Return the errors where the here is; the ``unexplained`` ones are found if None."""
-        error, matrix = self._error(here, materials), here.linearised()
-        of_room = value_changes(self.room, matrix, here.of_level)
-        known = here.data.covariance + of_room.T @ of_room
-        known = known + error[np.ix_(here.used, here.used)]
+        """Return a point and its errors; the ``unexplained`` ones are found if None.
+
+        ``materials`` is by default what the scattering stated does there.
+        """
+        materials = materials or self._materials(model, alpha)
+        error, matrix = self._error(model, materials), model.jacobian(alpha)
+        of_room = value_changes(self.room, matrix, model.of_level)
+        known = model.data.covariance + of_room.T @ of_room
+        known = known + error[np.ix_(model.used, model.used)]
+        at = Fitted(model, alpha, materials, error, np.zeros(0), known)
         if unexplained is None:
-            innovation = here.residual() + _offset(here, materials)
-            innovation = innovation + matrix @ (here.alpha - self.room.alpha).ravel()
+            innovation = at.residual + matrix @ (alpha - self.start).ravel()
             expected = matrix @ self.prior @ matrix.T + known
-            unexplained = unexplained_errors(innovation, expected, self._unit, self._parameter)
-        covariance = known + np.diag((unexplained[self._parameter] * self._unit) ** 2)
-        return Fitted(here, materials, error, unexplained, covariance)
+            unexplained = unexplained_errors(innovation, expected, model.unit, self._parameter)
+        own = np.diag((unexplained[self._parameter] * model.unit) ** 2)
+        return replace(at, unexplained=unexplained, covariance=known + own)
 
     def _steps(self, at: Fitted, limit: Array | float, weight: float = 0.0) -> Fitted:
-        """Take Gauss-Newton steps from a point, whose simulator is left where they end.
+        """Return where Gauss-Newton steps from a point end.
 
         ``weight`` is that of the squared gap in JND, which the steps lower beside the objective.
         """
         path = fit(
             self._problem,
             at,
-            at.here.alpha,
+            at.alpha,
             term=POSITIONS,
             method="positions",
             times=self._times,
             most=STEPS,
             covariance=self._weighted(at, weight),
-            allowed=lambda: not (at.here.gaps() > limit).any(),
+            allowed=lambda end: not (at.model.gaps(end) > limit).any(),
         )
-        at.here.move(path.alpha)
-        return replace(at, path=path)
+        return replace(at, alpha=path.alpha, path=path)
 
     def _weighted(self, at: Fitted, weight: float) -> Array:
         """Return the errors' covariance where the squared gap in JND has a ``weight`` beside it."""
         if not weight:
             return at.covariance
-        information = np.linalg.inv(at.covariance) + np.diag(weight / self._unit**2)
+        information = np.linalg.inv(at.covariance) + np.diag(weight / at.model.unit**2)
         found = np.linalg.inv(information)
         # Rounding, which large references make large, leaves it asymmetric.
         return np.asarray(found + found.T) / 2
@@ -534,19 +611,17 @@ class PositionsFit:
         The scattering's own deviations count, and its uncertainty does not. The second is not taken if
         its objective or its gap is above the start's.
         """
-        here, materials = other.here, other.materials
-        used = here.used
-        unknown = materials.covariance[np.ix_(used, used)]
-        factor = np.asarray(np.linalg.cholesky(other.covariance - unknown))
-        objective = self._objective(other, factor)
+        used = other.model.used
+        objective = other.objective(other.materials.covariance[np.ix_(used, used)])
 
         def value(at: Fitted) -> float:
             log_odds = at.materials.traced
-            of_scattering = 0.5 * log_odds @ np.linalg.solve(materials.prior, log_odds)
-            return objective.value(at.here.alpha, at.here.residual()) + float(of_scattering)
+            of_scattering = log_odds @ np.linalg.solve(at.materials.prior, log_odds)
+            residual = at.model.residual(at.alpha)
+            return objective.value(at.alpha, residual) + 0.5 * float(of_scattering)
 
-        start, now = objective.value(self.room.alpha, self._residual), value(other)
-        if np.isfinite(start) and (now > start or (here.gaps() > self._limit).any()):
+        start, now = objective.value(self.start, self._residual), value(other)
+        if np.isfinite(start) and (now > start or (other.gaps > self._limit).any()):
             return best
         return other if best is None or now < value(best) else best
 
@@ -639,7 +714,7 @@ def calibrate_positions(
     ...     errors=0.1 * np.ones((4, 1, len(tracer.pairs), hall.room.n_bands)))
     >>> result = rt.calibrate_positions(
     ...     tracer, hall.room, measured, ("t20",), controls=controls)
-    >>> len(result.before.pairs)
+    >>> len(result.pairs)
     4
     """
     modes = room if isinstance(room, ModesResult) else None
@@ -694,55 +769,55 @@ def calibrate_positions(
             cache=cache,
             progress=progress,
         )
-    in_room = measured.in_bands(room.centre_frequencies)
-    here = Linearisation(simulator, data, first, room.alpha, seed)
-    before = here.values()
+    model = PairsModel(simulator, data, room.alpha, first, seed)
     prior = prior_covariance(room)
-    error, by_scattering = simulator_error(here, controls, fit_scattering)
-    beyond = beyond_prior(here, room, prior, error)
-    ended = PositionsFit(
-        here,
-        room,
-        calibration,
-        measured,
-        prior,
-        error,
-        None if beyond else by_scattering,
-    ).run()
-    here, path, last = ended.here, ended.path, ended.last.matrix
+    error, by_scattering = simulator_error(model, room.alpha, controls, fit_scattering)
+    beyond = beyond_prior(model, room, prior, error)
+    by_scattering = None if beyond else by_scattering
+    of_fit = PositionsFit(model, room, calibration, measured, prior, error, by_scattering)
+    ended = of_fit.run()
+    alpha, path, matrix = ended.alpha, ended.path, ended.path.steps[-1].matrix
     scattering, start = None, None if tracer is None else tracer.scattering
-    if ended.materials is not None and tracer is not None:
-        weighed = here.simulator
+    if by_scattering is not None and tracer is not None:
+        weighed = ended.model.simulator
         given = tracer = replace(
             tracer, scattering=weighed.scattering, scattering_model=weighed.scattering_model
         )
-        posterior = ended.materials.posterior(here.used, ended.covariance + last @ prior @ last.T)
+        unknown = ended.covariance + matrix @ prior @ matrix.T
+        posterior = ended.materials.posterior(ended.model.used, unknown)
         scattering = fitted(tracer, ended.materials.traced, posterior)
     elif fit_scattering and tracer is not None:
         notes = (*notes, _kept(tracer, beyond))
-    others = [p for p in first.parameters if p not in data.observations.parameters]
+    name = given.name + ("" if scattering is None else f", scattering {scattering.mean:.2f}")
+    in_room, after = measured.in_bands(room.centre_frequencies), ended.model.simulated(alpha)
+    matched = data.observations
+    others = [p for p in first.parameters if p not in matched.parameters]
     # A relative level has no reference at a pair that is left out.
-    judged = [p for p in data.observations.parameters if p != LEVEL.key]
-    held_out = Compared.of(in_room, judged, exclude, first, here.simulated)
+    judged = [p for p in matched.parameters if p != LEVEL.key]
+    held_out = Compared.of(in_room, judged, exclude, first, after)
     return PositionsResult(
         prior=room,
-        room=room if ended.refused else _calibrated(room, given, scattering, ended, data, controls),
-        simulator=_named(given, scattering),
+        room=room if ended.refused else _calibrated(room, given, name, ended, data, controls),
+        simulator=name,
         tracer=given,
         weighed=precise(given, more_paths),
         seed=seed,
         scattering=scattering,
         start=start,
-        simulations=here.calls,
+        simulations=of_fit.calls,
         measured=data,
-        beside=Compared.of(in_room, others, data.observations.pairs, first, here.simulated),
+        matched=Compared(
+            measured=matched,
+            before=first.at(matched),
+            after=after.at(matched),
+            relative=data.level == "relative",
+        ),
+        beside=Compared.of(in_room, others, matched.pairs, first, after),
         held_out=held_out if held_out.parameters else None,
-        before=replace(data.observations, values=before),
-        after=replace(data.observations, values=here.values()),
         predicted=_predicted(ended, with_error=controls is not None),
         controls=controls,
         unexplained=ended.unexplained,
-        innovation=ended.residual + last @ (here.alpha - room.alpha).ravel(),
+        innovation=ended.residual + matrix @ (alpha - room.alpha).ravel(),
         covariance=ended.covariance,
         prior_covariance=prior,
         steps=path.steps,
@@ -759,24 +834,18 @@ def _predicted(ended: Fitted, *, with_error: bool) -> Observations:
     The error's mean given the residual r at the measured pairs: D_all (R + D)⁻¹ r, D_all its
     covariance between all values and those used.
     """
-    simulated, values = ended.here.simulated, ended.here.everywhere()
+    values = ended.model.everywhere(ended.alpha)
     if with_error:
-        error = ended.error @ ended.pull
-        if ended.materials is not None:
-            error = error + ended.materials.back
+        error = ended.error @ ended.pull + ended.materials.back
         values = values + error.reshape(values.shape)
-    return Observations(
-        parameters=ended.here.data.observations.parameters,
-        pairs=simulated.pairs,
-        centre_frequencies=simulated.centre_frequencies,
-        values=values,
-    )
+    matched = ended.model.data.observations
+    return replace(matched, pairs=ended.model.pairs, values=values)
 
 
 def _calibrated(
     room: Room,
     simulator: Simulator,
-    scattering: Scattering | None,
+    name: str,
     ended: Fitted,
     data: MeasuredPairs,
     controls: ControlRuns | None,
@@ -785,10 +854,10 @@ def _calibrated(
 
     It has the scattering coefficients of a `PathTracing` and their meaning, too.
     """
-    answer = ended.last.answer
+    answer = ended.path.answer
     record = CalibrationRecord(
         method="positions",
-        equation=f"every position heard by {_named(simulator, scattering)}",
+        equation=f"every position heard by {name}",
         measured=" ".join([*history(room), *data.fingerprints]),
         solver=answer.solver,
         version=__version__,
@@ -798,8 +867,7 @@ def _calibrated(
         room = room.replace(
             scattering=simulator.scattering, scattering_model=simulator.scattering_model
         )
-    alpha = np.clip(ended.here.alpha, 0.0, 1.0)
-    return room.replace(alpha=alpha, sigma=sigma, calibration=record)
+    return room.replace(alpha=np.clip(ended.alpha, 0.0, 1.0), sigma=sigma, calibration=record)
 
 
 def _first(
@@ -893,13 +961,6 @@ def _kept(tracer: PathTracing, beyond: BeyondPrior | None) -> str:
     return "The scattering stated was kept: too few control runs tell what it changes."
 
 
-def _named(simulator: Simulator, scattering: Scattering | None) -> str:
-    """Return what the coefficients belong to."""
-    if scattering is None:
-        return simulator.name
-    return f"{simulator.name}, scattering {scattering.mean:.2f}"
-
-
 def gap_table(
     parameters: Sequence[str],
     pairs: Sequence[Pair],
@@ -959,13 +1020,13 @@ class PositionsResult(Result):
         `PathTracing` weighs the same traced paths in each.
     measured : MeasuredPairs
         What was matched; its ``observations`` name parameters and pairs.
+    matched : Compared
+        What was matched: measured, and what the simulator given and its ``tracer`` give with the prior
+        and with the coefficients returned, with as many paths as were weighed.
     beside : Compared
         What was measured and not matched, before and after.
     held_out : Compared or None
         What was measured at the pairs that were excluded, before and after; without the level.
-    before, after : Observations
-        What the simulator given and its ``tracer`` give, with the prior and with the coefficients
-        returned, with as many paths as were weighed.
     predicted : Observations
         The values at all positions of the simulator with the coefficients returned, also those that
         were not measured. Where control runs tell the simulator's error, its mean given what was
@@ -1011,9 +1072,8 @@ class PositionsResult(Result):
     scattering: Scattering | None
     simulations: int
     measured: MeasuredPairs
+    matched: Compared
     beside: Compared
-    before: Observations
-    after: Observations
     predicted: Observations
     controls: ControlRuns | None
     unexplained: Array
@@ -1090,21 +1150,11 @@ class PositionsResult(Result):
         return self.measured.observations.pairs
 
     @property
-    def matched(self) -> Compared:
-        """What was matched: measured, before and after."""
-        return Compared(
-            measured=self.measured.observations,
-            before=self.before,
-            after=self.after,
-            relative=self.measured.level == "relative",
-        )
-
-    @cached_property
     def gap_before(self) -> Array:
         """Simulated less measured, with the prior, in JND, (n_parameters, n_pairs, n_bands)."""
         return self.matched.gap_before
 
-    @cached_property
+    @property
     def gap_after(self) -> Array:
         """Simulated less measured, in JND, (n_parameters, n_pairs, n_bands)."""
         return self.matched.gap_after

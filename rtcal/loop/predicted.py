@@ -390,8 +390,7 @@ class State:
         self.by_scattering = None
         if result.scattering is not None:
             random = replace(self.simulator, scattering_model="random")
-            stated = np.zeros(room.before.n_materials)
-            of_materials = material_scattering(random, self.walls, match, stated, self.seed)
+            of_materials = material_scattering(random, self.walls, match, self.seed)
             self.by_scattering = of_materials.slope
 
     def simulated(self, alpha: Array) -> Observations:

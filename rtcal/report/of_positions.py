@@ -11,6 +11,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
+from rtcal.loop.measured_pairs import Compared
 from rtcal.loop.positions import PositionsResult, gap_table
 from rtcal.report import figures, room_view
 from rtcal.report.document import (
@@ -56,7 +57,7 @@ def page(result: PositionsResult) -> Page:
             *(Note(sentence, kind="lead") for sentence in _summary(result)),
             Table(
                 labels,
-                _times(result.before, result.after, result.measured.observations),
+                _times(result.matched),
                 "Decay times: means over the pairs that were fitted",
             ),
             *room_view.of_positions(result),
@@ -123,7 +124,7 @@ def _headline(result: PositionsResult) -> str:
     )
     measured = result.measured.observations
     for key in (p for p in far if p in of_kind(DecaySlope)):
-        goal, time = (_mean(measured, of, key) for of in (measured, result.after))
+        goal, time = (_mean(measured, of, key) for of in (measured, result.matched.after))
         k = int(np.nanargmax(np.abs(time / goal - 1)))
         said += (
             f" {parameter_label(key)} is {time[k]:.2f} s for {goal[k]:.2f} s measured, mean over the "
@@ -152,13 +153,17 @@ def _summary(result: PositionsResult) -> list[str]:
     ]
 
 
-def _times(before: Observations, after: Observations, measured: Observations) -> list[Row]:
+def _times(found: Compared) -> list[Row]:
     """Return each decay time by band in s, the means over the pairs: measured, before, after."""
     return [
-        Row(f"{parameter_label(key)} {name} / s", _mean(measured, of, key), ".2f")
+        Row(f"{parameter_label(key)} {name} / s", _mean(found.measured, of, key), ".2f")
         for key in of_kind(DecaySlope)
-        if key in measured.parameters
-        for name, of in (("measured", measured), ("before", before), ("after", after))
+        if key in found.parameters
+        for name, of in (
+            ("measured", found.measured),
+            ("before", found.before),
+            ("after", found.after),
+        )
     ]
 
 
@@ -187,7 +192,7 @@ def _held_out(result: PositionsResult) -> list[Any]:
         gap_table(left.parameters, left.measured.pairs, left.gap_before, left.gap_after),
         Table(
             bands.labels(result.prior.centre_frequencies),
-            _times(left.before, left.after, left.measured),
+            _times(left),
             "Decay times: means over the pairs that were held out",
         ),
     ]
