@@ -326,7 +326,6 @@ def test_jackknife_of_a_mean_is_its_standard_error():
 def test_one_sweep_changes_groups_of_faces_as_weighings_do():
     hall = halls.lecture_hall()
     names = list(hall.geometry.areas)
-    made_of = np.array([names.index(m) for m in hall.geometry.materials])
     made = trace(
         hall.geometry,
         [hall.sources["S1"]],
@@ -343,7 +342,7 @@ def test_one_sweep_changes_groups_of_faces_as_weighings_do():
     members[0, 0] = members[1, 1:4] = True
     for loops in (kernels, reference):
         with in_place_of(kernels, loops):
-            swept = made.energy_changed(alpha, air, BIN, made_of, members, changed)
+            swept = made.energy_changed(alpha, air, BIN, members, changed)
         for group, of_group in zip(members, swept, strict=True):
             for other, energy in zip(changed, of_group, strict=True):
                 weighed = made.energy(np.where(group[:, None], other, alpha), air, BIN).mean(axis=0)

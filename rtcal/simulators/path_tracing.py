@@ -532,54 +532,45 @@ class Paths:
         alpha: Array,
         air_attenuation: Array,
         bin_length: float,
-        parts: NDArray[np.int64],
-        members: NDArray[np.bool_],
+        groups: NDArray[np.bool_],
         changed: Array,
     ) -> Array:
-        """Return the energy with each group of faces changed, in one sweep of the paths.
+        """Return the energy with each group of materials changed, in one sweep of the paths.
 
-        A path whose group's faces all change alike is worth its energy times a factor to the power of
-        its hits on them. So the sweep sums energies by hits, for any number of changes. A group whose
-        faces change differently is weighed anew for each change.
+        A path whose group's materials all change alike is worth its energy times a factor to the power
+        of its hits on them. So the sweep sums energies by hits, for any number of changes. A group
+        whose materials change differently is weighed anew for each change.
 
         Parameters
         ----------
         alpha, air_attenuation, bin_length
             As for `Paths`; no alpha is 1.
-        parts : int array (n_faces,)
-            Number of the part that each face belongs to. The faces of a part have one material.
-        members : bool array (n_groups, n_parts)
-            Whether a group holds a part.
-        changed : array (n_changes, n_parts, n_bands)
-            Alpha of a part whose group is changed.
+        groups : bool array (n_groups, n_materials)
+            Which materials a group holds.
+        changed : array (n_changes, n_materials, n_bands)
+            Alpha of a material whose group is changed.
 
         Returns
         -------
         array (n_groups, n_changes, n_sources, n_receivers, n_bands, n_bins)
             Mean over the batches.
         """
-        n_changes, n_parts, n_bands = changed.shape
-        material = np.zeros(n_parts, dtype=np.int64)
-        material[parts] = self.materials
-        stated = np.asarray(alpha, dtype=float)[material]
-        ratio = (1 - changed) / (1 - stated)
-        alike = np.array([not np.ptp(ratio[:, held], axis=1).any() for held in members], dtype=bool)
-        n_bins = self._n_bins(bin_length)
-        out = np.empty((len(members), n_changes, *self.first.shape, n_bands, n_bins))
+        weights = self._weights(alpha, air_attenuation, bin_length)
+        ratio = (1 - changed) / (1 - alpha)
+        alike = np.array([not np.ptp(ratio[:, held], axis=1).any() for held in groups], dtype=bool)
+        out = np.empty((len(groups), len(changed), *self.first.shape, alpha.shape[1], weights[2]))
         if alike.any():
-            factor = np.array([ratio[:, np.argmax(held)] for held in members[alike]])
-            held = np.tile(members[alike][:, parts], 2).T.astype(np.int64)
-            out[alike] = self._by_hits(alpha, air_attenuation, bin_length, held, factor)
-        of_parts = replace(self, materials=parts, n_materials=n_parts)
+            factor = np.array([ratio[:, np.argmax(held)] for held in groups[alike]])
+            held = np.tile(groups[alike][:, self.materials], 2).T.astype(np.int64)
+            out[alike] = self._by_hits(weights, bin_length, held, factor)
         for j in np.flatnonzero(~alike):
-            for c, other in enumerate(np.where(members[j][:, np.newaxis], changed, stated)):
-                out[j, c] = of_parts.energy(other, air_attenuation, bin_length, number=1)[0]
+            for c, other in enumerate(np.where(groups[j][:, np.newaxis], changed, alpha)):
+                out[j, c] = self.energy(other, air_attenuation, bin_length, number=1)[0]
         return out
 
     def _by_hits(
         self,
-        alpha: Array,
-        air_attenuation: Array,
+        weights: tuple[Array, Array, int],
         bin_length: float,
         held: NDArray[np.int64],
         factor: Array,
@@ -590,7 +581,7 @@ class Paths:
         """
         from rtcal.simulators import kernels
 
-        log_reflection, attenuation, n_bins = self._weights(alpha, air_attenuation, bin_length)
+        log_reflection, attenuation, n_bins = weights
         n_groups, n_changes, n_bands = factor.shape
         out = np.empty((n_groups, n_changes, *self.first.shape, n_bands, n_bins))
         every = [batch for source in self.batches for batch in source]
@@ -608,10 +599,10 @@ class Paths:
                 some = source[start : start + together]
                 before = np.cumsum([0, *(len(batch.events) for batch in some)])
                 starts = [b.starts[:-1] + begin for b, begin in zip(some, before, strict=False)]
-                events, _, lengths, weights = (
+                events, _, lengths, weight = (
                     np.concatenate(each) for each in zip(*(b.arrays for b in some), strict=True)
                 )
-                joined = events, np.concatenate([*starts, before[-1:]]), lengths, weights
+                joined = events, np.concatenate([*starts, before[-1:]]), lengths, weight
                 kernels.histogram_changed(joined, weighing, held, powers, heard)
             out[:, :, s] = np.moveaxis(heard, (1, 2, 3, 4), (2, 4, 1, 3)) / self._kept[s]
         out[..., 0] += self._direct_sound(attenuation)
@@ -630,10 +621,7 @@ class Paths:
             )
         with np.errstate(divide="ignore"):
             by_code = np.log1p(-alpha)[np.tile(self.materials, 2)]
-        return by_code, attenuation, self._n_bins(bin_length)
-
-    def _n_bins(self, bin_length: float) -> int:
-        return max(int((self.longest - self.first.max()) / bin_length), 1)
+        return by_code, attenuation, max(int((self.longest - self.first.max()) / bin_length), 1)
 
     def _direct_sound(self, attenuation: Array) -> Array:
         """Return the direct sound's energy, (n_sources, n_receivers, n_bands); 0 where hidden."""
@@ -1053,16 +1041,30 @@ class PathTracing(Tracer):
         least ``seconds`` after the emission; see `Paths.energy`. DataError
         for ``seconds`` above `rtcal.simulators.path_tracing.LONGEST`, or another ``number``.
         """
-        if number is not None and self.n_batches % checks.whole("number", number, 1):
-            raise DataError(f"number = {number} does not divide n_batches = {self.n_batches}")
-        alpha, groups = check_alpha(self, alpha), self.bands_of_paths()
-        decays = [
-            self.traced(int(bands[0]), seconds, seed=seed).energy(
-                *self._weighing(alpha, bands), number
-            )
-            for bands in groups
-        ]
+        self._check_groups(1 if number is None else number)
+        alpha = check_alpha(self, alpha)
+        return self.swept(
+            lambda paths, bands: paths.energy(*self._weighing(alpha, bands), number),
+            seconds,
+            seed=seed,
+        )
+
+    def swept(
+        self, sweep: Callable[[Paths, NDArray[np.int64]], Array], seconds: float, *, seed: int = 0
+    ) -> Array:
+        """Return the decays of all bands, (..., n_bands, n_bins).
+
+        ``sweep`` gives those of some bands, (..., n_some, n_bins), from their paths, which are followed
+        for ``seconds`` or longer.
+        """
+        groups = self.bands_of_paths()
+        decays = [sweep(self.traced(int(b[0]), seconds, seed=seed), b) for b in groups]
         return of_all_bands(groups, decays)
+
+    def _check_groups(self, number: int) -> None:
+        """Raise DataError unless the batches can be divided into so many groups."""
+        if self.n_batches % checks.whole("number", number, 1):
+            raise DataError(f"number = {number} does not divide n_batches = {self.n_batches}")
 
     def observe(
         self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0, again: bool = True
@@ -1145,8 +1147,7 @@ class PathTracing(Tracer):
             As `observe` does, for a ``number`` that does not divide, and if ``scattering_model`` is
             not "random".
         """
-        if self.n_batches % checks.whole("number", number, 1):
-            raise DataError(f"number = {number} does not divide n_batches = {self.n_batches}")
+        self._check_groups(number)
         gradient = partial(Paths.gradient, number=number)
         return self._derivatives(check_alpha(self, alpha), match, seed, gradient)
 
@@ -1168,31 +1169,29 @@ class PathTracing(Tracer):
         `_weighing`. Materials that no face has are 0.
         """
         match = base.checked_parameters(match)
-        sweeps: list[list[tuple[Array, Array]]] = []
-        groups, sources = self.bands_of_paths(), range(len(self.sources))
+        found: list[tuple[NDArray[np.int64], list[tuple[Array, Array]]]] = []
+
+        def sweep(paths: Paths, bands: NDArray[np.int64]) -> Array:
+            by = self._weighing(alpha, bands)
+            with ThreadPoolExecutor(self.workers) as pool:
+                every = [*pool.map(lambda s: gradient(paths, s, *by), range(len(self.sources)))]
+            found.append((bands, every))
+            return np.stack([energy for energy, _ in every])
 
         def trace(seconds: float) -> Array:
-            sweeps.clear()
-            with ThreadPoolExecutor(self.workers) as pool:
-                for bands in groups:
-                    traced = self.traced(int(bands[0]), seconds, seed=seed)
-                    by = self._weighing(alpha, bands)
-                    sweeps.append([*pool.map(lambda s: gradient(traced, s, *by), sources)])  # noqa: B023
-            decays = [np.stack([energy for energy, _ in sweep]) for sweep in sweeps]
-            return of_all_bands(groups, decays)[np.newaxis]
+            found.clear()
+            return self.swept(sweep, seconds, seed=seed)[np.newaxis]
 
         (decays,) = decay_long_enough(trace, self.room, alpha, longest(match))
-        number, n_unknowns = len(sweeps[0][0][1]), self.room.n_materials
+        number, n_unknowns = len(found[0][1][0][1]), self.room.n_materials
         out = np.zeros((number, len(match), *decays.shape[:3], n_unknowns))
-        for bands, sweep in zip(groups, sweeps, strict=True):
-            for s, (_, of_groups) in enumerate(sweep):
+        for bands, every in found:
+            for s, (_, of_groups) in enumerate(every):
+                by_energy = gradients(decays[s][:, bands], self.bin_width, match)
                 for of_group, by_bin in zip(out, of_groups, strict=True):
                     by_bin = by_bin[:, : decays.shape[-1]]
                     of_group[:, s][:, :, bands, : by_bin.shape[2]] = np.einsum(
-                        "prkb,rbjk->prkj",
-                        gradients(decays[s][:, bands], self.bin_width, match),
-                        by_bin,
-                        optimize=True,
+                        "prkb,rbjk->prkj", by_energy, by_bin, optimize=True
                     )
         return out.reshape(number, len(match), len(self.pairs), self.room.n_bands, n_unknowns)
 

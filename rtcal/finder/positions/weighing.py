@@ -54,7 +54,6 @@ from rtcal.simulators.path_tracing import (
     Paths,
     PathTracing,
     eyring_seconds,
-    of_all_bands,
 )
 from rtcal.support import checks
 from rtcal.support.errors import DataError, TooShortError
@@ -259,20 +258,13 @@ class Weighing:
 
     def _of_groups(self, groups: Sequence[Faces], shares: Sequence[float]) -> Array:
         room, alpha = self.tracer.room, self.alpha
-        # A part's faces have one material, and belong to the same groups.
         held = np.array([np.isin(np.arange(len(alpha)), group) for group in groups])
-        kinds, first, parts = np.unique(
-            np.vstack([self.made_of, held]), axis=1, return_index=True, return_inverse=True
-        )
-        members = kinds[1:].astype(bool)
-        changed = np.array([changed_alpha(alpha[first], share) for share in shares])
+        changed = np.array([changed_alpha(alpha, share) for share in shares])
         width = room.speed_of_sound * self.tracer.bin_width
 
         def weighed(paths: Paths, bands: NDArray[np.int64]) -> Array:
             air = room.air_attenuation[bands]
-            return paths.energy_changed(
-                alpha[:, bands], air, width, parts.reshape(-1), members, changed[..., bands]
-            )
+            return paths.energy_changed(alpha[:, bands], air, width, held, changed[..., bands])
 
         return self._long_enough(weighed, 1.5)
 
@@ -283,20 +275,18 @@ class Weighing:
 
         (..., n_pairs, n_bands, n_bins), of those by source and receiver.
         """
-        tracer, groups = self.tracer, self.tracer.bands_of_paths()
+        tracer, faces = self.tracer, np.arange(len(self.made_of))
+
+        def by_face(paths: Paths, bands: NDArray[np.int64]) -> Array:
+            return weighed(replace(paths, materials=faces, n_materials=len(faces)), bands)
+
         self.seconds = self.seconds or eyring_seconds(tracer.room, tracer.room.alpha)
         while True:
-            every = of_all_bands(groups, [weighed(self._by_face(int(g[0])), g) for g in groups])
+            every = tracer.swept(by_face, self.seconds, seed=self.seed)
             energy = every.reshape(*every.shape[:-4], len(tracer.pairs), *every.shape[-2:])
             if self.seconds >= LONGEST or not longest(self.match).too_short(energy).any():
                 return energy
             self.seconds = min(growth * self.seconds, LONGEST)
-
-    def _by_face(self, band: int) -> Paths:
-        """Return the band's paths with each face as a material of its own."""
-        traced = self.tracer.traced(band, self.seconds, seed=self.seed)
-        n_faces = len(traced.materials)
-        return replace(traced, materials=np.arange(n_faces), n_materials=n_faces)
 
 
 MOVE = 0.5
