@@ -51,8 +51,8 @@ from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.loop.control_runs import ControlRuns, simulated_controls, trace_ahead
-from rtcal.loop.measured_pairs import Linearisation, pairs_to_match
-from rtcal.loop.positions import MORE_PATHS, precise
+from rtcal.loop.measured_pairs import pairs_to_match
+from rtcal.loop.positions import MORE_PATHS, PairsModel, precise
 from rtcal.simulators import PathTracing, path_tracing
 from rtcal.simulators.base import Observations
 from rtcal.simulators.path_tracing import ScatteringModel
@@ -358,7 +358,8 @@ def least_error(population: int, index: int, prior: str) -> float:
     tracer = knowing(case.simulator(n_paths=MORE_PATHS * PATHS), population, index)
     heard = tracer.observe(case.room.alpha, MATCH)
     data = pairs_to_match(case.room, case.measured, MATCH, heard)
-    matrix = Linearisation(tracer, data, heard, case.room.alpha, 0).linearised()
+    alpha = case.room.alpha
+    matrix = PairsModel(tracer, data, alpha, heard, 0).jacobian(alpha)
     before = prior_covariance(case.room)
     across = before @ matrix.T
     gain = np.linalg.solve(matrix @ across + data.covariance, across.T)
