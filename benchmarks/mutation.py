@@ -43,6 +43,14 @@ SURVIVORS: dict[tuple[str, str], str] = {
         "rtcal.calibration.archive.x__named",
         "+ for room, of_room in zip((each.room for each in rooms), columns, strict=False):",
     ): "equivalent: each room has one row of names, and one of columns",
+    (
+        "rtcal.calibration.qp.x_closed_form",
+        "+ own[program.compiled.places] = True",
+    ): "the polish leads from any active set to the same optimum: more rounds, same answer",
+    (
+        "rtcal.calibration.fit.x_fit",
+        "+ for share in (*0.5 ** np.arange(halvings + 2.0), 0.0):",
+    ): "a seventh halving is tried before the start is returned",
 }
 """Mutants that survive, by function and last changed line, and why that is right."""
 

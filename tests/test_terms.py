@@ -212,6 +212,14 @@ ROWS: dict[str, tuple[Any, Callable[[Numbers, np.ndarray], np.ndarray]]] = {
         terms.GroupAbsorption(["m0", "m2"], least=15.0, most=20.0),
         lambda of, x: np.maximum(np.abs(group(of, x, [0, 2]) - 17.5) - 2.5, 0.0),
     ),
+    "group at most": (
+        terms.GroupAbsorption(["m0", "m2"], most=15.0),
+        lambda of, x: np.maximum(group(of, x, [0, 2]) - 15.0, 0.0),
+    ),
+    "group at least": (
+        terms.GroupAbsorption(["m0", "m2"], least=20.0),
+        lambda of, x: np.maximum(20.0 - group(of, x, [0, 2]), 0.0),
+    ),
     "group at one band": (
         terms.GroupAbsorption(["m0", "m1"], least=20.0, most=20.0, band=250),
         lambda of, x: np.abs(group(of, x, [0, 1])[[2]] - 20.0),
