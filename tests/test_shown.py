@@ -8,7 +8,10 @@ import pytest
 
 from benchmarks import shown
 
-PAGES = [p for p in sorted((shown.ROOT / "docs").glob("*.md")) if "```text" in p.read_text("utf-8")]
+PAGES = [
+    shown.ROOT / "README.md",
+    *(p for p in sorted((shown.ROOT / "docs").glob("*.md")) if "```text" in p.read_text("utf-8")),
+]
 
 pytestmark = pytest.mark.skipif(
     not (shown.ROOT / "README.md").exists(), reason="needs the source tree"
