@@ -22,7 +22,7 @@ from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report import figures, of_finding, room_view
-from rtcal.report.room_view import ABOVE, axes_of
+from rtcal.report.room_view import ABOVE, into_picture
 from tests.test_figures import texts
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
 from tests.typed import wrongly_typed
@@ -219,7 +219,7 @@ def test_the_room_is_looked_at_so_that_the_surface_is_seen(surface: str) -> None
     (room,) = room_view.of_finding(finding, None)
     turn = json.loads(room.data)["turn"]
     normals = finding.case.geometry.normals[finding.case.faces[surface]]
-    assert (normals @ axes_of(turn, ABOVE)[2] > 0).all()
+    assert (normals @ into_picture(turn, ABOVE) > 0).all()
 
 
 def test_pairs_and_bands_that_were_not_measured_are_left_out(finding: Finding) -> None:
