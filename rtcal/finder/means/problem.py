@@ -119,15 +119,12 @@ class PredictedFeatures:
         d features / d ln T20.
     jacobian : array (n, n_configurations, n_materials, n_bands)
         -d ln T20 / d alpha.
-    climate : array (n, n_configurations, n_columns, n_bands)
-        Changes of ln T20 by one standard deviation of the climates' temperatures and humidities.
     """
 
     case: Case
     features: Array
     slopes: Array
     jacobian: Array
-    climate: Array
 
     def log_time_errors(self, rows: Indices) -> tuple[Array, Array]:
         """Return the prior's covariance of ln T20, and what errors in common usually change of it.
@@ -136,7 +133,7 @@ class PredictedFeatures:
         `rtcal.finder.prior.factors`. A material that a configuration changed is independent of its
         coefficients elsewhere.
         """
-        sigma, changed, rho, of_alpha = self._prior
+        sigma, changed, rho, of_alpha, of_climate = _uncertain(self.case)
         factor = self.jacobian[rows] * sigma
         n, count, _, n_bands = factor.shape
         size = count * n_bands
@@ -147,22 +144,14 @@ class PredictedFeatures:
             full[:, c, :, c] += own[:, c].swapaxes(1, 2) @ own[:, c]
         alone = (full * rho[:, None, :]).reshape(n, size, size)
         together = factors(of_alpha, self.jacobian[rows])
-        air = self.climate[rows].swapaxes(2, 3).reshape(n, size, -1)
+        times = np.exp(self.features[rows, :, 0])[:, :, None] / _RATE
+        air = (of_climate * times).swapaxes(2, 3).reshape(n, size, -1)
         parts = np.concatenate([air, together], axis=-1)
         return alone + parts @ parts.swapaxes(1, 2), together
 
-    @cached_property
-    def _prior(self) -> tuple[Array, NDArray[np.bool_], Array, Array]:
-        """Sigma and which materials changed by configuration, bands' correlation and `directions`."""
-        room, configurations = self.case.room, self.case.configurations
-        return (
-            np.stack([c.coefficients(room)[1] for c in configurations]),
-            np.array([[m in c.changes for m in room.materials] for c in configurations])[
-                :, :, None
-            ],
-            correlation(room.centre_frequencies, room.band_correlation),
-            directions(self.case),
-        )
+
+_RATE = 6 * np.log(10)
+"""k T of an exponential decay."""
 
 
 def predict_states(case: Case, states: Sequence[Sequence[RoomState]]) -> PredictedFeatures:
@@ -173,41 +162,44 @@ def predict_states(case: Case, states: Sequence[Sequence[RoomState]]) -> Predict
             for column, c in zip(states, case.configurations, strict=True)
         ]
         # d ln T20 = -(d k / d alpha) T20 / (6 ln 10) d alpha.
-        times = [p.reverberation_time[:, None, :] / (6 * np.log(10)) for p in made]
+        times = [p.reverberation_time[:, None, :] / _RATE for p in made]
         jacobian = [sensitivities(s) * time for s, time in zip(states, times, strict=True)]
     return PredictedFeatures(
         case,
         np.stack([p.features for p in made], axis=1),
         np.stack([p.slopes for p in made], axis=1),
         np.stack(jacobian, axis=1),
-        _climate(case) * np.stack(times, axis=1),
     )
 
 
-def _climate(case: Case) -> Array:
-    """Return the change of k in 1/s by one standard deviation of temperature and of humidity.
+@lru_cache(maxsize=1)
+def _uncertain(case: Case) -> tuple[Array, NDArray[np.bool_], Array, Array, Array]:
+    """Return what alpha and the climate may be off by, for `PredictedFeatures.log_time_errors`.
 
-    (n_configurations, n_columns, n_bands). Configurations without a climate of their own share the
-    columns of the room's; without any climate they are 0. What a temperature changes of the speed of
-    sound, 0.17 % per K, is left out.
+    Sigma (n_configurations, n_materials, n_bands), which materials changed (n_configurations,
+    n_materials, 1), the bands' correlation, `directions`, and the change of k in 1/s by one standard
+    deviation of temperature and of humidity, (n_configurations, n_columns, n_bands). Configurations
+    without a climate of their own share the columns of the room's; without any climate they are 0. What
+    a temperature changes of the speed of sound, 0.17 % per K, is left out.
     """
     room, (kelvin, percent) = case.room, case.climate_uncertainty
     owners = [0 if c.air is None else i + 1 for i, c in enumerate(case.configurations)]
     place = {owner: 2 * i for i, owner in enumerate(dict.fromkeys(owners))}
-    out = np.zeros((len(owners), 2 * len(place), room.n_bands))
+    climate = np.zeros((len(owners), 2 * len(place), room.n_bands))
     for i, (c, owner) in enumerate(zip(case.configurations, owners, strict=True)):
         if (air := c.air or room.air) is None:
             continue
         warm, damp = min(air.temperature, 50 - kelvin), min(air.humidity, 100 - percent)
-        for k, (one, other) in enumerate(
-            (
-                (replace(air, temperature=warm), replace(air, temperature=warm + kelvin)),
-                (replace(air, humidity=damp), replace(air, humidity=damp + percent)),
+        ends = (("temperature", warm, warm + kelvin), ("humidity", damp, damp + percent))
+        for k, (name, *both) in enumerate(ends):
+            one, other = (
+                replace(air, **{name: v}).attenuation(room.centre_frequencies) for v in both
             )
-        ):
-            one_m, other_m = (a.attenuation(room.centre_frequencies) for a in (one, other))
-            out[i, place[owner] + k] = air.speed_of_sound * (other_m - one_m)
-    return out
+            climate[i, place[owner] + k] = air.speed_of_sound * (other - one)
+    sigma = np.stack([c.coefficients(room)[1] for c in case.configurations])
+    changed = np.array([[m in c.changes for m in room.materials] for c in case.configurations])
+    rho = correlation(room.centre_frequencies, room.band_correlation)
+    return sigma, changed[:, :, None], rho, directions(case), climate
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -299,7 +291,7 @@ def predict_hypotheses(
                 f"{culprit} has no finite T, C80 and G with {parameters[lost] or 'what is stated'} in "
                 f"a room of {case.room.volume:g} m³ with {case.room.total_area:g} m² of walls"
             )
-        for array in (predicted.features, predicted.slopes, predicted.jacobian, predicted.climate):
+        for array in (predicted.features, predicted.slopes, predicted.jacobian):
             array[~possible] = array[0]
     return MeansHypotheses(
         **vars(predicted),
@@ -1264,6 +1256,12 @@ Members = tuple[int, ...]
 _SETS_AT_ONCE = 256
 
 
+def applied_effects(predicted: MeansHypotheses, rows: Members) -> tuple[AppliedEffect, ...]:
+    """Return the effects of a set with their parameters."""
+    names, parameters = predicted.names, predicted.parameters
+    return tuple(AppliedEffect(predicted.effects[names[i]], parameters[i]) for i in rows)
+
+
 def acting_order(case: Case, predicted: MeansHypotheses) -> tuple[list[str], frozenset[str]]:
     """Return the effects' names in the order in which they act on a state, and those that bend it.
 
@@ -1400,14 +1398,15 @@ def states_of(compared: MeansProblem, sets: Sequence[Members]) -> list[list[Room
 
 def unknown_beside(compared: MeansProblem, rows: NDArray[np.intp]) -> Array:
     """Return the log evidence of single hypotheses with an unknown effect beside them, (n_rows,)."""
-    used, out = compared.observed.used, []
-    for i in rows.tolist():
-        alpha, other = compared.covariance_of(i)
-        residual = compared.residual(i)
-        ends = [len(residual)]
-        value = unknown_evidence(residual[None], alpha + other, used, ends, coarsened=False)
-        out.append(value[0, 0])
-    return np.array(out)
+    of, _ = moments(compared, [(i,) for i in rows.tolist()])
+    residual, ends = compared.observed.values - of.mean, [of.mean.shape[1]]
+    used = compared.observed.used
+    return np.array(
+        [
+            unknown_evidence(r[None], covariance, used, ends, coarsened=False)[0, 0]
+            for r, covariance in zip(residual, of.covariance, strict=True)
+        ]
+    )
 
 
 def averaged_alpha(compared: MeansProblem, likely: Sequence[tuple[Members, float]]) -> Array:
@@ -1420,30 +1419,20 @@ def averaged_alpha(compared: MeansProblem, likely: Sequence[tuple[Members, float
     """
     sets = [rows for rows, _ in likely]
     of, possible = moments(compared, sets)
-    across = covariance_with_alpha(compared, sets)
-    weights = np.array([p for _, p in likely]) * possible
-    out = np.array(compared.case.room.alpha)
-    for k in np.flatnonzero(weights):
-        explained = np.linalg.solve(of.covariance[k], compared.observed.values - of.mean[k])
-        out += weights[k] / weights.sum() * np.tensordot(explained, across[k], axes=1)
-    return np.clip(out, 0.0, 1.0)
-
-
-def covariance_with_alpha(compared: MeansProblem, sets: Sequence[Members]) -> Array:
-    """Return G Sigma, the prior's covariance of the features in use and alpha, under each set.
-
-    (n_sets, n_used, n_materials, n_bands).
-    """
     room, (c, f, b) = compared.case.room, compared.places
     made = predict_states(compared.case, states_of(compared, sets))
+    _, changed, rho, *_ = _uncertain(compared.case)
     # What stands where a configuration changed a material is another one.
-    changed = [[m in at.changes for m in room.materials] for at in compared.case.configurations]
-    per_alpha = -np.where(np.array(changed)[:, :, None], 0.0, made.jacobian)
+    per_alpha = -np.where(changed, 0.0, made.jacobian)
     slopes = made.slopes[:, c, f, b][..., None] * per_alpha[:, c, :, b].swapaxes(0, 1)
-    jacobian = np.zeros((*slopes.shape, room.n_bands))
-    jacobian[:, np.arange(len(b)), :, b] = slopes.swapaxes(0, 1)
-    rho = correlation(room.centre_frequencies, room.band_correlation)
-    return np.asarray((jacobian * room.sigma) @ rho * room.sigma)
+    weights = np.array([p for _, p in likely]) * possible
+    out = np.array(room.alpha)
+    for k in np.flatnonzero(weights):
+        explained = np.linalg.solve(of.covariance[k], compared.observed.values - of.mean[k])
+        pull = np.zeros(out.shape)  # G' C^-1 (y - mean)
+        np.add.at(pull.T, b, explained[:, None] * slopes[k])
+        out += weights[k] / weights.sum() * room.sigma * ((room.sigma * pull) @ rho)
+    return np.clip(out, 0.0, 1.0)
 
 
 MOST = 3
@@ -1673,14 +1662,11 @@ class _Tables:
         """Return whether the most probable two effects explain the measurement."""
         names = self._likeliest_pairs(1)[0]
         case, predicted = self._compared.case, self._compared.predicted
-        added = [
-            AppliedEffect(predicted.effects[n], predicted.parameters[i])
-            for n, i in zip(names, self.best[names], strict=True)
-        ]
-        with_both = replace(case, applied=(*case.applied, *added))
+        both = applied_effects(predicted, self.best[names])
+        with_both = replace(case, applied=(*case.applied, *both))
         predicted = predict_hypotheses(with_both, [])
-        both = compare(replace(self._compared, case=with_both, predicted=predicted))
-        return both.goodness_of_fit(0)[1] >= UNEXPLAINED
+        compared = compare(replace(self._compared, case=with_both, predicted=predicted))
+        return compared.goodness_of_fit(0)[1] >= UNEXPLAINED
 
     def _likeliest_pairs(self, n: int) -> list[Names]:
         pairs: list[Names] = [s for s in self.log if len(s) == 2 and UNKNOWN not in s]

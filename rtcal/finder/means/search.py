@@ -20,7 +20,7 @@ from rtcal.finder.claim import (
     posterior,
     too_weak,
 )
-from rtcal.finder.effects import AppliedEffect, Effect, checked_effects, judged_effects
+from rtcal.finder.effects import Effect, checked_effects, judged_effects
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.engines import (
     ControlRooms,
@@ -30,9 +30,8 @@ from rtcal.finder.means.engines import (
 from rtcal.finder.means.problem import (
     LEVELS,
     MOST,
-    MeansHypotheses,
     MeansProblem,
-    Members,
+    applied_effects,
     averaged_alpha,
     compare,
     estimate_discrepancy,
@@ -225,7 +224,7 @@ def _conclude(
         probabilities=probabilities,
         families=families,
         sets=sets.sets,
-        likely=[(_applied(problem.predicted, rows), p) for rows, p in sets.likely],
+        likely=[(applied_effects(problem.predicted, rows), p) for rows, p in sets.likely],
         alpha=averaged_alpha(compared, sets.likely),
         prior=prior,
         detection=detection,
@@ -257,12 +256,6 @@ def _candidate(
     if name in effects:
         found = replace(found, called=effects[name].title(fit.parameters, case.room))
     return found if fit.size is None else replace(found, **fit.size.fields)
-
-
-def _applied(predicted: MeansHypotheses, rows: Members) -> tuple[AppliedEffect, ...]:
-    """Return the effects of a set with their parameters."""
-    names, parameters = predicted.names, predicted.parameters
-    return tuple(AppliedEffect(predicted.effects[names[i]], parameters[i]) for i in rows)
 
 
 _OFF_LEVEL = 3.0
