@@ -17,7 +17,7 @@ from rtcal.command.main import cli
 from rtcal.finder import Case, ChangedMaterial, Configuration, library, recalibrate
 from rtcal.finder.claim import by_family, claimed
 from rtcal.finder.effects import Audience, CoupledRoom, Opening, People, WrongVolume
-from rtcal.finder.evidence import log_mixture
+from rtcal.finder.evidence import SHARPER, log_mixture, prior_of, probability_off
 from rtcal.finder.finding import sentence_of, size_of
 from rtcal.finder.means import problem as bootstrap
 from rtcal.finder.means.engines import ControlRooms
@@ -30,7 +30,6 @@ from rtcal.finder.means.problem import (
     state,
 )
 from rtcal.finder.model import predict
-from rtcal.finder.prior import SHARPER, prior_of, probability_off
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError
 from tests.conftest import candidates_of

@@ -17,7 +17,7 @@ from rtcal.finder import Case, Configuration, Effect, Finding, library
 from rtcal.finder import evidence as densities
 from rtcal.finder.claim import numbers_of
 from rtcal.finder.effects import AppliedEffect
-from rtcal.finder.evidence import DEGREES
+from rtcal.finder.evidence import DEGREES, UNKNOWN, prior_of
 from rtcal.finder.finding import sentence_of
 from rtcal.finder.means import problem
 from rtcal.finder.means.engines import ControlRooms
@@ -38,7 +38,6 @@ from rtcal.finder.means.problem import (
 )
 from rtcal.finder.means.verdict import Objection
 from rtcal.finder.model import FEATURES
-from rtcal.finder.prior import UNKNOWN, prior_of
 from rtcal.finder.records import stored
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError

@@ -12,10 +12,10 @@ import rtcal as rt
 from rtcal.finder import Case, Configuration
 from rtcal.finder.case import ChangedMaterial
 from rtcal.finder.effects import WrongVolume
+from rtcal.finder.evidence import grid_weights
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.problem import predict_hypotheses
 from rtcal.finder.model import RoomState, volume_sigma_of
-from rtcal.finder.prior import grid_weights
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 

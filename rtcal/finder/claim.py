@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 
 from rtcal.files.disk import json_numbers
 from rtcal.finder.effects import CoupledRoom, Effect
-from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, Prior
+from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN, Prior
 from rtcal.support.errors import ModelError
 from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
@@ -172,7 +172,7 @@ def claimed(
 
 FAIR = 1 / 3
 """A fair part of the probability. Where nothing missing has it, as before the measurement
-(`rtcal.finder.prior.NO_EFFECT`), or no effect and no family does, the data do not say enough to call
+(`rtcal.finder.evidence.NO_EFFECT`), or no effect and no family does, the data do not say enough to call
 something missing. Chosen on development rooms."""
 
 

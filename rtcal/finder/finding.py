@@ -47,9 +47,9 @@ from rtcal.finder.claim import (
     unexplained,
 )
 from rtcal.finder.effects import AppliedEffect, CoupledRoom, Effect, WrongVolume, checked_effects
+from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN, OffTogether
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, OffTogether
 from rtcal.finder.records import data_of, record_of_means, record_of_several
 from rtcal.loop.measured_pairs import without_place
 from rtcal.support import blocks, checks, text

@@ -18,7 +18,7 @@ from scipy.stats import beta
 from rtcal.acoustics.observables import LEVEL
 from rtcal.acoustics.room import Room
 from rtcal.finder.case import LEVELS, Case
-from rtcal.finder.prior import relative_sigma
+from rtcal.finder.evidence import relative_sigma
 
 TIMES, ALL = "T20, EDT and T30 of one configuration", "several configurations, C80 or G"
 """Means over positions. As they are stated the rooms have several configurations, C80 or G."""
@@ -142,7 +142,7 @@ def record_of_several(claimed: Sequence[str]) -> str:
 def statement_of(room: Room) -> str:
     """Return `IN_SITU` or `HANDBOOK`: which of the judged rooms a room resembles.
 
-    By `rtcal.finder.prior.relative_sigma`: a handbook's is 1.
+    By `rtcal.finder.evidence.relative_sigma`: a handbook's is 1.
     """
     return HANDBOOK if relative_sigma(room) > 0.95 else IN_SITU
 

@@ -56,13 +56,20 @@ from rtcal.finder.claim import (
     unexplained,
 )
 from rtcal.finder.effects import Effect, checked_effects
-from rtcal.finder.evidence import log_mixture, with_columns
+from rtcal.finder.evidence import (
+    NO_EFFECT,
+    NONE,
+    UNKNOWN,
+    UNKNOWN_ODDS,
+    left_out_of,
+    log_mixture,
+    with_columns,
+)
 from rtcal.finder.finding import Finding
 from rtcal.finder.model import RoomState
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Faces
 from rtcal.finder.positions.weighing import Weighing
-from rtcal.finder.prior import NO_EFFECT, NONE, UNKNOWN, UNKNOWN_ODDS, left_out_of
 from rtcal.simulators import base
 from rtcal.simulators.base import Observations
 from rtcal.simulators.path_tracing import PathTracing

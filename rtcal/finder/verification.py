@@ -42,6 +42,7 @@ from rtcal.files.saved import Result
 from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.case import LEVELS, Case, StatesCase
 from rtcal.finder.claim import DISTINCT_NATS, Candidate
+from rtcal.finder.evidence import SCALES, probability_off
 from rtcal.finder.finding import LEAST_PAIRS, Finding, feature_names, rivals, support
 from rtcal.finder.means.problem import (
     MeansProblem,
@@ -57,7 +58,6 @@ from rtcal.finder.means.verdict import LITTLE, GapCheck, fit, gap_check
 from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.search import find_by_positions
-from rtcal.finder.prior import SCALES, probability_off
 from rtcal.finder.states import find as find_change
 from rtcal.loop.control_runs import trace_ahead
 from rtcal.loop.measured_pairs import Pair, gap_at_pairs

@@ -734,7 +734,7 @@ def evidence(finding: Finding) -> Any:
 def probabilities(finding: Finding) -> Any:
     """Return the figure of the probability of each effect that it is there at all."""
     from rtcal.finder.claim import CLAIMED, SAID
-    from rtcal.finder.prior import NONE
+    from rtcal.finder.evidence import NONE
 
     names = [n for n, p in finding.probabilities.items() if p >= SAID and n != NONE]
     values = 100 * np.array([finding.probabilities[n] for n in names])

@@ -13,6 +13,7 @@ import rtcal as rt
 from benchmarks.studies.geometric_world.load import IN_SITU, load, truth
 from rtcal.finder import library
 from rtcal.finder.claim import CLAIMED, Candidate
+from rtcal.finder.evidence import NONE, UNKNOWN
 from rtcal.finder.finding import Finding
 from rtcal.finder.positions import PositionsCase
 from rtcal.finder.positions.problem import PositionsHypotheses, PositionsProblem, shifts
@@ -27,7 +28,6 @@ from rtcal.finder.positions.search import (
     weights,
 )
 from rtcal.finder.positions.weighing import responses_of
-from rtcal.finder.prior import NONE, UNKNOWN
 from tests.test_where import MATCH, measured, stated, tracing
 from tests.test_where_corrected import candidate
 from tests.test_where_page import finding_of, verification_of

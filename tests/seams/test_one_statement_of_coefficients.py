@@ -9,7 +9,7 @@ from scipy import stats
 import rtcal as rt
 from rtcal.acoustics.marks import agreement
 from rtcal.finder import Case, Configuration
-from rtcal.finder.prior import directions
+from rtcal.finder.evidence import directions
 
 
 def test_the_p_value_beside_the_first_has_the_errors_that_gap_find_assumes() -> None:

@@ -83,8 +83,8 @@ def test_a_flag_of_a_tracer() -> None:
 @pytest.mark.parametrize("kind", [list, np.array, iter], ids=str)
 def test_effects_in_a_geometry_of_any_kind(kind: type) -> None:
     """A generator was read once and then ignored; an array raised a ValueError."""
+    from rtcal.finder.evidence import left_out_of
     from rtcal.finder.positions.search import tried
-    from rtcal.finder.prior import left_out_of
 
     every = tried(rt.finder.library())
     names = [*left_out_of(["porous"], [], every)][:2]

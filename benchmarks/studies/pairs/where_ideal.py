@@ -30,6 +30,7 @@ from benchmarks.studies.geometric_world.load import IN_SITU, load
 from benchmarks.studies.pairs.where import case_of, prepared
 from benchmarks.studies.pairs.where_figures import ABSORBERS, DATA
 from rtcal.finder.claim import LIKELY
+from rtcal.finder.evidence import NONE, UNKNOWN
 from rtcal.finder.positions.problem import (
     COUPLED,
     POSITION,
@@ -41,7 +42,6 @@ from rtcal.finder.positions.problem import (
     uneven_amount,
 )
 from rtcal.finder.positions.search import evaluate, scores, weights
-from rtcal.finder.prior import NONE, UNKNOWN
 from rtcal.support.types import Array
 
 STORED = Path(__file__).with_name("where_ideal.json.gz")

@@ -22,8 +22,8 @@ from rtcal.acoustics.equations import Eyring, mean_equation
 from rtcal.acoustics.room import Room, Surface
 from rtcal.files import disk
 from rtcal.finder.case import Case
+from rtcal.finder.evidence import by_name
 from rtcal.finder.model import FEATURES, RoomState, predict
-from rtcal.finder.prior import by_name
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import LONGEST, PathTracing, ScatteringModel
 from rtcal.simulators.shoebox import ImageSource, mean_energy

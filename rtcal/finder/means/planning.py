@@ -25,7 +25,7 @@ from rtcal.files.saved import Result
 from rtcal.finder.case import Case, ChangedMaterial, Configuration
 from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.effects import AppliedEffect, Effect, Porous, checked_effects, judged_effects
-from rtcal.finder.evidence import student
+from rtcal.finder.evidence import NONE, prior_of, student
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.problem import (
     MeansHypotheses,
@@ -40,7 +40,6 @@ from rtcal.finder.means.problem import (
 )
 from rtcal.finder.means.verdict import FURTHER, USUAL, further_in_words, separations
 from rtcal.finder.model import FEATURES
-from rtcal.finder.prior import NONE, prior_of
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError

@@ -14,8 +14,8 @@ shape that the effect's position causes (`SHAPE_CHANGE`). N is Student's t with 
 (`rtcal.finder.evidence.student`).
 
 Each hypothesis is evaluated twice: with the coefficients as stated, and with coefficients that are off
-together (`rtcal.finder.prior`). C has the usual error F F' that they have in common; off together, it
-has s² F F', for each scale s.
+together (`rtcal.finder.evidence`). C has the usual error F F' that they have in common; off together,
+it has s² F F', for each scale s.
 
 The threshold is the evidence that rooms without a missing effect give by chance. What T20 of the first
 configuration detects, more data must not hide: one scale of all data dilutes what T20 says with values
@@ -26,7 +26,7 @@ Westfall & Young 1993).
 A parametric bootstrap. Each draw takes alpha from the prior, the model's error from the engines'
 control rooms, and noise from the measurement and from distances that are not stated. The errors that
 coefficients have in common fall faster with the stated sigma than in the evidence
-(`rtcal.finder.prior.NULL_POWER`). The model's bias and covariance are estimated from one half of the
+(`rtcal.finder.evidence.NULL_POWER`). The model's bias and covariance are estimated from one half of the
 control rooms, and the draws use the other half. The few control rooms of the image sources are not
 divided.
 
@@ -76,22 +76,25 @@ from rtcal.finder.effects import (
     changed_states,
     checked_grid,
 )
-from rtcal.finder.evidence import Factorization, log_mixture, student, with_columns
-from rtcal.finder.means.engines import ControlRooms, bias_estimates, draw_alpha, recentred
-from rtcal.finder.model import FEATURES, RoomState, predict, sensitivities
-from rtcal.finder.prior import (
+from rtcal.finder.evidence import (
     COEFFICIENTS,
     EXPECTED,
     NONE,
     NULL_POWER,
     SCALES,
     UNKNOWN,
+    Factorization,
     Prior,
     directions,
     drawn,
     factors,
     grid_weights,
+    log_mixture,
+    student,
+    with_columns,
 )
+from rtcal.finder.means.engines import ControlRooms, bias_estimates, draw_alpha, recentred
+from rtcal.finder.model import FEATURES, RoomState, predict, sensitivities
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
@@ -130,7 +133,7 @@ class PredictedFeatures:
         """Return the prior's covariance of ln T20, and what errors in common usually change of it.
 
         (n, size, size) and (n, size, n_directions), the size that of configurations and bands; see
-        `rtcal.finder.prior.factors`. A material that a configuration changed is independent of its
+        `rtcal.finder.evidence.factors`. A material that a configuration changed is independent of its
         coefficients elsewhere.
         """
         sigma, changed, rho, of_alpha, of_climate = _uncertain(self.case)

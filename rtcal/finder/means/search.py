@@ -21,6 +21,15 @@ from rtcal.finder.claim import (
     too_weak,
 )
 from rtcal.finder.effects import Effect, checked_effects, judged_effects
+from rtcal.finder.evidence import (
+    COEFFICIENTS,
+    EXPECTED,
+    NONE,
+    Prior,
+    checked_odds,
+    chosen_effects,
+    prior_of,
+)
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.engines import (
     ControlRooms,
@@ -54,15 +63,6 @@ from rtcal.finder.means.verdict import (
     schroeder_limit,
 )
 from rtcal.finder.model import FEATURES
-from rtcal.finder.prior import (
-    COEFFICIENTS,
-    EXPECTED,
-    NONE,
-    Prior,
-    checked_odds,
-    chosen_effects,
-    prior_of,
-)
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress, single_threaded_blas

@@ -20,7 +20,6 @@ from scipy.special import logsumexp, ndtr
 from rtcal.acoustics import bands
 from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.observables import observable
-from rtcal.finder import prior
 from rtcal.finder.case import Case
 from rtcal.finder.claim import (
     CLAIMED,
@@ -37,6 +36,16 @@ from rtcal.finder.claim import (
     over_frequency,
 )
 from rtcal.finder.effects import AppliedEffect, Effect, Parameters, changed_states, columns
+from rtcal.finder.evidence import (
+    COEFFICIENTS,
+    NONE,
+    SCALES,
+    UNKNOWN,
+    OffTogether,
+    by_direction,
+    directions,
+    off_together,
+)
 from rtcal.finder.means.problem import (
     NEGLIGIBLE,
     MeansEvidence,
@@ -49,7 +58,6 @@ from rtcal.finder.means.problem import (
     state,
 )
 from rtcal.finder.model import FEATURES, rates
-from rtcal.finder.prior import COEFFICIENTS, NONE, SCALES, UNKNOWN, OffTogether
 from rtcal.support.types import Array
 
 AT_END = 2.0
@@ -425,10 +433,10 @@ def fit(evidence: MeansEvidence, name: str, *, precise: bool) -> Fit:
     off, scale = None, 1.0
     if probability >= LIKELY:
         scale = _LARGER
-        by_time = prior.by_direction(prior.directions(case), predicted.jacobian[row][None])
+        by_time = by_direction(directions(case), predicted.jacobian[row][None])
         changes = -alone.by_log_time(predicted, slice(row, row + 1), by_time)[0]
         covariance = np.add(*alone.covariance_of(row))
-        off = prior.off_together(case, changes, alone.residual(row), covariance, probability)
+        off = off_together(case, changes, alone.residual(row), covariance, probability)
     gap = gap_check(alone, row, scale)
     surprise = alone.goodness_of_fit(row, scale)
     return Fit(name, parameters, size, off, gap, likely, surprise, absorption)

@@ -73,7 +73,17 @@ from rtcal.finder.effects import (
     WrongVolume,
     middle_absorption,
 )
-from rtcal.finder.evidence import bounded, with_columns
+from rtcal.finder.evidence import (
+    COEFFICIENTS,
+    NO_EFFECT,
+    NONE,
+    SCALES,
+    UNKNOWN,
+    bounded,
+    grid_weights,
+    relative_sigma,
+    with_columns,
+)
 from rtcal.finder.model import RoomState
 from rtcal.finder.positions.case import PositionsCase, covariances_of_gains
 from rtcal.finder.positions.weighing import (
@@ -87,15 +97,6 @@ from rtcal.finder.positions.weighing import (
     TRACINGS,
     VOLUME,
     PairShifts,
-)
-from rtcal.finder.prior import (
-    COEFFICIENTS,
-    NO_EFFECT,
-    NONE,
-    SCALES,
-    UNKNOWN,
-    grid_weights,
-    relative_sigma,
 )
 from rtcal.loop.control_runs import COMMON as OF_ROOM
 from rtcal.loop.control_runs import OWN as OF_MATERIAL

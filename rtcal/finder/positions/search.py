@@ -42,7 +42,15 @@ from rtcal.finder.claim import (
     with_added,
 )
 from rtcal.finder.effects import Effect, checked_effects
-from rtcal.finder.evidence import log_mixture
+from rtcal.finder.evidence import (
+    COEFFICIENTS,
+    NONE,
+    SCALES,
+    UNKNOWN,
+    left_out_of,
+    log_mixture,
+    probability_off,
+)
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.means.search import find as find_by_means
@@ -75,14 +83,6 @@ from rtcal.finder.positions.problem import (
     spreads,
 )
 from rtcal.finder.positions.weighing import parameters, responses_of
-from rtcal.finder.prior import (
-    COEFFICIENTS,
-    NONE,
-    SCALES,
-    UNKNOWN,
-    left_out_of,
-    probability_off,
-)
 from rtcal.finder.records import record_of_positions
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.loop.measured_pairs import T30_ALONE, with_t30
