@@ -2,9 +2,9 @@
 
 A file is replaced by a temporary one beside it that was written through to the disk, so that at any
 moment it is the old one or the new one. What one command, or one call, writes is a set: a record in
-each folder, ``.rtcal_files.json``, names the files of the last sets with their digests. It is written
-before the first file of a set is replaced and once more after the last. If a command is killed in
-between, readers refuse every file of that set by name, and say which command makes the set anew.
+each folder, ``.rtcal_files.json``, has the digest of each file and the command that wrote it. It is
+written before the first file of a set is replaced and once more after the last. If a command is killed
+in between, readers refuse every file of that set by name, and say which command makes the set anew.
 
 Commands replace no file that rtcal did not write, or that was changed since, unless they are told to
 (``--force``): the record says which are rtcal's own.
@@ -12,9 +12,11 @@ Commands replace no file that rtcal did not write, or that was changed since, un
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import io
 import json
+import math
 import os
 import stat
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,7 +27,6 @@ from typing import Any, TypedDict
 
 import msgspec
 import numpy as np
-from numpy.typing import ArrayLike
 
 from rtcal.support import checks
 from rtcal.support.errors import DataError
@@ -174,63 +175,63 @@ def _write_set(contents: Mapping[Path, bytes], command: str) -> None:
 
 
 def _put(folder: Path, command: str, digests: Mapping[Path, str], *, whole: bool) -> None:
-    """Add a set to a folder's record, in place of what it says of the set's files."""
-    written = {os.path.relpath(path, folder): digest for path, digest in digests.items()}
-    sets: list[_Written] = [{"command": command, "whole": whole, "files": written}]
-    for known in reversed(_sets(folder)):
-        if kept := {n: d for n, d in known["files"].items() if n not in written}:
-            sets.insert(0, {**known, "files": kept})
+    """Add the files of a set to a folder's record."""
+    files = _files(folder)
+    for path, digest in digests.items():
+        name = os.path.relpath(path, folder)
+        files[name] = {"sha256": digest, "command": command, "whole": whole}
     new = folder / f"{RECORD}{NEW}"
     with _naming(folder, _UNWRITTEN):
         if whole:
             _sync_folder(folder)
-        _write_file(new, json.dumps({"rtcal": "files 2", "sets": sets}, indent=1).encode())
+        _write_file(new, json.dumps({"rtcal": "files 3", "files": files}, indent=1).encode())
         os.replace(new, folder / RECORD)
         _sync_folder(folder)
 
 
 class _Written(TypedDict):
-    """A set of files: what wrote it, whether it was written whole, and the digest of each file."""
+    """A file: its digest, the command of its set, and whether that set was written whole."""
 
+    sha256: str
     command: str
     whole: bool
-    files: dict[str, str]
 
 
 class _Record(TypedDict):
-    sets: list[_Written]
+    files: dict[str, _Written]
 
 
-def _sets(folder: Path) -> list[_Written]:
-    """Return the sets of a folder's record; none if there is no record that can be read."""
+def _files(folder: Path) -> dict[str, _Written]:
+    """Return the files of a folder's record by name; none if there is no record that can be read."""
     try:
         with open(folder / RECORD, "rb") as stream:
-            return msgspec.json.decode(stream.read(_MOST_RECORD), type=_Record)["sets"]
+            return msgspec.json.decode(stream.read(_MOST_RECORD), type=_Record)["files"]
     except (OSError, msgspec.MsgspecError, RecursionError):
-        return []
+        return {}
 
 
 def _require_whole(path: Path) -> None:
     """Raise DataError if a file is of a set that was written in part, with how to make it anew."""
-    for written in _sets(path.parent):
-        files = written["files"]
-        if written["whole"] or path.name not in files:
-            continue
-        new = [name for name, digest in files.items() if _digest_of(path.parent / name) == digest]
-        repeated = _current is not None and _current.command == written["command"]
-        # Nothing was replaced, or all; or an old file, from which the command makes the set anew.
-        if len(new) in (0, len(files)) or (repeated and path.name not in new):
-            return
-        raise DataError(
-            f"{path}: was not written whole: {', '.join(new)} of {', '.join(files)} is new, since "
-            f"`{written['command']}` was interrupted. Repeat that command"
-        )
+    every = _files(path.parent)
+    own = every.get(path.name)
+    if own is None or own["whole"]:
+        return
+    torn = {n: f for n, f in every.items() if not f["whole"] and f["command"] == own["command"]}
+    new = [name for name, f in torn.items() if _digest_of(path.parent / name) == f["sha256"]]
+    repeated = _current is not None and _current.command == own["command"]
+    # Nothing was replaced, or all; or an old file, from which the command makes the set anew.
+    if len(new) in (0, len(torn)) or (repeated and path.name not in new):
+        return
+    raise DataError(
+        f"{path}: was not written whole: {', '.join(new)} of {', '.join(torn)} is new, since "
+        f"`{own['command']}` was interrupted. Repeat that command"
+    )
 
 
 def is_own(path: Path) -> bool:
     """Return whether rtcal wrote a file, and it is as it was written, or of a set in part."""
-    known = [one for one in _sets(path.parent) if path.name in one["files"]]
-    return any(not one["whole"] or one["files"][path.name] == _digest_of(path) for one in known)
+    known = _files(path.parent).get(path.name)
+    return known is not None and (not known["whole"] or known["sha256"] == _digest_of(path))
 
 
 def refuse_foreign(path: str | os.PathLike[str]) -> None:
@@ -406,46 +407,36 @@ def make_folder(path: str | os.PathLike[str]) -> None:
         Path(path).mkdir(parents=True, exist_ok=True)
 
 
-def json_numbers(values: ArrayLike) -> Any:
-    """Return numbers as nested lists for JSON, None for NaN, which JSON lacks."""
-    array = np.asarray(values, dtype=float)
-    if array.ndim:
-        return [json_numbers(v) for v in array]
-    return float(array) if np.isfinite(array) else None
+def json_numbers(value: Any) -> Any:
+    """Return a value as JSON has it: numbers, texts, lists and objects; None for NaN, which JSON lacks.
 
-
-def json_text(record: Mapping[str, Any], *, ascii_only: bool = False) -> str:
-    """Return a record as JSON: arrays as lists, tables as one object per row, NaN as null.
-
-    Parameters
-    ----------
-    record : mapping
-        Of numbers, texts, arrays, lists, mappings and None.
-    ascii_only : bool
-        Whether to write other characters as escapes.
+    A table, an array with names, is a list with an object per row. What has a ``to_dict`` is what that
+    returns; another dataclass its fields, or its text where it has one.
 
     Examples
     --------
-    >>> print(json_text({"t": np.array([1.5, np.nan])}))
-    {
-     "t": [
-      1.5,
-      null
-     ]
-    }
+    >>> json_numbers({"T / s": np.array([1.5, np.nan])})
+    {'T / s': [1.5, None]}
     """
-    return json.dumps(_plain(record), indent=1, ensure_ascii=ascii_only, allow_nan=False)
-
-
-def _plain(value: Any) -> Any:
+    if value is None or isinstance(value, str | bool):
+        return value
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
-        if value.dtype.names:  # a table
-            return [dict(zip(value.dtype.names, _plain(list(row)), strict=True)) for row in value]
-        return _plain(value.tolist())
+        return {str(key): json_numbers(each) for key, each in value.items()}
+    if isinstance(value, np.ndarray) and value.dtype.names:
+        return [dict(zip(value.dtype.names, map(json_numbers, row), strict=True)) for row in value]
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+        return [json_numbers(each) for each in value]
+    if isinstance(value, int | float):
+        return value if math.isfinite(value) else None
+    if hasattr(value, "to_dict"):
+        return value.to_dict()
+    if dataclasses.is_dataclass(value) and type(value).__str__ is object.__str__:
+        return {f.name: json_numbers(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    return str(value)
+
+
+def json_text(record: Mapping[str, Any], *, ascii_only: bool = False) -> str:
+    """Return a record as JSON (`json_numbers`), other characters as escapes if ``ascii_only``."""
+    return json.dumps(json_numbers(record), indent=1, ensure_ascii=ascii_only, allow_nan=False)

@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rtcal.files.disk import json_text, make_folder, read_text, write_all
+from rtcal.files.disk import json_numbers, json_text, make_folder, read_text, write_all
 from rtcal.files.schema import json_object
 from rtcal.support import __version__, checks
 from rtcal.support.blocks import Block, lines, notebook
@@ -43,31 +43,6 @@ _READERS = {
 _KINDS = "bifcU"  # of arrays: truth values, integers, floats, complex numbers, texts
 
 
-def stated(value: Any) -> Any:
-    """Return a value as plain numbers, lists and text, None for NaN.
-
-    Examples
-    --------
-    >>> stated({"T / s": np.array([1.5, np.nan])})
-    {'T / s': [1.5, None]}
-    """
-    if value is None or isinstance(value, str | bool):
-        return value
-    if isinstance(value, Mapping):
-        return {str(key): stated(each) for key, each in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [stated(each) for each in value]
-    if isinstance(value, int | float):
-        return value if math.isfinite(value) else None
-    if hasattr(value, "to_dict"):
-        return value.to_dict()
-    if dataclasses.is_dataclass(value) and type(value).__str__ is object.__str__:
-        return {f.name: stated(getattr(value, f.name)) for f in dataclasses.fields(value)}
-    return str(value)
-
-
 class CannotBeSavedError(DataError):
     """An object that no file can hold, such as a function or a simulator of the user's own class."""
 
@@ -83,7 +58,7 @@ class Result(ABC):  # some kinds have methods that each of them must have
     def to_dict(self) -> dict[str, Any]:
         """Return what the result says as plain numbers, lists and text, None for what is missing."""
         named = (name.partition("=") for name in self.in_file.split())
-        return {key: stated(attrgetter(path or key)(self)) for key, _, path in named}
+        return {key: json_numbers(attrgetter(path or key)(self)) for key, _, path in named}
 
     def blocks(self) -> list[Block]:
         """Return what the result shows, as tables and notes."""
@@ -172,16 +147,15 @@ def load(path: str | os.PathLike[str]) -> Any:
             raise DataError(f"folder {Path(path).resolve()} has no {NUMBERS}; `save` writes one")
     if place.suffix in _READERS:
         raise DataError(f"{place}: no saved result but {_READERS[place.suffix]}")
+    text = read_text(place, MAX_BYTES)
     try:
-        return loaded(json_object(read_text(place, MAX_BYTES)), place.parent)
+        return _result(json_object(text), place.parent)
     except DataError as error:
-        if str(error).startswith(str(place)):
-            raise
         raise DataError(f"{place}: {error}") from error
 
 
-def loaded(record: Mapping[str, Any], folder: str | os.PathLike[str] = "") -> Any:
-    """Return the result of a file's content, in ``folder``; DataError as `load`, without its name."""
+def _result(record: Mapping[str, Any], folder: Path) -> Result:
+    """Return the result of a file's content, in ``folder``."""
     kind, itself = record.get("rtcal"), record.get(_OBJECT)
     if "configuration" in record and itself is None:
         raise DataError("no saved result but a case: rtcal.finder.Case.from_file reads it")

@@ -566,7 +566,7 @@ class Finding(Result):
         """Return plain values for JSON."""
         made = _RECORDS[self.kind](self)
         names = f"{_RECORDED['all']} {_RECORDED[self.kind]}".split()
-        return {n: made[n] if n in made else _plain(getattr(self, n)) for n in names}
+        return {n: made[n] if n in made else json_numbers(getattr(self, n)) for n in names}
 
 
 _RECORDED = {
@@ -580,17 +580,6 @@ _RECORDED = {
     "absorption_area_before change pairs",
 }
 """Entries of a record in their order: what `_RECORDS` makes, else attributes as they are."""
-
-
-def _plain(value: Any) -> Any:
-    """Return an attribute as JSON has it; NaN is None."""
-    if isinstance(value, Mapping):
-        return {name: _plain(v) for name, v in value.items()}
-    if isinstance(value, tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, float | np.ndarray):
-        return json_numbers(value)
-    return value.to_dict() if isinstance(value, Size) else value
 
 
 def _refuse(f: Finding, **stated: object) -> None:
@@ -957,8 +946,8 @@ def _record_of_means(f: Finding) -> dict[str, Any]:
         "amount": _amount(f) or None,
         "candidates": list(f.names),
         "sets": [{"effects": list(s), "probability": p} for s, p in f.sets.items()],
-        "sizes": {name: _plain(fit.size) for name, fit in f.fits.items()},
-        "sizes_alone": {name: _plain(fit.size) for name, fit in f.alone.items()},
+        "sizes": {name: json_numbers(fit.size) for name, fit in f.fits.items()},
+        "sizes_alone": {name: json_numbers(fit.size) for name, fit in f.alone.items()},
         "coefficients": off and {"probability": off.probability, "ratio": off.ratio.tolist()},
         "parameters": dict(f.best_parameters),
         "material": effect and effect.material(f.best_parameters, f.case.room),

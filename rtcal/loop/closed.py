@@ -42,8 +42,8 @@ from rtcal.calibration.measured import data_history, tell_data, times_in_room
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
-from rtcal.files.disk import write_all
-from rtcal.files.saved import NOT_SAVED, Result, load, stated
+from rtcal.files.disk import json_numbers, write_all
+from rtcal.files.saved import NOT_SAVED, Result, load
 from rtcal.loop.measured_pairs import (
     SHOWN,
     Gaps,
@@ -833,7 +833,7 @@ class Loop(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the steps and what came of them as plain numbers, lists and text."""
-        found = {name: stated(getattr(self, name)) for name in _SETTINGS}
+        found = {name: json_numbers(getattr(self, name)) for name in _SETTINGS}
         found["equation"] = {"name": self.equation.name, **asdict(self.equation)}
         return found | super().to_dict() if self.steps else found
 

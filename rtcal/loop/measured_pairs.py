@@ -32,7 +32,7 @@ from rtcal.acoustics.observables import (
 )
 from rtcal.acoustics.room import Room, fingerprint, of_pairs, refuse_repeated_data
 from rtcal.calibration.measured import copied, times_in_room
-from rtcal.files.saved import stated
+from rtcal.files.disk import json_numbers
 from rtcal.simulators.base import Observations, checked_parameters
 from rtcal.support.errors import DataError
 from rtcal.support.text import as_sentence
@@ -599,7 +599,7 @@ class Compared:
     def to_dict(self) -> dict[str, Any]:
         """Return parameters, pairs, values in their units, and gaps, as plain numbers and text."""
         ends = {"measured": self.measured, "before": self.before, "after": self.after}
-        found: dict[str, Any] = stated(
+        found: dict[str, Any] = json_numbers(
             {
                 "parameters": self.parameters,
                 "pairs": self.measured.pairs,
