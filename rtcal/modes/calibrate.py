@@ -28,7 +28,7 @@ from rtcal.acoustics.marks import Plausibility, TrustMark, explained, mark, plau
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room, refuse_repeated_data
 from rtcal.acoustics.room_errors import prior_covariance
-from rtcal.calibration.fit import GaussNewtonStep, fit
+from rtcal.calibration.fit import fit
 from rtcal.calibration.measured import MeasuredTimes, data_history, no_times, times_in_room
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import Calibration, Times
@@ -53,8 +53,6 @@ MODEL_ERROR = 0.05
 """Relative standard deviation of a calculated decay: geometry, admittance that varies over a wall.
 Beside it stands delta / omega."""
 _STEPS = 5
-_SETTLED = 0.1
-"""Share of a decay's uncertainty by which the linearised decay may be off the model's own."""
 
 
 def calibrate_modes(
@@ -128,25 +126,14 @@ def calibrate_modes(
     of_model = np.hypot(MODEL_ERROR, modes.decays / (2 * np.pi * modes.frequencies))[used]
     covariance = remainder + np.diag(modes.decay_uncertainty[used] ** 2 + (of_model * decays) ** 2)
 
-    data, deviation = (
-        Decays(model, found.calculated, modes.decays[used], covariance),
-        np.sqrt(np.diag(covariance)),
-    )
-
-    def settled(step: GaussNewtonStep, end: Array) -> bool:
-        moved = step.matrix @ (end - step.alpha).ravel()
-        off = data.predict(end) - data.predict(step.alpha) - moved
-        return bool(np.max(np.abs(off) / deviation) < _SETTLED)
-
     path = fit(
         problem,
-        data,
+        Decays(model, found.calculated, modes.decays[used], covariance),
         room.alpha,
         term=MODES,
         method="modes",
         times=t,
         most=_STEPS,
-        settled=settled,
     )
     notes = [*map(as_sentence, filter(None, [times.caution])), *modes.notes, *found.doubts]
     if len(unsure := np.delete(modes.frequencies, used)):
@@ -154,7 +141,7 @@ def calibrate_modes(
         notes.append(f"Not used, since not surely one calculated mode: {where} Hz.")
     if not path.settled:
         notes.append(
-            "Not settled: the last step still moved decays by a tenth of their uncertainty."
+            "Not settled: the last step still moved a coefficient by a twentieth of its prior sigma."
         )
     return ModesResult(
         prior=room,

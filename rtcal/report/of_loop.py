@@ -54,7 +54,6 @@ def page(loop: Loop) -> Page:
             coefficients("Absorption coefficients: stated → calibrated", room, loop.alpha),
             Section("What not to believe", "doubts"),
             *doubts(loop.trust_marks),
-            *_at_ends(loop),
             Section("What was assumed", "assumed"),
             Items(_assumed(loop)),
             Section("How to reproduce", "reproduce"),
@@ -100,25 +99,6 @@ def _summary(loop: Loop) -> list[str]:
     if "not yet" in status_of_bands:
         said.append("The loop is not finished: simulate again and run `rtcal loop next`.")
     return said
-
-
-def _at_ends(loop: Loop) -> list[Any]:
-    """Return which coefficients moved to 0 or 1, by material."""
-    f, before, after = loop.prior.centre_frequencies, loop.prior.alpha, loop.alpha
-    moved = [
-        (f"{name}: α = {end:g}", f[(after[i] == end) & (before[i] != end)])
-        for i, name in enumerate(loop.prior.materials)
-        for end in (0.0, 1.0)
-    ]
-    if not (ends := [f"{what} at {bands.hertz(where)}" for what, where in moved if len(where)]):
-        return []
-    return [
-        Note(
-            "At an end of what is possible. This is a warning and no finding: its or another's stated "
-            "standard deviation is too small, an effect is missing, or the simulator is too noisy."
-        ),
-        Items(ends),
-    ]
 
 
 def _assumed(loop: Loop) -> list[str]:
