@@ -24,7 +24,6 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -308,7 +307,8 @@ def _of_file(content: bytes, path: str, options: _Options) -> tuple[list[_Table]
     errors = []
     for sheet in chosen:
         try:
-            tables += _tables_of(sheet, options)
+            table = _stated_table if options.columns else _table
+            tables.append(table(sheet, options))
         except DataError as error:
             errors.append(error)
     if errors:
@@ -341,27 +341,6 @@ def _of_places(found: list[_Table]) -> tuple[list[_Table], list[str]]:
 
 def _quoted(names: Sequence[str]) -> str:
     return first_of([f'"{shown(name)}"' for name in names], _MOST_NAMED)
-
-
-def _tables_of(sheet: Sheet, options: _Options) -> list[_Table]:
-    """Return the tables of a sheet: one, or several below each other.
-
-    They are several if each names its parameter in its header's corner, or if the header is repeated.
-    """
-    rows = list(sheet.rows)
-    if options.columns:
-        return [_stated_table(sheet, options)]
-    starts = [i for i, (_, cells) in enumerate(rows) if _is_corner(cells)]
-    if not starts:
-        header = rows[_header(rows, options.where)[0]][1]
-        for i in (i for i, (_, cells) in enumerate(rows) if cells == header):
-            while i and sum(map(bool, rows[i - 1][1])) == 1 and rows[i - 1][1] != header:  # a title
-                i -= 1
-            starts.append(i)
-    blocks = [rows[a:b] for a, b in pairwise([0, *starts[1:], len(rows)])]
-    tables = [_table(sheet, block, options) for block in blocks]
-    tables[0].notes += sheet.notes
-    return tables
 
 
 def _has_header(sheet: Sheet) -> bool:
@@ -399,16 +378,6 @@ def _header(rows: Sequence[Row], extra: Collection[str]) -> tuple[int, bool]:
     return (most if most is not None and counts[most] else (several or [0])[0]), False
 
 
-def _is_corner(cells: list[str]) -> bool:
-    """Return whether a row is a header whose first cell names the parameter of bands or positions."""
-    while cells and not cells[-1]:
-        cells = cells[:-1]
-    if not 1 < len(cells) <= MAX_COLUMNS or not _WORD.match(cells[0]):
-        return False
-    columns = [c for c in columns_of(cells) if c and not c.wrong]
-    return len(columns) == len(cells) and _has_corner(columns)
-
-
 def _has_corner(columns: Sequence[Column]) -> bool:
     """Return whether the first column names the parameter of all others, which name none."""
     first, others = columns[0], [c for c in columns[1:] if c.has_values]
@@ -422,8 +391,9 @@ def _has_corner(columns: Sequence[Column]) -> bool:
     )
 
 
-def _table(sheet: Sheet, rows: list[Row], options: _Options) -> _Table:
+def _table(sheet: Sheet, options: _Options) -> _Table:
     """Return a table with its header and what stands before it."""
+    rows = list(sheet.rows)
     at = _header(rows, options.where)[0]
     (line, header), body, notes = rows[at], rows[at + 1 :], [sheet.note]
     if at:
@@ -457,6 +427,12 @@ def _table(sheet: Sheet, rows: list[Row], options: _Options) -> _Table:
         columns[0] = Column("receiver" if across.has_band else "band", corner.header)
     if columns[0] == _ROW_NUMBERS:
         notes.append("the first column has the rows' numbers, and is left out")
+    if again := next((n for n, cells in body if cells[1:] == header[1:] and any(header[1:])), 0):
+        raise DataError(
+            f"{sheet.place}, line {again}: a second table begins here, with the header of line {line}: "
+            "keep each in a file or a sheet of its own"
+        )
+    notes += sheet.notes
     return _Table(sheet, columns, line, body, _titles(rows[:at]), notes, options)
 
 
