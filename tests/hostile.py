@@ -36,7 +36,7 @@ from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.search import find
 from rtcal.io.material_list import Format
 from rtcal.loop.closed import start
-from rtcal.simulators.external import EquationSimulator
+from rtcal.simulators.external import of_equation
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.shoebox import ImageSource
@@ -161,7 +161,7 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
     case = Case(room=room, configurations=[configuration])
     finding = find(rt.datasets.hidden_room()[0]) if searched else None
     verification = verify(finding) if searched else None
-    simulator = EquationSimulator(rt.Eyring(), room)
+    simulator = of_equation(rt.Eyring(), room)
     loop = start(room, measured)
     point = {"S": (1.0, 1.0, 1.0)}
     receivers = {"R": (3.0, 2.0, 1.5)}
@@ -184,7 +184,7 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "Finding": finding,
         "Verification": verification,
         "Simulator": simulator,
-        "EquationSimulator": simulator,
+        "of_equation": simulator,
         "Loop": loop,
         "Loop of a simulator": rt.calibrate_simulator(simulator, room, measured),
         "CalibrationProblem": calibration.build(room),

@@ -12,7 +12,7 @@ from rtcal.calibration.problem import Calibration
 from rtcal.datasets import halls
 from rtcal.loop import closed as loop_rules
 from rtcal.loop.closed import calibrate_simulator
-from rtcal.simulators.external import EquationSimulator, External
+from rtcal.simulators.external import External, of_equation
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.errors import DataError, SimulatorError
 
@@ -243,7 +243,7 @@ def test_a_band_that_no_equation_gives_ends_alone(cr2):
     times = measured.mean("t30").copy()
     times[0] = 0.03
     far = rt.Measurement.from_values(room.centre_frequencies, t20=times)
-    result = calibrate_simulator(EquationSimulator(rt.Kuttruff(), room), room, far)
+    result = calibrate_simulator(of_equation(rt.Kuttruff(), room), room, far)
     assert result.status == ("unreachable", *["converged"] * 5)
     assert np.isnan(result.steps[1].simulated[0])  # the first alpha of Eyring's had none
     prior = rt.Kuttruff().reverberation_time(room)[0]
@@ -266,7 +266,7 @@ def test_nan_is_an_error_at_first_and_a_limit_later(cr2):
     room, measured = cr2
     mean = (
         room.areas
-        @ calibrate_simulator(EquationSimulator(rt.Eyring(), room), room, measured).alpha[:, 0]
+        @ calibrate_simulator(of_equation(rt.Eyring(), room), room, measured).alpha[:, 0]
         / room.total_area
     )
     stated = room.areas @ room.alpha[:, 0] / room.total_area
@@ -293,7 +293,7 @@ def test_nan_is_an_error_at_first_and_a_limit_later(cr2):
 
 def test_a_loop_without_a_t20_somewhere_is_kept(cr2, tmp_path):
     room, measured = cr2
-    loop = calibrate_simulator(EquationSimulator(rt.Kuttruff(), room), room, measured)
+    loop = calibrate_simulator(of_equation(rt.Kuttruff(), room), room, measured)
     gone = loop.steps[0].simulated.copy()
     gone[3] = np.nan
     begun = closed_loop.start(room, measured)
@@ -321,7 +321,7 @@ def test_absurd_coefficients_are_marked(cr2):
     assert set(result.status) == {"converged"}
     implausible = [m for m in result.trust_marks if m.kind == "implausible"]
     assert len(implausible) == room.n_bands
-    plain = calibrate_simulator(EquationSimulator(rt.Eyring(), room), room, measured)
+    plain = calibrate_simulator(of_equation(rt.Eyring(), room), room, measured)
     marked = {m.frequency for m in plain.trust_marks if m.kind == "implausible"}
     z = rt.calibrate(room, measured.mean("t30")).plausibility.z
     assert marked == set(room.centre_frequencies[np.abs(z) > 2])
@@ -460,7 +460,7 @@ NAN_TIMES = [np.nan] * 6
 )
 def test_bad_input(cr2, options, error, place):
     room, measured = cr2
-    given = {"simulator": EquationSimulator(rt.Eyring(), room), "room": room} | options
+    given = {"simulator": of_equation(rt.Eyring(), room), "room": room} | options
     if given["simulator"] is NAN_TIMES:
         given["simulator"] = External(room=room, run=lambda alpha, seed: NAN_TIMES, name="nan")
     with pytest.raises(error, match=place):

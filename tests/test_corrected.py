@@ -20,7 +20,7 @@ from rtcal.finder import Case, recalibrate
 from rtcal.finder.apply import corrected_case
 from rtcal.finder.effects import AppliedEffect
 from rtcal.simulators.base import Simulator, run
-from rtcal.simulators.external import EquationSimulator
+from rtcal.simulators.external import of_equation
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.shoebox import ImageSource
 from rtcal.support.errors import DataError
@@ -202,8 +202,8 @@ def test_a_geometric_simulator_takes_the_absorber_on_its_walls() -> None:
     )
 
 
-@dataclass(frozen=True)
-class Drawn(EquationSimulator):
+@dataclass(frozen=True, kw_only=True)
+class Drawn(rt.simulators.External):
     """A simulator with a geometry, whose T is an equation's."""
 
     geometry: Polyhedron
@@ -213,7 +213,9 @@ def drawn(height: float) -> Callable[[rt.Room], Simulator]:
     """Return what builds a simulator with the box's geometry at this height."""
     walls = dict.fromkeys(SHOEBOX_WALLS, "walls") | {"floor": "floor"}
     geometry = Polyhedron.shoebox((*SIDES[:2], height), walls)
-    return lambda room: Drawn(rt.Eyring(), room, geometry)
+    return lambda room: Drawn(
+        room=room, run=of_equation(rt.Eyring(), room).run, name="drawn", geometry=geometry
+    )
 
 
 @pytest.mark.parametrize("changed", ["volume", "area"])

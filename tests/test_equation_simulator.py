@@ -6,13 +6,13 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.equations import Kuttruff
 from rtcal.simulators import base
-from rtcal.simulators.external import EquationSimulator
+from rtcal.simulators.external import of_equation
 from rtcal.support.errors import DataError
 
 
 def test_it_returns_the_equations_times(cr2):
     room, _ = cr2
-    simulator = EquationSimulator(Kuttruff(), room)
+    simulator = of_equation(Kuttruff(), room)
     assert isinstance(simulator, base.Simulator)
     assert simulator.deterministic
     alpha = np.minimum(1.5 * room.alpha, 1)
@@ -25,4 +25,4 @@ def test_it_returns_the_equations_times(cr2):
 def test_nothing_that_absorbs_is_refused(cr2):
     room = cr2[0].replace(air=None)
     with pytest.raises(DataError, match="nothing absorbs"):
-        EquationSimulator(rt.Eyring(), room).simulate(np.zeros_like(room.alpha))
+        of_equation(rt.Eyring(), room).simulate(np.zeros_like(room.alpha))

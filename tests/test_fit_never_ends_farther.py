@@ -93,7 +93,7 @@ def program(room):
 
 
 def equation(room):
-    return rt.simulators.EquationSimulator(rt.Kuttruff(), room)
+    return rt.simulators.of_equation(rt.Kuttruff(), room)
 
 
 SIMULATORS = {of.__name__: of for of in (paths, images, network, program, equation)}

@@ -147,7 +147,7 @@ def test_no_simulator_is_said_to_have_a_decay_of_one_s_own() -> None:
     assert (bent.mean("t30") > 1.02 * plain.mean("t30")).all()
 
     def make(room: rt.Room) -> object:
-        return rt.EquationSimulator(rt.Eyring(), room)
+        return rt.simulators.of_equation(rt.Eyring(), room)
 
     refused(lambda: corrected_case(case).simulator(make), "bent: it bends the decay")  # type: ignore[arg-type]
 

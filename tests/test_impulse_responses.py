@@ -55,7 +55,7 @@ def test_noise_floors(t: float) -> None:
     assert {*ir.MINIMUM_RANGE} - {*found} == {"t30"}
     assert inr == pytest.approx(40, abs=0.1)
     assert floor is Floor.NOISE
-    lowered, *_ = ir.of_energy(e + 1e-4, RATE, minimum_range={"t30": 38})
+    lowered, *_ = ir.of_energy(e + 1e-4, RATE, {**ir.MINIMUM_RANGE, "t30": 38})
     assert lowered["t30"] == pytest.approx(t, rel=0.01)
     found, inr, *_ = ir.of_energy(e + 10**-2.5, RATE)
     assert {*ir.MINIMUM_RANGE} - {*found} == {"t20", "t30"}

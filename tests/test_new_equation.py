@@ -21,7 +21,7 @@ from rtcal.finder.means.problem import state
 from rtcal.finder.means.recalibration import plain, recalibrate
 from rtcal.finder.model import STEEPEST, sensitivities
 from rtcal.loop.closed import Loop, start
-from rtcal.simulators.external import EquationSimulator
+from rtcal.simulators.external import of_equation
 from rtcal.support.errors import DataError
 
 ONE_FILE = '''
@@ -62,7 +62,7 @@ def test_a_new_equation_calibrates(quadratic: type[Any], cr2) -> None:
     result = rt.calibrate(room, measured, equation=quadratic())
     np.testing.assert_allclose(result.gap_after, 0, atol=1e-9)
     assert type(result.equation) is quadratic
-    simulated = EquationSimulator(quadratic(), room).simulate(result.alpha)
+    simulated = of_equation(quadratic(), room).simulate(result.alpha)
     np.testing.assert_allclose(simulated.mean("t20"), result.measured, rtol=1e-5)
 
 

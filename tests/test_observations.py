@@ -223,7 +223,7 @@ def test_bands_with_other_scattering_have_their_own_paths():
 
 def test_other_simulators_are_differentiated_by_differences():
     room, _ = rt.datasets.bras_cr2()
-    simulator = rt.simulators.EquationSimulator(room=room, equation=rt.Sabine())
+    simulator = rt.simulators.of_equation(room=room, equation=rt.Sabine())
     found = jacobian(simulator, room.alpha, ["t20"])
     loss = room.areas @ room.alpha + 4 * room.air_attenuation * room.volume
     expected = -room.areas[np.newaxis] / loss[:, np.newaxis]  # d ln T / d alpha = -S / A
@@ -232,7 +232,7 @@ def test_other_simulators_are_differentiated_by_differences():
 
 def test_parameters_that_a_simulator_does_not_give_are_named():
     room, _ = rt.datasets.bras_cr2()
-    simulator = rt.simulators.EquationSimulator(room=room, equation=rt.Sabine())
+    simulator = rt.simulators.of_equation(room=room, equation=rt.Sabine())
     with pytest.raises(SimulatorError, match="does not give C80, level"):
         observe(simulator, room.alpha, MATCH[:1] + MATCH[2:3] + MATCH[4:])
 

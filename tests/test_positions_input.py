@@ -188,7 +188,7 @@ def test_control_runs_of_another_simulator_are_refused(tracer, measured):
 
 def test_a_simulator_without_any_of_the_parameters_is_refused():
     room, measured = rt.datasets.bras_cr2()
-    equation = rt.simulators.EquationSimulator(room=room, equation=rt.Sabine())
+    equation = rt.simulators.of_equation(room=room, equation=rt.Sabine())
     with pytest.raises(SimulatorError, match="gives none of C80, Ts"):
         rt.calibrate_positions(equation, room, measured, match=("c80", "ts"))
 

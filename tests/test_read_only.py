@@ -81,7 +81,7 @@ class Halving(rt.Eyring):
 def test_an_equation_cannot_change_the_room(cr2: Any) -> None:
     room, measured = cr2
     kept = room.areas.copy()
-    simulator = rt.simulators.EquationSimulator(Halving(), room)
+    simulator = rt.simulators.of_equation(Halving(), room)
     with pytest.raises(SimulatorError, match="read-only"):
         rt.calibrate_simulator(simulator, room, measured)
     assert np.array_equal(room.areas, kept)

@@ -14,7 +14,7 @@ import rtcal as rt
 from rtcal.files.saved import NUMBERS, Result, plain, restored
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report.pages import page_of
-from rtcal.simulators import EquationSimulator
+from rtcal.simulators import of_equation
 from rtcal.support import __version__
 from rtcal.support.errors import DataError
 from tests.test_positions import HALL, MATCH, heard, tracing
@@ -59,7 +59,7 @@ def test_joint_calibrations_are_read_back(tmp_path: Path) -> None:
 
 def test_loops_are_read_back(tmp_path: Path) -> None:
     room, measured = rt.datasets.bras_cr2()
-    simulator = EquationSimulator(rt.Kuttruff(path_variance=0.9), room)
+    simulator = of_equation(rt.Kuttruff(path_variance=0.9), room)
     result = rt.calibrate_simulator(simulator, room, measured, rule="secant")
     loop = back(result, tmp_path)
     np.testing.assert_array_equal(loop.next_alpha, result.next_alpha)  # it still calibrates

@@ -38,7 +38,7 @@ def build(name, **changes):
 
 
 def test_public_names_work_by_attribute():
-    assert {"PathTracing", "ImageSource", "External", "EquationSimulator", "command"} <= set(
+    assert {"PathTracing", "ImageSource", "External", "of_equation", "command"} <= set(
         dir(rt.simulators)
     )
     for name in dir(rt.simulators):
@@ -162,7 +162,7 @@ def test_wrong_durations_are_typed_errors(name, method):
 def test_equation_simulators_take_an_equation_and_a_room():
     for equation, room in ((None, SHOEBOX), (rt.Eyring, SHOEBOX), (rt.Eyring(), None)):
         with pytest.raises(DataError):
-            rt.simulators.EquationSimulator(equation, room)
+            rt.simulators.of_equation(equation, room)
 
 
 @pytest.mark.parametrize(

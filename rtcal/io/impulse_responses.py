@@ -607,36 +607,22 @@ def _of_band(
     before = float(energy[onset - lead : onset].sum())
     # At the end, where it starts, the filter has not risen yet.
     energy = energy[: max(len(energy) - int(rate / bandwidth), onset)]
-    return _of_energy(energy[onset:], rate, needed, centre, bandwidth, before, lead)
+    return of_energy(energy[onset:], rate, needed, centre, bandwidth, before, lead)
 
 
 def of_energy(
-    energy: Array, sampling_rate: float, *, minimum_range: Mapping[str, float] | None = None
-) -> OfEnergy:
-    """Return the parameters of one squared response of all bands, (n_samples,).
-
-    It begins with the direct sound. Raises DataError for what is no number, or no such array.
-    """
-    checks.positive("sampling_rate", sampling_rate, "Hz")
-    energy = checks.array("energy", energy)
-    if energy.ndim != 1:
-        raise DataError(f"energy has shape {energy.shape}, not (n_samples,)")
-    return _of_energy(energy, sampling_rate, _ranges(minimum_range), None, sampling_rate / 2)
-
-
-def _of_energy(
     energy: Array,
     rate: float,
-    needed: Mapping[str, float],
-    centre: float | None,
-    bandwidth: float,
+    needed: Mapping[str, float] = MINIMUM_RANGE,
+    centre: float | None = None,
+    bandwidth: float | None = None,
     early: float = 0.0,
     early_samples: int = 0,
 ) -> OfEnergy:
-    """Return the parameters of one squared response.
+    """Return the parameters of one squared response, (n_samples,), that begins with the direct sound.
 
-    ``early`` is the energy that the filter has moved before the direct sound, over ``early_samples``;
-    it counts as early sound.
+    It is of all frequencies, or of a band. ``early`` is the energy that the band's filter has moved
+    before the direct sound, over ``early_samples``; it counts as early sound.
     """
     total = float(np.sum(energy))
     if not (np.isfinite(total) and total > 0 and len(energy) >= rate / 20):
@@ -645,7 +631,7 @@ def _of_energy(
     early = early * float(np.sum(energy)) / total
     cut = _cut(energy, rate, centre)
     if cut == len(energy) and energy[cut * 9 // 10 :].mean() > _LOW:
-        cut = _cut_into_noise(energy, rate, centre, bandwidth)
+        cut = _cut_into_noise(energy, rate, centre, bandwidth or rate / 2)
     done = _evaluated(_as_it_is(energy, cut), rate, needed, early, early_samples)
     if done.ratio < max(needed.values()):
         decay_on_line = _on_line(energy[:cut], rate, centre)

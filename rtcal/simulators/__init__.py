@@ -1,7 +1,7 @@
 """Simulators: absorption coefficients in, a `Measurement` out.
 
 `PathTracing` and `RayTracing` take rooms with plane walls, a `Polyhedron`. `ScatteringDelayNetwork`
-and `ImageSource` take shoeboxes. `EquationSimulator` evaluates an equation. `External` calls a
+and `ImageSource` take shoeboxes. `of_equation` evaluates an equation. `External` calls a
 function, `command` another program. `Simulator` is the protocol that all of them follow.
 """
 
@@ -11,9 +11,9 @@ from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.simulators.base import Simulator as Simulator
-    from rtcal.simulators.external import EquationSimulator as EquationSimulator
     from rtcal.simulators.external import External as External
     from rtcal.simulators.external import command as command
+    from rtcal.simulators.external import of_equation as of_equation
     from rtcal.simulators.geometry import Polyhedron as Polyhedron
     from rtcal.simulators.path_tracing import PathTracing as PathTracing
     from rtcal.simulators.ray_tracing import RayTracing as RayTracing

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, ClassVar
+from typing import IO
 
 import numpy as np
 
@@ -228,52 +228,29 @@ def _end(program: subprocess.Popen[bytes]) -> None:
     program.wait()
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class EquationSimulator(RoomSimulator):
-    """Returns the T of a reverberation equation, also of one without a linear target.
+def of_equation(equation: Equation, room: Room) -> External:
+    """Return the T of an equation as a simulator, also of one without a linear target.
 
-    Parameters
-    ----------
-    equation : Equation
-        For example Fitzroy's, which `rtcal.calibrate` cannot invert but the closed loop can.
-    room : Room
+    For example Fitzroy's, which `rtcal.calibrate` cannot invert but the closed loop can. It raises
+    DataError where nothing absorbs, and for what is no equation.
 
     Examples
     --------
     >>> from rtcal.acoustics.equations import Eyring
     >>> room = Room(name="box", volume=120, materials=["all"], areas=[158], alpha=[[0.2]],
     ...             sigma=[[0.1]], centre_frequencies=[1000])
-    >>> simulator = EquationSimulator(Eyring(speed_of_sound=343), room)
-    >>> print(simulator.simulate(room.alpha).values["t20"].round(4))
+    >>> print(of_equation(Eyring(speed_of_sound=343), room).simulate(room.alpha).values["t20"].round(4))
     [[0.5484]]
     """
+    if isinstance(equation, type) or not isinstance(equation, Equation):
+        raise DataError(f"equation = {equation!r} is no Equation")
+    name = f"{equation.name}'s equation for {checks.instance('room', room, Room).name}"
 
-    equation: Equation
-    room: Room
-    deterministic: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        if isinstance(self.equation, type) or not isinstance(self.equation, Equation):
-            raise DataError(f"equation = {self.equation!r} is no Equation")
-        checks.instance("room", self.room, Room)
-
-    @property
-    def name(self) -> str:
-        """Name that calibrated coefficients belong to."""
-        return f"{self.equation.name}'s equation for {self.room.name}"
-
-    def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return T in s for alpha (n_materials, n_bands) as a T20; the seed has no effect.
-
-        Raises
-        ------
-        DataError
-            For an infinite T, or an alpha that is not (n_materials, n_bands) or not in [0, 1].
-        """
-        checks.whole("seed", seed, 0)
-        alpha = check_alpha(self, alpha)
-        times = self.equation.reverberation_time(self.room.replace(alpha=alpha, calibration=None))
+    def run(alpha: Array, seed: int) -> Measurement:
+        times = equation.reverberation_time(room.replace(alpha=alpha, calibration=None))
         if not (finite := np.isfinite(times)).all():
-            error = DataError(f"{self.name} has no finite T: nothing absorbs")
+            error = DataError(f"{name} has no finite T: nothing absorbs")
             raise of_bands(error, np.flatnonzero(~finite))
-        return Measurement.from_values(self.centre_frequencies, **{TARGET.key: times})
+        return Measurement.from_values(room.centre_frequencies, **{TARGET.key: times})
+
+    return External(room=room, run=run, name=name)

@@ -10,7 +10,7 @@ import pytest
 import rtcal as rt
 from rtcal.loop import Loop
 from rtcal.report import pages
-from rtcal.simulators.external import EquationSimulator
+from rtcal.simulators.external import of_equation
 from tests.report.pages import evil_room
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed (rtcal[report])")
@@ -41,7 +41,7 @@ def evil_html(evil) -> str:
 @pytest.fixture(scope="module")
 def loop_result() -> Loop:
     room, measured = rt.datasets.bras_cr2()
-    simulator = EquationSimulator(rt.Kuttruff(path_variance=0.9), room)
+    simulator = of_equation(rt.Kuttruff(path_variance=0.9), room)
     return rt.calibrate_simulator(simulator, room, measured, rule="secant", tolerance=0.05)
 
 

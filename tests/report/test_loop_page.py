@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import numpy as np
 
@@ -31,8 +30,4 @@ def test_a_loop_results_page(loop_result, tmp_path) -> None:
     simulated = re.findall(r">([\d.]+)</td>", row)
     assert [float(v) for v in simulated] == np.round(after, 3).tolist()
     assert "with all the coefficients returned, T30 is off by 0.0 JND at most" in text
-    assert "no finding" not in text
     assert len(rt.load(path).steps) == loop_result.simulations
-    alpha = np.where(loop_result.alpha > 0.1, 1.0, loop_result.alpha)
-    text = pages.page(replace(loop_result, returned=alpha))
-    assert "windows: α = 1 at 125 and 2000 Hz" in text

@@ -22,7 +22,7 @@ from rtcal.finder.apply import corrected_case
 from rtcal.finder.effects import AppliedEffect, Effect, checked_grid, library
 from rtcal.finder.means.problem import distances, state
 from rtcal.finder.model import FEATURES, RoomState, predict
-from rtcal.simulators.external import EquationSimulator
+from rtcal.simulators.external import of_equation
 from rtcal.support.errors import DataError
 
 ROUNDING = 1e-9
@@ -142,7 +142,7 @@ def agree(case: Case) -> None:
         return  # it counts a patch otherwise than a wall that is as absorbing on average
     spread, refused = None, ""
     try:
-        spread = made.simulator(lambda r: EquationSimulator(equation, r))
+        spread = made.simulator(lambda r: of_equation(equation, r))
     except DataError as error:
         refused = str(error)
     if spread is None:

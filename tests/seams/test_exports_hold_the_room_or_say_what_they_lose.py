@@ -23,7 +23,7 @@ from rtcal.finder.positions.case import PositionsCase
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
 from rtcal.loop.positions import PositionsResult
 from rtcal.report import figures, of_positions
-from rtcal.simulators import EquationSimulator, Polyhedron
+from rtcal.simulators import Polyhedron, of_equation
 from rtcal.support.errors import DataError
 from tests.test_where_corrected import candidate
 
@@ -121,7 +121,7 @@ def calibrated() -> rt.Room:
 
 def looped() -> rt.Room:
     room = stated(alpha=np.full((2, 8), 0.2))
-    simulator = EquationSimulator(rt.Sabine(), room)
+    simulator = of_equation(rt.Sabine(), room)
     measured = rt.Measurement.from_values(
         OCTAVES, t20=0.95 * simulator.simulate(room.alpha).mean("t20")
     )

@@ -10,7 +10,7 @@ import pytest
 import rtcal as rt
 from rtcal.prediction import Change
 from rtcal.prediction.predicted import Prediction
-from rtcal.simulators.external import EquationSimulator
+from rtcal.simulators.external import of_equation
 
 STATED = {"volume_sigma": 0.08, "area_sigma": 0.05}
 
@@ -29,7 +29,7 @@ def test_a_loop_takes_it_as_exact_and_does_not_push_the_target(room: rt.Room) ->
     """The simulator is brought to T all the same, so the room's share must not drift into alpha."""
     loops = []
     for each in (room, room.replace(**STATED)):
-        simulator = EquationSimulator(rt.Kuttruff(), each)
+        simulator = of_equation(rt.Kuttruff(), each)
         loops.append(rt.calibrate_simulator(simulator, each, measured(each)))
     np.testing.assert_allclose(loops[1].room.alpha, loops[0].room.alpha, rtol=0, atol=1e-12)
     assert np.abs(loops[0].room.alpha - room.alpha).max() > 0.001
