@@ -24,7 +24,7 @@ The path of `rtcal.calibrate(room, measured)`, in the order in which it is taken
    unknowns of all rooms, and of it a `CalibrationResult` per room.
 
 Beside the path: `posterior` (marginals and draws of a density), `fit` (steps around the QP for models
-that are not linear), `archive` (what calibrated rooms say of their materials), `table` and `verdict` (a
+that are not linear), `archive` (what calibrated rooms say of their materials), `table` (a
 calibration in words). `exact` has the paper's closed forms and the exact solution of one band, which
 share no code with all this.
 """

@@ -49,7 +49,7 @@ from rtcal.calibration.posterior import (
     quantiles,
 )
 from rtcal.calibration.qp import QP, Active, Certificate, Iterate, System
-from rtcal.calibration.table import blocks_of
+from rtcal.calibration.table import CalibrationVerdict, blocks_of, verdict
 from rtcal.calibration.terms import (
     ExactMatch,
     LinearObservations,
@@ -58,7 +58,6 @@ from rtcal.calibration.terms import (
     SoftMatch,
 )
 from rtcal.calibration.unknowns import Configurations, Flags, Numbers
-from rtcal.calibration.verdict import CalibrationVerdict, verdict
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.prediction.predicted import Prediction, predict

@@ -16,7 +16,7 @@ from rtcal.acoustics.room import MAX_BYTES
 from rtcal.calibration import table
 from rtcal.calibration.methods import METHODS
 from rtcal.calibration.result import CalibrationResult
-from rtcal.calibration.verdict import CalibrationVerdict
+from rtcal.calibration.table import CalibrationVerdict
 from rtcal.modes.calibrate import ModesResult
 from rtcal.report import figures, room_view
 from rtcal.report.document import (
