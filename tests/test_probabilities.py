@@ -15,10 +15,9 @@ import rtcal as rt
 from rtcal.acoustics.room_errors import HANDBOOK_SIGMA
 from rtcal.command.main import cli
 from rtcal.finder import Case, ChangedMaterial, Configuration, library, recalibrate
-from rtcal.finder.claim import by_family, claimed
+from rtcal.finder.claim import by_family, conclude
 from rtcal.finder.effects import Audience, CoupledRoom, Opening, People, WrongVolume
 from rtcal.finder.evidence import SHARPER, log_mixture, prior_of, probability_off
-from rtcal.finder.finding import sentence_of, size_of
 from rtcal.finder.means import problem as bootstrap
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import (
@@ -31,6 +30,7 @@ from rtcal.finder.means.problem import (
 )
 from rtcal.finder.model import predict
 from rtcal.finder.search import find
+from rtcal.report.finding_words import headline, size_of
 from rtcal.support.errors import DataError
 from tests.conftest import candidates_of
 
@@ -95,10 +95,10 @@ def test_coefficients_off_together_are_a_verdict_in_words_and_a_prior_to_go_on_f
     name = ("coefficients",)
     together = tuple(c for c in finding.candidates if c.effect in name)
     sure = replace(finding, verdict="named", named=name, members=name, candidates=together)
-    assert sentence_of(sure) == "The coefficients are off together."
+    assert headline(sure)[0].startswith("The input coefficients are off in common (")
     either = replace(sure, verdict="ambiguous", candidates=(*together, *candidates_of("volume")))
-    assert "one of coefficients that are off together (" in sentence_of(either)
-    assert "look for another source" in str(sure)
+    assert "most likely coefficients off in common (" in headline(either)[0]
+    assert "Look for another source" in str(sure)
     moved = sure.apply().case
     assert moved.applied == ()
     assert (moved.room.alpha >= case.room.alpha).all()
@@ -269,10 +269,11 @@ def test_a_room_s_coupling_is_claimed_by_its_family() -> None:
     rough = [name for name, effect in effects.items() if not effect.alone]
     probabilities = {"coupled room": 0.97, "non-diffuse field": 0.02, "none": 0.01}
     families = by_family(probabilities, effects)
-    assert claimed(None, probabilities, families, rough) == ("family", "field")
+    claim = conclude(None, probabilities, families, rough)
+    assert (claim.verdict, claim.family) == ("family", "field")
     probabilities = {"opening": 0.97, "none": 0.03}
     families = by_family(probabilities, effects)
-    assert claimed(None, probabilities, families, rough)[0] == "named"
+    assert conclude(None, probabilities, families, rough).verdict == "named"
 
 
 def with_levels(*, stated: bool) -> Case:
@@ -402,10 +403,10 @@ def test_data_that_say_nothing_do_not_hide_what_t20_detects() -> None:
     whole = find(case, **tried)
     assert whole.score < whole.threshold
     assert whole.detection.deciding == "T20"
-    assert "Detected by T20 alone" in str(whole)
+    assert "from T20 alone" in " ".join(str(whole).split())
     # All data leave nothing a fair part of the probability, which makes it a hint.
     assert whole.verdict == "hint"
-    assert whole.reasons[0].startswith("that nothing is missing has a probability of")
+    assert whole.reasons[0].code == "nothing likely"
 
 
 def test_people_are_objects_and_an_audience_covers_floor() -> None:

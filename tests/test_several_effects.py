@@ -15,10 +15,9 @@ from scipy.stats import multivariate_t
 import rtcal as rt
 from rtcal.finder import Case, Configuration, Effect, Finding, library
 from rtcal.finder import evidence as densities
-from rtcal.finder.claim import numbers_of
+from rtcal.finder.claim import Reason, numbers_of
 from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.evidence import DEGREES, UNKNOWN, prior_of
-from rtcal.finder.finding import sentence_of
 from rtcal.finder.means import problem
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import (
@@ -36,10 +35,10 @@ from rtcal.finder.means.problem import (
     posterior_of_sets,
     predict_hypotheses,
 )
-from rtcal.finder.means.verdict import Objection
 from rtcal.finder.model import FEATURES
 from rtcal.finder.records import stored
 from rtcal.finder.search import find
+from rtcal.report.finding_words import headline
 from rtcal.support.errors import DataError
 from tests.test_discrepancy import alpha_covariance
 
@@ -206,9 +205,9 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert set(found.members) == {"volume", "noise floor"}
     assert {"scale", "measurement"} <= {f.split(",")[0] for f in found.named_families}
     assert found.named_set == ("measurement", "scale")
-    assert "More than one thing is missing (100 %)" in sentence_of(found)
+    assert "More than one effect is missing (" in " ".join(headline(found))
     right, of = stored()["several"]["sets of families"]
-    said = f"{of} sets of families were claimed, and {right} were right"
+    said = f"{right} of {of} identified sets of groups"
     assert said in " ".join(str(found).split())
     assert sum(found.sets.values()) == pytest.approx(1)
     assert sum(found.family_sets.values()) == pytest.approx(1)
@@ -257,7 +256,7 @@ def test_a_family_alone_is_not_called_a_name() -> None:
     assert found.named == ()
     assert found.named_families == ("field",)
     assert found.verdict == "family"
-    assert str(found).startswith("family: Missing from the model")
+    assert str(found).startswith("Something is missing from the model")
     assert found.apply().case.applied
 
 
@@ -268,9 +267,9 @@ def test_an_unknown_effect_is_said_to_be_unknown() -> None:
     assert found.verdict == "unknown"
     assert not found.can_be_added
     # Some of the library's effects were tried.
-    assert sentence_of(found).startswith("None of the effects that were tried explains it")
-    assert "(verdict unknown)" in str(found.reason_for_none)
-    assert "most probable" not in str(found)
+    assert "none of the effects that were tried explains it" in headline(found)[0]
+    assert "(verdict unknown)" in str(found.refusal)
+    assert "most likely" not in str(found)
     with pytest.raises(DataError, match='the verdict is "unknown"'):
         found.apply()
 
@@ -355,21 +354,22 @@ def test_a_decay_that_the_second_room_decides_can_be_calibrated() -> None:
 
 
 @pytest.mark.parametrize(
-    ("of", "families", "together"),
-    [("size", {"scale", "measurement"}, ("measurement", "scale")), ("effect", set(), ())],
+    ("code", "families", "together"),
+    [("too large", {"scale", "measurement"}, ("measurement", "scale")), ("gap grows", set(), ())],
 )
 def test_a_doubt_of_a_size_leaves_the_families_of_a_set_claimed(
-    of: str, families: set[str], together: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+    code: str, families: set[str], together: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As of one effect: a doubt of the size or the fit speaks against no family."""
-    doubt = Objection("it is odd", of)  # type: ignore[arg-type]
+    values = {"effect": "volume", "share": 1.0, "most": 0.5, "before": 1.0, "after": 2.0}
+    doubt = Reason(code, values)
     monkeypatch.setattr("rtcal.finder.means.verdict.doubts", lambda *_: (doubt,))
     found = sought(case_with(*BOTH))
     assert found.named == ()
     assert {f.split(",")[0] for f in found.named_families} == families
     assert found.named_set == together
     assert found.verdict == ("family" if families else "ambiguous")
-    assert found.reasons == ("it is odd",)
+    assert found.reasons == (doubt,)
 
 
 def test_a_single_effect_is_a_set_of_one() -> None:

@@ -12,8 +12,13 @@ import rtcal as rt
 from benchmarks import records as benchmark
 from rtcal.acoustics.observables import LEVEL
 from rtcal.finder import records
-from rtcal.finder.finding import track_record
 from rtcal.finder.records import HANDBOOK, IN_SITU, Share, record_of
+from rtcal.report.finding_words import (
+    interval,
+    record_of_means,
+    record_of_positions,
+    track_record,
+)
 
 VERDICTS = ("none", "hint", "named", "family", "ambiguous", "unknown")
 
@@ -35,14 +40,12 @@ def test_the_interval_is_that_of_the_binomial_distribution(counts: tuple[int, in
 @pytest.mark.parametrize("data", [records.TIMES, records.ALL])
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_every_record_of_means_has_counts_and_an_interval(verdict: str, data: str) -> None:
-    said = records.record_of_means(verdict, data)
+    said = record_of_means(verdict, data)
     assert "not used to make the finder" in said
     assert data in said
     record = record_of("means", data)
     if (right := record.get(verdict)) is not None:
-        assert re.search(
-            rf"\b{right.of} .* were claimed, and {right.count} .*\({right.in_words}\)", said
-        )
+        assert re.search(rf"\b{right.count} of {right.of} .*\({interval(right)}\)", said)
     assert "95 % interval" in said
 
 
@@ -54,7 +57,7 @@ def test_a_finding_prints_the_record_of_its_own_kind_of_data(kept: Path) -> None
     assert records.data_of(times) == records.TIMES
     assert records.data_of(case.only("t20", "c80", configurations=[first])) == records.ALL
     finding = rt.find(case, cache=kept)
-    assert track_record(finding) == records.record_of_means(finding.verdict, records.ALL)
+    assert track_record(finding) == record_of_means(finding.verdict, records.ALL)
     assert track_record(finding) in " ".join(str(finding).split())
 
 
@@ -68,7 +71,7 @@ def test_a_search_at_positions_states_the_claims_of_rooms_like_its_own(
     assert records.statement_of(room) == statement
     data = records.WITH_LEVEL if LEVEL.key in match else records.WITHOUT_LEVEL
     record = record_of("positions", statement, data)
-    said = records.record_of_positions(room, match)
+    said = record_of_positions(room, match)
     for share in record.values():
         assert {f"{share.count}", f"{share.of}"} <= set(re.findall(r"\d+", said))
-        assert share.in_words in said
+        assert interval(share) in said

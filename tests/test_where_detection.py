@@ -14,7 +14,6 @@ import pytest
 import rtcal as rt
 from rtcal.finder.claim import Detection
 from rtcal.finder.effects import library
-from rtcal.finder.finding import detection_in_words
 from rtcal.finder.positions.problem import (
     NOISE,
     POSITION,
@@ -31,8 +30,9 @@ from rtcal.finder.positions.search import (
     scores,
     weights,
 )
-from rtcal.finder.records import record_of_positions
+from rtcal.report.finding_words import evidence, record_of_positions
 from tests.test_where import measured, stated, tracing
+from tests.test_where_page import finding_of
 
 
 @pytest.fixture(scope="module")
@@ -52,10 +52,10 @@ def test_the_positions_decide() -> None:
 def test_a_noisy_pair_is_a_hint() -> None:
     assert Detection(-5.0, THRESHOLD, noise=3.0).verdict == "hint"
     assert Detection(-5.0, THRESHOLD, noise=-3.0).verdict == "none"
-    assert "noisier than assumed: +3.0 nats" in detection_in_words(
-        Detection(-5.0, THRESHOLD, noise=3.0)
-    )
-    assert "noisier" not in detection_in_words(Detection(THRESHOLD + 1, THRESHOLD, noise=3.0))
+    noisy = replace(finding_of({"wall 5": 1.0}), detection=Detection(-5.0, THRESHOLD, noise=3.0))
+    assert "noisy value is the better explanation (odds of 20 to 1)" in evidence(noisy)
+    sure = replace(noisy, detection=Detection(THRESHOLD + 1, THRESHOLD, noise=3.0))
+    assert "noisy" not in evidence(sure)
 
 
 def spread(effect: str) -> SpreadHypothesis:
@@ -157,7 +157,7 @@ def test_the_record_is_that_of_what_was_measured(
     lacking = rt.finder.positions.PositionsCase(simulator=case.simulator, measured=without)
     assert "level" in lacking.match
     finding = rt.find(lacking, cache=kept)
-    assert record_of_positions(case.room, finding.parameters) == finding.notes[0]
+    assert record_of_positions(case.room, finding.parameters) in " ".join(str(finding).split())
     assert "level" not in finding.parameters
 
 
@@ -178,4 +178,4 @@ def test_a_coupled_room_is_claimed_by_its_family_alone(
     finding = rt.find(case, only=["coupled room"], cache=kept)
     assert (finding.verdict, finding.effect, finding.family) == ("family", None, "field")
     assert finding.surface is None
-    assert "scatters less than assumed" in " ".join(finding.reasons)
+    assert "scatters less than assumed" in " ".join(map(str, finding.reasons))

@@ -60,7 +60,7 @@ def test_a_finding_names_the_family_that_means_know_of(
     for family in ("added absorption, flat", "scale"):
         families = {family: 0.999, "none": 0.001}
         means = SimpleNamespace(
-            score=5.0, effect=None, family=family, families=families, mistake=""
+            score=5.0, effect=None, family=family, families=families, mistake=None
         )
         monkeypatch.setattr(
             sys.modules["rtcal.finder.positions.search"], "evidence_of_means", lambda *_, m=means: m

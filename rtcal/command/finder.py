@@ -324,11 +324,12 @@ def verify(found: str, before: str | None, after: str | None) -> None:
         measured: Any = {"before": read_measured(before), "after": read_measured(after)}
         verification = finder.verify(finding, **measured)
     if verification is None:
-        nothing = finding.reason_for_none
-        if nothing is None and finding.kind == "means" and not finding.can_be_verified:
-            together = "several effects were found together; search with --most 1"
-            nothing = f"Not verified: {as_options(finding.undecided or together, ['effect'])}"
-        if nothing is not None:
+        why, nothing = finding.refusal, ""
+        if why is None and finding.kind == "means" and not finding.can_be_verified:
+            together = "Several effects were found together; search with --most 1."
+            nothing = f"Not verified. {as_options(str(finding.undecided or together), ['effect'])}"
+        if why is not None or nothing:
+            nothing = nothing or str(why)
             tell(nothing, {"verdict": None, "sentence": nothing, "finding": finding.to_dict()})
             return
         verification = verified(finding, kept_beside(found))
@@ -474,28 +475,30 @@ def _further_places(finding: Any) -> tuple[Place, ...]:
 
 
 def _tell_places(finding: Finding) -> None:
-    """Print where a further receiver would tell the surfaces apart that are in question."""
+    """Print where a further receiver would distinguish the surfaces that are in question."""
+    from rtcal.report.finding_words import headline, odds
+
     places = _further_places(finding)[:PROPOSED]
-    said: list[Block] = [Note(finding.headline), Note("")]
+    said: list[Block] = [Note(" ".join(headline(finding))), Note("")]
     if places:
         names = ", ".join(f'"{name}"' for name in finding.likely_surfaces)
         rows = [
-            Row(f"{', '.join(f'{x:.2f}' for x in p.point)} m", [p.source, f"{p.nats:.1f}"])
+            Row(f"{', '.join(f'{x:.2f}' for x in p.point)} m", [p.source, odds(p.nats)])
             for p in places
         ]
         said += [
             Note(
-                "A further receiver is expected to tell these surfaces apart with so many nats of "
-                f"evidence (2.3 are odds of ten to one): {names}."
+                f"A further receiver is expected to distinguish these surfaces ({names}) with these "
+                "odds."
             ),
-            Table(["source", "nats"], rows, corner="receiver"),
+            Table(["source", "odds"], rows, corner="receiver"),
         ]
     else:
         said.append(
             Note(
-                "No surfaces are in question that a further receiver would tell apart. Which other "
-                "measurement would tell most is planned with means over positions: name a case that "
-                "states the room, or a measurement of means."
+                "No surfaces are in question that a further receiver would distinguish. Plan other "
+                "measurements with means over positions: name a case that states the room, or a "
+                "measurement of means."
             )
         )
     record = {

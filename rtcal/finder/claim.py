@@ -1,13 +1,15 @@
 """Probabilities and sizes of what explains the data, and what is claimed of it.
 
-Of all observation models. `rtcal.finder.records` says how often such claims were right.
+Of all observation models; words are made of them in `rtcal.report.finding_words` alone.
+`rtcal.finder.records` has how often such claims were right.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -17,7 +19,6 @@ from rtcal.files.disk import json_numbers
 from rtcal.finder.effects import CoupledRoom, Effect
 from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN, Prior
 from rtcal.support.errors import ModelError
-from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
 
 Key = TypeVar("Key")
@@ -36,11 +37,6 @@ DISTINCT_NATS = 2.3
 _ABSORPTION = "added absorption"
 _ALIKE = 1.25
 """Ratio of both ends of the line through the bands, below which these are alike."""
-
-
-def after_doubt(doubt: str) -> str:
-    """Return how a claim begins that stands after a doubt about what is stated; "" without one."""
-    return f"{as_sentence(doubt)} If there is none: " if doubt else ""
 
 
 def over_frequency(values: Array) -> str:
@@ -142,13 +138,64 @@ def narrowest_family(families: Mapping[str, float], least: float) -> str | None:
     return max(probable, key=lambda family: family.count(",")) if probable else None
 
 
-def claimed(
+@dataclass(frozen=True)
+class Reason:
+    """Why something is identified or not, what to do, or what to know: a code with its values.
+
+    ``values`` are numbers, names and sizes. `rtcal.report.finding_words` has a sentence for each code,
+    which ``str`` returns.
+    """
+
+    code: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        # `report` stands above this package, so its words are looked up when they are printed.
+        words: str = import_module(WORDS).sentence(self)
+        return words
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return code, values and sentence for JSON."""
+        return {"code": self.code, "values": json_numbers(self.values), "text": str(self)}
+
+
+WORDS = "rtcal.report.finding_words"
+"""The module that makes the words of a finding."""
+LEADING, MISTAKE = "T far off, effect stands", "T far off"
+"""Codes of the reasons that T is about twice or half the model's; the first stands before a claim."""
+LEAVES: Mapping[str, str] = {
+    **dict.fromkeys(("size unbounded", "too large", "not explained", "gap may grow"), "family"),
+    LEADING: "family",
+    **dict.fromkeys((MISTAKE, "gap grows", "contradicted", "below Schroeder"), "hint"),
+    "not the climate alone": "ambiguous",
+}
+"""The verdict that a reason leaves of a claim. Doubts about the size, the fit or an input value leave
+the family as probable as it is; doubts about the effect leave nothing of it identified."""
+FAIR = 1 / 3
+"""A fair part of the probability. Where nothing missing has it, as before the measurement
+(`rtcal.finder.evidence.NO_EFFECT`), or no effect and no family does, the data do not say enough to call
+something missing. Chosen on development rooms."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claim:
+    """What is identified: the fields of a `Finding` that `conclude` decides."""
+
+    verdict: str
+    family: str | None = None
+    named: Names = ()
+    reasons: tuple[Reason, ...] = ()
+
+
+def conclude(
     detected: str | None,
     probabilities: Mapping[str, float],
     families: Mapping[str, float],
     by_family_alone: Collection[str] = (),
-) -> tuple[str, str | None]:
-    """Return the verdict before any check, and the family that is probable enough to be claimed.
+    reasons: Sequence[Reason] = (),
+    weak: Reason | None = None,
+) -> Claim:
+    """Return what is identified, of any kind of data.
 
     Parameters
     ----------
@@ -157,61 +204,50 @@ def claimed(
     probabilities, families : mapping of str to float
         Of each effect and family, the most probable first.
     by_family_alone : collection of str
-        The effects that are not claimed by their own names (`Effect.alone`).
+        The effects that are not identified by their own names (`Effect.alone`).
+    reasons : sequence of Reason
+        Doubts about the most probable effect, of which `LEAVES` says what they leave.
+    weak : Reason, optional
+        Why the data do not say enough (`too_weak`): nothing but a name or a family is more than a hint.
     """
     if detected is not None:
-        return detected, None
+        return Claim(verdict=detected, reasons=tuple(reasons))
     best = next(k for k in probabilities if k != NONE)
     family = narrowest_family(families, CLAIMED)
     if best == UNKNOWN:
-        return "unknown", family
-    if probabilities[best] >= CLAIMED and best not in by_family_alone:
-        return "named", family
-    return ("ambiguous" if family is None else "family"), family
+        verdict = "unknown"
+    elif probabilities[best] >= CLAIMED and best not in by_family_alone:
+        verdict = "named"
+    else:
+        verdict = "ambiguous" if family is None else "family"
+    if verdict in ("named", "family"):
+        left = {LEAVES.get(reason.code, verdict) for reason in reasons} | {verdict}
+        if "hint" in left or (family is None and "family" in left):
+            verdict = "hint"
+        elif "ambiguous" in left:
+            verdict, family = "ambiguous", None
+        elif "family" in left:
+            verdict = "family"
+    elif weak is not None:
+        verdict, reasons = "hint", (weak, *reasons)
+    named = (best,) if verdict == "named" else ()
+    return Claim(verdict=verdict, family=family, named=named, reasons=tuple(reasons))
 
 
-FAIR = 1 / 3
-"""A fair part of the probability. Where nothing missing has it, as before the measurement
-(`rtcal.finder.evidence.NO_EFFECT`), or no effect and no family does, the data do not say enough to call
-something missing. Chosen on development rooms."""
-
-
-def too_weak(probabilities: Mapping[str, float], families: Mapping[str, float]) -> str:
-    """Return why nothing is said to be missing although the score exceeds its threshold; "" if it is.
+def too_weak(probabilities: Mapping[str, float], families: Mapping[str, float]) -> Reason | None:
+    """Return why nothing is said to be missing although the score exceeds its threshold, or None.
 
     Examples
     --------
-    >>> too_weak({"none": 0.4, "opening": 0.35}, {"none": 0.4, "added absorption": 0.5})
-    'that nothing is missing has a probability of 40 %'
+    >>> too_weak({"none": 0.4, "opening": 0.35}, {"none": 0.4, "added absorption": 0.5}).code
+    'nothing likely'
     >>> too_weak({"none": 0.2, "opening": 0.3}, {"none": 0.2, "added absorption": 0.5})
-    ''
     """
     nothing = probabilities.get(NONE, 0.0)
     if nothing >= FAIR:
-        return f"that nothing is missing has a probability of {100 * nothing:.0f} %"
+        return Reason("nothing likely", {"probability": nothing})
     every = [p for table in (probabilities, families) for k, p in table.items() if k != NONE]
-    if max(every, default=0.0) < FAIR:
-        return f"no effect and no family of effects has a probability of {100 * FAIR:.0f} %"
-    return ""
-
-
-_FEW = 3
-"""Most effects that are listed as not explaining what was measured."""
-
-
-def unexplained(names: Collection[str]) -> str:
-    """Return in words that these effects do not explain it.
-
-    Examples
-    --------
-    >>> unexplained(["air"]), unexplained(["opening", "porous"])
-    ('air does not explain it', 'opening and porous do not explain it')
-    >>> unexplained(["opening", "porous", "curtain", "people"])
-    'none of the effects that were tried explains it'
-    """
-    if len(names) > _FEW:
-        return "none of the effects that were tried explains it"
-    return f"{listed(list(names))} {'does' if len(names) == 1 else 'do'} not explain it"
+    return Reason("no effect likely", {"least": FAIR}) if max(every, default=0.0) < FAIR else None
 
 
 def credible_set(probabilities: Mapping[str, float]) -> tuple[str, ...]:
@@ -341,13 +377,6 @@ class Candidate:
         return middle if probability >= LOCATED * self.probability else None
 
     @property
-    def about(self) -> str:
-        """The middle in words; "" without one."""
-        if self.middle is None:
-            return ""
-        return f", most probably about ({', '.join(f'{x:.1f}' for x in self.middle)}) m"
-
-    @property
     def title(self) -> str:
         """Effect and place, as a sentence names them."""
         if self.surface is not None:
@@ -376,11 +405,6 @@ class Candidate:
         """Size with its interval; "" where there is none."""
         return "" if self.sized is None else self.sized.words
 
-    @property
-    def likely(self) -> str:
-        """Its title, with its probability in percent."""
-        return f"{self.title} ({percent(self.probability)})"
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
         return {
@@ -393,11 +417,6 @@ class Candidate:
 
 
 _CONVERTED = ("called", "size", "low", "high", "spectrum", "parameters", "parts")
-
-
-def percent(probability: float) -> str:
-    """Return a probability in percent, as sentences have it."""
-    return f"{100 * probability:.0f} %"
 
 
 @dataclass(frozen=True)

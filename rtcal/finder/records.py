@@ -7,7 +7,7 @@ that were not used to make the finder (benchmarks/studies/means and pairs).
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -15,7 +15,6 @@ from typing import Any
 
 from scipy.stats import beta
 
-from rtcal.acoustics.observables import LEVEL
 from rtcal.acoustics.room import Room
 from rtcal.finder.case import LEVELS, Case
 from rtcal.finder.evidence import relative_sigma
@@ -52,20 +51,6 @@ class Share:
         high = 1.0 if k == n else float(beta.ppf(0.975, k + 1, n - k))
         return low, high
 
-    @property
-    def in_words(self) -> str:
-        """The interval in percent: "0 to 41 %, 95 % interval"."""
-        low, high = self.interval
-        return f"{100 * low:.0f} to {100 * high:.0f} %, 95 % interval"
-
-    def said(self, of: str, was: str) -> str:
-        """Return it as a clause: "3 of 18 rooms were flagged (4 to 41 %, 95 % interval)"."""
-        return f"{self.count} of {self.of} {of} {was} ({self.in_words})"
-
-    def claimed(self, kind: str, was: str = "were right") -> str:
-        """Return claims made and claims right, in a sentence without its beginning."""
-        return f"{self.of} {kind} were claimed, and {self.count} {was} ({self.in_words})."
-
 
 @cache
 def stored() -> Mapping[str, Any]:
@@ -101,62 +86,9 @@ def data_of(case: Case) -> str:
     return ALL if others or not {*LEVELS}.isdisjoint(first.measured.values) else TIMES
 
 
-_ROOMS = "In simulated rooms {}that were not used to make the finder"
-
-
-def record_of_means(verdict: str, data: str) -> str:
-    """Return how often such a verdict was right with such data, `TIMES` or `ALL`.
-
-    >>> print(record_of_means("unknown", TIMES)[:66])
-    In simulated rooms that were not used to make the finder, with T20
-    """
-    record, rooms = record_of("means", data), _ROOMS.format("")
-    rooms += f", with {data},"
-    if verdict == "unknown":
-        return f"{rooms} {record['flagged'].said('rooms that lack nothing', 'were flagged')}."
-    if verdict not in record:
-        missed = Share(record["detected"].of - record["detected"].count, record["detected"].of)
-        not_detected = missed.said("hidden effects", "were not detected")
-        return f"{rooms} {not_detected}, so this is no proof that nothing is missing."
-    if verdict == "ambiguous":
-        return f"{rooms} {record[verdict].claimed('sets of candidates', 'held the truth')}"
-    kind = {"named": "effects", "family": "families"}[verdict]
-    measured = stored()["measured"]
-    wrong = Share(measured["wrong"], measured["claims"])
-    was = {0: "none was", 1: "1 was"}.get(wrong.count, f"{wrong.count} were")
-    return (
-        f"{rooms} {record[verdict].claimed(kind)} In measured rooms, by an earlier version of it, "
-        f"{wrong.of} effects or families were claimed in {measured['cases']} cases, and {was} wrong "
-        f"(error rate {wrong.in_words})."
-    )
-
-
-def record_of_several(claimed: Sequence[str]) -> str:
-    """Return how often claims beside others were right: "families", "sets of families"."""
-    rooms = f"{_ROOMS.format('with one or two effects ')},"
-    return " ".join(
-        f"{rooms} {Share(*stored()['several'][kind]).claimed(kind)}" for kind in claimed
-    )
-
-
 def statement_of(room: Room) -> str:
     """Return `IN_SITU` or `HANDBOOK`: which of the judged rooms a room resembles.
 
     By `rtcal.finder.evidence.relative_sigma`: a handbook's is 1.
     """
     return HANDBOOK if relative_sigma(room) > 0.95 else IN_SITU
-
-
-def record_of_positions(room: Room, match: Sequence[str]) -> str:
-    """Return how often hidden effects were detected and empty rooms flagged, with such data."""
-    stated, data = statement_of(room), WITH_LEVEL if LEVEL.key in match else WITHOUT_LEVEL
-    record = record_of("positions", stated, data)
-    surface = record["surface"]
-    return (
-        f"{_ROOMS.format(f'with coefficients {stated} ')}, by an earlier version of it, "
-        f"{record['detected'].said('hidden effects', 'were detected')}, and "
-        f"{record['flagged'].said('rooms that lack nothing', 'were flagged')}. "
-        f"{record['family'].claimed('effects or families')} "
-        f"{record['surface claimed'].claimed('surfaces')} Of {surface.of} absorbers that "
-        f"were detected, {surface.count} are on the most probable surface ({surface.in_words})."
-    )

@@ -46,14 +46,15 @@ from rtcal.acoustics.observables import DB, EARLY, LEVEL, OBSERVABLES, TARGET, g
 from rtcal.acoustics.room import Room
 from rtcal.finder.case import CLIMATE_UNCERTAINTY, StatesCase
 from rtcal.finder.claim import (
+    CLAIMED,
     SAID,
     Candidate,
     Detection,
+    Reason,
     Size,
-    claimed,
+    conclude,
     most_probable_first,
     over_frequency,
-    unexplained,
 )
 from rtcal.finder.effects import Effect, checked_effects
 from rtcal.finder.evidence import (
@@ -74,7 +75,6 @@ from rtcal.simulators import base
 from rtcal.simulators.base import Observations
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.errors import DataError
-from rtcal.support.text import first_of
 from rtcal.support.types import Array
 
 ADDED, REMOVED, AIR = "added", "removed", "air"
@@ -587,17 +587,18 @@ def find(
     probabilities = _summed(chain(*names), shares, none)
     of_families = _with_sums(_summed(chain(*families), shares, none))
     detection = Detection(score, THRESHOLD)
-    by_family_alone = [name for name in probabilities if name != AIR]
-    verdict, family = claimed(detection.verdict, probabilities, of_families, by_family_alone)
-    reasons = (_ONE_FILE,) if case.same else ()
-    if verdict == "named":  # the climate alone
+    reasons = [Reason("one file")] if case.same else []
+    if detection.verdict is None and probabilities.get(AIR, 0.0) >= CLAIMED:
         chance = chance_of_climate(change, variance, baseline, degrees)
         if chance < _LEAST_CHANCE:
-            verdict, family, reasons = "ambiguous", None, (_unlike_air(chance),)
+            reasons.append(Reason("not the climate alone", {"chance": chance}))
     asked = [name for name in tried(of_library) if name not in (*left_out, UNKNOWN)]
     known = sum(p for name, p in probabilities.items() if not name.endswith(UNKNOWN)) - none
     if left_out and asked and detection.verdict is None and known < SAID:
-        reasons = (_as_asked(asked, known), *reasons)
+        reasons.insert(0, Reason("not as asked", {"effects": asked, "probability": known}))
+    by_family_alone = [name for name in probabilities if name != AIR]
+    claim = conclude(detection.verdict, probabilities, of_families, by_family_alone, reasons)
+    family = claim.family
     of_surfaces = given * every.size.any(axis=1)
     frequencies = room.centre_frequencies[where]
     changes, shift = np.full((3, room.n_bands), np.nan), np.full(room.n_bands, np.nan)
@@ -625,8 +626,9 @@ def find(
     kind_of = dict(zip(chain(*names), chain(*families), strict=True))
     return Finding(
         case=case,
-        verdict=verdict,
+        verdict=claim.verdict,
         family=family,
+        named=claim.named,
         probabilities=probabilities,
         families=of_families,
         detection=detection,
@@ -649,21 +651,13 @@ def find(
         sets=sets,
         climate=climate,
         left_out=left_out,
-        reasons=(*_of_gains(gains), *reasons),
-        notes=(*case.notes, *filter(None, [note])),
+        reasons=(*([Reason("gains differ", {"gains": gains})] if gains else []), *reasons),
+        notes=(*case.notes, *([] if note is None else [note])),
     )
 
 
-_ONE_FILE = "Before and after have the same T at every pair: are they one file?"
 _LEAST_CHANCE = 0.05
 """Least p-value of what is named: of true changes of the climate one in twenty is not."""
-
-
-def _unlike_air(chance: float) -> str:
-    return (
-        "Another climate of the air is the most probable single change, but alone it does not explain "
-        f"T (p = {chance:.2g} by chi-square over the bands)."
-    )
 
 
 def _as_changed(family: str | None, change: Array) -> str | None:
@@ -677,27 +671,6 @@ def _as_changed(family: str | None, change: Array) -> str | None:
     return family if KINDS[over_frequency(change)] == kind else whole
 
 
-def _as_asked(names: Sequence[str], probability: float) -> str:
-    return (
-        f"{unexplained(names)} ({100 * probability:.0f} %): a spectrum that no effect has does, which "
-        "is tried in any case."
-    )
-
-
-_OF_MEANS = "T alone does not tell on which surface something changed."
-
-
-def _of_gains(gains: Mapping[str, float]) -> tuple[str, ...]:
-    """Return what to know of sources whose level has another gain after than before; () of none."""
-    if not gains:
-        return ()
-    each = first_of([f"{source} by {gain:+z.1f} dB" for source, gain in gains.items()], 3)
-    return (
-        f"The level is off beside what T says of the change: {each}. That is another gain, so the "
-        "level is left out there. Measure both states with one reference.",
-    )
-
-
 def _located(
     case: StatesCase,
     family: str | None,
@@ -707,21 +680,20 @@ def _located(
     degrees: float,
     seed: int,
     climate: bool,
-) -> tuple[Mapping[str, float], Mapping[tuple[str, ...], float], Mapping[str, float], str]:
+) -> tuple[
+    Mapping[str, float], Mapping[tuple[str, ...], float], Mapping[str, float], Reason | None
+]:
     """Return on which surfaces something changed, and gains, as `locate`; and why no surface is told.
 
     ``climate`` is whether another one is tried.
     """
     simulator = case.simulator
     if simulator is None:
-        return {}, {}, {}, _OF_MEANS
+        return {}, {}, {}, Reason("no geometry")
     absorption = family is not None and "absorption" in family
     if unstated := case.sources_unstated:
-        why = (
-            f"The directivity of {first_of(unstated, 1)} is not stated, so no surface is told. An "
-            "omnidirectional source has the index 0."
-        )
-        return {}, {}, {}, why if absorption else ""
+        why = Reason("no directivity", {"sources": unstated}) if absorption else None
+        return {}, {}, {}, why
     of_air, weights, forth = None, None, case.falls
     if absorption:
         forth = families[f"{ADDED} absorption"] > families[f"{REMOVED} absorption"]
@@ -735,7 +707,7 @@ def _located(
             of_air = np.sqrt(of_two) / (4 * case.room.volume)
     states, sign = (case.states, 1.0) if forth else (case.states[::-1], -1.0)
     surfaces, sets, gains = locate(simulator, *states, case.match, seed, weights, of_air)
-    return surfaces, sets, {source: sign * gain for source, gain in gains.items()}, ""
+    return surfaces, sets, {source: sign * gain for source, gain in gains.items()}, None
 
 
 def _summed(names: Iterable[str], given: Array, none: float) -> dict[str, float]:

@@ -41,7 +41,7 @@ from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.case import LEVELS, Case, StatesCase
-from rtcal.finder.claim import DISTINCT_NATS, Candidate
+from rtcal.finder.claim import DISTINCT_NATS, Candidate, Reason
 from rtcal.finder.evidence import SCALES, probability_off
 from rtcal.finder.finding import LEAST_PAIRS, Finding, feature_names, rivals, support
 from rtcal.finder.means.problem import (
@@ -323,7 +323,7 @@ class Verification(Result):
 
     def __repr__(self) -> str:
         return (
-            f"<Verification {self.verdict}: {self.finding.what}; gap {self.before:.2f} to "
+            f"<Verification {self.verdict}: {self.finding.best_effect}; gap {self.before:.2f} to "
             f"{self.after:.2f} JND>"
         )
 
@@ -462,11 +462,8 @@ def of_means(
         if other - one > LEAST_SHRINKAGE:
             doubts.append(f"the gap of {kind} grows from {one:.2f} to {other:.2f} JND")
     if predictive < DISTINCT_NATS:
-        doubts.append(
-            "weighed with their uncertainty, these data are "
-            f"{abs(predictive):.1f} nats {'more' if predictive > 0 else 'less'} probable with it; "
-            f"{DISTINCT_NATS:g} count"
-        )
+        needed = {"nats": predictive, "least": DISTINCT_NATS}
+        doubts.append(str(Reason("not predicted", needed)))
     if finding.verdict not in ("named", "family"):
         doubts.append("no effect and no family of effects is claimed")
     configurations = finding.case.configurations
@@ -775,8 +772,8 @@ def _verify_at_positions(
         raise DataError("seeds is empty; it has at least one")
     if len(set(chosen)) < len(chosen):
         raise DataError(f"seeds has one twice: {', '.join(map(str, chosen))}")
-    if (nothing := finding.reason_for_none) is not None:
-        raise DataError(nothing)
+    if finding.refusal is not None:
+        raise DataError(str(finding.refusal))
     _check_pairs(finding.pairs)
     case: PositionsCase = finding.case
     halves, tried = _halves_of(finding.pairs), tuple(finding.effects.values())

@@ -19,7 +19,6 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.marks import TrustMark, grouped
 from rtcal.acoustics.room import Room
 from rtcal.report import figures
-from rtcal.report.odds import in_odds
 from rtcal.support import __version__
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.checks import LONGEST_NAME, short_name
@@ -233,7 +232,6 @@ def _environment() -> Any:
         "abreast": abreast,
         "wordy": wordy,
         "data": data_of,
-        "in_odds": in_odds,
         "in_style": lambda text: Markup(_in_style(text)),
         "as_it_is": Markup,  # rtcal's own script, and JSON without markup
     }

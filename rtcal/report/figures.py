@@ -24,7 +24,6 @@ from rtcal.acoustics.priors import NORMAL_90
 from rtcal.files.disk import make_folder, write_all, write_bytes
 from rtcal.files.saved import NUMBERS
 from rtcal.io.mend import Faces
-from rtcal.report.odds import MOST, odds
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.errors import DataError, MissingDependencyError
@@ -645,8 +644,8 @@ _CORRECTED: dict[str, Any] = {"color": BLUE, "marker": "D"}
 
 def corrected_times(verification: Verification) -> Any:
     """Return T(f) of the first configuration: measured, prior, plainly calibrated, corrected."""
-    from rtcal.finder.finding import best_title
     from rtcal.finder.verification import reverberation_times
+    from rtcal.report.finding_words import title
 
     finding = verification.finding
     f = finding.case.room.centre_frequencies
@@ -657,7 +656,7 @@ def corrected_times(verification: Verification) -> Any:
     for name, style, label in (
         ("prior", BEFORE, "prior"),
         ("plain", {**_PLAIN, "linestyle": ":"}, "plainly calibrated"),
-        ("corrected", _CORRECTED, f"with {best_title(finding)}, calibrated"),
+        ("corrected", _CORRECTED, f"with {title(finding)}, calibrated"),
     ):
         axes.plot(f, times[name], **style, fillstyle="none", label=shown(label))
     _times_axes(axes, f, "Reverberation time T")
@@ -666,13 +665,14 @@ def corrected_times(verification: Verification) -> Any:
 
 def residuals(finding: Finding, verification: Verification | None = None) -> Any:
     """Return the residual map: feature by band and configuration; before, and after the effect."""
-    from rtcal.finder.finding import best_title, feature_names
+    from rtcal.finder.finding import feature_names
     from rtcal.finder.verification import residual_map
+    from rtcal.report.finding_words import title as title_of
 
     maps = [("The model as stated", finding.residuals)]
     if verification is not None:
         _, corrected = verification.calibrations
-        maps.append((f"The model with {best_title(finding)}", residual_map(finding, corrected)))
+        maps.append((f"The model with {title_of(finding)}", residual_map(finding, corrected)))
     known = np.argwhere(np.isfinite(finding.residuals).any(axis=2)).tolist()
     configurations = finding.case.configurations
     labels = [
@@ -703,6 +703,8 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
 
 def evidence(finding: Finding) -> Any:
     """Return the evidence of every effect as bars, with the threshold."""
+    from rtcal.report.finding_words import MOST_ODDS, odds
+
     names = list(finding.evidence)
     values = np.array([finding.evidence[n] for n in names])
     top = max(float(values.max()), finding.threshold, np.log(10))  # an axis though nothing speaks
@@ -713,13 +715,13 @@ def evidence(finding: Finding) -> Any:
     figure, axes, at = _ranked(names, values, drawn, candidates, 0.8 + 0.28 * len(names))
     behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}  # the threshold's line is cut
     for y, value, end in zip(at, values, drawn, strict=True):
-        printed = odds(float(value)) if value < np.log(MOST) else "> 10⁶ to 1"
+        printed = odds(float(value)) if value < np.log(MOST_ODDS) else "> 10⁶ to 1"
         _note(axes, printed, (max(end, 0.0), y), (4, 0), va="center", bbox=behind)
     if cut.any():
         arrow = {"color": BLACK, "marker": "<", "linestyle": "none", "markersize": 5}
         label = "cut: the number is beyond the axis"
         axes.plot(np.full(cut.sum(), 0.85 * low), at[cut], **arrow, label=label)
-    label = f"threshold {odds(finding.threshold)}"
+    label = f"required: {odds(finding.threshold)}"
     axes.axvline(finding.threshold, color=ORANGE, linestyle="--", label=label)
     axes.axvline(0, color=BLACK, linewidth=0.8)
     axes.set_xlim(low, 1.15 * top)
@@ -735,14 +737,15 @@ def probabilities(finding: Finding) -> Any:
     """Return the figure of the probability of each effect that it is there at all."""
     from rtcal.finder.claim import CLAIMED, SAID
     from rtcal.finder.evidence import NONE
+    from rtcal.report.finding_words import percent
 
     names = [n for n, p in finding.probabilities.items() if p >= SAID and n != NONE]
     values = 100 * np.array([finding.probabilities[n] for n in names])
     members = [n in finding.members for n in names]
     figure, axes, at = _ranked(names, values, values, members, 1.2 + 0.32 * max(len(names), 1))
-    for y, name, value in zip(at, names, values, strict=True):
-        axes.text(value, y, f" {finding.percent(name)}", va="center", fontsize=9)
-    axes.axvline(100 * CLAIMED, color=ORANGE, linestyle="--", label="claimed from here on")
+    for y, value in zip(at, values, strict=True):
+        axes.text(value, y, f" {percent(value / 100)}", va="center", fontsize=9)
+    axes.axvline(100 * CLAIMED, color=ORANGE, linestyle="--", label="identified from here on")
     axes.set_xlim(0, 115)
     axes.set_xlabel("Probability that it is there / %; hatched: the most probable set")
     axes.legend(loc="lower right")

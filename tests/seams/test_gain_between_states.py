@@ -48,7 +48,7 @@ def test_another_gain_in_one_state_is_said_first_and_the_level_left_out(
     wanted = found(without_level(before), without_level(after))
     for gain in (-3.0, 3.0, 37.0):
         got = found(with_gain(before, dict.fromkeys(PLACES, gain)), after)
-        assert got.reasons[0].startswith("The level is off beside what T says of the change")
+        assert got.reasons[0].code == "gains differ"
         assert got.surfaces == pytest.approx(wanted.surfaces, abs=1e-6)
 
 
@@ -58,8 +58,7 @@ def test_the_gain_of_one_source_leaves_out_its_level_alone(
 ) -> None:
     before, after = states
     got, other = (found(before, with_gain(after, {"S2": gain})) for gain in (5.0, 50.0))
-    assert "S2 by +" in got.reasons[0]
-    assert "S1" not in got.reasons[0]
+    assert [*got.reasons[0].values["gains"]] == ["S2"]
     assert other.surfaces == pytest.approx(got.surfaces, abs=1e-9)
     assert got.claimed_surfaces == ("east",)
 
@@ -70,6 +69,6 @@ def test_one_gain_in_both_states_changes_nothing(
 ) -> None:
     gain = {source: 20.0 * i for i, source in enumerate(PLACES)}
     plain, both = found(*states), found(*(with_gain(state, gain) for state in states))
-    assert not any("level" in note for note in plain.notes)
+    assert not any("level" in str(note) for note in plain.notes)
     assert (both.reasons, both.notes) == ((), plain.notes)
     assert both.surfaces == pytest.approx(plain.surfaces, abs=1e-6)

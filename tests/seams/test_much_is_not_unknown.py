@@ -28,6 +28,7 @@ from rtcal.finder.positions.search import (
     weights,
 )
 from rtcal.finder.positions.weighing import responses_of
+from rtcal.report.finding_words import headline
 from tests.test_where import MATCH, measured, stated, tracing
 from tests.test_where_corrected import candidate
 from tests.test_where_page import finding_of, verification_of
@@ -123,22 +124,23 @@ def unknown(shares: dict[str, float], families: Sequence[str] = ("added absorpti
 
 def test_what_holds_most_of_the_rest_is_said_and_applied() -> None:
     found = unknown({"wall 5": 0.8, "wall 0": 0.2})
-    assert "Of the library, added absorption explains most (100 % of the rest)" in found.headline
-    assert '"wall 5" (80 %)' in found.headline
+    said = " ".join(headline(found))
+    assert "Of the library, added absorption explains most (100 % of the rest)" in said
+    assert '"wall 5" (80 %)' in said
     assert found.can_be_added
     made = found.apply()
     assert made.added.surface == "wall 5"
-    assert "unknown 60 %" in made.support
+    assert "none of the library (60 %)" in made.support
     torn = unknown({"wall 5": 0.34, "wall 0": 0.33, "ceiling": 0.33}, ["field", "scale", "climate"])
     assert not torn.can_be_added
-    with pytest.raises(rt.errors.DataError, match="So no surface lacks anything to add"):
+    with pytest.raises(rt.errors.DataError, match="no effect of the library"):
         torn.apply()
 
 
 def test_that_an_effect_does_not_explain_everything_is_said() -> None:
     found = replace(finding_of({"wall 5": 1.0}), surface="wall 5", unexplained=0.93)
-    assert "This does not explain everything that was measured (93 %)" in found.headline
-    assert "does not explain everything" not in finding_of({"wall 5": 1.0}).headline
+    assert "differs from the model as well (93 %)" in " ".join(headline(found))
+    assert "does not explain everything" not in str(finding_of({"wall 5": 1.0}))
 
 
 def test_halves_that_found_another_thing_stand_in_the_verdict() -> None:

@@ -9,8 +9,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import verify
-from rtcal.finder.finding import best_title
 from rtcal.finder.search import find
+from rtcal.report.finding_words import title
 from rtcal.report.of_finding import rests_on, to_do
 from tests.seams.turned_panels import laboratory
 
@@ -27,7 +27,7 @@ def test_turned_panels_are_named_added_and_verified(
     case = laboratory(TURNED, turned_back=again)
     finding = find(case, cache=kept)
     assert (finding.verdict, finding.effect) == ("named", "covered surface")
-    assert best_title(finding) == 'covered surface of "panels"'
+    assert title(finding) == 'covered surface of "panels"'
     size = finding.size
     assert size is not None
     assert size.low < TURNED < size.high <= 1

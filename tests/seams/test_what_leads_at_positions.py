@@ -10,10 +10,11 @@ from types import SimpleNamespace
 import pytest
 
 import rtcal as rt
-from rtcal.finder.claim import Candidate
+from rtcal.finder.claim import LEADING, Candidate, Reason
 from rtcal.finder.finding import Finding
 from rtcal.finder.positions import PositionsCase
 from rtcal.report import figures
+from rtcal.report.finding_words import headline
 from tests.test_where import heard, stated, tracing
 
 pytestmark = pytest.mark.long  # the search that they share takes 20 s
@@ -44,14 +45,14 @@ def finding(kept: Path) -> Finding:
 def test_the_doubt_of_means_about_what_is_stated_leads(
     finding: Finding, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    doubt = "T is 0.3 times the model's: look for a mistake"
+    doubt = Reason(LEADING, {"factor": 0.3})
     search = sys.modules["rtcal.finder.positions.search"]
     monkeypatch.setattr(search, "evidence_of_means", lambda *_: SimpleNamespace(mistake=doubt))
     monkeypatch.setattr(search, "find_by_positions", lambda *_: finding)
     led = rt.find(finding.case)
-    assert led.headline.startswith(f"{finding.verdict}: {doubt}. If there is none: Other than")
-    assert led.to_dict()["mistake"] == doubt
-    assert doubt not in finding.headline
+    assert headline(led)[0].startswith(f"{doubt} If there is none: The room absorbs")
+    assert led.to_dict()["mistake"] == doubt.to_dict()
+    assert str(doubt) not in headline(finding)[0]
 
 
 def test_a_whole_ceiling_of_foam_is_tried(finding: Finding) -> None:
@@ -79,4 +80,4 @@ def test_likely_surfaces_are_told_where_something_stands_on_one(finding: Finding
     )
     assert few.likely_surfaces == ()
     assert not any(figures.likely_shares(few).values())
-    assert "on which surface" not in str(few)
+    assert "ceiling" not in " ".join(headline(few))

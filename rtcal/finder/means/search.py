@@ -12,8 +12,11 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.observables import parameter_label
 from rtcal.finder.case import Case
 from rtcal.finder.claim import (
+    LEADING,
+    MISTAKE,
     Candidate,
     Detection,
+    Reason,
     by_family,
     credible_set,
     family_of,
@@ -22,7 +25,6 @@ from rtcal.finder.claim import (
 )
 from rtcal.finder.effects import Effect, checked_effects, judged_effects
 from rtcal.finder.evidence import (
-    COEFFICIENTS,
     EXPECTED,
     NONE,
     Prior,
@@ -55,7 +57,6 @@ from rtcal.finder.means.problem import (
 )
 from rtcal.finder.means.problem import score as evidence_of_something
 from rtcal.finder.means.verdict import (
-    NO_STEP,
     Fit,
     next_measurement,
     of_sets,
@@ -119,9 +120,10 @@ def find(
     odds = checked_odds(effects, prior)
     effects, not_judged = judged_effects(effects, case.directions_known)
     number = _checked_number(most, expected, effects, prior)
-    observed, notes = observe(case)
+    observed, dropped = observe(case)
+    noted: list[Reason | str] = [*dropped]
     if len(without) or len(only) or prior:
-        notes = [*notes, CHOSEN]
+        noted.append(Reason("chosen"))
     before = prior_of(case.room, effects, odds, left_out)
     predicted = predict_hypotheses(case, effects)
     if controls is None:
@@ -130,7 +132,7 @@ def find(
         controls = checked_controls(case, controls)
     limits = thresholds(null_scores(case, observed, predicted, controls, before))
     problem = MeansProblem(case, observed, predicted, estimate_discrepancy(case, controls))
-    found = _conclude(problem, limits, before, notes, most, number)
+    found = _conclude(problem, limits, before, noted, most, number)
     return replace(found, not_judged=not_judged) if not_judged else found
 
 
@@ -165,18 +167,11 @@ def _checked_number(
     return number
 
 
-CHOSEN = (
-    "effects were left out or weighted by hand: the probabilities are among those that were tried, and "
-    "how often such findings were right was measured with the whole library"
-)
-"""What a finding says of effects that were not tried."""
-
-
 def _conclude(
     problem: MeansProblem,
     limits: Array,
     prior: Prior,
-    notes: Sequence[str],
+    notes: Sequence[Reason | str],
     most: int,
     expected: float,
 ) -> Finding:
@@ -205,13 +200,14 @@ def _conclude(
     weak = too_weak(probabilities, families)
     if most == 1 or detected is not None:
         verdict = of_single(evidence, of_one, of_one_family, detected, weak)
-    elif weak:
+    elif weak is not None:
         verdict = of_single(evidence, of_one, of_one_family, "hint")
         verdict = replace(verdict, reasons=(weak, *verdict.reasons))
     else:
         verdict = of_sets(evidence, sets, probabilities, families)
     fits = verdict.fits
     told_apart = verdict.names if most == 1 or detected is not None else credible_set(of_one)
+    no_step = weak is not None and verdict.verdict == "hint"
     return Finding(
         case=case,
         **{k: v for k, v in vars(verdict).items() if k != "names"},
@@ -228,9 +224,8 @@ def _conclude(
         alpha=averaged_alpha(compared, sets.likely),
         prior=prior,
         detection=detection,
-        advice=NO_STEP
-        if weak and verdict.verdict == "hint"
-        else next_measurement(evidence, told_apart),
+        advice=None if no_step else next_measurement(evidence, told_apart),
+        mistake=next((r for r in verdict.reasons if r.code in (LEADING, MISTAKE)), None),
         residuals=problem.standardized_residuals(),
         notes=(*_off_levels(problem), *notes, observed.origin, *_notes(case)),
         discrepancy=problem.discrepancy,
@@ -248,8 +243,6 @@ def _candidate(
     found = Candidate(
         effect=name, family=family_of(name, effects), probability=probabilities.get(name, 0.0)
     )
-    if name == COEFFICIENTS:
-        found = replace(found, called="coefficients that are off together")
     if fit is None:
         return found
     found = replace(found, parameters=fit.parameters)
@@ -262,8 +255,8 @@ _OFF_LEVEL = 3.0
 """Least mean in dB over the bands by which a level is said to be off; its spread is a third at most."""
 
 
-def _off_levels(problem: MeansProblem) -> list[str]:
-    """Return notes of levels that are off alike in all bands, beside what T says of the stated room.
+def _off_levels(problem: MeansProblem) -> list[Reason]:
+    """Return notes of levels that are off alike in all bands, beside what T gives of the stated room.
 
     They are off from the stated room itself, too: noise in the decay lengthens T and leaves the level.
     """
@@ -279,38 +272,34 @@ def _off_levels(problem: MeansProblem) -> list[str]:
         least = max(_OFF_LEVEL, 3 * beside[c, known].std())
         if abs(mean) >= least and np.sign(mean) * direct >= _OFF_LEVEL:
             side = "above" if mean > 0 else "below"
-            out.append(
-                f'"{configuration.name}": {name} is {abs(mean):.1f} dB {side} what T and the stated '
-                "room give, alike in all bands. Its calibration may be off as well as the room. If its "
-                'reference is not sure, name it "level"'
-            )
+            values = {"configuration": configuration.name, "parameter": name, "side": side}
+            out.append(Reason("level off", {**values, "by": float(abs(mean))}))
     return out
 
 
-def _notes(case: Case) -> list[str]:
+def _notes(case: Case) -> list[Reason]:
     """Return reasons to doubt the result, whatever it is."""
-    out = []
+    out, frequencies = list[Reason](), case.room.centre_frequencies
     for c in case.configurations:
+        where = {"configuration": c.name}
         limit = schroeder_limit(case, c.measured.reverberation_time)
-        low = [f for f in case.room.centre_frequencies if f < limit]
-        if low:
-            out.append(
-                f'"{c.name}": {", ".join(bands.labels(low))} under Schroeder\'s frequency '
-                f"({limit:.0f} Hz), where no field is diffuse"
-            )
+        if (low := frequencies < limit).any():
+            values = {**where, "bands": bands.labels(frequencies[low]), "limit": limit}
+            out.append(Reason("Schroeder", values))
         if unused := [parameter_label(p) for p in c.measured.values if p not in FEATURES]:
-            out.append(
-                f'"{c.name}": {", ".join(unused)} not used: means over positions have a model of '
-                f"{', '.join(map(parameter_label, FEATURES))} only"
-            )
+            known = [parameter_label(p) for p in FEATURES]
+            out.append(Reason("not used", {**where, "parameters": unused, "known": known}))
         if {"t20", "t30"} <= set(c.measured.values):
             curved = 100 * (c.measured.mean("t30") / c.measured.mean("t20") - 1)
-            for f, v in zip(case.room.centre_frequencies, curved, strict=True):
-                if abs(v) > 10:
-                    out.append(
-                        f'"{c.name}": the decay at {bands.label(f)} is not straight: curvature '
-                        f"{v:+.0f} % (ISO 3382-2, Annex B, at most 10 %)"
-                    )
-    if case.room.air is None:
-        out.append("no air is stated: the model's air absorbs nothing")
-    return out
+            places = [
+                f"{bands.label(f)} ({v:+.0f} %)"
+                for f, v in zip(frequencies, curved, strict=True)
+                if abs(v) > _CURVED
+            ]
+            if places:
+                out.append(Reason("curved", {**where, "bands": places, "most": _CURVED}))
+    return [*out, *([Reason("no air")] if case.room.air is None else [])]
+
+
+_CURVED = 10.0
+"""Curvature in percent above which a decay is not straight (ISO 3382-2, Annex B)."""

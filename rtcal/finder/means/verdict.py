@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,16 +23,20 @@ from rtcal.finder.case import Case
 from rtcal.finder.claim import (
     CLAIMED,
     DISTINCT_NATS,
+    LEADING,
+    LEAVES,
+    MISTAKE,
+    Claim,
     End,
     Names,
+    Reason,
     Size,
     by_family_sets,
-    claimed,
+    conclude,
     credible_set,
     family_of,
     narrowest_family,
     numbers_of,
-    over_frequency,
 )
 from rtcal.finder.effects import AppliedEffect, Effect, Parameters, changed_states, columns
 from rtcal.finder.evidence import (
@@ -74,22 +77,6 @@ class AbsorptionChange:
 
     share: Array
     end: End = ""
-
-    @property
-    def words(self) -> str:
-        """The mean over the bands, and whether it rises with frequency.
-
-        >>> AbsorptionChange(np.array([[0.2, 0.6], [0.1, 0.3], [0.3, 0.9]])).words
-        '40 % more absorption (90 %: 20 to 60 %), rising with frequency'
-        """
-        mean, *ends = 100 * np.abs(self.share.mean(1))
-        more = "more" if self.share[0].mean() > 0 else "less"
-        if self.end:
-            bound = min(ends) if self.end == "least" else max(ends)
-            said = f"at {self.end} {bound:.0f} % {more} absorption"
-        else:
-            said = f"{mean:.0f} % {more} absorption (90 %: {min(ends):.0f} to {max(ends):.0f} %)"
-        return f"{said}, {over_frequency(self.share[0])}"
 
 
 def absorption_change(
@@ -262,12 +249,9 @@ class Fit:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verdict:
-    """The verdict; its fields are those of `rtcal.finder.Finding`; ``names`` the candidates'."""
+class MeansClaim(Claim):
+    """What is identified of means; its fields are those of `Finding`, ``names`` the candidates'."""
 
-    verdict: str
-    family: str | None = None
-    named: Names = ()
     named_families: Names = ()
     named_set: Names = ()
     members: Names = ()
@@ -275,9 +259,6 @@ class Verdict:
     fits: Mapping[str, Fit] = field(default_factory=dict)
     alone: Mapping[str, Fit] = field(default_factory=dict)
     stand_ins: Mapping[str, Names] = field(default_factory=dict)
-    reasons: tuple[str, ...] = ()
-    leads: bool = False
-    mistake: str = ""
 
 
 def of_single(
@@ -285,42 +266,30 @@ def of_single(
     probabilities: Mapping[str, float],
     families: Mapping[str, float],
     detected: str | None,
-    weak: str = "",
-) -> Verdict:
-    """Return what is claimed where one effect is missing at most.
-
-    ``detected`` is "none" or "hint" where the score does not exceed its threshold, else None.
-    ``weak`` is why the data do not say enough (`rtcal.finder.claim.too_weak`): a hint, then.
-    """
+    weak: Reason | None = None,
+) -> MeansClaim:
+    """Return what is identified where one effect is missing at most, as `conclude` takes it."""
     effects = evidence.problem.predicted.effects
     best = next(k for k in probabilities if k != NONE)
     rough = [name for name, effect in effects.items() if not effect.alone]
-    verdict, family = claimed(detected, probabilities, families, rough)
-    if verdict == "none":
-        return Verdict(verdict=verdict, family=family)
-    weak = weak if detected is None and verdict in ("ambiguous", "unknown") else ""
-    verdict = "hint" if weak else verdict
-    fits, found = dict[str, Fit](), tuple[Objection, ...]()
-    if best != UNKNOWN:
+    fits, found = dict[str, Fit](), tuple[Reason, ...]()
+    if best != UNKNOWN and detected != "none":
         fits[best] = fit(evidence, best, precise=True)
         found = doubts(evidence, fits[best])
-        verdict = doubted(verdict, family, found)
-    names = (best,) if verdict == "named" else credible_set(probabilities)
+    claim = conclude(detected, probabilities, families, rough, found, weak)
+    if claim.verdict == "none":
+        return MeansClaim(**vars(claim))
+    names = claim.named or credible_set(probabilities)
     for name in names:
         if name not in (best, UNKNOWN):
             fits[name] = fit(evidence, name, precise=False)
-    sure = family is not None and verdict in ("named", "family")
-    return Verdict(
-        verdict=verdict,
-        family=family,
-        named=(best,) if verdict == "named" else (),
-        named_families=(str(family),) if sure else (),
+    sure = claim.family is not None and claim.verdict in ("named", "family")
+    return MeansClaim(
+        **vars(claim),
+        named_families=(str(claim.family),) if sure else (),
         members=(best,) if best in fits else (),
         names=names,
         fits=fits,
-        reasons=tuple(filter(None, (weak, *(doubt.words for doubt in found)))),
-        leads=sure and bool(found) and found[0].of == "stated",
-        mistake=mistake_in(found),
     )
 
 
@@ -329,19 +298,19 @@ def of_sets(
     posterior: SetPosterior,
     probabilities: Mapping[str, float],
     families: Mapping[str, float],
-) -> Verdict:
-    """Return what is claimed of sets of effects, where something is missing.
+) -> MeansClaim:
+    """Return what is identified of sets of effects, where something is missing.
 
-    A doubt that speaks against the effect leaves nothing of it claimed, any other its family.
+    A doubt that speaks against the effect leaves nothing of it, any other its family.
     """
     if probabilities.get(UNKNOWN, 0.0) >= CLAIMED:
-        return Verdict(verdict="unknown", names=(UNKNOWN,))
+        return MeansClaim(verdict="unknown", names=(UNKNOWN,))
     effects = evidence.problem.predicted.effects
     together = _together(by_family_sets(posterior.sets, effects), numbers_of(posterior.sets))
     best = posterior.best(effects, together)
     fits, found = _members(evidence, posterior, best)
     every = [doubt for n in best for doubt in found[n]]
-    refuted = {n for n in best if any(doubt.of == "effect" for doubt in found[n])}
+    refuted = {n for n in best if any(LEAVES[doubt.code] == "hint" for doubt in found[n])}
     if refuted:
         together = ()
     sound = [n for n in best if n not in refuted]
@@ -352,11 +321,10 @@ def of_sets(
     if probabilities.get(COEFFICIENTS, 0.0) >= CLAIMED:
         named.append(COEFFICIENTS)
     claimed = _families_claimed(sound, families, effects)
-    verdict = "named" if named else "family" if claimed or together else "ambiguous"
     stand_ins = posterior.stand_ins(best)
     others = dict.fromkeys(n for names in stand_ins.values() for n in names)
-    return Verdict(
-        verdict=verdict,
+    return MeansClaim(
+        verdict="named" if named else "family" if claimed or together else "ambiguous",
         family=claimed[0] if claimed else None,
         named=tuple(named),
         named_families=tuple(claimed),
@@ -366,15 +334,13 @@ def of_sets(
         fits=fits,
         alone={n: fit(evidence.beside(n), n, precise=True) for n in best} if len(best) > 1 else {},
         stand_ins=stand_ins,
-        reasons=tuple(dict.fromkeys(doubt.words for doubt in every)),
-        leads=verdict == "family" and bool(every) and every[0].of == "stated",
-        mistake=mistake_in(every),
+        reasons=tuple(doubt for i, doubt in enumerate(every) if doubt not in every[:i]),
     )
 
 
 def _members(
     evidence: MeansEvidence, posterior: SetPosterior, best: Names
-) -> tuple[dict[str, Fit], dict[str, tuple[Objection, ...]]]:
+) -> tuple[dict[str, Fit], dict[str, tuple[Reason, ...]]]:
     """Return the fit of each effect of a set with the others in the model, and the doubts about it."""
     predicted = evidence.problem.predicted
     effects, parameters = predicted.effects, predicted.parameters
@@ -383,7 +349,7 @@ def _members(
         for name, i in zip(best, posterior.rows[best], strict=True)
     }
     fits: dict[str, Fit] = {}
-    found: dict[str, tuple[Objection, ...]] = {}
+    found: dict[str, tuple[Reason, ...]] = {}
     # The others' sizes enter each fit, so the first is fitted again.
     for name in (*best, best[0]) if len(best) > 1 else best:
         beside = evidence.beside(name, [model[n] for n in best if n != name])
@@ -442,37 +408,32 @@ def fit(evidence: MeansEvidence, name: str, *, precise: bool) -> Fit:
     return Fit(name, parameters, size, off, gap, likely, surprise, absorption)
 
 
-def doubts(evidence: MeansEvidence, best: Fit) -> tuple[Objection, ...]:
-    """Return the doubts about the best candidate."""
-    problem = evidence.problem
-    out = gross(evidence, best.name, best.gap)
-    out += unexplained(best.name, *best.surprise)
-    out += gap_against(best.name, best.gap)
+def doubts(evidence: MeansEvidence, best: Fit) -> tuple[Reason, ...]:
+    """Return the doubts about the best candidate, of which `LEAVES` says what they leave."""
+    problem, name, size = evidence.problem, best.name, best.size
+    found = [gross(evidence, name, best.gap)]
+    times, chance = best.surprise
+    if chance < SURPRISING:
+        found.append(Reason("not explained", {"effect": name, "times": times}))
+    found.append(gap_against(name, best.gap))
     effects = []
-    if best.name != COEFFICIENTS:
-        effects = [problem.predicted.effects[best.name]]
-        out += end_of_range(best.name, best.size)
-        out += too_large(problem.case, effects[0], best.parameters)
+    if name != COEFFICIENTS:
+        effects = [problem.predicted.effects[name]]
+        if size is not None and size.end:
+            other = "larger" if size.end == "least" else "smaller"
+            found.append(Reason("size unbounded", {"effect": name, "size": size, "other": other}))
+        share = effects[0].wall_area(best.parameters) / problem.case.room.total_area
+        if share > (most := effects[0].largest_share):
+            found.append(Reason("too large", {"effect": name, "share": share, "most": most}))
     hypotheses = predict_hypotheses(problem.case, effects)
-    return (*out, *decided_below_schroeder(evidence, hypotheses, best.name))
-
-
-def doubted(verdict: str, family: str | None, found: Sequence[Objection]) -> str:
-    """Return what is left of a claim after the doubts about its best candidate.
-
-    Doubts about the size, the fit or what is stated leave the family claimed, where it is probable.
-    """
-    if verdict not in ("named", "family") or not found:
-        return verdict
-    if family is None or any(doubt.of == "effect" for doubt in found):
-        return "hint"
-    return "family"
+    found.append(decided_below_schroeder(evidence, hypotheses, name))
+    return tuple(doubt for doubt in found if doubt is not None)
 
 
 GROSS = np.log(1.8)
 """Change of ln T beyond which a mistake in what is stated is the first suspicion. A box that is entered
 twice as large has twice the T, or a little less with air."""
-MISTAKE = 1.5
+MISTAKE_SIGMA = 1.5
 """Standard deviation of ln T by a mistake in what is stated: factors of 2 to 20 are usual."""
 SHOWN = 4.6
 """Evidence in nats, odds of 100 to one, from which features other than T show an effect."""
@@ -480,77 +441,16 @@ SURPRISING = 1e-3
 """Probability of the residuals below which the best effect does not explain them."""
 
 
-@dataclass(frozen=True)
-class Objection:
-    """A reason against a claim, and what it speaks against.
-
-    ``of`` is "size", "fit" or "stated" where it leaves the effect's family as probable as it is, else
-    "effect". "stated" doubts what the model states, and is said before the claim. A ``mistake`` is that
-    T is far off, whatever of the claim is left.
-    """
-
-    words: str
-    of: Literal["size", "fit", "stated", "effect"]
-    mistake: bool = False
-
-
-def mistake_in(found: Sequence[Objection]) -> str:
-    """Return the doubt that T is far off, in words; "" without one."""
-    return next((doubt.words for doubt in found if doubt.mistake), "")
-
-
-def end_of_range(name: str, size: Size | None) -> list[Objection]:
-    """Return a doubt where the data do not bound the size."""
-    if size is None or not size.end:
-        return []
-    larger = "larger" if size.end == "least" else "smaller"
-    words = f"{name}: {size.words}; the measurement does not tell it from any {larger} size"
-    return [Objection(words, "size")]
-
-
-def too_large(case: Case, effect: Effect, parameters: Parameters) -> list[Objection]:
-    """Return a doubt where the effect needs more wall than a room has for it."""
-    share = effect.wall_area(parameters) / case.room.total_area
-    if share <= effect.largest_share:
-        return []
-    words = (
-        f"{effect.name}: it would be {100 * share:.0f} % of all surfaces; at most "
-        f"{100 * effect.largest_share:.0f} % is believed"
-    )
-    return [Objection(words, "size")]
-
-
-def unexplained(name: str, times: float, probability: float) -> list[Objection]:
-    """Return a doubt where the residuals are larger than all uncertainties allow."""
-    if probability >= SURPRISING:
-        return []
-    words = (
-        f"{name} is the best of the effects and does not explain the measurement: with it in the "
-        f"model it is {times:.1f} times as far off as all uncertainties allow. Check volume, "
-        "areas, coefficients, units and bands"
-    )
-    return [Objection(words, "fit")]
-
-
-def gap_against(name: str, gap: GapCheck) -> list[Objection]:
+def gap_against(name: str, gap: GapCheck) -> Reason | None:
     """Return a doubt where the gap grows, or where what alpha cannot fit contradicts the effect."""
-    ends = f"from {gap.before:.2f} to {gap.after:.2f} JND"
+    ends = {"effect": name, "before": gap.before, "after": gap.after}
     if gap.grows:
-        words = f"with {name} in the model the gap that alpha cannot close grows {ends}"
-        return [Objection(words, "effect")]
+        return Reason("gap grows", ends)
     if gap.contradicts:
-        words = (
-            f"decay shape, level and the other configurations speak against {name} "
-            f"({gap.predictive:.1f} nats)"
-        )
-        return [Objection(words, "effect")]
+        return Reason("contradicted", {"effect": name, "nats": gap.predictive})
     if gap.growth >= 0.5:
-        words = (
-            f"with {name} in the model the gap that alpha cannot close may grow, {ends}: by more than "
-            f"{LITTLE:g} JND with a probability of {100 * gap.growth:.0f} %"
-        )
-        return [Objection(words, "fit")]
-    return []
+        return Reason("gap may grow", {**ends, "little": LITTLE, "probability": gap.growth})
+    return None
 
 
 def below_schroeder(case: Case) -> Array:
@@ -570,7 +470,7 @@ def schroeder_limit(case: Case, times: Array) -> float:
 
 def decided_below_schroeder(
     evidence: MeansEvidence, predicted: MeansHypotheses, name: str
-) -> list[Objection]:
+) -> Reason | None:
     """Return a doubt where the evidence for ``name`` comes from bands below Schroeder's frequency.
 
     ``predicted`` holds the hypotheses of that effect.
@@ -580,23 +480,19 @@ def decided_below_schroeder(
     low = below_schroeder(case)
     used = np.logical_and(observed.used, np.logical_not(low)[:, None, :])
     if not low.any() or (used == observed.used).all() or not used.any():
-        return []
+        return None
     kept = used[observed.used]
     part = replace(observed, used=used, covariance=observed.covariance[np.ix_(kept, kept)])
     above = replace(problem, observed=part, predicted=predicted)
     rest = evaluate(above, evidence.prior_off).nats(name)
     if rest >= 0.5 * nats or rest >= DISTINCT_NATS:
-        return []
+        return None
     places = bands.labels(case.room.centre_frequencies[low.any(0)])
-    words = (
-        f"{name} rests on {', '.join(places)}, below Schroeder's frequency, where no field is diffuse: "
-        f"without {'it' if len(places) == 1 else 'them'} its evidence is {rest:+z.1f} nats instead "
-        f"of {nats:+z.1f}"
-    )
-    return [Objection(words, "effect")]
+    values = {"effect": name, "bands": places, "nats": nats, "without": rest}
+    return Reason("below Schroeder", values)
 
 
-def gross(evidence: MeansEvidence, name: str, gap: GapCheck) -> list[Objection]:
+def gross(evidence: MeansEvidence, name: str, gap: GapCheck) -> Reason | None:
     """Return a doubt where T is about twice or half the model's.
 
     It leaves the effect's family claimed where the effect explains the data better than a factor that
@@ -608,16 +504,13 @@ def gross(evidence: MeansEvidence, name: str, gap: GapCheck) -> list[Objection]:
     off = problem.observed.features - problem.predicted.features[0]
     change = float(np.nanmedian(off[:, 0]))
     if abs(change) <= GROSS:
-        return []
+        return None
     of_units, of_room = evidence_of_factors(problem)
     best = float(evidence.by_effect()[name])
     if gap.predictive > SHOWN and best - of_units > DISTINCT_NATS:
-        return []
-    words = f"T is {np.exp(change):.2g} times the model's: look for a mistake in volume, areas, "
-    if best - max(of_units, of_room) > DISTINCT_NATS:
-        return [Objection(f"{words}coefficients and units first", "stated", mistake=True)]
-    words = f"{words}coefficients and units before any effect is believed"
-    return [Objection(words, "effect", mistake=True)]
+        return None
+    stands = best - max(of_units, of_room) > DISTINCT_NATS
+    return Reason(LEADING if stands else MISTAKE, {"factor": float(np.exp(change))})
 
 
 def evidence_of_factors(problem: MeansProblem) -> tuple[float, float]:
@@ -629,7 +522,7 @@ def evidence_of_factors(problem: MeansProblem) -> tuple[float, float]:
     c, f, b = problem.places
     alpha, other = problem.covariance_of(0)
     directions = np.array([f == 0, problem.predicted.slopes[0, c, f, b]], dtype=float)
-    more = MISTAKE**2 * np.einsum("di,dj->dij", directions, directions)
+    more = MISTAKE_SIGMA**2 * np.einsum("di,dj->dij", directions, directions)
     of_units, of_room = log_density(problem.residual(0), alpha + other + more).tolist()
     return of_units, of_room
 
@@ -759,61 +652,33 @@ def separations(problem: MeansProblem, first: int, further: Sequence[str] = ()) 
     return {name: float(nats[rows].min()) for name, rows in predicted.rows.items()}
 
 
-NO_STEP = "none: these data do not show that anything is missing"
-"""The advice where the data do not say enough to call something missing."""
-
-
-def next_measurement(evidence: MeansEvidence, candidates: Sequence[str]) -> str:
+def next_measurement(evidence: MeansEvidence, candidates: Sequence[str]) -> Reason:
     """Return the measurement that would decide between the candidates."""
     problem, predicted = evidence.problem, evidence.problem.predicted
     named = [c for c in candidates if c not in (UNKNOWN, COEFFICIENTS)]
     if candidates and candidates[0] == COEFFICIENTS:
-        return (
-            "look for another source of the coefficients, first for the material with the largest "
-            "product of area and sigma; or measure with and without a known absorber"
-        )
+        return Reason("another source")
     if not named:
-        return (
-            "these data leave nothing to tell apart. That does not confirm the model"
-            if not candidates
-            else "see in the residuals which band and parameter disagree, and measure these again"
-        )
-    best = named[0]
+        return Reason("measure again" if candidates else "nothing to distinguish")
+    best, *others = named
     removed = any(c.suspect_removed for c in problem.case.configurations)
-    rows = predicted.rows[best]
+    if not others:
+        removable = predicted.effects[best].removable
+        kind = "look it up" if not removable else "confirmed" if removed else "measure without"
+        return Reason(kind, {"effect": best})
+    rival, rows = others[0], predicted.rows[best]
     first = int(rows[np.argmax(evidence.by_hypothesis()[rows])])
-    if len(named) == 1:
-        if not predicted.effects[best].removable:
-            return f"confirm it where it can be looked up or measured by itself ({best})"
-        if removed:
-            return f"nothing more to confirm it: it was measured with and without it ({best})"
-        return f"confirm it: measure once without it ({best})"
-    rival = named[1]
     now, complete = separations(problem, first)[rival], np.all(problem.observed.used, axis=(0, 2))
     options = [
         (separations(problem, first, features)[rival], further_in_words(kind))
         for kind, features in FURTHER.items()
         if not complete[[FEATURES.index(f) for f in features]].all()
     ]
-    removable = {n: predicted.effects[n].removable and not removed for n in (best, rival)}
-    if len(set(removable.values())) == 2:
-        suspect = best if removable[best] else rival
-        return (
-            f"measure with and without one of them ({suspect}). If it is that, T changes, and the "
-            "uncertainty of alpha cancels in the difference"
-        )
+    two = {"effect": best, "rival": rival}
+    removable_ones = [n for n in two.values() if predicted.effects[n].removable and not removed]
+    if len(removable_ones) == 1:
+        return Reason("with and without", {"effect": removable_ones[0]})
     if options and max(options)[0] > now + 1:
-        gain, label = max(options)
-        return (
-            f"measure {label}: with it {best} and {rival} would differ by {gain:.1f} nats instead of "
-            f"{now:.1f}"
-        )
-    if all(removable.values()):
-        return (
-            f"measure once without each of these, one at a time: {best}, {rival}. The uncertainty of "
-            "alpha cancels in the difference"
-        )
-    return (
-        f"look at the room: {best} and {rival} predict the same in every parameter, and one of them "
-        "can be seen, or measured with a rule"
-    )
+        gain, what = max(options)
+        return Reason("measure further", {**two, "what": what, "nats": gain, "now": now})
+    return Reason("each taken out" if removable_ones else "look at the room", two)

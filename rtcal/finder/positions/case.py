@@ -44,6 +44,7 @@ from rtcal.acoustics.room import (
     Room,
     checked_uncertainty,
 )
+from rtcal.finder.claim import Reason
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Divided, Faces
 from rtcal.io import geometry_files
@@ -53,7 +54,7 @@ from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.text import first_of, shortened
+from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
 
@@ -372,41 +373,14 @@ def covariances_of_gains(
     return together, np.asarray(together + np.kron(np.eye(n_bands), own))
 
 
-def gains_in_words(nats: float) -> str:
-    """Return a note that calibrated sources may have other gains; "" where that is hardly likelier."""
-    if nats <= LIKELY_GAINS:
-        return ""
-    return (
-        "G agrees better with the room where its calibration may be off, alike in all bands or band by "
-        f"band: {nats:+z.1f} nats. It counts as far as it is right. If its reference is not sure, name "
-        'it "level".'
-    )
-
-
-def lobes_in_words(nats: float, stated: Sequence[str]) -> str:
-    """Return a note that the sources may have other lobes; "" where they are as taken.
+def of_lobes(nats: float, stated: Sequence[str]) -> Reason | None:
+    """Return a note that the sources may have other lobes; None where they are as taken.
 
     ``stated`` are sources of which an index is stated, where it is not taken as stated.
     """
-    if nats > -np.log(AIMED) and not stated:
-        taken = (
-            "So they are not taken as omnidirectional."
-            if nats > LIKELY_LOBES
-            else "They count as far as they are likely."
-        )
-        return (
-            "Sources that are not omnidirectional explain what was measured better than what the room "
-            f"may lack: {nats:+z.1f} nats. {taken} State them with [directivity]; an omnidirectional "
-            "source has the index 0."
-        )
-    if not stated:
-        return ""
-    better = (
-        f"Other lobes explain what was measured better than what the room may lack: {nats:+z.1f} nats."
-        if nats > LIKELY_INDEX
-        else "Nothing that is tried explains the level and the early parameters."
-    )
-    return (
-        f"{better} An index does not tell a lobe's shape. So the directivity of "
-        f"{first_of(stated, 3)} is not taken as stated. State measured balloons to use all parameters."
-    )
+    if stated:
+        code = "index off" if nats > LIKELY_INDEX else "nothing explains the level"
+        return Reason(code, {"nats": nats, "sources": list(stated)})
+    if nats <= -np.log(AIMED):
+        return None
+    return Reason("lobes" if nats > LIKELY_LOBES else "lobes possible", {"nats": nats})

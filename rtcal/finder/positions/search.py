@@ -37,7 +37,8 @@ from rtcal.finder.claim import (
     MOST,
     Candidate,
     Detection,
-    claimed,
+    Reason,
+    conclude,
     most_probable_first,
     with_added,
 )
@@ -52,18 +53,17 @@ from rtcal.finder.evidence import (
     probability_off,
 )
 from rtcal.finder.finding import Finding
-from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.case import (
     AIMED,
+    LIKELY_GAINS,
     LIKELY_INDEX,
     LIKELY_LOBES,
     MISCALIBRATED,
     PositionsCase,
     as_unknown,
-    gains_in_words,
-    lobes_in_words,
+    of_lobes,
     with_index,
 )
 from rtcal.finder.positions.problem import (
@@ -83,7 +83,6 @@ from rtcal.finder.positions.problem import (
     spreads,
 )
 from rtcal.finder.positions.weighing import parameters, responses_of
-from rtcal.finder.records import record_of_positions
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.loop.measured_pairs import T30_ALONE, with_t30
 from rtcal.support import checks
@@ -221,16 +220,13 @@ def evidence_of_means(
         return None
 
 
-def unconfirmed(means: Finding) -> str:
-    """Return what means over positions claim where positions claim nothing; "" without that."""
+def unconfirmed(means: Finding) -> Reason | None:
+    """Return what means over positions identify where positions do not; None without that."""
     name = means.effect or means.family
     if name is None:
-        return ""
+        return None
     probability = (means.probabilities if means.effect else means.families)[name]
-    return (
-        f"Means over positions claim {name} ({100 * probability:.0f} %), which the differences "
-        "between positions do not confirm."
-    )
+    return Reason("means alone", {"effect": name, "probability": probability})
 
 
 def of_means(case: PositionsCase) -> Case:
@@ -386,18 +382,6 @@ def tried(effects: Sequence[Effect]) -> tuple[str, ...]:
     )
 
 
-_AIMED = (
-    "A source's directivity is unknown: where it aims looks like absorption on the other surfaces."
-)
-_ANYWHERE = (
-    "A second room gives its energy back to all positions alike. In both judged rooms in which "
-    "one was detected, its aperture was on another surface than the most probable one. A room that "
-    "scatters less than assumed has such decays, too: compare with a lower --scattering."
-)
-"""Why the surface of an aperture is not claimed (benchmarks/studies/pairs). A box with
-scattering of 0.05, assumed to have 0.3, had been named a coupled room."""
-
-
 MORE_PATHS = 3
 """Factor of the number of paths of the control runs. Over 16 pairs of seeds the score of four empty
 development rooms had a standard deviation of at most 0.2 nats, and that of a room with an absorber one
@@ -544,12 +528,12 @@ def find_by_positions(
     finding = _finding(search, posterior, detected, effects)
     unsaid = means is not None and finding.effect is None and finding.family is None
     notes = (
-        unconfirmed(means) if means is not None and unsaid else "",
+        unconfirmed(means) if means is not None and unsaid else None,
         *finding.notes,
-        lobes_in_words(aimed, indexed if doubted else ()),
-        gains_in_words(of_gain),
+        of_lobes(aimed, indexed if doubted else ()),
+        Reason("gains", {"nats": of_gain}) if of_gain > LIKELY_GAINS else None,
         untried(effects),
-        CHOSEN if left_out else "",
+        Reason("chosen") if left_out else None,
     )
     return replace(finding, left_out=tuple(left_out), notes=tuple(filter(None, notes)))
 
@@ -583,13 +567,16 @@ def _finding(
     known = dict(summary.probabilities)
     if known.get(UNKNOWN, 0.0) < MOST * (1 - known[NONE]):
         known.pop(UNKNOWN, None)
-    verdict, family = claimed(detected.verdict, known, summary.families, in_families)
-    is_claimed = verdict in ("named", "family", "ambiguous")
-    reasons: tuple[str, ...] = ()
+    claim = conclude(detected.verdict, known, summary.families, in_families)
+    is_claimed = claim.verdict in ("named", "family", "ambiguous")
+    reasons: tuple[Reason, ...] = ()
     if is_claimed and case.simulator.unknown_sources:
-        reasons = (_AIMED,)
+        reasons = (Reason("directivity unknown"),)
     elif is_claimed and (best := summary.candidates[0]).surface and best.effect == COUPLED.name:
-        reasons = (_ANYWHERE,)
+        # In both judged rooms in which one was detected, its aperture was on another surface than the
+        # most probable one (benchmarks/studies/pairs). A box with scattering of 0.05, assumed to have
+        # 0.3, had been named a coupled room.
+        reasons = (Reason("second room anywhere"),)
     first = next(iter(summary.surfaces))
     sure = summary.surfaces[first] * summary.on_surfaces >= CLAIMED
     observations, (p, i, k) = numbers.data.observations, numbers.shape
@@ -598,9 +585,9 @@ def _finding(
     )
     return Finding(
         case=case,
-        verdict=verdict,
-        named=(next(e for e in known if e != NONE),) if verdict == "named" else (),
-        family=family,
+        verdict=claim.verdict,
+        named=claim.named,
+        family=claim.family,
         surface=first if is_claimed and sure and not reasons else None,
         surfaces=summary.surfaces,
         unexplained=summary.unexplained,
@@ -614,7 +601,6 @@ def _finding(
         pairs=observations.pairs,
         reasons=reasons,
         notes=(
-            record_of_positions(case.room, observations.parameters),
             *_assumed(case),
             *case.notes,
             *numbers.data.notes,
@@ -633,19 +619,14 @@ def _assumed(case: PositionsCase) -> tuple[str, ...]:
     return tuple(note for note in (alone, *tracer.notes, together) if note)
 
 
-def untried(effects: Sequence[Effect]) -> str:
-    """Return a note of what only means over positions try; "" where there is nothing.
+def untried(effects: Sequence[Effect]) -> Reason | None:
+    """Return a note of what only means over positions try; None where there is nothing.
 
     What changes no surface of the library (air, a formula) is the path tracing's own affair.
     """
     own = Effect.family
     names = sorted(e.name for e in effects if (e.removable or e.family == own) and not e.stands_on)
-    if not names:
-        return ""
-    return (
-        f"Not tried, since they stand on no surface: {', '.join(names)}. Means over positions "
-        "(rtcal.find without a simulator) try them."
-    )
+    return Reason("not tried", {"effects": names}) if names else None
 
 
 def _groups(

@@ -1,0 +1,813 @@
+"""The words of a finding: a sentence for each code, and the blocks of text, page and notebook.
+
+Answer, cautions, evidence, notes: in this order for every kind of data. Evidence is printed as odds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from string import Formatter
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics import bands, marks
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import LEVEL
+from rtcal.acoustics.room import Room
+from rtcal.finder.claim import (
+    CLAIMED,
+    DISTINCT_NATS,
+    LEADING,
+    MISTAKE,
+    MOST,
+    SAID,
+    Reason,
+    Size,
+    amount,
+    family_of,
+    over_frequency,
+)
+from rtcal.finder.effects import checked_effects
+from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN
+from rtcal.finder.finding import Finding, feature_names
+from rtcal.finder.means.verdict import AbsorptionChange
+from rtcal.finder.records import (
+    WITH_LEVEL,
+    WITHOUT_LEVEL,
+    Share,
+    data_of,
+    record_of,
+    statement_of,
+    stored,
+)
+from rtcal.finder.states import ADDED
+from rtcal.io.tables import unusual
+from rtcal.loop.measured_pairs import without_place
+from rtcal.support.blocks import Block, Note, Row, Table
+from rtcal.support.text import as_sentence, first_of, listed
+from rtcal.support.types import Array
+
+MOST_ODDS = 1e6
+"""Largest odds that are printed as a number: no model is known so well."""
+BY_SEED = 0.5
+"""Standard deviation of the score in nats at positions by random numbers, in a development room in
+which something is detected (room 0.7 of benchmarks/studies/geometric_world, four seeds)."""
+_NOTHING = 0.1
+"""Probability that nothing is missing from which the answer states it."""
+_NEAR = 0.5
+"""Probability over the first candidate's from which another one fits nearly as well."""
+_FEW = 3
+"""Most effects or sources that a sentence lists."""
+NAMES = {
+    "porous": "porous absorber",
+    "resonator": "Helmholtz resonator",
+    "membrane": "panel absorber",
+    "formula": "reverberation equation",
+    "position": "another position",
+    "noise": "a noisy value",
+    NONE: "nothing missing",
+    COEFFICIENTS: "coefficients off in common",
+    UNKNOWN: "none of the library",
+}
+"""Names in print, where they are others than those of the options."""
+
+SENTENCES: dict[str, str] = {
+    # Why something is not identified, or not by its name.
+    "nothing likely": "That nothing is missing has a probability of {probability:p}, so nothing is "
+    "identified.",
+    "no effect likely": "No effect and no group of effects has a probability of {least:p}, so nothing "
+    "is identified.",
+    LEADING: "T is {factor:.2g} times the model's: look for a mistake in volume, "
+    "areas, coefficients and units first.",
+    MISTAKE: "T is {factor:.2g} times the model's: look for a mistake in volume, areas, "
+    "coefficients and units before you believe any effect.",
+    "not explained": "{effect:name} fits best of all effects and does not explain the measurement: "
+    "with it, the differences are {times:.1f} times as large as all uncertainties allow. Check volume, "
+    "areas, coefficients, units and bands.",
+    "gap grows": "With {effect:name} in the model, the deviation that coefficients cannot remove grows "
+    "from {before:.2f} to {after:.2f} JND.",
+    "gap may grow": "With {effect:name} in the model, the deviation that coefficients cannot remove "
+    "may grow from {before:.2f} to {after:.2f} JND (by more than {little:g} JND with a probability of "
+    "{probability:p}).",
+    "contradicted": "Decay shape, level and the other configurations speak against {effect:name} "
+    "(odds of {nats:odds}).",
+    "size unbounded": "The measurement does not bound the size of {effect:name}: {size}; any {other} "
+    "size fits as well.",
+    "too large": "{effect:name} would take {share:p} of all surfaces; more than {most:p} is not "
+    "plausible.",
+    "below Schroeder": "{effect:name} rests on {bands:and}, below Schroeder's frequency, where no "
+    "sound field is diffuse: without them its odds are {without:odds} instead of {nats:odds}.",
+    "directivity unknown": "The surface is not identified, because the directivity of a source is "
+    "unknown: where a source aims looks like absorption on the other surfaces.",
+    "second room anywhere": "The surface is not identified: a second room returns its energy to all "
+    "positions alike. A room that scatters less than assumed has such decays, too: compare with a "
+    "lower --scattering.",
+    "one file": "Before and after have the same T at every pair: are they one file?",
+    "not the climate alone": "Another climate of the air is the most probable single change, but alone "
+    "it does not explain T (p = {chance:.2g} by chi-square over the bands).",
+    "not as asked": "Of what was asked for, {effects:unexplained} ({probability:p}); a spectrum that "
+    "no effect has explains it.",
+    "gains differ": "The level of {gains:gains} shifts otherwise than T: the source has another gain "
+    "after than before, so its level is left out. Measure both states with one reference.",
+    # What to do next.
+    "another source": "Look for another source of the coefficients, first for the material with the "
+    "largest product of area and uncertainty; or measure with and without a known absorber.",
+    "measure again": "See in the deviations which band and parameter disagree, and measure them again.",
+    "nothing to distinguish": "These data leave nothing to distinguish, which does not confirm the "
+    "model.",
+    "look it up": "Confirm {effect:name} where it can be looked up or measured by itself.",
+    "measure without": "Confirm {effect:name}: measure once without it.",
+    "confirmed": "{effect:name} was measured with and without it: nothing more confirms it.",
+    "with and without": "Measure with and without {effect:name}: if it is the cause, T changes, and "
+    "the uncertainty of the coefficients cancels in the difference.",
+    "measure further": "Measure {what}: {effect:name} and {rival:name} would then be distinguished "
+    "with odds of {nats:odds} instead of {now:odds}.",
+    "each taken out": "Measure once without {effect:name} and once without {rival:name}: the "
+    "uncertainty of the coefficients cancels in the difference.",
+    "look at the room": "Look at the room: {effect:name} and {rival:name} predict the same in every "
+    "parameter, and one of them can be seen, or measured with a rule.",
+    # Why nothing is added to the model, or not without a choice.
+    "nothing to add": "Nothing to add: the measurement agrees with the model.",
+    "too weak to add": "Nothing to add: {best} is only a weak indication (verdict hint).",
+    "none of the library": "Nothing to add: what is missing is no effect of the library (verdict "
+    "unknown).",
+    "no surface": "Nothing to add: what was found stands on no surface.",
+    "second room": "{best}: {why}",
+    "no change to add": "Nothing to add: no change was identified.",
+    "climate changed": "Nothing to add: the climate of the air changed. State temperature and humidity "
+    "in the room's file.",
+    "effect undecided": "No effect is stated, and the most probable one has less than {least:p}. "
+    "Candidates: {candidates:options}. State one: effect = NAME.",
+    "place undecided": "Neither an effect nor a place is stated, and the most probable group on one "
+    "surface has less than {least:p}. Candidates: {candidates:options}. State one: effect = NAME, or "
+    "its place: at = X,Y,Z.",
+    "volume undecided": "effect = volume has {probability:p}, and the room's volume is changed only "
+    "from {least:p} on. Measure the volume and state it in the room's file, or state another effect: "
+    "{others:or}.",
+    "volume alone undecided": "effect = volume has {probability:p}, and the room's volume is changed "
+    "only from {least:p} on. Measure the volume and state it in the room's file.",
+    "support": "{verdict}: {best}; {others:and} cannot be distinguished",
+    "sole": "{verdict}: {best}",
+    "not predicted": "with their uncertainty, the odds that these data give for it are {nats:odds}; "
+    "{least:odds} count",
+    # What to know of the data and of the search.
+    "chosen": "Effects were left out or weighted by hand: the probabilities are among those that were "
+    "tried, and how often such findings were right was measured with the whole library.",
+    "level off": '{parameter} of "{configuration}" is {by:.1f} dB {side} what T and the room give, '
+    "alike in all bands. Its calibration may be off as well as the room. If its reference is not sure, "
+    'name it "level".',
+    "Schroeder": '"{configuration}": {bands:and} below Schroeder\'s frequency ({limit:.0f} Hz), where '
+    "no sound field is diffuse.",
+    "not used": '"{configuration}": {parameters:and} not used; a search by means over positions uses '
+    "{known:and}.",
+    "curved": '"{configuration}": the decay is curved at {bands:and} (ISO 3382-2, Annex B: at most '
+    "{most:.0f} %).",
+    "no air": "The room states no air, so the model's air absorbs nothing.",
+    "means alone": "Means over positions identify {effect:name} ({probability:p}), which the "
+    "differences between positions do not confirm.",
+    "not tried": "Not tried, since they stand on no surface: {effects:and}. A search by means over "
+    "positions tries them.",
+    "gains": "G agrees better with the room if its calibration may be off, alike in all bands or band "
+    "by band (odds of {nats:odds}). It counts as far as it is right. If its reference is not sure, "
+    'name it "level".',
+    "lobes": "Directional sources explain the measurement better than what the room may lack (odds of "
+    "{nats:odds}), so the sources are not taken as omnidirectional. State them with [directivity]; an "
+    "omnidirectional source has the index 0.",
+    "lobes possible": "Directional sources may explain the measurement better than what the room may "
+    "lack (odds of {nats:odds}), and count as far as they are likely. State them with [directivity]; "
+    "an omnidirectional source has the index 0.",
+    "index off": "Other directivities explain the measurement better than what the room may lack (odds "
+    "of {nats:odds}), so the directivity index of {sources:few} is not relied on. State measured "
+    "balloons to use all parameters.",
+    "nothing explains the level": "Nothing that is tried explains the level and the early parameters, "
+    "so the directivity index of {sources:few} is not relied on. State measured balloons to use all "
+    "parameters.",
+    "no geometry": "T alone does not show on which surface something changed.",
+    "no directivity": "The directivity of {sources:few} is not stated, so no surface is identified. "
+    "Give every source a directivity, with index = 0 for an omnidirectional one.",
+}
+"""The sentence of each code of a `rtcal.finder.claim.Reason`; `_Forms` has the forms of its values."""
+
+
+_CLAUSES = ("support", "sole", "not predicted")
+"""Codes whose words stand within another sentence."""
+
+
+class _Forms(Formatter):
+    """The forms of values in `SENTENCES`: probabilities, odds, effects, sizes and lists."""
+
+    def format_field(self, value: Any, form: str) -> str:
+        if form == "p":
+            return percent(value)
+        if form == "odds":
+            return odds(value)
+        if form == "name":
+            return called(value)
+        if form == "few":
+            return first_of(value, _FEW)
+        if form in ("and", "or"):
+            return listed([v if isinstance(v, str) else likely(*v) for v in value], last=form)
+        if form == "options":  # with the names that an option takes
+            return listed([f"{name} ({percent(p)})" for name, p in value], last="or")
+        if form == "unexplained":
+            return unexplained(value)
+        if form == "gains":
+            return first_of([f"{source} (by {g:+z.1f} dB)" for source, g in value.items()], _FEW)
+        if isinstance(value, Size):
+            return value.words
+        if isinstance(value, tuple):
+            return likely(*value)
+        return str(super().format_field(value, form))
+
+
+def sentence(reason: Reason) -> str:
+    """Return the sentence of a reason.
+
+    Examples
+    --------
+    >>> sentence(Reason("too large", {"effect": "porous", "share": 0.41, "most": 0.25}))
+    'Porous absorber would take 41 % of all surfaces; more than 25 % is not plausible.'
+    """
+    words = _Forms().vformat(SENTENCES[reason.code], (), reason.values)
+    return words if reason.code in _CLAUSES else words[:1].upper() + words[1:]
+
+
+def odds(nats: float) -> str:
+    """Return evidence in nats as odds, to two digits.
+
+    Examples
+    --------
+    >>> odds(2.3026), odds(-4.0), odds(0.0), odds(40.0)
+    ('10 to 1', '1 to 55', 'even', 'over a million to 1')
+    """
+    factor = float(np.exp(min(abs(nats), 50.0)))
+    digits = max(0, int(np.floor(np.log10(factor))) - 1)
+    times = f"{round(factor / 10**digits) * 10**digits:,}" if factor >= 3 else f"{factor:.2g}"
+    times = "over a million" if factor > MOST_ODDS else times
+    if times == "1":
+        return "even"
+    return f"{times} to 1" if nats > 0 else f"1 to {times}"
+
+
+def percent(probability: float) -> str:
+    """Return a probability in percent; one that is nearly 0 or 1 is not rounded to it.
+
+    >>> percent(0.334), percent(0.9996), percent(1e-4), percent(0.0)
+    ('33 %', 'over 99 %', 'under 1 %', '0 %')
+    """
+    if 0 < probability < 0.005 or 0.995 <= probability < 1:
+        return "under 1 %" if probability < 0.5 else "over 99 %"
+    return f"{100 * probability:.0f} %"
+
+
+def called(title: str) -> str:
+    """Return the name in print of an effect, or of an effect in a place.
+
+    >>> called("porous"), called('membrane on "west"'), called("opening")
+    ('porous absorber', 'panel absorber on "west"', 'opening')
+    """
+    first, space, rest = title.partition(" ")
+    return f"{NAMES.get(first, first)}{space}{rest}"
+
+
+def likely(name: str, probability: float) -> str:
+    """Return a name with its probability."""
+    return f"{called(name)} ({percent(probability)})"
+
+
+def choice(some: Sequence[tuple[str, float]]) -> str:
+    """Return candidates with their probabilities, the most probable first, in words.
+
+    >>> choice([("furniture", 0.45), ("opening", 0.39), ("air", 0.06)])
+    'most likely furniture (45 %), but opening (39 %) fits nearly as well; less likely air (6 %)'
+    """
+    first, *others = some
+    near = [likely(*one) for one in others if one[1] >= _NEAR * first[1]]
+    far = [likely(*one) for one in others if one[1] < _NEAR * first[1]]
+    said = f"most likely {likely(*first)}"
+    said += f", but {listed(near)} fit{'s' * (len(near) == 1)} nearly as well" if near else ""
+    return said + (f"; less likely {listed(far)}" if far else "")
+
+
+def unexplained(names: Sequence[str]) -> str:
+    """Return in words that these effects do not explain it.
+
+    >>> unexplained(["air"]), unexplained(["opening", "porous", "curtain", "people"])
+    ('air does not explain it', 'none of the effects that were tried explains it')
+    """
+    if len(names) > _FEW:
+        return "none of the effects that were tried explains it"
+    some = listed([called(name) for name in names])
+    return f"{some} {'does' if len(names) == 1 else 'do'} not explain it"
+
+
+# The answer.
+
+
+def headline(f: Finding) -> list[str]:
+    """Return the answer in sentences, the first alone is enough; a doubt about T leads it."""
+    answer, *more = _ANSWERS[f.kind](f)
+    if f.leading is not None and f.verdict != "none":
+        answer = f"{f.leading} If there is none: {answer}"
+    if f.verdict != "none" and f.probabilities.get(NONE, 0.0) >= _NOTHING:
+        what = "changed" if f.kind == "states" else "is missing"
+        more.append(f"The probability that nothing {what} is {percent(f.probabilities[NONE])}.")
+    return [answer, *more]
+
+
+def title(f: Finding) -> str:
+    """Return the best effect, or the most probable set, as a sentence names it."""
+    titles = {c.effect: c.title for c in f.candidates}
+    return listed([called(titles.get(n, n)) for n in f.members or (str(f.best_effect),)])
+
+
+def absorbs(change: AbsorptionChange) -> str:
+    """Return how much more or less the room absorbs than the model.
+
+    >>> absorbs(AbsorptionChange(np.array([[0.2, 0.6], [0.1, 0.3], [0.3, 0.9]])))
+    'The room absorbs 40 % more than the model (90 %: 20 to 60 %), rising with frequency'
+    """
+    mean, *ends = 100 * np.abs(change.share.mean(1))
+    more = "more" if change.share[0].mean() > 0 else "less"
+    if change.end:
+        bound = min(ends) if change.end == "least" else max(ends)
+        said = f"at {change.end} {bound:.0f} % {more} than the model"
+    else:
+        said = f"{mean:.0f} % {more} than the model (90 %: {min(ends):.0f} to {max(ends):.0f} %)"
+    return f"The room absorbs {said}, {over_frequency(change.share[0])}"
+
+
+def _of_means(f: Finding) -> list[str]:
+    if len(f.members) > 1 or (f.named and f.named != f.members):
+        return _of_several(f)
+    if f.verdict == "none":
+        return [
+            "The measurement agrees with the model within the uncertainty of input values, measurement "
+            "and model: nothing is found to be missing."
+        ]
+    best = f"{title(f)} ({percent(f.probabilities.get(str(f.best_effect), 0.0))})"
+    if f.verdict == "hint":
+        return [f"Nothing is identified; {best} is only a weak indication."]
+    if f.verdict == UNKNOWN:
+        library = {effect.name for effect in checked_effects(None)}
+        whole = library <= {*f.effects, *f.not_judged}
+        which = "no effect of the library explains it" if whole else unexplained(tuple(f.effects))
+        return [f"Something is missing from the model: {which}."]
+    fit = f.fits.get(str(f.best_effect))
+    change = fit.absorption if fit is not None and f.verdict != "ambiguous" else None
+    subject = _contradiction(f) if change is None else absorbs(change)
+    titles = {c.effect: c.title for c in f.candidates}
+    some = [(titles[n], f.probabilities.get(n, 0.0)) for n in f.names]
+    if f.verdict == "ambiguous":
+        return [f"{subject}, and the data do not show what; {choice(some)}."]
+    if f.verdict == "family":
+        group = f"Group identified: {f.family} ({percent(f.families.get(str(f.family), 0.0))})."
+        return [f"{subject}; {choice(some)}.", group]
+    if f.best_effect == COEFFICIENTS:
+        return [
+            f"The input coefficients are off in common ({percent(f.probabilities[COEFFICIENTS])})."
+        ]
+    return [f"{subject}: {best}."]
+
+
+def _of_several(f: Finding) -> list[str]:
+    """Return the claims about effects, families and sets of families; what is likely without one."""
+    some = [likely(n, f.probabilities[n]) for n in f.members]
+    if f.verdict == "ambiguous":
+        said = [f"Something is missing from the model; most likely {listed(some)}."]
+        if f.probabilities.get(UNKNOWN, 0.0) > max(f.probabilities[n] for n in f.members):
+            beyond = percent(f.probabilities[UNKNOWN])
+            said.append(f"Something is missing that no effect of the library explains ({beyond}).")
+        return said
+    of_named = {family_of(n, f.effects) for n in f.named}
+    identified = [likely(n, f.probabilities[n]) for n in f.named]
+    identified += [likely(n, f.families[n]) for n in f.named_families if n not in of_named]
+    said = [f"{_contradiction(f)}: {listed(identified)}."] if identified else []
+    if f.named_set:
+        several, together = percent(sum(f.numbers[2:])), percent(f.family_sets[f.named_set])
+        said.append(
+            f"More than one effect is missing ({several}); most likely together: "
+            f"{listed(f.named_set)} ({together})."
+        )
+    return said
+
+
+def _contradiction(f: Finding) -> str:
+    """Return whether the candidates contradict an input value, or add to the model, or either."""
+    contradicting = {
+        name == COEFFICIENTS or (name in f.effects and f.effects[name].contradicts(f.case.room))
+        for name in f.names
+    }
+    if len(contradicting) > 1:
+        return "Something is missing from the model, or an input value is off"
+    off = contradicting == {True}
+    return "An input value of the model is off" if off else "Something is missing from the model"
+
+
+def _at_positions(f: Finding) -> list[str]:
+    if f.best is None:
+        return [
+            "The measurement agrees with the model at every position, within the uncertainty of input "
+            "values, measurement and simulator: nothing is found to be missing."
+        ]
+    if f.verdict == "hint":
+        best = likely(f.best.title, f.best.probability)
+        return [f"Nothing is identified; {best} is only a weak indication."]
+    known = [c for c in f.candidates if c.effect != UNKNOWN]
+    if f.verdict == UNKNOWN:
+        said = ["Something differs from the model that no effect of the library explains."]
+        if f.likeliest is not None:
+            alike = sum(c.probability for c in known if c.kind == f.likeliest.kind)
+            share = percent(alike / sum(c.probability for c in known))
+            place = _place(f)
+            said.append(
+                f"Of the library, {f.likeliest.kind} explains most ({share} of the rest){place}."
+            )
+        return said
+    kind = known[0].kind if known else ""
+    subject = {
+        "added absorption": "The room absorbs more than the model",
+        "less absorption": "The room absorbs less than the model",
+    }.get(kind, "The room or the measurement differs from the model")
+    said = [f"{subject}{_place(f)}."]
+    effects = dict.fromkeys(c.effect for c in f.candidates if c.probability >= SAID)
+    if f.verdict == "family":
+        said.append(f"Group identified: {f.family} ({percent(f.families[str(f.family)])}).")
+    elif f.verdict == "named":
+        said.append(f"Effect identified: {likely(str(f.effect), f.probabilities[str(f.effect)])}.")
+    elif effects:
+        some = choice([(name, f.probabilities[name]) for name in effects])
+        said.append(f"The effect is not identified: {some}.")
+    if f.unexplained >= MOST:
+        said.append(
+            "This does not explain everything that was measured: something else differs from the model "
+            f"as well ({percent(f.unexplained)})."
+        )
+    return said
+
+
+def _place(f: Finding) -> str:
+    """Return where something differs, as far as the positions show it, as the end of a sentence."""
+    best = f.likeliest
+    if best is None or not best.place:
+        return ""
+    if best.surface is None:
+        return f"; most likely {likely(best.title, best.probability)}"
+    if f.surface is not None:
+        at = None if f.located is None else f.located.middle
+        about = f", about ({', '.join(f'{x:.1f}' for x in at)}) m" if at is not None else ""
+        return f', on "{f.surface}" ({percent(f.surfaces[f.surface])}){about}'
+    some = [(f'"{name}"', f.surfaces[name]) for name in f.likely_surfaces]
+    return f"; {choice(some).replace('most likely ', 'most likely on ', 1)}" if some else ""
+
+
+def _change(f: Finding) -> str:
+    """Return the change: more or less absorption, its amount and its spectrum."""
+    size = f.size
+    if f.family == "climate" or size is None or not np.isfinite(size.mean):
+        return "the climate of the air"
+    more = f.families.get(f"{ADDED} absorption", 0.0) > (1 - f.probabilities[NONE]) / 2
+    at = bands.label(f.middle[0])
+    if len(f.middle) > 1:
+        at = f"{f.middle[0]:g} to {f.middle[-1]:g} Hz"
+    low, high = sorted((abs(size.low), abs(size.high)))
+    said = amount(abs(size.mean), "m²", (low, high))
+    said += f" {'more' if more else 'less'} absorption at {at}"
+    return f"{said}, {f.spectrum}" if f.spectrum else said
+
+
+def _of_states(f: Finding) -> list[str]:
+    if f.verdict == NONE:
+        return ["No change was detected beyond the noise of both measurements."]
+    if f.verdict == "hint":
+        return [f"No change is identified; {_change(f)} is only a weak indication."]
+    if f.family == "climate":
+        return ["The climate of the air changed, and nothing else."]
+    said = [f"The room changed: {_change(f)}."]
+    if f.family is not None:
+        said.append(f"Group identified: {f.family} ({percent(f.families[f.family])}).")
+    if f.claimed_surfaces:
+        places = listed([f'"{name}"' for name in f.claimed_surfaces])
+        said.append(f"The change is on {places}.")
+    return said
+
+
+_ANSWERS = {"means": _of_means, "positions": _at_positions, "states": _of_states}
+
+
+# Cautions, candidates, evidence.
+
+
+def cautions(f: Finding) -> list[str]:
+    """Return reasons to doubt the answer, and likely typing errors in what was read."""
+    room, off = f.case.room, f.coefficients
+    said = [str(reason) for reason in f.reasons if reason is not f.leading]
+    if f.kind == "positions":
+        said = [*without_place(f.case.measured, f.case.simulator.pairs), *said]
+    elif f.kind == "states" and f.verdict != NONE and f.family != "climate" and f.climate >= MOST:
+        said.append(f"A change of the climate explains a part of it ({percent(f.climate)}).")
+    if off is not None and f.best_effect != COEFFICIENTS:
+        said.append(f"The input coefficients may be off in common ({percent(off.probability)}).")
+    mistyped = [doubt for measured in _measurements(f) for doubt in unusual(measured)]
+    mistyped += [error.sentence for error in marks.in_room(room)]
+    said += map(as_sentence, dict.fromkeys(mistyped))
+    if f.kind == "positions" and abs(f.score - f.threshold) < BY_SEED:
+        said.append(
+            "The odds are near the required ones. They vary with the simulator's random numbers by a "
+            f"factor of {np.exp(BY_SEED):.1f}: search with another --seed as well."
+        )
+    return said
+
+
+def _measurements(f: Finding) -> list[Measurement]:
+    if f.kind == "states":
+        return [f.case.before, f.case.after]
+    return [c.measured for c in f.case.configurations] if f.kind == "means" else [f.case.measured]
+
+
+def details(f: Finding) -> list[str]:
+    """Return sizes, sets, and what cannot be distinguished."""
+    return [*filter(None, _DETAILS[f.kind](f))]
+
+
+def _details_of_means(f: Finding) -> list[str]:
+    said = [size_of(f, n) for n in f.names if f.probabilities.get(n, 0.0) >= SAID]
+    if f.coefficients is not None:
+        ratio = f.coefficients.words(f.case.room.centre_frequencies)
+        said.append(f"Coefficients off in common: {ratio}. Look for another source of them.")
+    if f.more_than_one:
+        said += [
+            f"{called(name)} may be {listed([called(o) for o in others], last='or')} instead"
+            for name, others in f.stand_ins.items()
+            if others and len(f.members) > 1
+        ]
+        words = zip(("no effect", "one", "two", "three"), f.numbers, strict=False)
+        said.append(f"Number of effects: {', '.join(likely(*w) for w in words if w[1] >= 0.005)}.")
+        said.append(f"Sets: {', '.join(likely(*one) for one in f.likely_sets.items())}.")
+    library = {effect.name: effect for effect in checked_effects(None)}
+    for name, reason in f.not_judged.items():
+        family = library[name].family if name in library else None
+        alike = [called(k) for k, e in f.effects.items() if e.family == family]
+        stands = f" If it is there, {listed(alike, last='or')} may stand for it." if alike else ""
+        said.append(f"Not judged: {called(name)}, because {reason}.{stands}")
+    return said
+
+
+def size_of(f: Finding, name: str) -> str:
+    """Return a candidate's size with its interval, and its other parameters; "" without any."""
+    fit = f.fits.get(name)
+    if fit is None or not fit.parameters:
+        return ""
+    effect = f.effects[name]
+    what = called(next((c.title for c in f.candidates if c.effect == name), name))
+    if fit.size is None:
+        return f"{what}: {effect.describe(fit.parameters)}"
+    others = effect.describe(fit.parameters, without=effect.size)
+    alone = None if name not in f.alone else f.alone[name].size
+    words = f"size of {what}: {fit.size.words}"
+    words += "" if alone is None else f", without the others {alone.words}"
+    return words + (f"; {others}" if others else "")
+
+
+def _details_at_positions(f: Finding) -> list[str]:
+    said = [f"These positions do not distinguish {listed(g)}." for g in f.groups]
+    grouped = {name for group in f.groups for name in group}
+    asked = f.likely_surfaces if grouped and f.surface is None else ()
+    least = np.exp(-DISTINCT_NATS) * max(f.surfaces.values(), default=0.0)
+    left = [n for n in asked if n not in grouped]
+    less = [n for n in left if f.surfaces[n] < least]
+    if less:
+        said.append(f"{listed(less)}: less probable than the first by more than ten to one.")
+    if apart := [n for n in left if n not in less]:
+        # The groups are those of the most probable effect on a surface.
+        effect = next((c.effect for c in f.candidates if c.surface is not None), "it")
+        said.append(
+            f"{listed(apart)}: {called(effect)} there would be distinguished or is not tried; not "
+            "ruled out."
+        )
+    return said
+
+
+def _details_of_states(f: Finding) -> list[str]:
+    some = [(f'"{n}"', p) for n, p in f.surfaces.items() if 1 - CLAIMED <= p < CLAIMED]
+    if not some:
+        return []
+    places = listed([likely(*one) for one in some])
+    return [f"Possibly changed as well: {places}; several may have changed together."]
+
+
+_DETAILS = {
+    "means": _details_of_means,
+    "positions": _details_at_positions,
+    "states": _details_of_states,
+}
+
+
+def evidence(f: Finding) -> str:
+    """Return the odds that something is missing, those that are required, and the verdict."""
+    what = "changed" if f.kind == "states" else "is missing"
+    words, nothing = f.detection.deciding, percent(f.probabilities.get(NONE, 0.0))
+    score, threshold, of = f.score, f.threshold, ""
+    if words is not None:
+        part = f.detection.parts[words]
+        score, threshold, of = (
+            part.score,
+            part.threshold,
+            f" from {words} alone (all data give less)",
+        )
+    said = (
+        f'Verdict "{f.verdict}": the odds that something {what} are {odds(score)}{of}; required: '
+        f"{odds(threshold)}. Probability that nothing {what}: {nothing}."
+    )
+    found = f.detection
+    if found.verdict is not None and found.noise is not None and found.noise > 0:
+        said += f" A single noisy value is the better explanation (odds of {odds(found.noise)})."
+    if found.means is not None:
+        said += f" Means of these data over positions: odds of {odds(found.means)}."
+    return said
+
+
+def interval(share: Share) -> str:
+    """Return the interval in percent: "0 to 41 %, 95 % interval"."""
+    low, high = share.interval
+    return f"{100 * low:.0f} to {100 * high:.0f} %, 95 % interval"
+
+
+def _of(share: Share, what: str) -> str:
+    """Return a share as a clause: "3 of 18 rooms were flagged (4 to 41 %, 95 % interval)"."""
+    return f"{share.count} of {share.of} {what} ({interval(share)})"
+
+
+def track_record(f: Finding) -> str:
+    """Return how many such findings were right in rooms that were not used to make the finder."""
+    rooms = "In simulated rooms that were not used to make the finder"
+    if f.kind == "states":
+        return ""
+    if f.kind == "positions":
+        return record_of_positions(f.case.room, f.parameters)
+    if f.more_than_one and f.detected:
+        claimed = {"families": f.named_families, "sets of families": f.named_set}
+        kinds = [
+            _of(
+                Share(*stored()["several"][kind]),
+                f"identified {kind.replace('families', 'groups')}",
+            )
+            for kind, names in claimed.items()
+            if names
+        ]
+        return f"{rooms}, with one or two effects, right were {listed(kinds)}." if kinds else ""
+    return record_of_means(f.verdict, data_of(f.case))
+
+
+def record_of_positions(room: Room, match: Sequence[str]) -> str:
+    """Return how often hidden effects were detected and empty rooms flagged, with such data."""
+    stated, data = statement_of(room), WITH_LEVEL if LEVEL.key in match else WITHOUT_LEVEL
+    record = record_of("positions", stated, data)
+    return (
+        f"In simulated rooms that were not used to make the finder, with coefficients {stated}, an "
+        f"earlier version detected {_of(record['detected'], 'hidden effects')} and flagged "
+        f"{_of(record['flagged'], 'rooms that lack nothing')}. Right were "
+        f"{_of(record['family'], 'identified effects or groups')}, "
+        f"{_of(record['surface claimed'], 'identified surfaces')} and "
+        f"{_of(record['surface'], 'most probable surfaces of detected absorbers')}."
+    )
+
+
+def record_of_means(verdict: str, data: str) -> str:
+    """Return how often such a verdict was right with such data, as `records` names them."""
+    record = record_of("means", data)
+    rooms = f"In simulated rooms that were not used to make the finder, with {data},"
+    if verdict == UNKNOWN:
+        return f"{rooms} {_of(record['flagged'], 'rooms that lack nothing were flagged')}."
+    if verdict not in record:
+        missed = Share(record["detected"].of - record["detected"].count, record["detected"].of)
+        said = _of(missed, "hidden effects were not detected")
+        return f"{rooms} {said}, so this does not prove that nothing is missing."
+    kinds = {
+        "named": "identified effects were right",
+        "family": "identified groups were right",
+        "ambiguous": "sets of candidates held the truth",
+    }
+    said = f"{rooms} {_of(record[verdict], kinds[verdict])}."
+    if verdict == "ambiguous":
+        return said
+    measured = stored()["measured"]
+    wrong = Share(measured["wrong"], measured["claims"])
+    return (
+        f"{said} In {measured['cases']} measured cases an earlier version identified {wrong.of} "
+        f"effects or groups, {wrong.count or 'none'} of them wrongly ({interval(wrong)})."
+    )
+
+
+# Blocks.
+
+
+def candidates(f: Finding) -> Table | None:
+    """Return the table of what is probable: of means every effect with its odds, else with sizes."""
+    if f.kind == "means":
+        there = "probability" if not f.more_than_one else "probability of being there"
+        rows = [
+            Row(called(name), [percent(p), odds(f.evidence[name]) if name in f.evidence else ""])
+            for name, p in f.probabilities.items()
+            if p >= SAID
+        ]
+        return Table([there, "odds against the model"], rows, corner="effect")
+    some = [c for c in f.candidates if c.probability >= SAID and f.verdict != NONE]
+    rows = [Row(called(c.title), [percent(c.probability), c.in_words]) for c in some[:8]]
+    corner = "change" if f.kind == "states" else "effect"
+    return Table(["probability", "size"], rows, corner=corner) if rows else None
+
+
+def numbers(f: Finding) -> list[Table]:
+    """Return what was measured by band: of means the deviations, of two states T and the change."""
+    if f.kind == "states":
+        return [_by_band(f)]
+    made, labels = list[Table](), bands.labels(f.case.room.centre_frequencies)
+    if f.kind == "positions":
+        return made
+    for c, residuals in zip(f.case.configurations, f.residuals, strict=True):
+        named = zip(feature_names(c.measured), residuals, strict=True)
+        rows = [Row(name, row, "+z.1f") for name, row in named if np.isfinite(row).any()]
+        heading = f'Deviation of "{c.name}" in standard deviations (model - measured)'
+        made.append(Table(labels, rows, heading))
+    return made
+
+
+def _decimals(change: Array) -> int:
+    """Return the decimals with which changes (3, n_bands) are printed: the interval shows its width.
+
+    >>> _decimals(np.array([[10.0], [8.0], [13.0]])), _decimals(np.array([[0.04], [-0.01], [0.09]]))
+    (1, 2)
+    """
+    width = change[2] - change[1]
+    known = width[np.isfinite(width) & (width > 0)]
+    return int(np.clip(np.ceil(-np.log10(known.min() / 2)), 1, 6)) if len(known) else 1
+
+
+def _by_band(f: Finding) -> Table:
+    case, digits = f.case, _decimals(f.change)
+    measured = np.flatnonzero(case.known).tolist()
+
+    def change(k: int) -> str:
+        if not np.isfinite(f.change[:, k]).all():
+            return "not tried"
+        mean, low, high = (f"{value:+.{digits}f}" for value in f.change[:, k])
+        return f"{mean} ({low} to {high})"
+
+    columns = {
+        "T / s": [f"{case.times[0, k]:.2f}" for k in measured],
+        "after / s": [f"{case.times[1, k]:.2f}" for k in measured],
+        "area / m²": [f"{f.area[k]:.1f}" for k in measured],
+        "change / m² (90 %)": [change(k) for k in measured],
+    }
+    return Table.of_columns(bands.labels(case.room.centre_frequencies[measured]), columns)
+
+
+def blocks(f: Finding) -> list[Block]:
+    """Return the answer, cautions, candidates, what was measured, what to do next, evidence, notes."""
+    table = candidates(f)
+    last = [evidence(f), track_record(f), *(f"Note: {as_sentence(str(n))}" for n in f.notes)]
+    if f.advice is not None:
+        last.insert(0, f"Next: {f.advice}")
+    return [
+        Note(" ".join(headline(f))),
+        *(Note(f"Caution: {said}") for said in cautions(f)),
+        *([] if table is None else [table]),
+        *(Note(said, "  ") for said in details(f)),
+        *numbers(f),
+        *(Note(said) for said in last if said),
+    ]
+
+
+def line(f: Finding) -> str:
+    """Return the verdict, what is most probable and its odds in one line."""
+    if f.kind == "states":
+        what = "nothing" if f.verdict == NONE else _change(f)
+    elif f.kind == "positions":
+        what = "nothing" if f.best is None else likely(f.best.title, f.best.probability)
+    else:
+        some = f.members if len(f.members) > 1 else f.names
+        what = first_of([likely(n, f.probabilities.get(n, 0.0)) for n in some], _FEW) or "no effect"
+    return f"{f.verdict}: {what}; odds {odds(f.score)}, required {odds(f.threshold)}"
+
+
+def added(f: Finding, members: tuple[str, ...]) -> str:
+    """Return the effects that `Finding.apply` adds, and those that explain the data as well."""
+    titles = {c.effect: c.title for c in f.candidates}
+    some = listed([likely(titles.get(n, n), f.probabilities.get(n, 0.0)) for n in members])
+    if len(members) > 1:
+        of_named = {family_of(n, f.effects) for n in f.named}
+        families = dict.fromkeys(
+            (*(n for n in f.named_families if n not in of_named), *f.named_set)
+        )
+        identified = listed([*f.named, *(f"the group {name}" for name in families)])
+        said = (
+            f"Of it, {identified} is identified." if identified else "Nothing of it is identified."
+        )
+        if set(members) <= set(f.named):
+            said = "It is identified."
+        return f"Added: {some}, the most probable set ({percent(f.sets[members])}). {said}"
+    others = listed([likely(n, f.probabilities.get(n, 0.0)) for n in f.names if n not in members])
+    beside = f" Other candidates: {others}." if others else ""
+    return f"Added{'' if members == f.members else ', as stated'}: {some}.{beside}"
