@@ -237,7 +237,7 @@ def test_the_page_begins_with_the_answer_and_the_three_bars(
     body = page[page.index("<main>") :]
     assert body.index("The room absorbs more") < body.index("Unproven") < body.index("<img")
     assert "Three bars" in body[body.index("<img") :][:40]
-    assert body.count("<img") == 3
+    assert body.count("<img") == 4
     for alt in re.findall(r'<img alt="([^"]+)"', body):
         assert len(alt) > 60, alt
     assert "measure at (6.5, 3.0, 1.2) m with source S" in " ".join(body.split())
