@@ -570,34 +570,33 @@ class ExportReport:
         else:
             kind = "changed list" if self.template == self.path else f"changed {self.template}"
         cells = [
-            (bands.label(f), [f"{before:.4f}", f"{after:.4f}", text.number(change, "+.2f")])
-            for f, before, after, change in zip(
-                self.room.centre_frequencies,
-                self.reverberation_time,
-                self.reverberation_time_as_read,
-                self.change,
-                strict=True,
+            [f"{before:.4f}", f"{after:.4f}", text.number(change, "+.2f")]
+            for before, after, change in zip(
+                self.reverberation_time, self.reverberation_time_as_read, self.change, strict=True
             )
         ]
+        names = bands.labels(self.room.centre_frequencies)
         rows = [
             f"{self.path}: {kind}",
             *text.wrapped(
                 f"T by {self.equation}'s equation: of the room, and of the coefficients as the program "
                 "reads them (rounded, in its bands)"
             ),
-            *text.table(cells, header=("band", ["T / s", "as read / s", "change / JND"])),
+            *text.table(
+                [*zip(names, cells, strict=True)],
+                header=("band", ["T / s", "as read / s", "change / JND"]),
+            ),
         ]
         if self.bands_not_written:
             missing = ", ".join(bands.labels(self.bands_not_written))
             rows.append(f"Not in the file, so not written: {missing}")
-        for note in self.notes:
+        lost = f"Not in the file: {', '.join(self.lost)}. Keep the room's own file."
+        again = (
+            "A room made of this file can be calibrated to the same data again, which would count "
+            "them twice."
+        )
+        for note in (*self.notes, lost, *[again] * (RECORD in self.lost)):
             rows += text.wrapped(note)
-        rows += text.wrapped(f"Not in the file: {', '.join(self.lost)}. Keep the room's own file.")
-        if RECORD in self.lost:
-            rows += text.wrapped(
-                "A room made of this file can be calibrated to the same data again, which would count "
-                "them twice."
-            )
         return "\n".join(rows)
 
 
@@ -1090,99 +1089,74 @@ odeon = Format(parse=_parse_odeon, new=_new_odeon, bands=lambda _: _OF_ODEON)
 
 # -- pyroomacoustics
 
-_MAX_DEPTH = 32
-_LITERAL = re.compile(r'"(?:[^"\\]|\\.)*"|-?(?:Infinity|\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)|NaN', re.S)
-Keys = tuple[str | int, ...]
-"""The path to a value: keys of objects and indices of lists."""
+_COEFFS = re.compile(r'"coeffs"\s*:\s*\[([^\]\[{}]*)\]')
 
 
 def _parse_pyroomacoustics(content: bytes, path: str = "JSON file") -> MaterialList:
     """Return the materials of a JSON file's content; DataError names the line and the rule."""
     text = decode(content, path)
-    whole = _located(text.characters, path)
+    whole, entries = _json(text.characters, path)
     of_file = whole.get("center_freqs") if isinstance(whole, dict) else None
-    found: dict[bool, list[tuple[int, ListedMaterial, list[Token]]]] = {True: [], False: []}
-    for keys, entry in _objects(whole, (), path):
-        stated = entry.get("coeffs")
-        if not isinstance(stated, list) or not stated:
+    rows = [*_COEFFS.finditer(text.characters)]
+    if len(rows) != len(entries):
+        raise DataError(f'{path}, line 1: each "coeffs" is one list of numbers')
+    found: dict[bool, list[ListedMaterial]] = {True: [], False: []}
+    for match, (keys, entry) in zip(rows, entries, strict=True):
+        row = tokens(r"[^\s,]+", match[1], match.start(1))
+        if not row:
             continue
-        row = [_token(value, path, text.characters) for value in stated]
         line = line_of(text.characters, row[0][1])
         place, of_scattering = f"{path}, line {line}", keys[:1] == ("scattering",)
         coefficients(row, place, name="scattering" if of_scattering else "alpha")
         centres = entry.get("center_freqs", of_file)
         if not isinstance(centres, list) or not centres:
             raise DataError(f"{place}: these coefficients have no center_freqs")
-        of_bands = numbers([_token(value, path, text.characters) for value in centres], place)
+        of_bands = numbers([(json.dumps(value), 0, 0) for value in centres], place)
         frequencies = bands.as_bands(of_bands, f"{place}: center_freqs")
         # In pyroomacoustics, a shorter list begins at the lowest band of its data base.
         shorter = "center_freqs" not in entry and len(row) < len(frequencies)
         if len(row) != len(frequencies) and not shorter:
             raise DataError(f"{place}: {len(row)} coefficients for {len(frequencies)} center_freqs")
-        name = str(keys[-1]) if keys else "material"
-        its = frequencies[: len(row)].tolist()
-        material = ListedMaterial.of(name, line, place, its, row)
-        found[of_scattering].append((row[0][1], material, row))
+        name, its = keys[-1] if keys else "material", frequencies[: len(row)].tolist()
+        found[of_scattering].append(ListedMaterial.of(name, line, place, its, row))
     scattering: dict[tuple[str, tuple[float, ...]], ListedMaterial] = {}
-    for _, of, _ in sorted(found[True], key=lambda one: one[0]):
+    for of in found[True]:
         scattering.setdefault((of.name, of.centre_frequencies), of)
     materials = []
-    for _, of, _ in sorted(found[False], key=lambda one: one[0]):
+    for of in found[False]:
         if own := scattering.get((of.name, of.centre_frequencies)):
             of = replace(of, scattering=own.alpha, scattering_spans=own.spans)
         materials.append(of)
     return MaterialList(path=path, text=text, materials=tuple(materials))
 
 
-def _located(text: str, path: str) -> Any:
-    """Return what a JSON text holds; its numbers are tokens, with their place in the text.
-
-    json asks for a number's value in the order of the text, in which the pattern finds them, too.
-    """
-    literals = (m for m in _LITERAL.finditer(text) if not m[0].startswith('"'))
-    last = 0
-
-    def token(characters: str) -> Token:
-        nonlocal last
-        match = next(literals)
-        last = match.start()
-        return characters, match.start(), match.end()
+def _json(text: str, path: str) -> tuple[Any, list[tuple[tuple[str, ...], dict[str, Any]]]]:
+    """Return what a JSON text holds, and each object with a list ``coeffs`` with its keys, in order."""
+    found: list[tuple[tuple[str, ...], dict[str, Any]]] = []
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         if twice := [key for key, times in Counter(k for k, _ in pairs).items() if times > 1]:
-            line = line_of(text, last)
-            raise DataError(f'{path}, line {line}: the key "{shown(twice[0])}" is given twice')
+            raise DataError(f'{path}, line 1: the key "{shown(twice[0])}" is given twice')
         return dict(pairs)
 
+    def search(value: Any, keys: tuple[str, ...]) -> None:
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, inner in items:
+            if key == "coeffs" and isinstance(inner, list):
+                found.append((keys, value))
+            elif isinstance(inner, (dict, list)):
+                search(inner, (*keys, str(key)))
+
     try:
-        return json.loads(
-            text, parse_float=token, parse_int=token, parse_constant=token, object_pairs_hook=once
-        )
+        whole = json.loads(text, object_pairs_hook=once)
+        if isinstance(whole, (dict, list)):
+            search(whole, ())
     except RecursionError as error:
-        raise DataError(f"{path}, line 1: nested deeper than {_MAX_DEPTH} levels") from error
-    except (ValueError, StopIteration) as error:
+        raise DataError(f"{path}, line 1: its objects are nested too deeply") from error
+    except ValueError as error:
         line = getattr(error, "lineno", 1)
         raise DataError(f"{path}, line {line}: not valid JSON: {error}") from error
-
-
-def _token(value: Any, path: str, text: str) -> Token:
-    """Return the token of a number; DataError for another value."""
-    if isinstance(value, tuple):
-        return value
-    written = json.dumps(value)
-    line = line_of(text, max(text.find(written), 0))
-    raise DataError(f'{path}, line {line}: "{shown(written)}" is not a finite number')
-
-
-def _objects(value: Any, keys: Keys, path: str) -> Iterator[tuple[Keys, dict[str, Any]]]:
-    """Yield each object with its path."""
-    if len(keys) > _MAX_DEPTH:
-        raise DataError(f"{path}, line 1: nested deeper than {_MAX_DEPTH} levels")
-    if isinstance(value, dict):
-        yield keys, value
-    if isinstance(value, (dict, list)):
-        for key, entry in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from _objects(entry, (*keys, key), path)
+    return whole, found
 
 
 def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
