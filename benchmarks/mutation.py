@@ -48,7 +48,7 @@ SURVIVORS: dict[tuple[str, str], str] = {
         "+ own[program.compiled.places] = True",
     ): "the polish leads from any active set to the same optimum: more rounds, same answer",
     (
-        "rtcal.calibration.fit.x_fit",
+        "rtcal.calibration.problem.x_fit",
         "+ for share in (*0.5 ** np.arange(halvings + 2.0), 0.0):",
     ): "a seventh halving is tried before the start is returned",
 }

@@ -22,8 +22,8 @@ from rtcal.io import bras, catt, impulse_responses, obj, odeon, pyroomacoustics,
 from rtcal.io.material_list import MaterialList, read_sigma
 from rtcal.io.text import number
 from rtcal.loop import Loop
+from rtcal.support.checks import look_alike
 from rtcal.support.errors import DataError
-from rtcal.support.text import look_alike
 from tests import fuzz_native as native
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.datasets import halls
-from rtcal.loop.control_runs import (
+from rtcal.loop.measured_pairs import (
     COMMON_LEFT,
     ControlRuns,
     basis,

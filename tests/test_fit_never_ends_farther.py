@@ -9,7 +9,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.marks import rms
-from rtcal.loop.control_runs import ControlRuns
+from rtcal.loop.measured_pairs import ControlRuns
 from rtcal.loop.positions import precise
 from rtcal.simulators import External, ImageSource, PathTracing, ScatteringDelayNetwork
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.calibration.fit import GaussNewtonFit, fit
 from rtcal.calibration.methods import METHODS, preset
+from rtcal.calibration.problem import GaussNewtonFit, fit
 from rtcal.calibration.unknowns import Configurations
 from rtcal.support.errors import ModelError
 from tests.conftest import random_room, true_times

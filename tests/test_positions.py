@@ -11,9 +11,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.datasets import halls
-from rtcal.loop import control_runs
-from rtcal.loop.control_runs import MaterialScattering, scattered
-from rtcal.loop.measured_pairs import Compared
+from rtcal.loop import measured_pairs
+from rtcal.loop.measured_pairs import Compared, MaterialScattering, scattered
 from rtcal.loop.positions import PositionsResult, precise
 from rtcal.simulators import PathTracing
 from rtcal.support.errors import DataError
@@ -231,7 +230,7 @@ def test_each_mode_has_a_signature_of_its_own(case):
 @pytest.mark.long
 def test_a_second_calibration_traces_no_control_run(case, result, tmp_path, monkeypatch):
     room, _, measured = case
-    monkeypatch.setattr(control_runs, "RUNS", 4)
+    monkeypatch.setattr(measured_pairs, "RUNS", 4)
     runs = []
 
     def progress(done, total):

@@ -16,7 +16,7 @@ from rtcal.acoustics.observables import MATCH
 from rtcal.command.calibrate import NOT_NEARER
 from rtcal.command.main import cli
 from rtcal.datasets import halls
-from rtcal.loop import control_runs
+from rtcal.loop import measured_pairs
 from rtcal.loop.measured_pairs import response_noise
 from rtcal.report import figures
 from rtcal.simulators import (
@@ -53,7 +53,7 @@ FOLDER: dict[str, Path] = {}
 
 @pytest.fixture(autouse=True)
 def few_runs(monkeypatch, kept):
-    monkeypatch.setattr(control_runs, "RUNS", 2)
+    monkeypatch.setattr(measured_pairs, "RUNS", 2)
     monkeypatch.setitem(FOLDER, "cache", kept)
 
 
@@ -181,7 +181,7 @@ def test_control_runs_of_another_simulator_are_refused(tracer, measured):
     with pytest.raises(DataError, match="the control runs lack S1 to new"):
         calibrate(one, only(measured, [0], [("S1", "new")]), controls=controls)
     with pytest.raises(DataError, match="at least 2 runs"):
-        control_runs.ControlRuns(
+        measured_pairs.ControlRuns(
             parameters=("t20",), pairs=(("S", "R"),), errors=np.zeros((1, 1, 1, 3))
         )
 

@@ -12,7 +12,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.files.saved import NUMBERS, Result, plain, restored
-from rtcal.loop.control_runs import ControlRuns
+from rtcal.loop.measured_pairs import ControlRuns
 from rtcal.report.pages import page_of
 from rtcal.simulators import of_equation
 from rtcal.support import __version__

@@ -105,7 +105,7 @@ def computed() -> Any:
     """The slow part of each command, once for all widths: what is tested is their text."""
     from rtcal import finder
     from rtcal.finder import search, verification  # noqa: F401 (before what it uses is replaced)
-    from rtcal.loop import control_runs
+    from rtcal.loop import measured_pairs
     from rtcal.loop import positions as loop_positions
     from rtcal.prediction import designed
     from rtcal.report import document, figures, of_finding
@@ -129,7 +129,7 @@ def computed() -> Any:
             (loop_positions, "calibrate_positions"),
         ):
             patch.setattr(module, name, once(getattr(module, name)))
-        patch.setattr(control_runs, "RUNS", 2)
+        patch.setattr(measured_pairs, "RUNS", 2)
         patch.setattr(of_finding, "pictures", lambda *_: {})
         patch.setattr(document, "source", lambda *_: "data:,")
         patch.setattr(figures, "write_positions", lambda _, folder, *__: [folder / "room.toml"])

@@ -23,7 +23,7 @@ from rtcal.finder.effects import library
 from rtcal.finder.positions.search import THRESHOLD, find_by_positions
 from rtcal.finder.positions.surfaces import patched
 from rtcal.io import tables
-from rtcal.loop import control_runs
+from rtcal.loop import measured_pairs
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError, ModelError
@@ -152,7 +152,7 @@ def test_a_coefficient_of_0_or_1_has_a_score(
     extreme: float, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The derivative by an alpha of 1.0 had been 0 / 0, and the score nan."""
-    monkeypatch.setattr(control_runs, "RUNS", 4)
+    monkeypatch.setattr(measured_pairs, "RUNS", 4)
     case = with_coefficient(extreme, n_paths=600)
     assert np.isfinite(find_by_positions(case, library(), None, kept, 0, ()).score)
 

@@ -14,7 +14,7 @@ import rtcal as rt
 from rtcal.command.main import main
 from rtcal.finder.finding import Finding
 from rtcal.finder.verification import Verification
-from rtcal.loop import control_runs
+from rtcal.loop import measured_pairs
 from tests.test_where import RECEIVERS, SOURCES, measured, stated, tracing
 from tests.test_where_page import PLACE, finding_of, verification_of
 
@@ -112,7 +112,7 @@ def test_a_wrong_option_is_refused(
 def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(control_runs, "RUNS", 4)
+    monkeypatch.setattr(measured_pairs, "RUNS", 4)
     case = rt.finder.positions.PositionsCase(
         simulator=tracing(stated(), n_paths=320), measured=measured(False)
     )

@@ -10,7 +10,7 @@ import pytest
 
 from rtcal.finder.positions.problem import COMMON, OWN, Likelihood, levels, simulator_error
 from rtcal.finder.positions.weighing import TRACED, TRACINGS, _at_shares, without_noise
-from rtcal.loop.control_runs import ControlRuns
+from rtcal.loop.measured_pairs import ControlRuns
 from rtcal.support.errors import DataError
 
 RUNS, GROUPS = 400, 200

@@ -20,7 +20,7 @@ from rtcal.finder.claim import Candidate, Detection
 from rtcal.finder.finding import Finding
 from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification
-from rtcal.loop.control_runs import ControlRuns
+from rtcal.loop.measured_pairs import ControlRuns
 from rtcal.report import figures, of_finding, room_view
 from rtcal.report.room_view import ABOVE, into_picture
 from tests.test_figures import texts

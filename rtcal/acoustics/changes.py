@@ -38,7 +38,6 @@ from rtcal.files.disk import json_numbers
 from rtcal.files.schema import FileTable, Number, read, toml_table
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.text import without_looks
 from rtcal.support.types import Array
 
 DIN_18041 = {
@@ -540,8 +539,8 @@ def new_name(taken: Iterable[str], wanted: str) -> str:
     ('panel', 'panel (3)')
     """
     numbered = (wanted if n == 1 else f"{wanted} ({n})" for n in count(1))
-    seen = {without_looks(name) for name in taken}
-    return next(name for name in numbered if without_looks(name) not in seen)
+    seen = {checks.without_looks(name) for name in taken}
+    return next(name for name in numbered if checks.without_looks(name) not in seen)
 
 
 def _material(room: Room, material: Material | str) -> Material:

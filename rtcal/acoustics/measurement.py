@@ -47,7 +47,7 @@ from rtcal.support import blocks, checks
 from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError, TooShortError, of_bands
-from rtcal.support.text import LOOKS, first_of, look_alike
+from rtcal.support.text import first_of
 from rtcal.support.types import Array, read_only
 
 MAX_POSITIONS = 12
@@ -98,16 +98,16 @@ def names_of_repeats(receiver: str) -> Iterator[str]:
 def places_of(pairs: Sequence[Pair]) -> list[Pair]:
     """Return the place of each pair, (n_pairs,), by the names of sources and receivers.
 
-    Raises DataError for names that look alike (`rtcal.support.text.look_alike`).
+    Raises DataError for names that look alike (`rtcal.support.checks.look_alike`).
     """
     of_sources, of_receivers = (of_names(p[i] for p in pairs) for i in range(2))
     placed = [(of_sources.get(s, s), of_receivers.get(r, r)) for s, r in pairs]
     for kind, names in (("source", (s for s, _ in placed)), ("receiver", (r for _, r in placed))):
-        if alike := look_alike(names):
+        if alike := checks.look_alike(names):
             other, name = alike
             raise DataError(
-                f'pairs has the {kind} "{other}" and the {kind} "{name}", {LOOKS}; repeats at one '
-                f'place are "{other}" and "{other}#2"'
+                f'pairs has the {kind} "{other}" and the {kind} "{name}", {checks.LOOKS}; repeats at '
+                f'one place are "{other}" and "{other}#2"'
             )
     return placed
 

@@ -24,6 +24,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Container, Iterable, Sequence
 from functools import cached_property
+from operator import attrgetter
 from typing import ClassVar, Literal, TypeVar
 
 import numpy as np
@@ -584,7 +585,7 @@ def longest(keys: Iterable[str]) -> DecaySlope:
     ('T30', 'T20')
     """
     asked = {T20.key, *checks.texts("keys", keys)}
-    return min((o for k, o in of_kind(DecaySlope).items() if k in asked), key=lambda o: o.lower)
+    return min([o for k, o in of_kind(DecaySlope).items() if k in asked], key=attrgetter("lower"))
 
 
 def divided(energy: Array, bin_width: float, limit: float) -> tuple[Array, Array]:

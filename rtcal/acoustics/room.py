@@ -32,7 +32,7 @@ from rtcal.support import blocks, checks
 from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import short_name, text_name
 from rtcal.support.errors import DataError
-from rtcal.support.text import LOOKS, first_of, look_alike, shortened
+from rtcal.support.text import first_of, shortened
 from rtcal.support.types import Array, read_only
 
 __all__ = ["AXES", "CalibrationRecord", "Directivity", "Material", "Room", "Scene", "Surface"]
@@ -737,8 +737,8 @@ class Room:
                 f'materials has "{twice}" twice; a material is one row (Room.from_surfaces sums its '
                 "surfaces)"
             )
-        if alike := look_alike(self.materials):
-            raise DataError(f'materials has "{alike[0]}" and "{alike[1]}", {LOOKS}')
+        if alike := checks.look_alike(self.materials):
+            raise DataError(f'materials has "{alike[0]}" and "{alike[1]}", {checks.LOOKS}')
 
     def _clipped(self) -> list[str]:
         """Return the coefficients above 1; DataError for one above those that laboratories report."""

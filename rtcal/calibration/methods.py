@@ -2,7 +2,7 @@
 
 `calibrate` takes the terms of a method (`preset`), has them compiled for the room (`Calibration.build`)
 and solves the QP for what was measured (`CalibrationProblem.solve`): one QP. Models that are not linear
-in alpha take several (`rtcal.calibration.fit`).
+in alpha take several (`rtcal.calibration.problem`).
 """
 
 from __future__ import annotations

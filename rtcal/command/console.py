@@ -496,7 +496,7 @@ def bar_wanted() -> bool:
 @contextmanager
 def control_bar() -> Iterator[Callable[[int, int], None]]:
     """Show a bar of the simulator's control runs; it yields what counts them."""
-    from rtcal.loop.control_runs import RUNS
+    from rtcal.loop.measured_pairs import RUNS
     from rtcal.support.speed import bar, following
 
     with bar(RUNS, "control run", bar_wanted(), said()) as shown:

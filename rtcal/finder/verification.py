@@ -59,8 +59,7 @@ from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.finder.states import find as find_change
-from rtcal.loop.control_runs import trace_ahead
-from rtcal.loop.measured_pairs import Pair, gap_at_pairs
+from rtcal.loop.measured_pairs import Pair, gap_at_pairs, trace_ahead
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.base import Observations
 from rtcal.simulators.base import observe as observe_pairs

@@ -34,48 +34,45 @@ from rtcal.acoustics.observables import LEVEL, MATCH, observable, parameter_labe
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import POSITION, CalibrationRecord, Room, checked_uncertainty
 from rtcal.acoustics.room_errors import Assumptions, in_words, prior_covariance, value_changes
-from rtcal.calibration.fit import GaussNewtonStep, ModelObjective, fit
-from rtcal.calibration.problem import Calibration
+from rtcal.calibration.problem import Calibration, GaussNewtonStep, ModelObjective, fit
 from rtcal.calibration.qp import Certificate
 from rtcal.calibration.table import coefficients
 from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation
 from rtcal.files.saved import Result
-from rtcal.loop.control_runs import (
+from rtcal.loop.measured_pairs import (
+    CONTRADICTION,
     DIGITS,
     GROUPS,
     MODELS,
-    ControlRuns,
-    ErrorsByScattering,
-    MaterialScattering,
-    Scattering,
-    ahead_factor,
-    errors_by_scattering,
-    fitted,
-    level,
-    log_likelihood,
-    material_scattering,
-    noise_of_a_run,
-    scattered,
-    simulated_controls,
-    trace_ahead,
-)
-from rtcal.loop.measured_pairs import (
-    CONTRADICTION,
     T30_ALONE,
     BeyondPrior,
     Compared,
+    ControlRuns,
+    ErrorsByScattering,
+    MaterialScattering,
     MeasuredPairs,
     Pair,
+    Scattering,
+    ahead_factor,
     beyond_prior,
     by_band,
+    errors_by_scattering,
+    fitted,
     history,
     left,
+    log_likelihood,
+    material_scattering,
+    mean_scattering,
     means,
+    noise_of_a_run,
     of_level,
     pairs_to_match,
     refuse_known,
     rows_of_pairs,
+    scattered,
     sentences,
+    simulated_controls,
+    trace_ahead,
     with_t30,
     without_place,
 )
@@ -280,7 +277,9 @@ class PairsModel:
         """
         likely = self.everywhere(alpha)
         likely = likely + change.reshape(likely.shape)
-        now, then = (level(of.scattering, of.room.areas) for of in (self.simulator, tracer))
+        now, then = (
+            mean_scattering(of.scattering, of.room.areas) for of in (self.simulator, tracer)
+        )
         less = max(now / max(then, _LEAST_SCATTERING), 1.0)  # times that it scatters less than now
         needed = ahead_factor(self.data.observations.parameters, likely, tracer, alpha)
         tracer.trace_ahead(alpha, max(_AHEAD * less, needed), seed=self.seed)
@@ -551,7 +550,7 @@ class PositionsFit:
         """Return the covariance of the simulator's error, with the scattering not known, (n, n)."""
         if self.by_scattering is None:
             return self.error
-        at = level(model.simulator.scattering, model.simulator.room.areas)
+        at = mean_scattering(model.simulator.scattering, model.simulator.room.areas)
         return self.by_scattering.covariance(at, materials.model) + materials.covariance
 
     def _point(
@@ -676,7 +675,7 @@ def calibrate_positions(
         Prior, further terms and constraints. By default the room's prior alone.
     controls : ControlRuns, optional
         The simulator's error, as ``result.controls`` has it. By default it is simulated for a
-        simulator with a geometry (`rtcal.loop.control_runs`). For others it is not known, and no
+        simulator with a geometry (`rtcal.loop.measured_pairs`). For others it is not known, and no
         interval is stated.
     cache : path, optional
         Folder in which the control runs are kept.

@@ -40,18 +40,19 @@ from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET, observable, 
 from rtcal.acoustics.room import POSITION, Room, checked_uncertainty, refuse_repeats
 from rtcal.acoustics.room_errors import Assumptions, value_changes
 from rtcal.files.saved import Result
-from rtcal.loop.control_runs import (
+from rtcal.loop.measured_pairs import (
     GROUPS,
     ControlRuns,
     MaterialScattering,
     Simulated,
+    by_band,
     errors_by_scattering,
-    level,
     material_scattering,
+    mean_scattering,
     noise_of_a_run,
+    of_level,
     simulated_controls,
 )
-from rtcal.loop.measured_pairs import by_band, of_level
 from rtcal.prediction import words
 from rtcal.prediction.predicted import COVERAGE, Predictions
 from rtcal.simulators import geometry as facets
@@ -546,7 +547,7 @@ def _errors(before: State, after: State, controls: ControlRuns) -> Array:
     if by_scattering is None:
         return controls.without_noise(noise).covariance() + own
     of_materials = MaterialScattering(slope=slope, traced=np.zeros(slope.shape[1])).covariance
-    at = level(tracer.scattering, tracer.room.areas)
+    at = mean_scattering(tracer.scattering, tracer.room.areas)
     return by_scattering.covariance(at, tracer.scattering_model) + of_materials + own
 
 

@@ -28,10 +28,9 @@ from rtcal.acoustics.marks import Plausibility, TrustMark, explained, mark, plau
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room, refuse_repeated_data
 from rtcal.acoustics.room_errors import prior_covariance
-from rtcal.calibration.fit import fit
 from rtcal.calibration.measured import MeasuredTimes, data_history, no_times, times_in_room
 from rtcal.calibration.methods import preset
-from rtcal.calibration.problem import Calibration, Times
+from rtcal.calibration.problem import Calibration, Times, fit
 from rtcal.calibration.qp import Certificate
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients

@@ -413,10 +413,12 @@ def observe(
     SimulatorError
         If the simulator raises it, or does not give a parameter. The message names it.
     """
-    match = checked_parameters(match)
     if (own := derivatives(simulator)) is not None:
-        observations: Observations = own.observe(check_alpha(simulator, alpha), match, seed=seed)
+        if not isinstance(own, RoomSimulator):  # those check it themselves
+            alpha, match = check_alpha(simulator, alpha), checked_parameters(match)
+        observations: Observations = own.observe(alpha, match, seed=seed)
         return observations
+    match = checked_parameters(match)
     simulated = run(simulator, alpha, seed=seed)
     if lacking := [parameter_label(m) for m in match if m not in given(simulated)]:
         raise SimulatorError(

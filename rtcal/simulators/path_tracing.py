@@ -91,9 +91,16 @@ class Tracer(RoomSimulator, ABC):
         observables.bins(self.bin_width)
         if self.radius is not None:
             checks.positive("radius", self.radius, "m")
-        check_walls(self.geometry, self.room)
+        self.made_of.setflags(write=False)  # raises for a material that the room lacks
+        if doubt := volume_doubt(self.geometry, self.room):
+            raise DataError(doubt)
         scattering = scattering_coefficients(self.room, self.scattering)
         object.__setattr__(self, "scattering", scattering)
+
+    @cached_property
+    def made_of(self) -> NDArray[np.int64]:
+        """Number of each face's material, (n_faces,)."""
+        return self.room.material_rows(self.geometry.materials)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -178,7 +185,7 @@ def of_all_bands(groups: Sequence[NDArray[np.int64]], decays: Sequence[Array]) -
 
     They have as many bins as every group has.
     """
-    n_bins = min(group.shape[-1] for group in decays)
+    n_bins = min([group.shape[-1] for group in decays])
     out = np.empty((*decays[0].shape[:-2], sum(map(len, groups)), n_bins))
     for bands, group in zip(groups, decays, strict=True):
         out[..., bands, :] = group[..., :n_bins]
@@ -285,9 +292,12 @@ def measurement(
     )
 
 
+_EYRING = Eyring()
+
+
 def eyring_seconds(room: Room, alpha: Array) -> float:
     """Return the longest of Eyring's T over the bands in s, from 0.2 to `LONGEST`."""
-    return float(np.clip(np.max(Eyring().time(room, room.areas @ alpha)), 0.2, LONGEST))
+    return float(np.clip(np.max(_EYRING.time(room, room.areas @ alpha)), 0.2, LONGEST))
 
 
 def decay_long_enough(
@@ -1042,12 +1052,13 @@ class PathTracing(Tracer):
         for ``seconds`` above `rtcal.simulators.path_tracing.LONGEST`, or another ``number``.
         """
         self._check_groups(1 if number is None else number)
-        alpha = check_alpha(self, alpha)
-        return self.swept(
-            lambda paths, bands: paths.energy(*self._weighing(alpha, bands), number),
-            seconds,
-            seed=seed,
-        )
+        return self._energy(check_alpha(self, alpha), seconds, seed, number)
+
+    def _energy(self, alpha: Array, seconds: float, seed: int, number: int | None) -> Array:
+        def sweep(paths: Paths, bands: NDArray[np.int64]) -> Array:
+            return paths.energy(*self._weighing(alpha, bands), number)
+
+        return self.swept(sweep, seconds, seed=seed)
 
     def swept(
         self, sweep: Callable[[Paths, NDArray[np.int64]], Array], seconds: float, *, seed: int = 0
@@ -1099,10 +1110,11 @@ class PathTracing(Tracer):
         most: float = LONGEST,
     ) -> list[Observations]:
         """Return the observations of groups of the paths, each long enough for ``match``."""
+        self._check_groups(number)
         alpha, match = check_alpha(self, alpha), base.checked_parameters(match)
         # Each group is to hold the decay times, so no mean over the groups is asked.
         (groups,) = decay_long_enough(
-            lambda seconds: self.energy(alpha, seconds, seed=seed, number=number)[np.newaxis],
+            lambda seconds: self._energy(alpha, seconds, seed, number)[np.newaxis],
             self.room,
             alpha,
             longest(match),
@@ -1214,7 +1226,7 @@ class PathTracing(Tracer):
                 self.geometry,
                 sources,
                 receivers,
-                materials=self.room.material_rows(self.geometry.materials),
+                materials=self.made_of,
                 scattering=self.scattering[:, band],
                 radii=self._radii(),
                 longest=longest,

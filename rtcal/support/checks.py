@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import unicodedata
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -279,3 +281,35 @@ def short_name(place: str, value: object) -> str:
     if len(name) > LONGEST_NAME:
         raise DataError(f"{place} has {len(name)} characters; at most {LONGEST_NAME} are allowed")
     return name
+
+
+@lru_cache
+def without_looks(name: str) -> str:
+    r"""Return a name without what the eye does not tell apart: upper case, blanks, width, no width.
+
+    Examples
+    --------
+    >>> without_looks("Ｒ 1"), without_looks("r\u200b1"), without_looks("Wood  panel ")
+    ('r1', 'r1', 'wood panel')
+    """
+    folded = unicodedata.normalize("NFKC", name).casefold()
+    seen = "".join(c for c in folded if unicodedata.category(c) != "Cf")
+    return re.sub(r"(?<=\D)\s+(?=\d)", "", " ".join(seen.split()))
+
+
+def look_alike(names: Iterable[str]) -> tuple[str, str] | None:
+    """Return two different names that are one `without_looks`; None if there are none.
+
+    Examples
+    --------
+    >>> look_alike(["R1", "R2", "r1"])
+    ('R1', 'r1')
+    """
+    seen: dict[str, str] = {}
+    for name in names:
+        if (other := seen.setdefault(without_looks(name), name)) != name:
+            return other, name
+    return None
+
+
+LOOKS = "which only upper case, blanks or the width of characters keep apart"

@@ -6,9 +6,7 @@ import math
 import re
 import shutil
 import textwrap
-import unicodedata
 from collections.abc import Iterable, Sequence
-from functools import lru_cache
 
 Row = tuple[str, Sequence[str]]
 """A row of a table: its label, and one cell per column."""
@@ -230,38 +228,6 @@ def first_of(names: Sequence[str], most: int) -> str:
     """
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
-
-
-@lru_cache
-def without_looks(name: str) -> str:
-    r"""Return a name without what the eye does not tell apart: upper case, blanks, width, no width.
-
-    Examples
-    --------
-    >>> without_looks("Ｒ 1"), without_looks("r\u200b1"), without_looks("Wood  panel ")
-    ('r1', 'r1', 'wood panel')
-    """
-    folded = unicodedata.normalize("NFKC", name).casefold()
-    seen = "".join(c for c in folded if unicodedata.category(c) != "Cf")
-    return re.sub(r"(?<=\D)\s+(?=\d)", "", " ".join(seen.split()))
-
-
-def look_alike(names: Iterable[str]) -> tuple[str, str] | None:
-    """Return two different names that are one `without_looks`; None if there are none.
-
-    Examples
-    --------
-    >>> look_alike(["R1", "R2", "r1"])
-    ('R1', 'r1')
-    """
-    seen: dict[str, str] = {}
-    for name in names:
-        if (other := seen.setdefault(without_looks(name), name)) != name:
-            return other, name
-    return None
-
-
-LOOKS = "which only upper case, blanks or the width of characters keep apart"
 
 
 _OBEYED = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")

@@ -20,7 +20,9 @@ def read_only(values: NDArray[_Scalar]) -> NDArray[_Scalar]:
     >>> read_only(np.ones(2)).flags.writeable
     False
     """
-    return read_only_view(values.copy())
+    copy = values.copy()
+    copy.setflags(write=False)
+    return copy
 
 
 def read_only_view(values: NDArray[_Scalar]) -> NDArray[_Scalar]:

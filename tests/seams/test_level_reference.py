@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.loop import control_runs
+from rtcal.loop import measured_pairs
 from rtcal.simulators import PathTracing
 from tests.test_where import MATCH, measured, stated, tracing
 
@@ -107,7 +107,7 @@ def test_no_reference_of_another_programs_level_changes_a_finding(kept: Path) ->
 def test_no_reference_changes_a_calibration_to_every_position(
     kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(control_runs, "RUNS", 6)
+    monkeypatch.setattr(measured_pairs, "RUNS", 6)
     room, heard = stated(), relative(True)
     first, other = (
         rt.calibrate_positions(simulator(), room, measured, match=MATCH, cache=kept)

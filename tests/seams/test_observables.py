@@ -15,7 +15,7 @@ from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.observables import MODULATIONS, OBSERVABLES, Observable, observable, register
 from rtcal.io import impulse_responses, tables
 from rtcal.io.impulse_responses import means, with_uncertainty
-from rtcal.loop import control_runs
+from rtcal.loop import measured_pairs
 from rtcal.simulators import ImageSource
 from tests import test_where
 from tests.test_positions_input import BOX, IN_BOX
@@ -115,7 +115,7 @@ def test_new_observables_are_measured_with_their_uncertainty() -> None:
 
 
 def test_new_observables_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(control_runs, "RUNS", 2)
+    monkeypatch.setattr(measured_pairs, "RUNS", 2)
     simulator = ImageSource(room=BOX, duration=1.0, **IN_BOX)
     seen = simulator.observe(np.array([[0.6], [0.35]]), NEW)
     measured = rt.Measurement(

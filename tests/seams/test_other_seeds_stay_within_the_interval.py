@@ -10,7 +10,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.datasets import halls
-from rtcal.loop.control_runs import simulated_controls
+from rtcal.loop.measured_pairs import simulated_controls
 from rtcal.simulators import PathTracing
 
 MATCH = ("t20", "edt", "c80", "ts", "level")

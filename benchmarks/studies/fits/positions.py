@@ -50,8 +50,7 @@ from benchmarks.studies.position_rooms.rooms import PRIORS
 from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room_errors import prior_covariance
-from rtcal.loop.control_runs import ControlRuns, simulated_controls, trace_ahead
-from rtcal.loop.measured_pairs import pairs_to_match
+from rtcal.loop.measured_pairs import ControlRuns, pairs_to_match, simulated_controls, trace_ahead
 from rtcal.loop.positions import MORE_PATHS, PairsModel, precise
 from rtcal.simulators import PathTracing, path_tracing
 from rtcal.simulators.base import Observations

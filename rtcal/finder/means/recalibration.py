@@ -1,7 +1,7 @@
 """Calibrate a case's room without and with the effects that were added to its model.
 
 The observations are ln T of the configurations, as the whole model has them: with its equation, the
-decay's shape and noise that effects add. `rtcal.calibration.fit` takes Gauss-Newton steps to them
+decay's shape and noise that effects add. `rtcal.calibration.problem` takes Gauss-Newton steps to them
 around the QP of the prior's deviation. What the model itself errs by, alpha takes up as in any
 calibration, so that the corrected model has the measured T. alpha is from 0 to 1, and the
 configurations share coefficients. The effects keep the sizes with which they were added.
@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import CalibrationRecord, Room
-from rtcal.calibration.fit import fit
 from rtcal.calibration.measured import data_history, times_in_room
-from rtcal.calibration.problem import Calibration
+from rtcal.calibration.problem import Calibration, fit
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import LinearObservations, PriorDeviation
 from rtcal.files.saved import Result

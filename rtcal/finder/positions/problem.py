@@ -15,8 +15,8 @@ How much the whole room scatters is not known, nor how far each material departs
 scattering depends on frequency. The first changes too much for a derivative: in a flat room T20 moves
 twice as far towards little scattering as towards much. So it is traced at several levels (`levels`).
 The traced paths tell what the others change (`PathTracing.scattering_jacobian`), with the prior of a
-calibration to every position (`rtcal.loop.control_runs`). Control runs tell the rest, without the noise
-of their few paths. What is compared has noise of its own, and so have the derivatives.
+calibration to every position (`rtcal.loop.measured_pairs`). Control runs tell the rest, without the
+noise of their few paths. What is compared has noise of its own, and so have the derivatives.
 
 The evidence is linear in the shifts and Gaussian in the errors:
 
@@ -98,10 +98,9 @@ from rtcal.finder.positions.weighing import (
     VOLUME,
     PairShifts,
 )
-from rtcal.loop.control_runs import COMMON as OF_ROOM
-from rtcal.loop.control_runs import OWN as OF_MATERIAL
-from rtcal.loop.control_runs import ControlRuns, MaterialScattering
-from rtcal.loop.measured_pairs import Pair, pairs_to_match
+from rtcal.loop.measured_pairs import COMMON as OF_ROOM
+from rtcal.loop.measured_pairs import OWN as OF_MATERIAL
+from rtcal.loop.measured_pairs import ControlRuns, MaterialScattering, Pair, pairs_to_match
 from rtcal.simulators.base import LARGEST_ALPHA, Observations
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array

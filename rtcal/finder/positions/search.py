@@ -83,8 +83,7 @@ from rtcal.finder.positions.problem import (
     spreads,
 )
 from rtcal.finder.positions.weighing import parameters, responses_of
-from rtcal.loop.control_runs import ControlRuns, simulated_controls
-from rtcal.loop.measured_pairs import T30_ALONE, with_t30
+from rtcal.loop.measured_pairs import T30_ALONE, ControlRuns, simulated_controls, with_t30
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.speed import Progress, TaskProgress, single_threaded_blas

@@ -22,7 +22,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -43,9 +43,8 @@ from rtcal.finder.positions.case import (
     lobes,
 )
 from rtcal.finder.positions.surfaces import Faces
-from rtcal.loop import control_runs
-from rtcal.loop.control_runs import scattered, share_of_signal
-from rtcal.loop.measured_pairs import Pair
+from rtcal.loop import measured_pairs
+from rtcal.loop.measured_pairs import Pair, scattered, share_of_signal
 from rtcal.simulators.base import LARGEST_ALPHA, Observations, observe, values_of_decays
 from rtcal.simulators.path_tracing import (
     DENSER,
@@ -188,12 +187,7 @@ class Weighing:
     @property
     def alpha(self) -> Array:
         """Alpha of each face as it is traced, (n_faces, n_bands): less than 1."""
-        return np.asarray(np.minimum(self.tracer.room.alpha, LARGEST_ALPHA)[self.made_of])
-
-    @cached_property
-    def made_of(self) -> NDArray[np.int64]:
-        """Number of each face's material."""
-        return np.array(self.tracer.room.material_rows(self.tracer.geometry.materials))
+        return np.asarray(np.minimum(self.tracer.room.alpha, LARGEST_ALPHA)[self.tracer.made_of])
 
     def parameters(self, energy: Array) -> Array:
         """Return the parameters of decays, (n_parameters, ..., n_pairs, n_bands); see `Observations`.
@@ -275,7 +269,7 @@ class Weighing:
 
         (..., n_pairs, n_bands, n_bins), of those by source and receiver.
         """
-        tracer, faces = self.tracer, np.arange(len(self.made_of))
+        tracer, faces = self.tracer, np.arange(len(self.tracer.made_of))
 
         def by_face(paths: Paths, bands: NDArray[np.int64]) -> Array:
             return weighed(replace(paths, materials=faces, n_materials=len(faces)), bands)
@@ -576,7 +570,7 @@ def _of_surfaces(
     case: PositionsCase, weighing: Weighing, base: Array, progress: Progress | None
 ) -> dict[str, Array]:
     """Return the shifts by surfaces, parts, apertures and materials; see `PairShifts`."""
-    divided, made_of = case.divided, weighing.made_of
+    divided, made_of = case.divided, weighing.tracer.made_of
     groups = {f"surface {j}": faces for j, faces in enumerate(divided.surfaces)}
     groups |= {f"part {p}": part.faces for p, part in enumerate(divided.parts)}
     # An alpha of 1 leaves no sound after the first reflection where a surface is all of the room.
@@ -657,7 +651,7 @@ def key_of(case: PositionsCase, seed: int) -> str:
     """Return a hash of all that the shifts depend on."""
     tracer, room = case.simulator, case.room
     of_room = [room.to_dict()[name] for name in ("centre_frequencies", "air")]
-    return control_runs.key_of(
+    return measured_pairs.key_of(
         tracer,
         "where, all paths",
         tracer.scattering_model,
