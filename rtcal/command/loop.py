@@ -6,7 +6,6 @@ from typing import Any
 
 import click
 
-from rtcal.acoustics.observables import parameter_label
 from rtcal.command.console import (
     choice,
     file,
@@ -70,9 +69,7 @@ def start(
         --state loop.json --out next.toml --decimals 3
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.room import Room
-    from rtcal.calibration.measured import times_in_room
     from rtcal.loop import closed
-    from rtcal.loop.closed import start as begin
     from rtcal.support import text
 
     spare([state, out], [path for path in (room, measured, modes) if path is not None])
@@ -80,32 +77,23 @@ def start(
     prior, data = Room.from_file(room), read_measured(measured)
     weighted = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
     known = prior if modes is None else told_by_modes(prior, modes)
-    begun = begin(known, data, weights=weighted or None, **stated)
-    first = begun.calibrated(begun.wanted)
-    closed.write(begun, state, out)
-    beyond = [f"{band} (the nearest is taken)" for band in first.unreachable]
-    parameters = [
-        parameter_label(p) for p in sorted(set(times_in_room(begun.prior, data).parameter)) if p
-    ]
+    begun = closed.start(known, data, weights=weighted or None, **stated)
+    unreachable = begun.calibrated(begun.wanted).unreachable
     record = {
         "state": state,
         "simulate": out,
-        "unreachable": beyond,
-        "measured": parameters,
+        "unreachable": [f"{band} (the nearest is taken)" for band in unreachable],
+        "measured": begun.matched.time_label,
         "matched": begun.matched.label,
     }
     lines = [
-        f"Taken as the measured T: {' and '.join(parameters)}.",
+        f"Taken as the measured T: {begun.matched.time_label}.",
         *([f"Matched: {begun.matched.label}."] if weights else []),
-        *beyond,
+        *record["unreachable"],
         *([] if begun.low is None else text.wrapped(begun.low.loop_note)),
-        _next_step(out),
+        closed.write(begun, state, out),
     ]
     tell("\n".join(lines), record)
-
-
-def _next_step(out: str) -> str:
-    return f"Next: simulate with the coefficients in {out}, then run `rtcal loop next`."
 
 
 @loop.command(name="next", short_help="Go on: read what was simulated.")
@@ -128,13 +116,11 @@ def next_(room: str, simulated: str, state: str, out: str, again: bool) -> None:
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.room import Room
     from rtcal.loop import closed
-    from rtcal.loop.closed import Loop
 
     spare([state, out], [room, simulated])
-    before = Loop.load(state, Room.from_file(room))
+    before = closed.Loop.load(state, Room.from_file(room))
     after = closed.record(before, simulated, state, out, again=again)
-    closed.write(after, state, out)
-    end = closed.conclusion(after, out) if after.finished else _next_step(out)
+    end = closed.write(after, state, out)
     tell(f"{after}\n{end}", {"state": state, "simulate": out, **after.to_dict()})
 
 
@@ -149,11 +135,9 @@ def back(room: str, state: str, out: str) -> None:
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.room import Room
     from rtcal.loop import closed
-    from rtcal.loop.closed import Loop
 
     spare([state, out], [room])
-    before = Loop.load(state, Room.from_file(room)).back()
-    closed.write(before, state, out)
+    before = closed.Loop.load(state, Room.from_file(room)).back()
     n = len(before.steps)
-    said = f"{state} now holds {n} simulation{'s' * (n != 1)}. {_next_step(out)}"
+    said = f"{state} now holds {n} simulation{'s' * (n != 1)}. {closed.write(before, state, out)}"
     tell(said, {"simulations": n, "state": state, "simulate": out})

@@ -1208,28 +1208,26 @@ def record(loop: Loop, table: str, state: str, out: str, *, again: bool = False)
     return after
 
 
-def write(loop: Loop, state: str, out: str) -> None:
-    """Write the state and the room to simulate: both files or none.
+def write(loop: Loop, state: str, out: str) -> str:
+    """Write the state and the room to simulate, both files or none, and return what to do next.
 
     A state without its room would accept a table that belongs to the room of the step before.
     """
     room = loop.prior.replace(alpha=loop.next_alpha, calibration=None)
     n, of = len(loop.steps), f"of the loop in {Path(state).name!r}"
     note = f"# To simulate: run {n + 1} {of}.\n"
+    end = f"Next: simulate with the coefficients in {out}, then run `rtcal loop next`."
     if n and loop.finished:
         note = f"# Calibrated for the program simulated: the end {of}, after {n} runs.\n"
+        left = len([s for s in loop.status if s not in _LEFT_ALONE])
+        missed = f", but {left} of {loop.prior.n_bands} bands were not reached" if left else ""
+        end = (
+            f"Done{missed}. {out} has the coefficients, those of each band's best step: give it to the "
+            "program a last time."
+        )
     content = note + room.to_text(Path(out).parent)
     write_all({out: content.encode(), state: loop.to_json(Path(state).parent).encode()})
-
-
-def conclusion(loop: Loop, out: str) -> str:
-    """Return what a user does with the last room written, for a finished loop."""
-    left = len([s for s in loop.status if s not in _LEFT_ALONE])
-    missed = f", but {left} of {loop.prior.n_bands} bands were not reached" if left else ""
-    return (
-        f"Done{missed}. {out} has the coefficients, those of each band's best step: give it to the "
-        "program a last time."
-    )
+    return end
 
 
 Rule = Literal["secant", "safeguarded"]
