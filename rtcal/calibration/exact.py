@@ -5,8 +5,8 @@ lower <= alpha <= upper. That is a continuous quadratic knapsack: alpha = clip(m
 upper) with one multiplier D. The closed form comes first. If it leaves the box, variable fixing
 follows (Bitran & Hax 1981; Kiwiel 2008): fix the violators of the dominant side at their bounds, solve
 for the other coefficients, and repeat. Two or three rounds are usual. No solver runs, and no result
-depends on a tolerance. Tolerances and soft matches are supported. For coupled bands or several
-configurations of a room use `rtcal.Calibration`.
+depends on a tolerance. For coupled bands, a T within limits or several configurations of a room use
+`rtcal.Calibration`.
 
 `least_squares`, `maximum_likelihood` and `scaling` are the paper's: their answers satisfy S'alpha = b
 exactly and may lie outside [0, 1]. They take one band ``(n_materials,)`` with a scalar target, or
@@ -57,14 +57,12 @@ def solve(
     lower: ArrayLike = 0.0,
     upper: ArrayLike = 1.0,
     *,
-    tolerance: ArrayLike = 0.0,
     uncertainty: ArrayLike = 0.0,
 ) -> Answer:
     """Return the exact minimisers of a batch of calibration QPs, one band each.
 
     alpha = clip(mu - D S sigma², lower, upper) with S'alpha = b; with an ``uncertainty`` u the
-    objective has ½ (S'alpha - b)²/u² in place of the equality (then D = (S'alpha - b)/u²); with a
-    ``tolerance`` t it is |S'alpha - b| <= t.
+    objective has ½ (S'alpha - b)²/u² in place of the equality (then D = (S'alpha - b)/u²).
 
     Parameters
     ----------
@@ -77,8 +75,8 @@ def solve(
         b in m².
     lower, upper : float or array (..., n)
         Bounds, finite.
-    tolerance, uncertainty : float or array (...)
-        m², 0 for an exact match; at most one of the two may be above 0.
+    uncertainty : float or array (...)
+        m², 0 for an exact match.
 
     Returns
     -------
@@ -90,10 +88,9 @@ def solve(
     Raises
     ------
     DataError
-        If shapes do not fit, a value is not a number or masked, or both ``tolerance`` and
-        ``uncertainty`` are stated. A row with NaN, a negative area, a negative sigma, one above 0 and
-        below `LEAST_SIGMA`, lower above upper or a fixed mu outside the bounds raises no error: its
-        status is 3.
+        If shapes do not fit, or a value is not a number or masked. A row with NaN, a negative area, a
+        negative sigma, one above 0 and below `LEAST_SIGMA`, lower above upper or a fixed mu outside the
+        bounds raises no error: its status is 3.
 
     References
     ----------
@@ -113,25 +110,22 @@ def solve(
     """
     given = {"mu": mu, "sigma": sigma, "areas": areas, "lower": lower, "upper": upper}
     vectors = [checks.array(name, x) for name, x in given.items()]
-    given = {"target": target, "tolerance": tolerance, "uncertainty": uncertainty}
-    scalars = [checks.array(name, x) for name, x in given.items()]
+    scalars = [checks.array("target", target), checks.array("uncertainty", uncertainty)]
     if any(x.ndim == 0 for x in vectors[:3]):
         raise DataError("mu, sigma and areas need at least one axis, the coefficients: (..., n)")
-    if np.any(scalars[1] != 0) and np.any(scalars[2] != 0):
-        raise DataError("give a tolerance or an uncertainty, not both: they are two models")
     try:
         (n,) = np.broadcast_shapes(*(x.shape[-1:] for x in vectors))
         batch = np.broadcast_shapes(*(x.shape[:-1] for x in vectors), *(x.shape for x in scalars))
     except ValueError as error:
         shapes = ", ".join(str(x.shape) for x in vectors + scalars)
         raise DataError(
-            "the shapes of mu, sigma, areas, lower, upper (..., n) and target, tolerance, "
-            f"uncertainty (...) do not fit: {shapes}"
+            "the shapes of mu, sigma, areas, lower, upper (..., n) and target, uncertainty (...) do "
+            f"not fit: {shapes}"
         ) from error
     multiplier, status = np.empty(batch), np.empty(batch, np.int8)
     rows, alpha = int(np.prod(batch, dtype=int)), np.empty((*batch, n))
     m, g, s, low, high = (_rows(x, batch, n) for x in vectors)
-    b, give, slack = (_rows(x[..., np.newaxis], batch, 1)[:, 0] for x in scalars)
+    b, slack = (_rows(x[..., np.newaxis], batch, 1)[:, 0] for x in scalars)
     a, d, code = alpha.reshape(rows, n), multiplier.reshape(rows), status.reshape(rows)
     with np.errstate(over="ignore"):
         endless = ~np.isfinite(slack**2)
@@ -139,10 +133,9 @@ def solve(
         b = np.where(endless, np.nan, b)  # invalid, whatever the kernel makes of infinity
     if g.size and np.nanmin(g, initial=1.0) < LEAST_SIGMA:
         b = np.where(((g > 0) & (g < LEAST_SIGMA)).any(axis=-1), np.nan, b)
-    data = (m, g, s, b, low, high, give, slack)
     from rtcal.calibration import exact_kernel
 
-    exact_kernel.solve_rows(*data, a, d, code)
+    exact_kernel.solve_rows(m, g, s, b, low, high, slack, a, d, code)
     return Answer(alpha, multiplier, status)
 
 

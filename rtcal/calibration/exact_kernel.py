@@ -28,7 +28,6 @@ def solve_rows(
     target: Array,
     lower: Array,
     upper: Array,
-    tolerance: Array,
     uncertainty: Array,
     alpha: Array,
     multiplier: Array,
@@ -36,7 +35,7 @@ def solve_rows(
 ) -> None:
     """Solve every row; an argument with one row serves all rows.
 
-    mu, sigma, areas, lower, upper: (rows or 1, n); target, tolerance, uncertainty: (rows or 1,);
+    mu, sigma, areas, lower, upper: (rows or 1, n); target, uncertainty: (rows or 1,);
     alpha (rows, n), multiplier (rows,) and status (rows,) are written.
     """
     rows, n = alpha.shape
@@ -44,7 +43,7 @@ def solve_rows(
     free, base_of = np.empty(n), np.empty(n)
     step_mu, step_sigma, step_areas = mu.shape[0] > 1, sigma.shape[0] > 1, areas.shape[0] > 1
     step_lower, step_upper, step_target = lower.shape[0] > 1, upper.shape[0] > 1, target.size > 1
-    step_tolerance, step_uncertainty = tolerance.size > 1, uncertainty.size > 1
+    step_uncertainty = uncertainty.size > 1
     largest = 0.0
     # The closed form is inline, since a function call costs as much as a solution. The rows that it
     # does not solve follow while the strip is still in the cache.
@@ -80,7 +79,7 @@ def solve_rows(
             least_room = 32 * n * EPS * area * largest * largest * variance
             solved = violations == 0 and room > least_room
             multiplier[r] = d
-            status[r] = OK if solved and u >= 0 and tolerance[r * step_tolerance] == 0 else PENDING
+            status[r] = OK if solved and u >= 0 else PENDING
         for r in range(start, stop):
             if status[r] == PENDING:
                 status[r], multiplier[r] = careful(
@@ -90,7 +89,6 @@ def solve_rows(
                     lower[r * step_lower],
                     upper[r * step_upper],
                     target[r * step_target],
-                    tolerance[r * step_tolerance],
                     uncertainty[r * step_uncertainty],
                     weight,
                     free,
@@ -107,7 +105,6 @@ def careful(
     low: Array,
     high: Array,
     b: float,
-    give: float,
     u: float,
     w: Array,
     free: Array,
@@ -132,18 +129,10 @@ def careful(
         sound = (area >= 0) & (spread >= 0) & (floor <= bottom) & (bottom <= top) & (top <= ceiling)
         bad += not sound
     # A NaN or an infinity anywhere makes this NaN or infinite (isfinite would be optimised away).
-    total += least + most + b + u * u + give
-    if bad > 0 or not abs(total) <= LARGEST or give < 0 or u < 0:
+    total += least + most + b + u * u
+    if bad > 0 or not abs(total) <= LARGEST or u < 0:
         a[:] = np.nan
         return BAD_INPUT, np.nan
-    if give > 0:
-        start = 0.0
-        for i in range(n):
-            a[i] = min(max(m[i], low[i]), high[i])
-            start += s[i] * a[i]
-        if abs(start - b) <= give:
-            return OK, 0.0
-        b += give if start > b else -give
     near = 16 * n * EPS * size
     if u == 0 and (b <= least + near or b >= most - near):
         return at_end(m, g, w, low, high, b, least, most, near, a)

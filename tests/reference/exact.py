@@ -16,7 +16,6 @@ def solve_rows(
     b: Array,
     low: Array,
     high: Array,
-    give: Array,
     slack: Array,
     alpha: Array,
     multiplier: Array,
@@ -32,12 +31,9 @@ def solve_rows(
         near = 16 * n * EPS * _sum(s * np.maximum(abs(bottom), abs(top)))
         base, spread = _sum(s * m), _sum(s * w)
         sound = (s >= 0) & (g >= 0) & (low <= high) & (bottom >= low) & (top <= high)
-        total = base + spread + least + most + near + b + slack * slack + give
-        good = sound.all(axis=-1) & np.isfinite(total) & (give >= 0) & (slack >= 0)
+        total = base + spread + least + most + near + b + slack * slack
+        good = sound.all(axis=-1) & np.isfinite(total) & (slack >= 0)
         clipped = np.clip(m, low, high)
-        start = _sum(s * clipped)
-        inside = (give > 0) & (abs(start - b) <= give)
-        b = b + np.where(inside, 0.0, np.where(start > b, give, -give))
         exact = slack == 0
         below, above = exact & (b < least - near), exact & (b > most + near)
         at_low = exact & (b <= least + near) & (b - least <= most - b)
@@ -53,11 +49,10 @@ def solve_rows(
                 d = np.where(at, np.where(np.isfinite(leaves), leaves, 0.0), d)
                 a = np.where(at[:, np.newaxis], np.where(free, bound, clipped), a)
     code = np.where(below, BELOW, np.where(above, ABOVE, OK))
-    code = np.where(inside, OK, code)
     status[:] = np.where(good, code, BAD_INPUT)
-    multiplier[:] = np.where(inside, 0.0, d)
-    alpha[:] = np.where(inside[:, np.newaxis], clipped, a)
-    fixing = good & (code == OK) & outside & ~inside & ~at_low & ~at_high
+    multiplier[:] = d
+    alpha[:] = a
+    fixing = good & (code == OK) & outside & ~at_low & ~at_high
     if np.any(fixing):
         pick = np.flatnonzero(np.broadcast_to(fixing, (rows,)))
         row = [
