@@ -106,9 +106,9 @@ ROUNDING = 1e-12
 """A difference below this is none: alpha is certified to it, and a gap that is closed is rounding."""
 SHIPPED_CASES = {
     "case": lambda: rt.datasets.hidden_room()[0],
-    "closed": lambda: rt.datasets.hidden_room(closed=True)[0],
-    "named": lambda: rt.datasets.named_room()[0],
-    "not told": lambda: rt.datasets.untold_room()[0],
+    "closed": lambda: rt.datasets.hidden_room("closed")[0],
+    "named": lambda: rt.datasets.hidden_room("named")[0],
+    "not told": lambda: rt.datasets.hidden_room("not_told")[0],
 }
 HALLS = ("lecture_hall", "hard_hall", "theatre", "corridor")
 CRASHED = "crashed"

@@ -227,7 +227,6 @@ HARD_TO_SEE = [
     (lambda: studies.analytic_scores(HIDDEN, 0.1, 3), "areas is a masked array"),
     (lambda: study(workers=1.5), "workers = 1.5 is not a whole number of at least 1"),
     (lambda: study(executor=5), "executor = 5 is not a concurrent.futures.Executor"),
-    (lambda: studies.write_table(np.zeros(3), "x.csv"), "table is not a table of named columns"),
     (lambda: rt.terms.Shared(["a", "b"]), r"Shared: material\[0\] = .* is not a text"),
     (lambda: rt.terms.PriorDeviation(material_correlation={"a": 1}), "'a' is not a pair of mat"),
     (lambda: rt.terms.AddedAbsorption("x", ["a"], 1), r'AddedAbsorption\("x"\): gain is not'),

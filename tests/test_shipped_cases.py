@@ -13,12 +13,12 @@ from benchmarks.studies.hidden_world.populations import build
 from benchmarks.studies.means.shipped_cases import POPULATION, kinds
 from benchmarks.studies.position_rooms import shipped as where_room
 
-ROOMS = {"named": rt.datasets.named_room, "not_told": rt.datasets.untold_room}
+ROOMS = ("named", "not_told")
 
 
 @pytest.mark.parametrize("name", ROOMS)
 def test_a_case_is_the_one_draw_of_its_seed(name: str) -> None:
-    _, truth = ROOMS[name]()
+    _, truth = rt.datasets.hidden_room(name)
     population, kind, index = truth["seed"]
     assert (population, index) == (POPULATION, 0)
     made = build(population, kind, index)
@@ -35,7 +35,7 @@ def test_a_case_is_the_one_draw_of_its_seed(name: str) -> None:
 
 @pytest.mark.parametrize("name", ROOMS)
 def test_the_true_coefficients_are_as_far_off_as_is_stated(name: str) -> None:
-    case, truth = ROOMS[name]()
+    case, truth = rt.datasets.hidden_room(name)
     off = (np.array(truth["alpha"]) - case.room.alpha) / case.room.sigma
     assert np.abs(off).max() > 1
     lag = np.abs(np.subtract.outer(np.arange(off.shape[1]), np.arange(off.shape[1])))
@@ -47,10 +47,10 @@ def test_the_true_coefficients_are_as_far_off_as_is_stated(name: str) -> None:
 @pytest.mark.long
 def test_one_is_named_and_one_is_not_told() -> None:
     """It fails where the finder is changed: run `benchmarks.studies.means.shipped_cases`."""
-    case, truth = rt.datasets.named_room()
+    case, truth = rt.datasets.hidden_room("named")
     finding = rt.find(case)
     assert (finding.verdict, finding.effect) == ("named", truth["hidden"])
-    case, truth = rt.datasets.untold_room()
+    case, truth = rt.datasets.hidden_room("not_told")
     assert truth["hidden"] not in ("", "nothing")
     assert rt.find(case).verdict in ("none", "hint")
 

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from rtcal.datasets import halls as halls
     from rtcal.datasets.examples import bras_cr2 as bras_cr2
     from rtcal.datasets.examples import hidden_room as hidden_room
-    from rtcal.datasets.examples import named_room as named_room
     from rtcal.datasets.examples import path as path
-    from rtcal.datasets.examples import untold_room as untold_room
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -47,46 +47,34 @@ def bras_cr2() -> tuple[Room, Measurement]:
     )
 
 
-def hidden_room(*, closed: bool = False) -> tuple[Case, dict[str, Any]]:
+_HIDDEN = {"case": "truth", "closed": "truth", "named": "named_truth", "not_told": "not_told_truth"}
+
+
+def hidden_room(which: str = "case") -> tuple[Case, dict[str, Any]]:
     """Return a case with a hidden effect, and the truth: the effect and ``alpha``.
 
-    It is a simulated room of six materials. The tracer is separate from rtcal's
-    (`benchmarks/studies/hidden_world`). Configuration A is the room as it is. In B one material is
-    covered with another one. In C everything that can be closed or taken out is closed or taken out.
+    The rooms are simulated by a tracer that is separate from rtcal's
+    (`benchmarks/studies/hidden_world`).
 
     Parameters
     ----------
-    closed : bool
-        Return A and C. If False, A and B.
+    which : {"case", "closed", "named", "not_told"}
+        "case": a room of six materials as it is, and with one material covered with another one;
+        "closed": the same room, and everything closed or taken out that can be. "named": the first
+        room by the rule of `benchmarks/studies/means/shipped_cases.py` in which the finder names what
+        is hidden, and "not_told": the first in which it claims nothing.
+
+    Raises
+    ------
+    DataError
+        For another case.
     """
-    return _hidden("closed" if closed else "case", "truth")
-
-
-def named_room() -> tuple[Case, dict[str, Any]]:
-    """Return a case in which the finder names what is hidden, and the truth.
-
-    It is the first such room by the rule of `benchmarks/studies/means/shipped_cases.py`. The tracer
-    is not rtcal's, and the coefficients are drawn about the stated ones with the stated sigma.
-    """
-    return _hidden("named", "named_truth")
-
-
-def untold_room() -> tuple[Case, dict[str, Any]]:
-    """Return a case in which something is hidden and the data do not tell, and the truth.
-
-    It is drawn as `named_room`: the first by that rule in which the finder claims nothing.
-    """
-    return _hidden("not_told", "not_told_truth")
-
-
-def _hidden(case: str, truth: str) -> tuple[Case, dict[str, Any]]:
     from rtcal.finder.case import Case
 
+    checks.choice("which", which, _HIDDEN)
     folder = path("hidden_room")
-    return (
-        Case.from_file(str(folder / f"{case}.json")),
-        json.loads((folder / f"{truth}.json").read_text(encoding="utf-8")),
-    )
+    truth = (folder / f"{_HIDDEN[which]}.json").read_text(encoding="utf-8")
+    return Case.from_file(str(folder / f"{which}.json")), json.loads(truth)
 
 
 @dataclass(frozen=True)

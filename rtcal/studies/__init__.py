@@ -13,7 +13,6 @@ from rtcal.studies.paper import analytic_emse
 from rtcal.studies.study import (
     analytic_scores,
     run,
-    write_table,
 )
 
 __all__ = [
@@ -21,6 +20,5 @@ __all__ = [
     "analytic_scores",
     "paper",
     "run",
-    "write_table",
 ]
 __dir__ = __all__.copy

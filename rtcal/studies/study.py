@@ -17,18 +17,15 @@ import csv
 import functools
 import io
 import operator
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rtcal.files.disk import write_bytes
-from rtcal.files.saved import Result
 from rtcal.studies import paper
 from rtcal.studies.paper import (
     CALIBRATIONS,
@@ -67,22 +64,6 @@ _SCORES = [
     ("score", "f8"),
     ("standard_error", "f8"),
 ]
-
-
-def write_table(table: np.recarray[Any, Any], path: str | os.PathLike[str]) -> None:
-    """Write a table as .csv, whole or not at all; numbers keep all their digits.
-
-    Raises
-    ------
-    DataError
-        If the path has another ending or cannot be written, or ``table`` is no table.
-    """
-    ending = checks.path("path", path).suffix.lower()
-    if not isinstance(table, np.ndarray) or table.dtype.names is None or table.ndim != 1:
-        raise DataError("table is not a table of named columns, such as Study.scores returns")
-    if ending != ".csv":
-        raise DataError(f'{path}: a table ends with .csv, not "{ending}"')
-    write_bytes(path, table_csv(table))
 
 
 def table_csv(table: np.recarray[Any, Any]) -> bytes:
@@ -214,10 +195,8 @@ def _sum_of_pieces(
 
 
 @dataclass(frozen=True, eq=False)
-class Study(Result):
+class Study:
     """A finished study of one room at one sigma_r, as `run` returns it."""
-
-    record_kind: ClassVar[str] = "study 1"
 
     areas: Array
     sigma_r: float
@@ -226,18 +205,6 @@ class Study(Result):
     seed: int
     sampling: Sampling
     moments: ScoreMoments
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what was drawn, and the tables of scores."""
-        return {
-            "areas": self.areas,
-            "sigma_r": self.sigma_r,
-            "realisations": self.realisations,
-            "trials": self.trials,
-            "seed": self.seed,
-            "scores": self.scores(),
-            "controlled_scores": self.controlled_scores(),
-        }
 
     def scores(self) -> Table:
         """Return method, bounded, aace, score (a fraction) and its standard error, as in the paper.
