@@ -65,11 +65,6 @@ def test_loops_are_read_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loop.next_alpha, result.next_alpha)  # it still calibrates
 
 
-def test_studies_are_read_back(tmp_path: Path) -> None:
-    result = rt.studies.run([60, 74, 20.0], 0.05, realisations=50, trials=20, seed=1)
-    assert back(result, tmp_path).scores().tobytes() == result.scores().tobytes()
-
-
 def test_positions_are_read_back(tmp_path: Path) -> None:
     room = HALL.room.replace(sigma=0.3 * HALL.room.alpha)
     measured = heard(room, room.alpha, n_paths=2000)
