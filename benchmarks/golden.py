@@ -195,7 +195,7 @@ def several(plain_case: Any) -> dict[str, Any]:
 def on_pairs(index: int, statement: str, paths: int) -> dict[str, Any]:
     """A geometric room, searched at every position; what was found is verified on other pairs."""
     room = geometric.load(0, index, statement)
-    case = rt.finder.positions.PositionsCase(
+    case = rt.finder.PositionsCase(
         simulator=room.simulator(n_paths=paths), measured=room.measured, match=MATCH
     )
     found = rt.find(case)

@@ -15,7 +15,6 @@ from benchmarks.studies.position_rooms.shapes import area
 from rtcal.command.files import _PURPOSES
 from rtcal.command.main import main
 from rtcal.datasets import examples
-from rtcal.finder.positions import PositionsCase
 
 
 def run(*arguments: str) -> int:
@@ -72,7 +71,7 @@ def test_the_case_with_a_geometry_is_read(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.chdir(tmp_path)
     assert run("example", "where", "-q") == 0
     measured = rt.Measurement.from_file("where/pairs.csv")
-    case = PositionsCase.from_room(rt.Room.from_file("where/room.toml"), measured)
+    case = rt.finder.case_of(rt.Room.from_file("where/room.toml"), measured)
     assert len(case.pairs) == 12
     assert set(case.faces) == {"floor", "ceiling", *where_room.WALLS}
     areas = {material: 0.0 for material, _ in where_room.surfaces()}

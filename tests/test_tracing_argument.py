@@ -43,7 +43,7 @@ def test_it_is_taken_where_the_scene_is_traced(scene) -> None:
 def test_it_is_refused_elsewhere_and_why_is_true(scene) -> None:
     room, of_pairs, mean = scene
     bare = room.replace(scene=type(room.scene)())
-    simulator = rt.finder.positions.PositionsCase.from_room(room, of_pairs, tracing=TRACING)
+    simulator = rt.finder.case_of(room, of_pairs, tracing=TRACING)
     needs = "^tracing needs a room that states its sources and receivers, measured pair by pair"
     for stated, measured in ((room, mean), (bare, of_pairs), (bare, mean)):
         for before in (None, measured):

@@ -113,7 +113,7 @@ def measured(
 
 @pytest.fixture(scope="module")
 def finding(kept: Path) -> rt.finder.Finding:
-    case = rt.finder.positions.PositionsCase(simulator=tracing(stated()), measured=measured(True))
+    case = rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(True))
     return rt.find(case, cache=kept)
 
 
@@ -130,7 +130,7 @@ def test_an_opening_is_found_on_its_wall(finding: rt.finder.Finding) -> None:
 
 
 def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
-    case = rt.finder.positions.PositionsCase(simulator=tracing(stated()), measured=measured(False))
+    case = rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(False))
     finding = rt.find(case, cache=kept)
     assert finding.verdict in ("none", "hint")
     assert finding.surface is None
@@ -138,13 +138,13 @@ def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
         finding.apply()
 
 
-def with_coefficient(value: float, n_paths: int = 4800) -> rt.finder.positions.PositionsCase:
+def with_coefficient(value: float, n_paths: int = 4800) -> rt.finder.PositionsCase:
     """Return the box as it is stated, but for one uncertain coefficient."""
     room = stated()
     alpha, sigma = room.alpha.copy(), room.sigma.copy()
     alpha[0, -1], sigma[0, -1] = value, 0.3
     tracer = tracing(room.replace(alpha=alpha, sigma=sigma), n_paths=n_paths)
-    return rt.finder.positions.PositionsCase(simulator=tracer, measured=measured(False))
+    return rt.finder.PositionsCase(simulator=tracer, measured=measured(False))
 
 
 @pytest.mark.parametrize("extreme", [0.0, *also(1.0)])
@@ -177,7 +177,7 @@ def test_a_score_that_is_no_number_is_refused(name: str) -> None:
 @pytest.mark.long
 def test_random_numbers_hardly_move_the_score_of_a_room_that_scatters_little(kept: Path) -> None:
     """A law: where 0.1 is scattered and 0.4 assumed, seeds had moved the score by 0.6 nats (sd)."""
-    case = rt.finder.positions.PositionsCase(
+    case = rt.finder.PositionsCase(
         simulator=tracing(stated()), measured=measured(False, scattering=0.1)
     )
     scores = [find_by_positions(case, library(), None, kept, seed, ()).score for seed in range(3)]
@@ -192,7 +192,7 @@ def test_an_absorbing_ceiling_over_walls_that_scatter_little_lacks_nothing(kept:
     alpha = np.vstack([room.alpha[:-1], np.full((1, len(BANDS)), 0.6)])
     room = room.replace(alpha=alpha, sigma=0.1 * alpha)
     heard_little = heard(tracing(room, scattering=0.1, n_paths=19200), alpha)
-    case = rt.finder.positions.PositionsCase(simulator=tracing(room), measured=heard_little)
+    case = rt.finder.PositionsCase(simulator=tracing(room), measured=heard_little)
     finding = find_by_positions(case, library(), None, kept, 0, ())
     assert finding.score < 0.0
     assert finding.verdict == "none"
@@ -200,9 +200,7 @@ def test_an_absorbing_ceiling_over_walls_that_scatter_little_lacks_nothing(kept:
 
 @pytest.mark.long
 def test_a_level_between_positions_is_enough(kept: Path) -> None:
-    case = rt.finder.positions.PositionsCase(
-        simulator=tracing(stated()), measured=measured(True, "level")
-    )
+    case = rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(True, "level"))
     finding = rt.find(case, cache=kept)
     assert finding.detected
     assert "east" in finding.likely_surfaces
@@ -212,7 +210,7 @@ def test_a_level_between_positions_is_enough(kept: Path) -> None:
 def test_a_receiver_that_stands_elsewhere_is_a_hint(kept: Path) -> None:
     """With three receivers the evidence stays below the threshold."""
     truth = tracing(stated(), receivers=RECEIVERS | {"R1": (2.2, 2.0, 1.2)}, n_paths=19200)
-    case = rt.finder.positions.PositionsCase(
+    case = rt.finder.PositionsCase(
         simulator=tracing(stated()), measured=heard(truth, truth.room.alpha)
     )
     finding = rt.find(case, cache=kept)
@@ -230,12 +228,12 @@ def test_t30_is_matched_where_t20_is_absent(kept: Path) -> None:
     model = tracing(stated())
     every = heard(model, model.room.alpha, match=("t20", "t30"))
     alone = heard(model, model.room.alpha, match=("t30",))
-    case = rt.finder.positions.PositionsCase(simulator=model, measured=alone)
+    case = rt.finder.PositionsCase(simulator=model, measured=alone)
     assert case.match == ("t30", *MATCH[1:])
     finding = rt.find(case, cache=kept)
     assert finding.parameters == ("t30",)
     assert "T30 is matched in place of T20, which was not measured." in finding.notes
-    both = rt.finder.positions.PositionsCase(simulator=model, measured=every)
+    both = rt.finder.PositionsCase(simulator=model, measured=every)
     assert both.match == MATCH
 
 
@@ -285,10 +283,10 @@ def test_surfaces_join_the_faces_of_a_plane() -> None:
         centre_frequencies=BANDS,
     )
     simulator = tracing(room, made)
-    case = rt.finder.positions.PositionsCase(simulator=simulator, measured=measured(False))
+    case = rt.finder.PositionsCase(simulator=simulator, measured=measured(False))
     assert len(case.faces) == 6
     assert max(len(faces) for faces in case.faces.values()) == 5
-    two = rt.finder.positions.PositionsCase(
+    two = rt.finder.PositionsCase(
         simulator=simulator,
         measured=measured(False),
         surfaces={"side": ["west"], "ends": ["south", "north"]},
@@ -318,14 +316,14 @@ def test_a_wrong_case_is_refused(changes: dict[str, Any], place: str, kept: Path
         changes = {"simulator": tracing(rt.calibrate(room, data).room)}
     arguments = {"simulator": tracing(room), "measured": data} | changes
     with pytest.raises(DataError, match=place):
-        rt.find(rt.finder.positions.PositionsCase(**arguments), cache=kept, **options)
+        rt.find(rt.finder.PositionsCase(**arguments), cache=kept, **options)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A user's files: room, mesh and measurement."""
     where = tmp_path_factory.mktemp("case")
-    case = rt.finder.positions.PositionsCase(simulator=tracing(stated()), measured=measured(True))
+    case = rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(True))
     scene = rt.Scene(mesh=where / "room.obj", sources=SOURCES, receivers=RECEIVERS)
     case.room.replace(scene=scene).save(str(where / "room.toml"))
     case.geometry.save(where / "room.obj")
@@ -438,9 +436,7 @@ def test_coefficients_that_are_all_off_are_no_surface(kept: Path) -> None:
     truth = tracing(stated(), n_paths=19200, scattering=0.5)
     room = stated().replace(sigma=0.3 * stated().alpha)
     data = heard(truth, 1.5 * stated().alpha)
-    finding = rt.find(
-        rt.finder.positions.PositionsCase(simulator=tracing(room), measured=data), cache=kept
-    )
+    finding = rt.find(rt.finder.PositionsCase(simulator=tracing(room), measured=data), cache=kept)
     assert finding.surface is None
 
 

@@ -113,7 +113,7 @@ def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(measured_pairs, "RUNS", 4)
-    case = rt.finder.positions.PositionsCase(
+    case = rt.finder.PositionsCase(
         simulator=tracing(stated(), n_paths=320), measured=measured(False)
     )
     tried = {"only": ("opening",), "cache": tmp_path}

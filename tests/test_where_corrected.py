@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder import PositionsCase
 from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.claim import Candidate
-from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import of_geometry, patched
 from rtcal.io import catt, geometry_files, obj, odeon
 from rtcal.simulators import ImageSource, PathTracing, Polyhedron, RayTracing

@@ -36,8 +36,8 @@ from tests.test_where_page import finding_of
 
 
 @pytest.fixture(scope="module")
-def case() -> rt.finder.positions.PositionsCase:
-    return rt.finder.positions.PositionsCase(simulator=tracing(stated()), measured=measured(True))
+def case() -> rt.finder.PositionsCase:
+    return rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(True))
 
 
 def test_the_positions_decide() -> None:
@@ -64,7 +64,7 @@ def spread(effect: str) -> SpreadHypothesis:
 
 
 def scored(
-    of_noise: float, of_position: float, of_shift: float, case: rt.finder.positions.PositionsCase
+    of_noise: float, of_position: float, of_shift: float, case: rt.finder.PositionsCase
 ) -> float:
     """The score where hypotheses have these log evidences, over that of nothing."""
     one = next(s for s in shifts(case, library()) if s.effect == "opening").some(slice(0, 1))
@@ -74,7 +74,7 @@ def scored(
 
 
 def test_a_noisy_pair_is_no_evidence_that_the_room_is_other_than_stated(
-    case: rt.finder.positions.PositionsCase,
+    case: rt.finder.PositionsCase,
 ) -> None:
     assert scored(0, 0, 0, case) == pytest.approx(0, abs=1e-9)
     assert scored(20, 0, 0, case) < -10
@@ -83,7 +83,7 @@ def test_a_noisy_pair_is_no_evidence_that_the_room_is_other_than_stated(
 
 
 def test_the_means_have_the_pairs_and_the_geometry_of_the_case(
-    case: rt.finder.positions.PositionsCase,
+    case: rt.finder.PositionsCase,
 ) -> None:
     less = replace(case, exclude=[("S1", "R2")], match=("t20", "c80", "ts"))
     (configuration,) = of_means(less).configurations
@@ -104,14 +104,14 @@ def test_the_means_have_the_pairs_and_the_geometry_of_the_case(
 
 
 def test_the_means_say_nothing_without_a_decay_time(
-    case: rt.finder.positions.PositionsCase,
+    case: rt.finder.PositionsCase,
 ) -> None:
     assert evidence_of_means(replace(case, match=("c80", "ts", "level"))) is None
 
 
 @pytest.mark.parametrize("options", [{"without": ["air"]}, {"only": ["opening", "porous"]}])
 def test_fewer_effects_are_asked_of_the_positions_alone(
-    case: rt.finder.positions.PositionsCase,
+    case: rt.finder.PositionsCase,
     options: dict[str, list[str]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -123,7 +123,7 @@ def test_fewer_effects_are_asked_of_the_positions_alone(
 
 
 def test_a_search_for_a_noisy_pair_alone_detects_nothing(
-    case: rt.finder.positions.PositionsCase, kept: Path
+    case: rt.finder.PositionsCase, kept: Path
 ) -> None:
     finding = rt.find(case, only=["noise"], cache=kept)
     assert (finding.detected, finding.score) == (False, 0.0)
@@ -134,7 +134,7 @@ def test_a_search_for_a_noisy_pair_alone_detects_nothing(
 
 @pytest.mark.parametrize("effect", ["coefficients", "unknown"])
 def test_a_candidate_without_a_size_has_none_in_words_and_in_json(
-    case: rt.finder.positions.PositionsCase, effect: str, kept: Path
+    case: rt.finder.PositionsCase, effect: str, kept: Path
 ) -> None:
     """A full search ended `to_json` in a ValueError where one was among the first twenty."""
     finding = rt.find(case, only=[effect], cache=kept)
@@ -144,9 +144,7 @@ def test_a_candidate_without_a_size_has_none_in_words_and_in_json(
 
 
 @pytest.mark.long
-def test_the_record_is_that_of_what_was_measured(
-    case: rt.finder.positions.PositionsCase, kept: Path
-) -> None:
+def test_the_record_is_that_of_what_was_measured(case: rt.finder.PositionsCase, kept: Path) -> None:
     """It was that of all that may be matched, with level, though none had been measured."""
     whole = measured(True)
     without = rt.Measurement(
@@ -154,7 +152,7 @@ def test_the_record_is_that_of_what_was_measured(
         values={name: v for name, v in whole.values.items() if name != "g"},
         pairs=whole.pairs,
     )
-    lacking = rt.finder.positions.PositionsCase(simulator=case.simulator, measured=without)
+    lacking = rt.finder.PositionsCase(simulator=case.simulator, measured=without)
     assert "level" in lacking.match
     finding = rt.find(lacking, cache=kept)
     assert record_of_positions(case.room, finding.parameters) in " ".join(str(finding).split())
@@ -162,7 +160,7 @@ def test_the_record_is_that_of_what_was_measured(
 
 
 def test_a_coupled_room_is_claimed_by_its_family_alone(
-    case: rt.finder.positions.PositionsCase, kept: Path, monkeypatch: pytest.MonkeyPatch
+    case: rt.finder.PositionsCase, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A box with scattering of 0.05, assumed to have 0.3, had been named a coupled room."""
     module = sys.modules["rtcal.finder.positions.search"]

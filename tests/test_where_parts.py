@@ -61,7 +61,7 @@ def tracing(
 
 
 @pytest.fixture(scope="module")
-def case() -> rt.finder.positions.PositionsCase:
+def case() -> rt.finder.PositionsCase:
     south = SHOEBOX_WALLS.index("south")
     opened = patched(box(), [south], 6.0, "hole", "hole", np.array(PLACE))
     assert opened is not None
@@ -72,11 +72,11 @@ def case() -> rt.finder.positions.PositionsCase:
         pairs=heard.pairs,
         values={("g" if p == "level" else p): heard.natural(p) for p in MATCH},
     )
-    return rt.finder.positions.PositionsCase(simulator=tracing(box()), measured=measured)
+    return rt.finder.PositionsCase(simulator=tracing(box()), measured=measured)
 
 
 def test_long_surfaces_are_divided_and_short_ones_are_not(
-    case: rt.finder.positions.PositionsCase,
+    case: rt.finder.PositionsCase,
 ) -> None:
     names = [list(case.faces)[part.surface] for part in case.divided.parts]
     assert names == [w for w in SHOEBOX_WALLS if w not in ("west", "east") for _ in range(3)]
@@ -91,7 +91,7 @@ def test_long_surfaces_are_divided_and_short_ones_are_not(
 
 
 def test_the_same_paths_are_traced_in_the_divided_geometry(
-    case: rt.finder.positions.PositionsCase,
+    case: rt.finder.PositionsCase,
 ) -> None:
     whole, alpha = case.simulator, case.room.alpha
     parts = tracing(case.divided.geometry)
@@ -144,7 +144,7 @@ def test_a_mesh_of_triangles_is_divided_as_its_walls_are() -> None:
 
 
 def test_the_odds_of_a_surface_do_not_depend_on_its_parts(
-    case: rt.finder.positions.PositionsCase,
+    case: rt.finder.PositionsCase,
 ) -> None:
     def odds(every: list) -> dict[tuple[str, int | None, str], float]:
         total: dict[tuple[str, int | None, str], float] = {}
@@ -163,7 +163,7 @@ def test_the_odds_of_a_surface_do_not_depend_on_its_parts(
 
 @pytest.mark.long
 def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
-    case: rt.finder.positions.PositionsCase, tmp_path: Path
+    case: rt.finder.PositionsCase, tmp_path: Path
 ) -> None:
     """All four long surfaces say so, and patch and picture show it there."""
     pytest.importorskip("matplotlib", reason="needs the extra report")
@@ -194,7 +194,7 @@ def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
 
 
 def test_coefficients_that_were_measured_are_seldom_off(
-    case: rt.finder.positions.PositionsCase,
+    case: rt.finder.PositionsCase,
 ) -> None:
     """A material off by a factor was as probable in situ as with coefficients from a handbook."""
 

@@ -25,14 +25,14 @@ from tests.test_where import MATCH, measured, stated, tracing
 
 
 @pytest.fixture(scope="module")
-def case() -> rt.finder.positions.PositionsCase:
-    return rt.finder.positions.PositionsCase(
+def case() -> rt.finder.PositionsCase:
+    return rt.finder.PositionsCase(
         simulator=tracing(stated()), measured=measured(True), match=MATCH
     )
 
 
 def test_the_families_of_the_means_are_multiplied_in(
-    case: rt.finder.positions.PositionsCase,
+    case: rt.finder.PositionsCase,
 ) -> None:
     some = [
         s.some(slice(0, 1))
@@ -53,7 +53,7 @@ def test_the_families_of_the_means_are_multiplied_in(
 
 @pytest.mark.long
 def test_a_finding_names_the_family_that_means_know_of(
-    case: rt.finder.positions.PositionsCase, kept: Path, monkeypatch: pytest.MonkeyPatch
+    case: rt.finder.PositionsCase, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The positions say the same; the families of the means differ."""
     found = {}
@@ -74,7 +74,7 @@ def test_a_finding_names_the_family_that_means_know_of(
 
 
 def test_the_means_of_a_drawn_room_have_the_density_of_means(
-    case: rt.finder.positions.PositionsCase, kept: Path
+    case: rt.finder.PositionsCase, kept: Path
 ) -> None:
     numbers, every = where_ideal.prepared(case, kept)
     numbers.levels = ScatteringLevels.assumed(len(numbers.residual))
@@ -99,7 +99,7 @@ def test_the_means_of_a_drawn_room_have_the_density_of_means(
 
 
 def test_drawn_rooms_scatter_as_the_likelihood_says(
-    case: rt.finder.positions.PositionsCase, kept: Path
+    case: rt.finder.PositionsCase, kept: Path
 ) -> None:
     numbers, every = where_ideal.prepared(case, kept)
     likelihood = numbers.likelihoods()[0]

@@ -22,8 +22,8 @@ pytest.importorskip("pyroomacoustics", reason="the other program")
 MATCH = ("t20", "edt", "c80", "ts")
 
 
-def read(folder: Path, measured: str = "measured.csv") -> rt.finder.positions.PositionsCase:
-    return rt.finder.positions.PositionsCase.from_room(
+def read(folder: Path, measured: str = "measured.csv") -> rt.finder.PositionsCase:
+    return rt.finder.case_of(
         rt.Room.from_file(str(folder / "room.toml")),
         rt.Measurement.from_file(str(folder / measured)),
         tracing={"scattering": 0.4, "n_paths": 4800},
@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A user's files: what pyroomacoustics says of the model, and of the room with 10 m² more."""
     where = tmp_path_factory.mktemp("program")
     room = stated()
-    case = rt.finder.positions.PositionsCase(simulator=tracing(room), measured=measured(False))
+    case = rt.finder.PositionsCase(simulator=tracing(room), measured=measured(False))
     made = corrected_geometry(case, replace(candidate("east", 10.0), spectrum=np.ones(len(BANDS))))
 
     def program(geometry: object, of: rt.Room, seed: int) -> rt.Measurement:
@@ -136,7 +136,7 @@ def test_a_level_without_its_reference_is_no_g(folder: Path) -> None:
     level = np.zeros((len(given.pairs), len(BANDS)))
     values = {name: given.values[name] for name in MATCH} | {"level": level}
     with pytest.raises(DataError, match="simulated has no G, which was measured"):
-        rt.finder.positions.PositionsCase(
+        rt.finder.PositionsCase(
             simulator=case.simulator,
             measured=measured(False),
             simulated=rt.Measurement(

@@ -57,9 +57,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_loudspeakers_of_which_nothing_is_stated_are_not_claimed_of_the_room(
     measured: rt.Measurement, kept: Path, monkeypatch: pytest.MonkeyPatch, match: tuple[str, ...]
 ) -> None:
-    case = rt.finder.positions.PositionsCase(
-        simulator=box(n_paths=800), measured=measured, match=match
-    )
+    case = rt.finder.PositionsCase(simulator=box(n_paths=800), measured=measured, match=match)
     finding = rt.find(case, cache=kept)
     assert not finding.detected
     assert any("not taken as omnidirectional" in str(note) for note in finding.notes)
@@ -78,7 +76,7 @@ def test_an_index_that_is_off_is_not_claimed_of_the_room(
     measured: rt.Measurement, kept: Path, monkeypatch: pytest.MonkeyPatch, off: float
 ) -> None:
     index = np.add(INDEX, off)
-    case = rt.finder.positions.PositionsCase(
+    case = rt.finder.PositionsCase(
         simulator=box(n_paths=800, directivity=aimed(index)), measured=measured, match=MATCH
     )
     finding = rt.find(case, cache=kept)
@@ -102,7 +100,7 @@ def test_lobes_that_are_not_certain_leave_the_level_and_its_surfaces(
     nats: float, level: bool, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A covered wall had no surface by level of any reference: 2.55 nats for lobes, 0.4 by G."""
-    case = rt.finder.positions.PositionsCase(
+    case = rt.finder.PositionsCase(
         simulator=tracing(stated(), n_paths=800), measured=opened(True, "level")
     )
     monkeypatch.setattr(search, "gain", lambda *_: np.array([nats]))
@@ -122,9 +120,7 @@ def test_lobes_are_tried_where_a_pair_seems_noisy(
     middle = np.mean(list(RECEIVERS.values()), axis=0)
     aimed_at = {n: rt.Directivity(index=INDEX, aim=tuple(middle - p)) for n, p in SOURCES.items()}
     made = heard(tracing(stated(), n_paths=4800, directivity=aimed_at), stated().alpha, "level")
-    case = rt.finder.positions.PositionsCase(
-        simulator=tracing(stated(), n_paths=800), measured=made
-    )
+    case = rt.finder.PositionsCase(simulator=tracing(stated(), n_paths=800), measured=made)
     first = [(np.array([-24.0]), np.array([20.0]))]
     scores = search.scores
     monkeypatch.setattr(search, "scores", lambda *given: first.pop() if first else scores(*given))
@@ -140,7 +136,7 @@ def test_what_absorbs_is_found_with_a_stated_index(kept: Path) -> None:
     absorbing[5] += 0.6
     lobes = aimed(INDEX)
     heard_there = heard(box(scattering=0.45, n_paths=9600, directivity=lobes), absorbing)
-    case = rt.finder.positions.PositionsCase(
+    case = rt.finder.PositionsCase(
         simulator=box(n_paths=800, directivity=lobes), measured=heard_there, match=MATCH
     )
     finding = rt.find(case, cache=kept)

@@ -73,8 +73,7 @@ def files_of(options: Mapping[str, Any]) -> list[str]:
 def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) -> Any:
     """Return the case of ``rtcal find``; DataError if a file to be written is one of those read."""
     from rtcal.acoustics.room import Room
-    from rtcal.finder import Case
-    from rtcal.finder.search import case_of
+    from rtcal.finder import Case, case_of
 
     path, before = options["case"], options.get("before")
     spare(targets, [path])

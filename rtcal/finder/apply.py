@@ -32,12 +32,11 @@ from rtcal.acoustics.room import CHANGED, POSITION, Directivity, Material, Room,
 from rtcal.calibration.methods import calibrate
 from rtcal.files import disk
 from rtcal.files.disk import make_folder, write_all
-from rtcal.finder.case import Case, Configuration, StatesCase
+from rtcal.finder.case import Case, Configuration, PositionsCase, StatesCase
 from rtcal.finder.claim import Candidate, amount
 from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.means.problem import distances, state, with_applied
 from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions, predict
-from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import NEAR, face_at, of_geometry, patched
 from rtcal.io import catt, odeon
 from rtcal.io.material_list import ExportReport

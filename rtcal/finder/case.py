@@ -1,8 +1,9 @@
-"""A case: the stated data of a room and its measurements.
+"""A case: a room, and what was measured in it, which decides what is compared (`case_of`).
 
-A file has the same keys in TOML and in JSON. The room is the name of a room's file, or a table as
-`rtcal.Room.to_dict` returns it, and so is each measurement: `Case.save` writes one JSON file. What a
-user writes names files::
+Means over positions in one or more configurations (`Case`), every position (`PositionsCase`), or two
+states (`StatesCase`). The first has a file, with the same keys in TOML and in JSON. The room is the
+name of a room's file, or a table as `rtcal.Room.to_dict` returns it, and so is each measurement:
+`Case.save` writes one JSON file. What a user writes names files::
 
     room = "room.toml"
     equation = "eyring"                  # or sabine, kuttruff, millington
@@ -34,10 +35,10 @@ import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import msgspec
 import numpy as np
@@ -49,13 +50,25 @@ from rtcal.acoustics.changes import enough_known, facing
 from rtcal.acoustics.equations import Eyring, LinearEquation, mean_equation
 from rtcal.acoustics.measurement import Measurement, MeasurementTable
 from rtcal.acoustics.observables import MATCH, REVERBERATION, observable, parameter_label
-from rtcal.acoustics.room import Directivity, PlainRoom, Room, of_plain, refuse_repeated_data
+from rtcal.acoustics.room import (
+    POSITION,
+    Directivity,
+    PlainRoom,
+    Room,
+    checked_uncertainty,
+    of_plain,
+    refuse_repeated_data,
+)
 from rtcal.calibration.measured import notes_of_bands, times_in_room
 from rtcal.files.disk import json_numbers, read_text, write_text
 from rtcal.files.schema import FileTable, Number, json_object, read, toml_table
 from rtcal.finder.effects import AppliedEffect, check_parameters, library
+from rtcal.finder.positions import surfaces as of_room
+from rtcal.finder.positions.surfaces import Divided, Faces
 from rtcal.io import geometry_files
-from rtcal.simulators.base import checked_parameters
+from rtcal.loop.measured_pairs import Pair, history, refuse_unknown, with_t30
+from rtcal.simulators.base import at_places, checked_parameters
+from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.checks import text_name
@@ -402,6 +415,8 @@ class Case:
         If a value breaks a rule; the message names place, value and rule.
     """
 
+    kind: ClassVar[str] = "means"
+
     room: Room
     configurations: Sequence[Configuration]
     equation: str = "eyring"
@@ -626,6 +641,193 @@ def files_of_case(path: str) -> list[Path]:
     return [Path(path), *(Path(path).parent / name for name in names if isinstance(name, str))]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PositionsCase:
+    """A simulator of a room, and what was measured at its source-receiver pairs.
+
+    Parameters
+    ----------
+    simulator : PathTracing
+        Geometry, sources, receivers, and the room with the prior of its coefficients.
+    measured : Measurement
+        A row per pair. Its pairs have the simulator's names of sources and receivers. Pairs at one
+        place are repeats: the case has their mean, as one pair.
+    match : sequence of str
+        Parameters that are compared; T30 in place of T20 where T30 alone was measured. Where a
+        source's directivity is unknown, reverberation times alone. The level is G of a calibrated
+        source where ``g`` was measured. A measured ``level`` has any reference that all receivers of a
+        source share.
+    simulated : Measurement, optional
+        What another program gave for the model as stated, in the room's bands, for every value that
+        was measured. The disagreement is then that program's. How it depends on the surfaces is still
+        what the simulator says.
+    exclude : sequence of (source, receiver)
+        Measured pairs that are left out.
+    surfaces : mapping of str to sequence of str, optional
+        Names of each surface's faces. By default the coplanar faces of one material are one surface.
+    position_uncertainty : float
+        Of sources and receivers, in m.
+    notes : sequence of str
+        Sentences on the data, which the finding prints; which pairs are repeats of one place is added.
+
+    Attributes
+    ----------
+    faces : dict of str to int array
+        Numbers of each surface's faces.
+
+    Raises
+    ------
+    DataError
+        If the measurement is a mean over pairs, if the room was calibrated already, if a pair of
+        ``exclude`` was not measured, or for a surface, parameter or number that breaks its rule.
+    """
+
+    kind: ClassVar[str] = "positions"
+
+    simulator: PathTracing
+    measured: Measurement
+    match: Sequence[str] = MATCH
+    simulated: Measurement | None = None
+    exclude: Sequence[Pair] = ()
+    surfaces: Mapping[str, Sequence[str]] | None = None
+    position_uncertainty: float = POSITION
+    notes: Sequence[str] = ()
+    faces: dict[str, Faces] = field(init=False)
+
+    def __post_init__(self) -> None:
+        checks.instance("simulator", self.simulator, PathTracing)
+        checks.instance("measured", self.measured, Measurement)
+        checked_uncertainty(self.position_uncertainty)
+        put = partial(object.__setattr__, self)
+        put("match", self.simulator.trusted(with_t30(self.match, self.measured)))
+        put("exclude", checks.pairs("exclude", self.exclude))
+        repeated: tuple[str, ...] = ()
+        for name in ("simulated", "measured"):
+            if (values := getattr(self, name)) is None:
+                continue
+            values, repeated = at_places(self.simulator, checks.instance(name, values, Measurement))
+            put(name, values)
+            if values.is_summary:
+                raise DataError(
+                    f"{name} holds means over pairs; to say where, it needs a row for each source and "
+                    "receiver. Without a geometry rtcal.finder says what is missing"
+                )
+        put("notes", (*checks.listed("notes", self.notes), *repeated))
+        refuse_unknown(self.exclude, self.measured)
+        if self.simulated is not None:
+            self._check_simulated(self.simulated)
+        if history(self.room):
+            raise DataError(
+                f'room "{self.room.name}" is calibrated: its coefficients hide what it misses. Use the '
+                "room as it was before"
+            )
+        if not self.room.sigma.any():
+            raise DataError(
+                f'room "{self.room.name}" states sigma = 0: every coefficient is exactly known'
+            )
+        put("faces", of_room.of_geometry(self.geometry, self.surfaces))
+
+    def _check_simulated(self, simulated: Measurement) -> None:
+        """Raise DataError unless there is a value for everything that was measured and is used."""
+        frequencies = self.room.centre_frequencies
+        if not np.array_equal(simulated.centre_frequencies, frequencies):
+            raise DataError(
+                f"simulated has {bands.span(simulated.centre_frequencies)}; the room has "
+                f"{bands.span(frequencies)}"
+            )
+        if lacking := [pair for pair in self.pairs if pair not in simulated.pairs]:
+            raise DataError(
+                f"simulated lacks {' to '.join(lacking[0])}, which was measured; exclude the pair or "
+                "add its rows"
+            )
+        measured, given = (m.select(self.pairs).values for m in (self.in_room, simulated))
+        for name in self.match:
+            kind = observable(name)
+            key = kind.key_in(measured)
+            if key not in measured:
+                continue
+            label = parameter_label(key)
+            values = given.get(key, given.get(str(kind.stand_in)))
+            if values is None:
+                raise DataError(
+                    f"simulated has no {label}, which was measured; leave {name} out of match"
+                )
+            for i, k in np.argwhere(np.isfinite(measured[key]) & ~np.isfinite(values)):
+                raise DataError(
+                    f"simulated lacks {label} from {' to '.join(self.pairs[i])} at "
+                    f"{bands.label(frequencies[k])}, which was measured"
+                )
+
+    @property
+    def room(self) -> Room:
+        """The simulator's room: materials and the prior of their coefficients."""
+        return self.simulator.room
+
+    @property
+    def geometry(self) -> Polyhedron:
+        """The simulator's geometry."""
+        return self.simulator.geometry
+
+    @cached_property
+    def divided(self) -> Divided:
+        """The geometry with its long surfaces divided."""
+        return of_room.divided(self.geometry, self.faces)
+
+    @cached_property
+    def surfaces_of_materials(self) -> dict[int, list[int]]:
+        """The numbers of the surfaces that are of one material alone, by the material's number."""
+        made_of = np.array(self.room.material_rows(self.geometry.materials))
+        out: dict[int, list[int]] = {}
+        for j, faces in enumerate(self.faces.values()):
+            if (made_of[faces] == made_of[faces[0]]).all():
+                out.setdefault(int(made_of[faces[0]]), []).append(j)
+        return dict(sorted(out.items()))
+
+    @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """The kind of each surface: "floor", "wall" or "ceiling"."""
+        return tuple(of_room.kind(self.geometry, faces) for faces in self.faces.values())
+
+    @cached_property
+    def surface_alpha(self) -> Array:
+        """Mean alpha of each surface, (n_surfaces, n_bands)."""
+        alpha = self.room.alpha[self.room.material_rows(self.geometry.materials)]
+        areas = self.geometry.face_areas
+        faces = self.faces.values()
+        return np.array([np.average(alpha[f], axis=0, weights=areas[f]) for f in faces])
+
+    @property
+    def areas(self) -> dict[str, float]:
+        """Area of each surface in m²."""
+        return {n: float(self.geometry.face_areas[f].sum()) for n, f in self.faces.items()}
+
+    @cached_property
+    def in_room(self) -> Measurement:
+        """The measurement in the room's bands, NaN where it has none of them."""
+        return self.measured.in_bands(self.room.centre_frequencies)
+
+    @property
+    def pairs(self) -> tuple[Pair, ...]:
+        """The measured pairs that are used, in the simulator's order."""
+        return tuple(
+            p for p in self.simulator.pairs if p in self.measured.pairs and p not in self.exclude
+        )
+
+    def only(self, pairs: Sequence[Pair]) -> PositionsCase:
+        """Return the case with these measured pairs alone; DataError for one that it lacks."""
+        wanted = checks.pairs("pairs", pairs)
+        if lacking := [p for p in wanted if p not in self.pairs]:
+            raise DataError(f"pairs has {' to '.join(lacking[0])}, which the case lacks")
+        left = tuple(p for p in self.measured.pairs if p not in wanted)
+        return replace(self, exclude=left)
+
+    def __repr__(self) -> str:
+        return (
+            f'<PositionsCase "{shortened(self.room.name)}": {len(self.faces)} surfaces, '
+            f"{len(self.pairs)} pairs, {bands.span(self.room.centre_frequencies)}>"
+        )
+
+
 _LEAST = 1e-6
 """Least standard uncertainty that is taken of a stated mean, of its share: none is exact."""
 
@@ -690,6 +892,8 @@ class StatesCase:
     >>> print(case.change.round(2))
     [[-0.31 -0.44]]
     """
+
+    kind: ClassVar[str] = "states"
 
     room: Room
     before: Measurement
@@ -836,3 +1040,69 @@ class StatesCase:
         stated = self.simulator.directivity
         sources = dict.fromkeys(source for source, _ in self.pairs)
         return tuple(s for s in sources if not isinstance(stated.get(s), Directivity))
+
+
+AnyCase: TypeAlias = Case | PositionsCase | StatesCase
+
+
+def case_of(
+    room: Room,
+    measured: Measurement,
+    simulator: PathTracing | None = None,
+    before: Measurement | None = None,
+    *,
+    tracing: Mapping[str, Any] | None = None,
+    **stated: Any,
+) -> AnyCase:
+    """Return the case of a room and what was measured in it, which decides what is compared.
+
+    Measured before as well, it is that of two states. Measured pair by pair, in a room with a simulator
+    or that states its mesh, sources and receivers, it is that of its positions. Else means over
+    positions are compared.
+
+    Parameters
+    ----------
+    room : Room
+    measured, before : Measurement
+    simulator : PathTracing, optional
+        Of the room; by default the one that the room's scene states, if it states one.
+    tracing : mapping, optional
+        Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, where the scene is traced.
+    **stated
+        Further parameters of `PositionsCase`.
+
+    Raises
+    ------
+    DataError
+        For a simulator of another room, ``tracing`` where nothing is traced, what is stated of another
+        kind of case; as `rtcal.io.geometry_files.path_tracing` and the cases do.
+    """
+    checks.instance("room", room, Room)
+    of_pairs = not checks.instance("measured", measured, Measurement).is_summary
+    if before is not None:
+        of_pairs &= not checks.instance("before", before, Measurement).is_summary
+    if simulator is not None and simulator.room is not room:
+        raise DataError("simulator is of another room; make it with this one")
+    if simulator is not None and tracing:
+        raise DataError(
+            "tracing is not used beside a simulator: give the simulator these arguments"
+        )
+    needs = "needs a room that states its sources and receivers, measured pair by pair"
+    of_scene: dict[str, Any] = {}
+    if simulator is None and of_pairs and room.scene.sources:
+        options = checks.mapped("tracing", {} if tracing is None else tracing)
+        checks.texts("tracing: names", options)
+        simulator = geometry_files.path_tracing(room, **options)
+        of_scene["surfaces"] = room.scene.surfaces or None
+        of_scene["position_uncertainty"] = room.scene.position_uncertainty
+    elif tracing:
+        raise DataError(f"tracing {needs}{'' if before is None else ' before and after'}")
+    if before is not None:
+        for name in filter(stated.get, stated):
+            raise DataError(f"{name} is not of a search for what changed between these two states")
+        return StatesCase(room=room, before=before, after=measured, simulator=simulator)
+    if simulator is not None and of_pairs:
+        return PositionsCase(simulator=simulator, measured=measured, **{**of_scene, **stated})
+    for name in stated:
+        raise DataError(f"{name} {needs}")
+    return Case(room=room, configurations=[Configuration(name="as measured", measured=measured)])

@@ -24,7 +24,7 @@ from rtcal.finder.apply import (
     corrected_geometry,
     surface_at,
 )
-from rtcal.finder.case import Case, StatesCase
+from rtcal.finder.case import Case
 from rtcal.finder.claim import (
     CLAIMED,
     LEADING,
@@ -45,7 +45,6 @@ from rtcal.finder.claim import (
 from rtcal.finder.effects import AppliedEffect, CoupledRoom, Effect, WrongVolume
 from rtcal.finder.evidence import NONE, UNKNOWN, OffTogether
 from rtcal.finder.means.verdict import Fit
-from rtcal.finder.positions.case import PositionsCase
 from rtcal.support import checks
 from rtcal.support.blocks import Block
 from rtcal.support.errors import DataError
@@ -230,9 +229,8 @@ class Finding(Result):
     @property
     def kind(self) -> Kind:
         """What was compared: means over positions, every position, or two states."""
-        if isinstance(self.case, PositionsCase):
-            return "positions"
-        return "states" if isinstance(self.case, StatesCase) else "means"
+        of: Kind = self.case.kind
+        return of
 
     @property
     def best(self) -> Candidate | None:

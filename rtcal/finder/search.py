@@ -4,65 +4,25 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias
+from typing import Any
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.finder import positions
-from rtcal.finder.case import Case, Configuration, StatesCase
+from rtcal.finder.case import AnyCase, Case, case_of
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions.search import find as find_at_positions
 from rtcal.finder.states import find as find_between
-from rtcal.io import geometry_files
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 
-AnyCase: TypeAlias = Case | positions.PositionsCase | StatesCase
-
-
-def case_of(
-    room: Room,
-    measured: Measurement,
-    simulator: PathTracing | None = None,
-    before: Measurement | None = None,
-    **stated: Any,
-) -> AnyCase:
-    """Return the case of a room and what was measured in it: of its positions, where both have them.
-
-    With ``before`` it is that of two states. ``stated`` are further parameters of
-    `positions.PositionsCase.from_room`; of them two states have ``tracing`` alone.
-    """
-    checks.instance("room", room, Room)
-    checks.instance("measured", measured, Measurement)
-    if simulator is not None and simulator.room is not room:
-        raise DataError("simulator is of another room; make it with this one")
-    if simulator is not None and stated.get("tracing"):
-        raise DataError(
-            "tracing is not used beside a simulator: give the simulator these arguments"
-        )
-    if before is not None:
-        pairs = not (measured.is_summary or before.is_summary)
-        if simulator is None and pairs and room.scene.sources:
-            simulator = geometry_files.path_tracing(room, **stated.pop("tracing", {}))
-        if stated.pop("tracing", None):
-            raise DataError(
-                "tracing needs a room that states its sources and receivers, measured pair by pair "
-                "before and after: without them nothing is traced"
-            )
-        for name in filter(stated.get, stated):
-            raise DataError(f"{name} is not of a search for what changed between these two states")
-        return StatesCase(room=room, before=before, after=measured, simulator=simulator)
-    if not measured.is_summary and simulator is not None:
-        return positions.PositionsCase(simulator=simulator, measured=measured, **stated)
-    if not measured.is_summary and room.scene.sources:
-        return positions.PositionsCase.from_room(room, measured, **stated)
-    for name in stated:
-        raise DataError(
-            f"{name} needs a room that states its sources and receivers, measured pair by pair"
-        )
-    return Case(room=room, configurations=[Configuration(name="as measured", measured=measured)])
+_SEARCHES: Mapping[str, tuple[Callable[..., Finding], str]] = {
+    "means": (find_by_means, "by means over positions"),
+    "positions": (find_at_positions, "at positions"),
+    "states": (find_between, "for what changed between two states"),
+}
+"""By kind of case its search, and what a message calls it."""
 
 
 def find(
@@ -85,7 +45,7 @@ def find(
     ----------
     room : Room, or a case
         A `rtcal.finder.Case` has several configurations or another equation, a
-        `rtcal.finder.positions.PositionsCase` a simulator; both hold what was measured.
+        `rtcal.finder.PositionsCase` a simulator; both hold what was measured.
     measured : Measurement
         In a `Room`.
     simulator : PathTracing, optional
@@ -132,32 +92,22 @@ def find(
     >>> print(finding.verdict)  # doctest: +SKIP
     none
     """
-    case: AnyCase
     checks.whole("seed", seed, 0)
     if isinstance(room, Room):
         if measured is None:
             raise DataError("measured is missing: a room is compared with what was measured in it")
-        scene = {} if tracing is None else {"tracing": tracing}
-        case = case_of(room, measured, simulator, before, **scene)
+        case = case_of(room, measured, simulator, before, tracing=tracing)
+    elif not (measured is None and simulator is None and before is None and tracing is None):
+        raise DataError(
+            "measured, before, simulator and tracing belong to a room; a case holds its own"
+        )
     else:
-        if not (measured is None and simulator is None and before is None and tracing is None):
-            raise DataError(
-                "measured, before, simulator and tracing belong to a room; a case holds its own"
-            )
-        case = room
-    search: Callable[..., Any] = find_by_means
-    kind = "by means over positions"
-    if isinstance(case, StatesCase):
-        search, kind = find_between, "for what changed between two states"
-    elif isinstance(case, positions.PositionsCase):
-        search, kind = find_at_positions, "at positions"
-    else:
-        checks.instance("case", case, Case)
+        case = room if isinstance(room, AnyCase) else checks.instance("case", room, Case)
+    search, kind = _SEARCHES[case.kind]
     possible = inspect.signature(search).parameters
     for name, value in options.items():
         if name not in possible and value is not None:
             raise DataError(f"{name} is not of a search {kind}")
     every = {"seed": seed, **options}
     some = {name: value for name, value in every.items() if name in possible}
-    found: Finding = search(case, **some)
-    return found
+    return search(case, **some)

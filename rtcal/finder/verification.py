@@ -40,7 +40,7 @@ from rtcal.acoustics.priors import NORMAL_90
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.finder.apply import corrected_geometry
-from rtcal.finder.case import LEVELS, Case, StatesCase
+from rtcal.finder.case import LEVELS, Case, PositionsCase, StatesCase
 from rtcal.finder.claim import DISTINCT_NATS, Candidate, Reason
 from rtcal.finder.evidence import SCALES, probability_off
 from rtcal.finder.finding import LEAST_PAIRS, Finding, feature_names, rivals, support
@@ -56,7 +56,6 @@ from rtcal.finder.means.problem import (
 from rtcal.finder.means.recalibration import Recalibrated, plain, recalibrate
 from rtcal.finder.means.verdict import LITTLE, GapCheck, fit, gap_check
 from rtcal.finder.model import FEATURES, predict
-from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.finder.states import find as find_change
 from rtcal.loop.measured_pairs import Pair, gap_at_pairs, trace_ahead

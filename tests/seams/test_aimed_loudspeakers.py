@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder import PositionsCase
 from rtcal.finder.finding import Finding
-from rtcal.finder.positions import PositionsCase
 from tests.test_where import heard, stated, tracing
 
 pytestmark = pytest.mark.long  # three searches, each with control runs of its own sources

@@ -34,15 +34,13 @@ OWN = [e for e in rt.finder.library() if e.name != "opening"] + [Hatch()]
 
 
 @pytest.fixture(scope="module")
-def case() -> rt.finder.positions.PositionsCase:
-    return rt.finder.positions.PositionsCase(
+def case() -> rt.finder.PositionsCase:
+    return rt.finder.PositionsCase(
         simulator=tracing(stated(), n_paths=800), measured=measured(True)
     )
 
 
-def test_it_is_found_on_the_wall_where_it_stands(
-    case: rt.finder.positions.PositionsCase, kept: Path
-) -> None:
+def test_it_is_found_on_the_wall_where_it_stands(case: rt.finder.PositionsCase, kept: Path) -> None:
     finding = rt.find(case, effects=OWN, cache=kept)
     hatches = [c for c in finding.candidates if c.effect == "hatch"]
     assert hatches[0].surface == "east"
@@ -54,7 +52,7 @@ def test_it_is_found_on_the_wall_where_it_stands(
     assert verified.after < 0.9 * verified.before
 
 
-def test_it_is_found_by_means_over_positions(case: rt.finder.positions.PositionsCase) -> None:
+def test_it_is_found_by_means_over_positions(case: rt.finder.PositionsCase) -> None:
     finding = rt.find(of_means(case), effects=OWN)
     assert finding.families["added absorption, hatches"] > 0.05
 
@@ -64,7 +62,7 @@ def test_it_is_found_by_means_over_positions(case: rt.finder.positions.Positions
     [(("roof",), "stands_on has 'roof', which is not one of floor, wall, ceiling")],
 )
 def test_a_place_that_no_room_has_is_named(
-    places: Sequence[str], message: str, case: rt.finder.positions.PositionsCase
+    places: Sequence[str], message: str, case: rt.finder.PositionsCase
 ) -> None:
     wrong = type("Wrong", (Hatch,), {"stands_on": places})()
     with pytest.raises(DataError, match=message):

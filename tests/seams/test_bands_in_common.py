@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.datasets import examples
-from rtcal.finder import positions
 from rtcal.finder.effects import library
 from rtcal.support.errors import OtherBandsWarning
 from tests.conftest import also, program_of
@@ -49,9 +48,7 @@ def searched(kept: Path) -> Callable[[str], rt.finder.Finding]:
     curtain = [e for e in library() if e.name == "curtain"]
 
     def of(bands: str) -> rt.finder.Finding:
-        case = positions.PositionsCase.from_room(
-            room, IN_BANDS[bands](measured), tracing={"n_paths": 600}
-        )
+        case = rt.finder.case_of(room, IN_BANDS[bands](measured), tracing={"n_paths": 600})
         with warnings.catch_warnings():
             warnings.simplefilter("error", OtherBandsWarning)  # the notes say it
             return rt.find(case, effects=curtain, cache=kept)

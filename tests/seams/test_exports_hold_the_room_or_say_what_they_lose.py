@@ -19,7 +19,6 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder.apply import Corrected, corrected_geometry
-from rtcal.finder.positions.case import PositionsCase
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
 from rtcal.loop.positions import PositionsResult
 from rtcal.report import figures, of_positions
@@ -147,9 +146,7 @@ def patched() -> Corrected:
     ones = {"t20": np.ones((2, 8))}
     pairs = [("S1", "R1"), ("S1", "R2")]
     measured = rt.Measurement(centre_frequencies=OCTAVES, pairs=pairs, values=ones)
-    case = PositionsCase.from_room(
-        stated(scattering_model="random"), measured, tracing={"n_paths": 800}
-    )
+    case = rt.finder.case_of(stated(scattering_model="random"), measured, tracing={"n_paths": 800})
     return corrected_geometry(case, replace(candidate("floor", 4.0), spectrum=np.full(8, 0.8)))
 
 
@@ -342,7 +339,7 @@ def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path: Path) -> None
     for field in ("sources", "receivers", "position_uncertainty"):
         assert getattr(room.scene, field) == getattr(stated, field)
     assert same(room.scene.directivity, stated.directivity)
-    again = PositionsCase.from_room(room, made.case.measured)
+    again = rt.finder.case_of(room, made.case.measured)
     whole = dict(made.case.areas)
     assert again.areas.keys() == {*whole, made.material}
     assert again.areas["floor"] == pytest.approx(whole.pop("floor") - 4.0, rel=1e-6)

@@ -38,9 +38,7 @@ def test_a_pair_that_was_not_measured_cannot_be_left_out(match: tuple[str, ...])
             tracing(room, n_paths=400), room, heard, match=match, exclude=[("S1", "R9")]
         )
     with pytest.raises(DataError, match=said):
-        rt.finder.positions.PositionsCase(
-            simulator=tracing(room), measured=heard, exclude=[("S1", "R9")]
-        )
+        rt.finder.PositionsCase(simulator=tracing(room), measured=heard, exclude=[("S1", "R9")])
 
 
 def test_faces_of_other_names_on_one_surface_are_said() -> None:

@@ -44,7 +44,7 @@ def simulator() -> PathTracing:
 @pytest.mark.long
 @pytest.mark.parametrize("hidden", [False, True])
 def test_no_reference_changes_a_finding(hidden: bool, kept: Path) -> None:
-    case = rt.finder.positions.PositionsCase(simulator=simulator(), measured=relative(hidden))
+    case = rt.finder.PositionsCase(simulator=simulator(), measured=relative(hidden))
     found = rt.find(case, cache=kept)
     other = rt.find(replace(case, measured=referred(case.measured)), cache=kept)
     assert other.verdict == found.verdict
@@ -63,9 +63,7 @@ def test_a_gain_that_is_off_names_nothing(off: float, kept: Path) -> None:
     """G that was 2 dB off in a box of another's tracer had named a volume, with 18.6 nats."""
     made = measured(False, "g")
     values = {**made.values, "g": made.values["g"] + off}
-    case = rt.finder.positions.PositionsCase(
-        simulator=simulator(), measured=replace(made, values=values)
-    )
+    case = rt.finder.PositionsCase(simulator=simulator(), measured=replace(made, values=values))
     found = rt.find(case, cache=kept)
     assert found.verdict == "none"
     assert found.probabilities["volume"] < 0.2
@@ -79,7 +77,7 @@ def test_gains_that_are_off_by_source_and_band_name_nothing(seed: int, kept: Pat
     n_bands = made.values["g"].shape[1]
     each = {s: rng.choice([-1, 1], n_bands) * rng.uniform(1, 3, n_bands) for s in ("S1", "S2")}
     g = np.array([row + each[s] for (s, _), row in zip(made.pairs, made.values["g"], strict=True)])
-    case = rt.finder.positions.PositionsCase(
+    case = rt.finder.PositionsCase(
         simulator=simulator(), measured=replace(made, values={**made.values, "g": g})
     )
     found = rt.find(case, cache=kept)
@@ -95,9 +93,7 @@ def test_no_reference_of_another_programs_level_changes_a_finding(kept: Path) ->
         pairs=heard.pairs,
         values={p: heard.natural(p) for p in MATCH},
     )
-    case = rt.finder.positions.PositionsCase(
-        simulator=tracer, measured=relative(True), simulated=program
-    )
+    case = rt.finder.PositionsCase(simulator=tracer, measured=relative(True), simulated=program)
     found = rt.find(case, cache=kept)
     other = rt.find(replace(case, simulated=referred(program)), cache=kept)
     assert other.detection.score == pytest.approx(found.detection.score, abs=1e-6)

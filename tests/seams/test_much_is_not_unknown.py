@@ -11,11 +11,10 @@ import pytest
 
 import rtcal as rt
 from benchmarks.studies.geometric_world.load import IN_SITU, load, truth
-from rtcal.finder import library
+from rtcal.finder import PositionsCase, library
 from rtcal.finder.claim import CLAIMED, Candidate
 from rtcal.finder.evidence import NONE, UNKNOWN
 from rtcal.finder.finding import Finding
-from rtcal.finder.positions import PositionsCase
 from rtcal.finder.positions.problem import PositionsHypotheses, PositionsProblem, shifts
 from rtcal.finder.positions.search import (
     TOLD_TEMPER,

@@ -71,7 +71,7 @@ def test_one_room_file_serves_both_kinds_of_case(tmp_path) -> None:
         encoding="utf-8",
     )
     read = rt.Room.from_file(str(tmp_path / "room.toml"))
-    case = rt.finder.positions.PositionsCase.from_room(read, measured, tracing={"n_paths": 400})
+    case = rt.finder.case_of(read, measured, tracing={"n_paths": 400})
     assert case.pairs == pairs
     assert case.geometry.areas == pytest.approx(shape.areas)
     again = rt.finder.Case.from_file(str(tmp_path / "gap.toml")).room

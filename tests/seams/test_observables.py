@@ -136,7 +136,7 @@ def test_new_observables_are_found_with(kept: Path) -> None:
     """An opening is detected by D50 and STI beside T20. Without a level they do not tell its wall."""
     room = test_where.stated()
     hole = test_where.measured(True, match=("t20", *NEW))
-    case = rt.finder.positions.PositionsCase(
+    case = rt.finder.PositionsCase(
         simulator=test_where.tracing(room), measured=hole, match=("t20", *NEW)
     )
     finding = rt.find(case, cache=kept)

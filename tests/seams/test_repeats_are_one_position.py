@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.positions import PositionsCase
+from rtcal.finder import PositionsCase
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError

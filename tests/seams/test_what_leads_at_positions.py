@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import pytest
 
 import rtcal as rt
+from rtcal.finder import PositionsCase
 from rtcal.finder.claim import LEADING, Candidate, Reason
 from rtcal.finder.finding import Finding
-from rtcal.finder.positions import PositionsCase
 from rtcal.report import figures
 from rtcal.report.finding_words import headline
 from tests.test_where import heard, stated, tracing

@@ -73,11 +73,9 @@ def stored_in(which: str) -> Path:
     return HERE / f"population_{population_of(which)}_results.jsonl.gz"
 
 
-def case_of(
-    room: GeometricRoom, data: str, paths: int = PATHS
-) -> rt.finder.positions.PositionsCase:
+def case_of(room: GeometricRoom, data: str, paths: int = PATHS) -> rt.finder.PositionsCase:
     level = data == "level"
-    return rt.finder.positions.PositionsCase(
+    return rt.finder.PositionsCase(
         simulator=room.simulator(n_paths=paths),
         measured=room.measured if level else room.without_level(),
         match=MATCH if level else MATCH[:-1],
@@ -101,7 +99,7 @@ class Judging:
 
 
 def prepared(
-    case: rt.finder.positions.PositionsCase, cache: Path
+    case: rt.finder.PositionsCase, cache: Path
 ) -> tuple[PositionsProblem, PositionsHypotheses]:
     """Return the numbers and the hypotheses of a search, as `rtcal.find` makes them."""
     made = responses_of(case, 0, cache)

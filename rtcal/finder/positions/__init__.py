@@ -1,7 +1,7 @@
 """Say where: what is other than stated in a geometry, and on which surface.
 
     >>> import rtcal as rt
-    >>> case = rt.finder.positions.PositionsCase.from_room(room, measured)     # doctest: +SKIP
+    >>> case = rt.finder.case_of(room, measured)     # doctest: +SKIP
     >>> print(rt.find(case))                         # doctest: +SKIP
 
 docs/where.md has the method and what it can and cannot do.
@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from rtcal import support
 
 if TYPE_CHECKING:
-    from rtcal.finder.positions.case import PositionsCase as PositionsCase
     from rtcal.finder.positions.places import next_position as next_position
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -7,9 +7,9 @@ from itertools import product
 
 import numpy as np
 
+from rtcal.finder.case import PositionsCase
 from rtcal.finder.claim import Candidate
 from rtcal.finder.finding import Finding
-from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.support import checks
 from rtcal.support.errors import DataError

@@ -63,7 +63,7 @@ from rtcal.acoustics.room_errors import (
     of_climate,
     prior_covariance,
 )
-from rtcal.finder.case import CLIMATE_UNCERTAINTY
+from rtcal.finder.case import CLIMATE_UNCERTAINTY, PositionsCase
 from rtcal.finder.effects import (
     HARD,
     CoupledRoom,
@@ -85,7 +85,7 @@ from rtcal.finder.evidence import (
     with_columns,
 )
 from rtcal.finder.model import RoomState
-from rtcal.finder.positions.case import PositionsCase, covariances_of_gains
+from rtcal.finder.positions.case import covariances_of_gains
 from rtcal.finder.positions.weighing import (
     AIR,
     MOVE,

@@ -30,7 +30,7 @@ from rtcal.acoustics.changes import facing
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, observable
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.finder.case import PARAMETERS, Case, Configuration
+from rtcal.finder.case import PARAMETERS, Case, Configuration, PositionsCase
 from rtcal.finder.claim import (
     CLAIMED,
     DISTINCT_NATS,
@@ -61,7 +61,6 @@ from rtcal.finder.positions.case import (
     LIKELY_INDEX,
     LIKELY_LOBES,
     MISCALIBRATED,
-    PositionsCase,
     as_unknown,
     of_lobes,
     with_index,

@@ -34,12 +34,12 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import MATCH, TARGET, longest
 from rtcal.acoustics.room import Directivity, Room
 from rtcal.files import disk
+from rtcal.finder.case import PositionsCase
 from rtcal.finder.effects import HARD
 from rtcal.finder.positions.case import (
     INDEX_ERROR,
     LOBE_INDEX,
     OWN_INDEX_ERROR,
-    PositionsCase,
     lobes,
 )
 from rtcal.finder.positions.surfaces import Faces
