@@ -158,7 +158,12 @@ def of_finding(finding: Any, gaps: bool) -> dict[str, Any]:
         seen = verify(finding)
         row |= {
             "verification": seen.verdict,
-            "gaps": {f"{g.place}, {g.quantity}": list(g.values) for g in seen.quantities},
+            "gaps": {
+                f"{place}, {quantity}": gaps
+                for p, place in enumerate(seen.places)
+                for q, quantity in enumerate(seen.quantities)
+                if np.isfinite(gaps := seen.sizes[:, 0, q, p]).all()
+            },
             "alpha": seen.corrected.alpha,
             "plain alpha": seen.plain.alpha,
         }

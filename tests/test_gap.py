@@ -20,7 +20,7 @@ from rtcal.finder.means.engines import FOLDER
 from rtcal.finder.means.problem import distances, state
 from rtcal.finder.model import predict
 from rtcal.finder.search import find
-from rtcal.finder.verification import Gap, Miss, Verification, of_means
+from rtcal.finder.verification import Miss, Verification, of_means
 from rtcal.report import of_finding
 from rtcal.report.finding_words import evidence, headline
 from tests.conftest import candidates_of
@@ -186,29 +186,30 @@ def unsure(finding: Finding) -> Finding:
 
 def with_gap(
     seen: Verification,
-    *gaps: Gap,
+    gaps: dict[str, tuple[float, float]],
+    *,
     uncertainty: float = 0.1,
     predictive: float = 5.0,
     misses: tuple[Miss, ...] = (),
     finding: Finding | None = None,
 ) -> Verification:
     """Return a verification with these gaps at what was held out, and a claimed family."""
-    fitted = (g for g in seen.quantities if g.used != "held out")
+    rows = [seen.quantities.index(quantity) for quantity in gaps]
+    values, counted = seen.gaps.copy(), np.zeros_like(seen.counted)
+    values[:, 0, rows, 0] = np.transpose([*gaps.values()])[:, :, None] if gaps else 0.0
+    counted[rows, 0] = True
     claims = replace(seen.finding, verdict="family", family="added absorption")
     return of_means(
         finding or claims,
-        (*fitted, *gaps),
+        values,
+        counted,
         uncertainty,
         predictive,
         misses,
-        [gap.quantity for gap in gaps],
+        [*gaps],
         before=seen.plain,
         after=seen.corrected,
     )
-
-
-def held(before: float, after: float, quantity: str = "C80") -> Gap:
-    return Gap(quantity, "as built", (before, after), "held out")
 
 
 MISS = Miss("T20", "", 500.0, 0.53, 0.645, 0.013, -3.6, "s")
@@ -216,7 +217,7 @@ MISS = Miss("T20", "", 500.0, 0.53, 0.645, 0.013, -3.6, "s")
 
 def test_the_verdict_stands_beside_what_is_supported(finding: Finding) -> None:
     seen = verify(finding)
-    sure = with_gap(seen, held(1.0, 0.1))
+    sure = with_gap(seen, {"C80": (1.0, 0.1)})
     assert sure.verdict == "supported"
     assert sure.sentence in of_finding.rests_on(sure.finding, sure)
     blocks = of_finding.page(sure.finding, sure).blocks
@@ -242,7 +243,7 @@ def test_supported_means_something(
     finding: Finding, before: float, after: float, changes: dict[str, Any]
 ) -> None:
     """Not for 1.75 to 1.74 JND, nor within its error, nor where T is missed by 3 JND."""
-    seen = with_gap(verify(finding), held(before, after), **changes)
+    seen = with_gap(verify(finding), {"C80": (before, after)}, **changes)
     assert seen.verdict == "unproven"
     record = seen.to_dict()
     assert record["least_shrinkage_jnd"] == 0.2
@@ -255,19 +256,23 @@ def test_what_gets_worse_at_held_out_data_is_said_and_never_supported(
 ) -> None:
     """A coupled room was supported by EDT, to which it was fitted, while C80 and G got worse."""
     seen = verify(finding)
-    both = with_gap(seen, held(3.0, 0.2), held(1.0, 1.4, "G"))
+    both = with_gap(seen, {"C80": (3.0, 0.2), "G": (1.0, 1.4)})
     assert both.gain > both.needed
     assert both.verdict == "unproven"
-    assert with_gap(seen, held(0.1, 1.0)).verdict == "withdrawn"
-    untested = with_gap(seen, uncertainty=np.nan)
+    assert with_gap(seen, {"C80": (0.1, 1.0)}).verdict == "withdrawn"
+    untested = with_gap(seen, {}, uncertainty=np.nan)
     assert untested.verdict == "not tested"
     assert untested.to_dict()["before_jnd"] is None
 
 
 def test_nothing_ambiguous_is_supported(finding: Finding) -> None:
-    torn = with_gap(verify(finding), held(1.0, 0.1), finding=unsure(finding))
+    torn = with_gap(verify(finding), {"C80": (1.0, 0.1)}, finding=unsure(finding))
     assert torn.verdict == "unproven"
     assert [c["effect"] for c in torn.to_dict()["finding"]["candidates"]] == ["area", "opening"]
+
+
+def held_out(seen: Verification) -> set[str]:
+    return {seen.quantities[q] for q, _ in np.argwhere(seen.counted)}
 
 
 def test_what_the_finding_was_fitted_to_tests_nothing(folder: Path) -> None:
@@ -275,16 +280,16 @@ def test_what_the_finding_was_fitted_to_tests_nothing(folder: Path) -> None:
     case = Case.from_file(str(folder / "case.json"))
     found = rt.find(case, cache=folder)
     levels = verify(found)
-    assert {g.quantity for g in levels.quantities if g.used == "held out"} == {"C80", "G"}
+    assert held_out(levels) == {"C80", "G"}
     assert levels.verdict != "not tested"
     times = case.only("t20", "edt", "t30")
     alone = verify(rt.find(times, cache=folder))
     assert alone.verdict == "not tested"
-    assert not any(g.used == "held out" for g in alone.quantities)
+    assert not held_out(alone)
     # What is measured later was not in the search: the effect stays as it was found.
     later = verify(rt.find(times, cache=folder), case)
     assert later.held_out == ("what was not in the search",)
-    assert {g.quantity for g in later.quantities if g.used == "held out"} == {"C80", "G"}
+    assert held_out(later) == {"C80", "G"}
 
 
 def test_a_sound_model_is_no_input_error(folder: Path) -> None:

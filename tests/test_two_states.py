@@ -249,9 +249,9 @@ def test_an_earlier_finding_predicts_the_pairs_that_it_had_not(many: Finding) ->
     result = rt.finder.verify(earlier, before=case.before, after=case.after)
     assert result.verdict == "supported"
     assert result.gaps.shape == (2, 1, 1, 2, 6)
-    assert result.to_dict()["pairs"] == [list(p) for p in case.before.pairs[4:]]
+    assert result.to_dict()["places"] == [" to ".join(p) for p in case.before.pairs[4:]]
     np.testing.assert_allclose(
-        result.gaps[0, 0, 0], np.expm1(-many.case.change[4:]) / 0.05, rtol=1e-9
+        result.gaps[0, 0, 0], -many.case.change[4:] / np.log(1.05), rtol=1e-9
     )
     # Another change than the one that was found is not predicted.
     other = rt.finder.verify(earlier, before=case.after, after=case.before)

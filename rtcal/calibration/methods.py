@@ -8,7 +8,7 @@ in alpha take several (`rtcal.calibration.problem`).
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, overload
 
 from rtcal.acoustics.equations import Equation
@@ -127,7 +127,11 @@ def calibrate(
     measured: Any,
     method: str = "mle",
     equation: Equation | None = None,
-    **options: Any,
+    *,
+    solver: str = "clarabel",
+    unreachable: str = "raise",
+    warm_start: bool = True,
+    settings: Mapping[str, Any] | None = None,
 ) -> CalibrationResult | JointResult:
     """Calibrate a room's absorption coefficients to its measured reverberation time.
 
@@ -148,13 +152,14 @@ def calibrate(
         wrong. ``joint``: soft, of several configurations.
     equation : Equation, optional
         `rtcal.Eyring` with the room's air if not given.
-    **options
-        ``solver``: ``"clarabel"`` (the default) or ``"osqp"``.
-        ``unreachable``: ``"raise"`` (the default), or ``"nearest"`` to take the nearest T within
-        reach and list the band in the result; exact matches alone ask it. ``warm_start``: whether
-        OSQP starts from the closed form. ``settings``: a mapping of the solver's own settings. See
-        `CalibrationProblem.solve`. (No method has `rtcal.terms.LinearObservations`, so ``observed`` is
-        refused.)
+    solver : {"clarabel", "osqp"}
+    unreachable : {"raise", "nearest"}
+        Whether to take the nearest T within reach and list the band in the result; exact matches alone
+        ask it.
+    warm_start : bool
+        Whether OSQP starts from the closed form.
+    settings : mapping, optional
+        The solver's own settings; see `CalibrationProblem.solve`.
 
     Returns
     -------
@@ -185,4 +190,11 @@ def calibrate(
     if measured is None:
         raise DataError("measured = None: there is no T to calibrate to")
     calibration = preset(method, room if isinstance(room, Room) else room.union)
-    return calibration.build(room, equation).solve(measured, method=method, **options)
+    return calibration.build(room, equation).solve(
+        measured,
+        method=method,
+        solver=solver,
+        unreachable=unreachable,
+        warm_start=warm_start,
+        settings=settings,
+    )

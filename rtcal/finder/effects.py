@@ -216,11 +216,12 @@ class Effect(ABC):
 
     def describe(self, parameters: Parameters, without: str = "") -> str:
         """Return the parameters in words, but for ``without`` and the material, which a title has."""
-        known = self.parameters
+        known = {self.size: Parameter(unit=self.unit), **self.parameters}
+        in_order = [*self.parameters, *(name for name in parameters if name not in self.parameters)]
         return ", ".join(
-            known.get(name, Parameter()).shown(name, value)
-            for name, value in parameters.items()
-            if name not in (without, "material")
+            known.get(name, Parameter()).shown(name, parameters[name])
+            for name in in_order
+            if name in parameters and name not in (without, "material")
         )
 
     def contradicts(self, room: Room) -> bool:
@@ -306,13 +307,6 @@ class Absorber(AbsorbingObject):
     def wall_area(self, parameters: Parameters) -> float:
         """Return the absorber's area."""
         return float(parameters[self.size])
-
-    def describe(self, parameters: Parameters, without: str = "") -> str:
-        """Return the parameters in words, the area last."""
-        said = super().describe(parameters, self.size)
-        area = Parameter(unit=self.unit).shown(self.size, parameters.get(self.size, np.nan))
-        shown = without != self.size and self.size in parameters
-        return ", ".join(filter(None, [said, area if shown else ""]))
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
         """Return every one of `kinds` with its alpha."""
@@ -526,9 +520,6 @@ class People(AbsorbingObject):
     size: ClassVar[str] = "persons"
     size_error: ClassVar[float] = 0.35  # tables differ by half: how they stand, what they wear
     unit: ClassVar[str] = "persons"
-    parameters: ClassVar[Mapping[str, Parameter]] = {
-        "persons": Parameter(within=(0.0, inf), unit="persons")
-    }
     least: ClassVar[float] = 0.08
     most: ClassVar[float] = 1.3
     of_one: ClassVar[float] = AT_1_KHZ
@@ -550,9 +541,6 @@ class Audience(AbsorbingObject):
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.12, 0.12)
     size: ClassVar[str] = "absorption_area"
     unit: ClassVar[str] = _AREA_AT_1_KHZ
-    parameters: ClassVar[Mapping[str, Parameter]] = {
-        "absorption_area": Parameter(within=(0.0, inf), unit=_AREA_AT_1_KHZ)
-    }
     stands_on: ClassVar[Sequence[str]] = ("floor",)
     # Relative to 1 kHz, 63 Hz to 8 kHz.
     SEATED: ClassVar[tuple[float, ...]] = (0.30, 0.42, 0.58, 0.80, 1.0, 1.07, 1.05, 0.97)
@@ -583,7 +571,6 @@ class Furniture(AbsorbingObject):
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.12, 0.12)
     size: ClassVar[str] = "absorption_area"
     unit: ClassVar[str] = _AREA_AT_1_KHZ
-    parameters: ClassVar[Mapping[str, Parameter]] = Audience.parameters
     each: ClassVar[Sequence[float]] = (0.45, 0.6, 0.75, 0.88, 1.0, 1.08, 1.1, 1.1)
     most: ClassVar[float] = 1.1
     steps: ClassVar[int] = 12

@@ -61,6 +61,7 @@ _CHOICE = 6
 _LEAST = 1e-3
 """Probability below which nothing is added to a surface, even where the user names it."""
 Kind = Literal["means", "positions", "states"]
+DATA = {"means": "means over positions", "positions": "positions", "states": "two states"}
 
 
 def _no_numbers() -> Array:
@@ -449,11 +450,10 @@ class Finding(Result):
         >>> print(abs(now / [0.9, 0.7] - 1) < 0.1)  # within 10 %
         [ True  True]
         """
-        of = {"means": "means over positions", "positions": "positions", "states": "two states"}
         taken = {"means": ("effect",), "positions": ("effect", "form", "at"), "states": ()}
         for name, value in {"effect": effect, "form": form, "at": at}.items():
             if value is not None and name not in taken[self.kind]:
-                raise DataError(f"{name} is not of a finding of {of[self.kind]}")
+                raise DataError(f"{name} is not of a finding of {DATA[self.kind]}")
         if self.kind == "means":
             return corrected_case(self.with_effects(members=self.chosen(effect)))
         if self.refusal is not None:

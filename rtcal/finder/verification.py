@@ -15,18 +15,18 @@ shift of ln T.
 
 from __future__ import annotations
 
+import inspect
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import (
     LEVEL,
@@ -43,7 +43,7 @@ from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.case import LEVELS, Case, PositionsCase, StatesCase
 from rtcal.finder.claim import DISTINCT_NATS, Candidate, Reason
 from rtcal.finder.evidence import SCALES, probability_off
-from rtcal.finder.finding import LEAST_PAIRS, Finding, feature_names, rivals, support
+from rtcal.finder.finding import DATA, LEAST_PAIRS, Finding, feature_names, rivals, support
 from rtcal.finder.means.problem import (
     MeansProblem,
     ObservedFeatures,
@@ -54,7 +54,7 @@ from rtcal.finder.means.problem import (
     state,
 )
 from rtcal.finder.means.recalibration import Recalibrated, plain, recalibrate
-from rtcal.finder.means.verdict import LITTLE, GapCheck, fit, gap_check
+from rtcal.finder.means.verdict import LITTLE, fit, gap_check
 from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.finder.states import find as find_change
@@ -89,38 +89,6 @@ _LEAST_NEW = 2
 """Fewest pairs that a finding of two states had not: their scatter tells how sure the gain is."""
 _T20 = FEATURES.index(TARGET.key)
 _LEVEL_ROWS = [FEATURES.index(name) for name in LEVELS]
-MODELS = {
-    "before": "as stated",
-    "plain": "calibrated",
-    "corrected": "corrected and calibrated",
-}
-"""The models whose gaps are compared at positions, and how each is called."""
-
-
-@dataclass(frozen=True)
-class Gap:
-    """The mean absolute gap in JND of one quantity, at one place or all, by model.
-
-    ``used`` is "matched" of what plain calibration matches, "held out" of what a model predicts that
-    was not fitted to it, else "". ``spread`` is the standard deviation over the simulator's seeds.
-    """
-
-    quantity: str
-    place: str
-    values: tuple[float, ...]
-    used: str = ""
-    spread: tuple[float, ...] = ()
-
-    @property
-    def row(self) -> Row:
-        """Quantity and place with the gap of each model."""
-        name = " of ".join(filter(None, (self.quantity, self.place)))
-        values = self.spread or (np.nan,) * len(self.values)
-        cells = [
-            f"{value:.2f}" + (f" ± {spread:.2f}" if np.isfinite(spread) else "")
-            for value, spread in zip(self.values, values, strict=True)
-        ]
-        return Row(f"{name} ({self.used})" if self.used else name, cells)
 
 
 @dataclass(frozen=True)
@@ -162,23 +130,23 @@ class Miss:
 
 
 def _missed(
-    quantity: str,
-    place: str,
-    unit: str,
-    bands_and_values: tuple[Array, Array, Array, Array],
-    jnd: Array,
-    error: Array,
-) -> list[Miss]:
-    """Return the bands whose gap in JND exceeds 1 JND and its standard ``error``, which is in JND, too.
+    quantity: str, place: str, unit: str, columns: Sequence[Array], jnd: Array, error: Array
+) -> Iterator[Miss]:
+    """Yield the bands whose gap in JND exceeds 1 JND and its standard ``error``, which is in JND, too.
 
-    Centre frequencies, model, measured and uncertainty are of all bands, (n_bands,).
+    ``columns`` are centre frequencies, model, measured and uncertainty, (n_bands,) each.
     """
     far = np.isfinite(jnd) & (np.abs(jnd) > np.maximum(1.0, np.nan_to_num(error)))
-    columns = (of[far].tolist() for of in (*bands_and_values, jnd))
-    return [
-        Miss(quantity, place, f, model, measured, u, by, unit)
-        for f, model, measured, u, by in zip(*columns, strict=True)
-    ]
+    rows = zip(*(of[far].tolist() for of in (*columns, jnd)), strict=True)
+    for frequency, model, measured, u, by in rows:
+        yield Miss(quantity, place, frequency, model, measured, u, by, unit)
+
+
+def _mean(values: Array, axis: int | tuple[int, ...]) -> Array:
+    """Return the mean of what is known; NaN where nothing is."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.asarray(np.nanmean(values, axis=axis))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -192,53 +160,80 @@ class Verification(Result):
         How each model is called; the last has what was found, the one before it has not.
     held_out : tuple of str
         What was held out, in words; () where nothing could be.
-    before, after : float
-        Mean absolute gap in JND at what was held out, without and with what was found; NaN where
-        nothing was.
-    gain, uncertainty : float
-        The decrease of the gap and its standard error, in JND.
+    quantities, places : tuple of str
+        Parameters, and pairs or configurations.
+    gaps : array (n_models, n_seeds, n_quantities, n_places, n_bands)
+        Model less measured in JND, NaN where nothing was measured. Of two states in steps of ln T, so
+        that states that are exchanged have the same means and gains.
+    counted : bool array (n_quantities, n_places)
+        Of which no model was fitted to it.
+    uncertainty : float
+        Standard error of the gain in JND.
     needed, endured : float
         The decrease of the gap in JND that supports the finding, and the increase that withdraws it.
-    quantities : tuple of Gap
+    predictive : float
+        Of means, the nats by which what was held out is more probable with what was found.
     misses : tuple of Miss
         What the model with what was found was matched to, and misses.
     doubts : tuple of str
         Why the finding is not supported, beside gap and misses, a clause each.
+    added : tuple of Candidate or None
+        At positions, what each half of the pairs added to its model, or None.
     found_again : str
         The things that parts of the data found, where these are others, in words.
     but : str
         What a support leaves open, in words.
     notes : tuple of str
-    gaps : array (n_models, n_seeds, n_parameters, n_pairs, n_bands)
-        Model less measured in JND at pairs, NaN where nothing was measured; empty of means over
-        positions.
     plain, corrected : Recalibrated or None
-        Of means over positions: the calibrations to all data without and with what was found.
-    details : mapping of str to plain values
-        What its kind has beside these, as `to_dict` returns it.
+        Of means, the calibrations to all data without and with what was found.
     """
 
-    record_kind: ClassVar[str] = "verification 5"
+    record_kind: ClassVar[str] = "verification 6"
 
     finding: Finding
     models: tuple[str, ...]
     held_out: tuple[str, ...]
-    before: float
-    after: float
-    gain: float
+    quantities: tuple[str, ...]
+    places: tuple[str, ...]
+    gaps: Array
+    counted: NDArray[np.bool_]
     uncertainty: float
     needed: float
     endured: float
-    quantities: tuple[Gap, ...] = ()
+    predictive: float = float("nan")
     misses: tuple[Miss, ...] = ()
     doubts: tuple[str, ...] = ()
+    added: tuple[Candidate | None, ...] = ()
     found_again: str = ""
     but: str = ""
     notes: tuple[str, ...] = ()
-    gaps: Array = field(default_factory=lambda: np.zeros((0, 0, 0, 0, 0)))
     plain: Recalibrated | None = None
     corrected: Recalibrated | None = None
-    details: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def sizes(self) -> Array:
+        """Mean absolute gap in JND over the bands, (n_models, n_seeds, n_quantities, n_places)."""
+        return _mean(np.abs(self.gaps), 4)
+
+    @property
+    def by_seed(self) -> Array:
+        """Mean absolute gap at what was held out, by model and seed, (n_models, n_seeds)."""
+        return _mean(np.where(self.counted, self.sizes, np.nan), (2, 3))
+
+    @property
+    def before(self) -> float:
+        """That without what was found; NaN where nothing was held out."""
+        return float(self.by_seed[-2].mean())
+
+    @property
+    def after(self) -> float:
+        """That with what was found."""
+        return float(self.by_seed[-1].mean())
+
+    @property
+    def gain(self) -> float:
+        """The decrease of the gap in JND."""
+        return self.before - self.after
 
     @property
     def calibrations(self) -> tuple[Recalibrated, ...]:
@@ -301,22 +296,39 @@ class Verification(Result):
         return " ".join(filter(None, [*said, self.misses_in_words]))
 
     @property
-    def by_seed(self) -> Array:
-        """Mean absolute gap at pairs in JND by model and seed of the simulator, (n_models, n_seeds)."""
-        return np.asarray(np.nanmean(np.abs(self.gaps), axis=(2, 3, 4)))
-
-    @property
     def table(self) -> Table:
-        """The mean gaps by quantity and place, and all that was held out, by model."""
-        rows = [gap.row for gap in self.quantities]
-        if np.isfinite(self.before) and not len(self.gaps):
-            rows.append(Row("all that was held out", [self.before, self.after], ".2f"))
+        """The mean gaps by model: of each quantity and of each place, and of all that was held out.
+
+        Where some of it was matched or fitted, of each quantity at each place, and which that is.
+        """
+        sizes, rows = self.sizes, list[Row]()
+
+        def row(name: str, by_seed: Array) -> None:
+            """Add a row: means over the seeds, and their standard deviation."""
+            spread = by_seed.std(axis=1, ddof=1) if by_seed.shape[1] > 1 else [None] * len(by_seed)
+            means = by_seed.mean(axis=1)
+            if np.isfinite(means).all():
+                both = zip(means, spread, strict=True)
+                cells = [f"{m:.2f}" + ("" if s is None else f" ± {s:.2f}") for m, s in both]
+                rows.append(Row(name, cells))
+
+        if self.counted.all():
+            for q, quantity in enumerate(self.quantities):
+                row(quantity, _mean(sizes[:, :, q], 2))
+        for p, place in enumerate(self.places):
+            if self.counted.all():
+                row(place, _mean(sizes[:, :, :, p], 2))
+                continue
+            for q, quantity in enumerate(self.quantities):
+                used = "matched" if p == q == 0 else ""
+                used = "held out" if self.counted[q, p] else used
+                row(f"{quantity} of {place}{f' ({used})' if used else ''}", sizes[:, :, q, p])
+        row("all that was held out", self.by_seed)
         return Table(self.models, rows, corner="mean gap / JND")
 
     def blocks(self) -> list[Block]:
         """Return what the result says."""
-        table = [self.table] if self.quantities else []
-        out: list[Block] = [Note(self.sentence), *map(Note, self.notes), *table]
+        out: list[Block] = [Note(self.sentence), *map(Note, self.notes), self.table]
         return out if self.corrected is None else [*out, *self.corrected.blocks(self.plain)]
 
     def __repr__(self) -> str:
@@ -326,7 +338,7 @@ class Verification(Result):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return plain values for JSON: ``gaps_jnd`` are `sizes`, mean over the seeds."""
         calibrated = {"plain": self.plain, "corrected": self.corrected}
         return {
             "verdict": self.verdict,
@@ -339,8 +351,14 @@ class Verification(Result):
             "after_jnd": json_numbers(self.after),
             "gain_jnd": json_numbers(self.gain),
             "uncertainty_jnd": json_numbers(self.uncertainty),
+            "predictive_nats": json_numbers(self.predictive),
             "objections": [] if np.isnan(self.before) else list(self.objections),
-            **self.details,
+            "models": list(self.models),
+            "quantities": list(self.quantities),
+            "places": list(self.places),
+            "counted": self.counted.tolist(),
+            "gaps_jnd": json_numbers(self.sizes.mean(axis=1)),
+            "added": [None if c is None else c.to_dict() for c in self.added],
             **{name: of.to_dict() for name, of in calibrated.items() if of is not None},
         }
 
@@ -365,7 +383,7 @@ def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verifi
     DataError
         Where there is nothing to add; of two or more effects; for fewer than four pairs, or fewer than
         two that are new; where one of two states is missing, or ``case`` has other configurations or
-        bands.
+        bands; for an option that such a finding does not have.
 
     Examples
     --------
@@ -381,18 +399,59 @@ def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verifi
     >>> print(verify(rt.find(room, after, before=before)).verdict)
     supported
     """
-    if finding.kind == "positions":
-        return _verify_at_positions(finding, **options)
-    if finding.kind == "states":
-        return _verify_states(finding, **options)
-    return _verify_means(finding, case, **options)
+    of_kind: dict[str, Callable[..., Verification]] = {
+        "means": _of_means,
+        "positions": _at_positions,
+        "states": _of_states,
+    }
+    compare = of_kind[finding.kind]
+    options |= {} if case is None else {"case": case}
+    for name in options.keys() - inspect.signature(compare).parameters.keys():
+        raise DataError(f"{name} is not of a verification of {DATA[finding.kind]}")
+    return compare(finding, **options)
 
 
 # Means over positions.
 
 
+class _Part(NamedTuple):
+    """A part of the data that the effect is not fitted to.
+
+    ``hidden`` and ``counted`` (n_configurations, n_features, n_bands) are what the effect is not fitted
+    to, and what of it counts. ``configurations`` are the numbers of those that no model is calibrated
+    to.
+    """
+
+    words: str
+    hidden: NDArray[np.bool_]
+    counted: NDArray[np.bool_]
+    configurations: tuple[int, ...] = ()
+
+
+def _parts_of(case: Case, used: NDArray[np.bool_], fitted: NDArray[np.bool_]) -> list[_Part]:
+    """Return the parts of the data that can be held out of what the finding was ``fitted`` to."""
+    further = used & ~fitted
+    further[0, 0] = False  # alpha fits T20 of the first configuration, whatever is missing
+    if further.any():
+        return [_Part("what was not in the search", further, further)]
+    out = []
+    levels = np.zeros_like(used)
+    levels[:, _LEVEL_ROWS] = used[:, _LEVEL_ROWS]
+    if levels[0].any():
+        counted = np.zeros_like(used)
+        counted[0] = levels[0]
+        rows = zip(LEVELS, _LEVEL_ROWS, strict=True)
+        names = [name.upper() for name, row in rows if used[0, row].any()]
+        out.append(_Part(" and ".join(names), levels, counted))
+    for c, configuration in enumerate(case.configurations[1:], 1):
+        whole = np.zeros_like(used)
+        whole[c] = used[c]
+        out.append(_Part(f'configuration "{configuration.name}"', whole, whole, (c,)))
+    return out
+
+
 @single_threaded_blas()
-def _verify_means(finding: Finding, case: Case | None = None) -> Verification:
+def _of_means(finding: Finding, case: Case | None = None) -> Verification:
     """Compare the model with and without the best effect."""
     if not finding.can_be_added:
         raise DataError(f'the verdict is "{finding.verdict}"; there is no effect to add')
@@ -403,28 +462,53 @@ def _verify_means(finding: Finding, case: Case | None = None) -> Verification:
         )
     own: Case = finding.case
     case = own if case is None else case
-    observed, fitted = observe(case)[0], observe(own)[0]
-    if fitted.used.shape != observed.used.shape:
+    observed, fitted = observe(case)[0], np.array(observe(own)[0].used, dtype=bool)
+    used = np.array(observed.used, dtype=bool)
+    if fitted.shape != used.shape:
         raise DataError(
             f"case has {len(case.configurations)} configurations in {case.room.n_bands} bands; the "
             f"finding has {len(own.configurations)} in {own.room.n_bands}"
         )
     before, after = plain(case), recalibrate(finding.with_effects(case), finding.discrepancy)
-    bias = finding.discrepancy.bias.reshape(observed.features.shape)
-    every = np.array(observed.used, dtype=bool)
-    quantities = _gaps_of_means(case, observed, bias, before, after, every, held_out=False)
-    parts = _parts_of(case, observed, fitted)
-    held, uncertainty, predictive = list[Gap](), 0.0, 0.0
+    bias = finding.discrepancy.bias.reshape(used.shape)
+    # Plain calibration has bent alpha for the model's bias in T as well.
+    usual = before.features + np.where(np.arange(len(FEATURES)) == _T20, 0.0, 1.0)[:, None] * bias
+    measured = np.where(used, observed.features, np.nan)
+
+    def gaps_of(corrected: Recalibrated) -> Array:
+        """Return the gaps in JND, (2, n_configurations, n_features, n_bands)."""
+        return _in_jnd(np.array([usual, corrected.features + bias]) - measured)
+
+    gaps, counted = gaps_of(after), np.zeros_like(used)
+    parts = _parts_of(case, used, fitted)
+    errors, predictive = [np.nan] if not parts else list[float](), 0.0
+    name = str(finding.best_effect)
+    effects = [finding.effects[name]] if name in finding.effects else []
     for part in parts:
-        gaps, check = _predicted_part(finding, case, observed, part, before)
-        held += gaps
-        uncertainty += check.uncertainty * len(gaps)
+        found = finding.fits[name]
+        if (part.hidden & fitted).any():  # the best effect as the data without this part have it
+            rest: Any = used & ~part.hidden
+            kept = rest[used]
+            covariance = observed.covariance[np.ix_(kept, kept)]
+            of_rest = replace(observed, used=rest, covariance=covariance)
+            predicted = predict_hypotheses(case, effects)
+            problem = MeansProblem(case, of_rest, predicted, finding.discrepancy)
+            found = fit(evaluate(problem, probability_off(case.room)), name, precise=True)
+        with_it = finding.with_effects(case, fits={name: found})
+        again = recalibrate(with_it, finding.discrepancy, left_out=part.configurations)
+        gaps = np.where(part.counted, gaps_of(again), gaps)
+        counted |= part.counted
+        predicted = predict_hypotheses(case, effects, [[found.parameters]] if effects else None)
+        problem = MeansProblem(case, observed, predicted, finding.discrepancy)
+        scale = SCALES[0][0] if found.coefficients is not None else 1.0
+        check = gap_check(problem, 1 if effects else 0, scale, part.counted[used])
+        errors += [check.uncertainty] * int(part.counted.any(axis=2).sum())
         predictive += check.predictive
-    by_name = {(g.place, g.quantity): g for g in (*quantities, *held)}
     return of_means(
         finding,
-        list(by_name.values()),
-        uncertainty / len(held) if held else float("nan"),
+        np.ascontiguousarray(gaps.swapaxes(1, 2)[:, np.newaxis]),
+        np.asarray(counted.any(axis=2)).T,
+        float(np.mean(errors)),
         predictive,
         _misses_of_means(case, observed, bias, after),
         [part.words for part in parts],
@@ -433,9 +517,17 @@ def _verify_means(finding: Finding, case: Case | None = None) -> Verification:
     )
 
 
+def _in_jnd(off: Array) -> Array:
+    """Return model less measured in JND, signed, of features (..., n_features, n_bands)."""
+    jnd = np.array([[observable(name).jnd] for name in FEATURES])
+    relative = np.array([[name not in LEVELS] for name in FEATURES])  # these are logarithms
+    return np.asarray(np.where(relative, np.expm1(np.where(relative, off, 0.0)), off) / jnd)
+
+
 def of_means(
     finding: Finding,
-    quantities: Sequence[Gap],
+    gaps: Array,
+    counted: NDArray[np.bool_],
     uncertainty: float,
     predictive: float,
     misses: Sequence[Miss],
@@ -446,148 +538,60 @@ def of_means(
 ) -> Verification:
     """Return what the gaps of means say of a finding.
 
-    ``uncertainty`` is the standard error of the gap's change in JND, by measurement, model and the
-    effect's size, and ``predictive`` the nats by which the effect predicts what was ``held_out`` better
-    than the model without it. ``before`` and ``after`` are the calibrations without and with it.
+    The ``uncertainty`` is that by measurement, model and the effect's size. ``before`` and ``after``
+    are the calibrations without and with it.
     """
-    held = [gap for gap in quantities if gap.used == "held out"]
-    mean = np.mean([gap.values for gap in held], axis=0) if held else np.full(2, np.nan)
+    configurations = after.case.configurations
+    names = zip(*(feature_names(c.measured) for c in configurations), strict=True)
+    others = [c.effect for c in rivals(finding)]
+    found = Verification(
+        finding=finding,
+        models=("plain", "corrected"),
+        held_out=tuple(held_out),
+        quantities=tuple(" or ".join(dict.fromkeys(name)) for name in names),
+        places=tuple(c.name for c in configurations),
+        gaps=gaps,
+        counted=counted,
+        uncertainty=uncertainty,
+        needed=max(LEAST_SHRINKAGE, _SURE * uncertainty),
+        endured=max(LITTLE, uncertainty),
+        predictive=predictive,
+        misses=tuple(misses),
+        but=f", but not told apart from {listed(others)}" if others else "",
+        plain=before,
+        corrected=after,
+    )
     doubts = []
-    if mean[1] > _PREDICTED:
-        doubts.append(f"with it these data are still missed by {mean[1]:.2f} JND on average")
-    for kind in dict.fromkeys(gap.quantity for gap in held):
-        one, other = np.mean([gap.values for gap in held if gap.quantity == kind], axis=0)
+    if found.after > _PREDICTED:
+        doubts.append(f"with it these data are still missed by {found.after:.2f} JND on average")
+    by_quantity = _mean(np.where(counted, found.sizes[:, 0], np.nan), 2)
+    for quantity, (one, other) in zip(found.quantities, by_quantity.T, strict=True):
         if other - one > LEAST_SHRINKAGE:
-            doubts.append(f"the gap of {kind} grows from {one:.2f} to {other:.2f} JND")
+            doubts.append(f"the gap of {quantity} grows from {one:.2f} to {other:.2f} JND")
     if predictive < DISTINCT_NATS:
         needed = {"nats": predictive, "least": DISTINCT_NATS}
         doubts.append(str(Reason("not predicted", needed)))
     if finding.verdict not in ("named", "family"):
         doubts.append("no effect and no family of effects is claimed")
-    configurations = finding.case.configurations
-    times, left = reverberation_times(finding, before, after), residual_map(finding, after)
-    others = [c.effect for c in rivals(finding)]
-    return Verification(
-        finding=finding,
-        models=("plain", "corrected"),
-        held_out=tuple(held_out),
-        before=float(mean[0]),
-        after=float(mean[1]),
-        gain=float(mean[0] - mean[1]),
-        uncertainty=uncertainty,
-        needed=max(LEAST_SHRINKAGE, _SURE * uncertainty),
-        endured=max(LITTLE, uncertainty),
-        quantities=tuple(quantities),
-        misses=tuple(misses),
-        doubts=tuple(doubts),
-        but=f", but not told apart from {listed(others)}" if others else "",
-        notes=(
-            f"It is {support(finding, finding.candidates[0])}.",
-            _fitted_in_words(finding, quantities, after),
-        ),
-        plain=before,
-        corrected=after,
-        details={
-            "predictive_nats": predictive,
-            "gaps": [
-                {
-                    "configuration": gap.place,
-                    "quantity": gap.quantity,
-                    "fitted": gap.used == "matched",
-                    "held_out": gap.used == "held out",
-                    "before_jnd": gap.values[0],
-                    "after_jnd": gap.values[1],
-                }
-                for gap in quantities
-            ],
-            "reverberation_time": [
-                {"configuration": c.name, **{k: json_numbers(v) for k, v in of.items()}}
-                for c, of in zip(configurations, times, strict=True)
-            ],
-            "residuals_after": [
-                {"configuration": c.name, "feature": name, "values": json_numbers(row)}
-                for c, rows in zip(configurations, left, strict=True)
-                for name, row in zip(feature_names(c.measured), rows, strict=True)
-                if np.isfinite(row).any()
-            ],
-        },
+    time, gap = found.quantities[0], found.sizes[0, 0, 0, 0]
+    how = "exactly" if gap < _EXACT else f"to {gap:.2f} JND"
+    met = (
+        f"Plain calibration meets the fitted {time} {how}. The corrected one meets it as closely as "
+        "the uncertainty of T allows."
     )
-
-
-def _fitted_in_words(finding: Finding, quantities: Sequence[Gap], after: Recalibrated) -> str:
-    """Return the misfit of the two calibrations to the T that they were fitted to, in words."""
-    time = finding.case.configurations[0].measured.time_label
     if after.off > _MET:
-        return (
+        met = (
             f"The corrected model does not meet the fitted {time}: it is {after.off:.1f} times as far "
             "off as the uncertainty of T allows. So no coefficients near the stated ones go with this "
             "effect and size."
         )
-    gap = next((gap.values[0] for gap in quantities if gap.used == "matched"), 0.0)
-    how = "exactly" if gap < _EXACT else f"to {gap:.2f} JND"
-    return (
-        f"Plain calibration meets the fitted {time} {how}. The corrected one meets it as closely as "
-        "the uncertainty of T allows."
-    )
-
-
-def residual_map(finding: Finding, after: Recalibrated) -> Array:
-    """Return corrected model less measured over its standard deviation, as `Finding.residuals`."""
-    case = finding.with_effects()
-    predicted = replace(predict_hypotheses(case, []), features=after.features[None])
-    problem = MeansProblem(case, observe(case)[0], predicted, finding.discrepancy)
-    return problem.standardized_residuals()
-
-
-def reverberation_times(
-    finding: Finding, before: Recalibrated, after: Recalibrated
-) -> list[dict[str, Array]]:
-    """Return T in s, (n_bands,), by configuration: measured, prior, plain, corrected."""
-    case = finding.case
-    bias = finding.discrepancy.bias.reshape(finding.residuals.shape)
-    return [
-        {
-            "measured": c.measured.reverberation_time,
-            "prior": predict([state(case, c)], distances(case, c)).reverberation_time[0],
-            "plain": np.exp(before.features[i, 0]),
-            "corrected": np.exp(after.features[i, 0] + bias[i, 0]),
-        }
-        for i, c in enumerate(case.configurations)
-    ]
-
-
-def _gaps_of_means(
-    case: Case,
-    observed: ObservedFeatures,
-    bias: Array,
-    before: Recalibrated,
-    after: Recalibrated,
-    counted: NDArray[np.bool_],
-    *,
-    held_out: bool = True,
-) -> list[Gap]:
-    """Return the gaps of what is ``counted``, (n_configurations, n_features, n_bands)."""
-    out = []
-    for c, configuration in enumerate(case.configurations):
-        for f, name in enumerate(feature_names(configuration.measured)):
-            at = counted[c, f]
-            if not at.any():
-                continue
-            measured = observed.features[c, f, at]
-            # Plain calibration has bent alpha for the model's bias in T as well.
-            usual = before.features[c, f] + (0 if f == _T20 else bias[c, f])
-            one, other = (
-                float(np.mean(np.abs(gap_in_jnd(f, measured, model[at]))))
-                for model in (usual, after.features[c, f] + bias[c, f])
-            )
-            used = "matched" if f == _T20 and c == 0 else "held out" if held_out else ""
-            out.append(Gap(name, configuration.name, (one, other), used))
-    return out
+    notes = (f"It is {support(finding, finding.candidates[0])}.", met)
+    return replace(found, doubts=tuple(doubts), notes=notes)
 
 
 def _misses_of_means(
     case: Case, observed: ObservedFeatures, bias: Array, corrected: Recalibrated
-) -> tuple[Miss, ...]:
+) -> list[Miss]:
     """Return the T to which the corrected model was matched and which it misses."""
     u = np.full(observed.used.shape, np.nan)
     u[observed.used] = np.sqrt(np.diag(observed.covariance))
@@ -601,89 +605,60 @@ def _misses_of_means(
             configuration.name if several else "",
             "s",
             (case.room.centre_frequencies, np.exp(model), time, time * spread),
-            gap_in_jnd(_T20, measured, model),
+            np.expm1(model - measured) / TARGET.jnd,
             spread / TARGET.jnd,
         )
-    return tuple(out)
-
-
-def gap_in_jnd(feature: int, measured: Array, modelled: Array) -> Array:
-    """Return the gap of a row of `FEATURES` in JND, signed."""
-    jnd = observable(FEATURES[feature]).jnd
-    if feature < 3:  # relative, from logarithms
-        return np.asarray((np.exp(modelled - measured) - 1) / jnd)
-    return np.asarray((modelled - measured) / jnd)
-
-
-@dataclass(frozen=True, eq=False)
-class _HeldOut:
-    """A part of the data that the effect is not fitted to.
-
-    ``hidden`` and ``counted`` (n_configurations, n_features, n_bands) are what the effect is not fitted
-    to, and what of it counts. ``configurations`` are the numbers of those that no model is calibrated
-    to, and ``refitted`` is whether the effect is fitted anew without the part.
-    """
-
-    words: str
-    hidden: NDArray[np.bool_]
-    counted: NDArray[np.bool_]
-    configurations: tuple[int, ...] = ()
-    refitted: bool = True
-
-
-def _parts_of(case: Case, observed: ObservedFeatures, fitted: ObservedFeatures) -> list[_HeldOut]:
-    """Return the parts of the data that can be held out of what the finding was ``fitted`` to."""
-    used = np.array(observed.used, dtype=bool)
-    further = used & ~np.array(fitted.used, dtype=bool)
-    further[0, 0] = False  # alpha fits T20 of the first configuration, whatever is missing
-    if further.any():
-        return [_HeldOut("what was not in the search", further, further, refitted=False)]
-    out = []
-    levels = np.zeros_like(used)
-    levels[:, _LEVEL_ROWS] = used[:, _LEVEL_ROWS]
-    if levels[0].any():
-        counted = np.zeros_like(used)
-        counted[0] = levels[0]
-        rows = zip(LEVELS, _LEVEL_ROWS, strict=True)
-        names = [name.upper() for name, row in rows if used[0, row].any()]
-        out.append(_HeldOut(" and ".join(names), levels, counted))
-    for c, configuration in enumerate(case.configurations[1:], 1):
-        whole = np.zeros_like(used)
-        whole[c] = used[c]
-        out.append(_HeldOut(f'configuration "{configuration.name}"', whole, whole, (c,)))
     return out
 
 
-def _predicted_part(
-    finding: Finding,
-    case: Case,
-    observed: ObservedFeatures,
-    part: _HeldOut,
-    before: Recalibrated,
-) -> tuple[list[Gap], GapCheck]:
-    """Return the gaps at a part of the data, and the linear model's check of their change."""
-    name = str(finding.best_effect)
-    effects = [finding.effects[name]] if name in finding.effects else []
-    found = finding.fits[name]
-    if part.refitted:
-        # The best effect as the data without this part have it.
-        used: Array = np.logical_and(observed.used, np.logical_not(part.hidden))
-        kept = used[observed.used]
-        rest = replace(observed, used=used, covariance=observed.covariance[np.ix_(kept, kept)])
-        predicted = predict_hypotheses(case, effects)
-        problem = MeansProblem(case, rest, predicted, finding.discrepancy)
-        found = fit(evaluate(problem, probability_off(case.room)), name, precise=True)
-    bias = finding.discrepancy.bias.reshape(observed.features.shape)
-    with_it = finding.with_effects(case, fits={name: found})
-    after = recalibrate(with_it, finding.discrepancy, left_out=part.configurations)
-    gaps = _gaps_of_means(case, observed, bias, before, after, part.counted)
-    predicted = predict_hypotheses(case, effects, [[found.parameters]] if effects else None)
-    problem = MeansProblem(case, observed, predicted, finding.discrepancy)
-    scale = SCALES[0][0] if found.coefficients is not None else 1.0
-    return gaps, gap_check(problem, 1 if effects else 0, scale, part.counted[observed.used])
+def residual_map(finding: Finding, after: Recalibrated) -> Array:
+    """Return corrected model less measured over its standard deviation, as `Finding.residuals`."""
+    case = finding.with_effects()
+    predicted = replace(predict_hypotheses(case, []), features=after.features[None])
+    problem = MeansProblem(case, observe(case)[0], predicted, finding.discrepancy)
+    return problem.standardized_residuals()
+
+
+def reverberation_times(
+    finding: Finding, before: Recalibrated, after: Recalibrated
+) -> dict[str, Array]:
+    """Return T in s of the first configuration, (n_bands,): measured, prior, plain, corrected."""
+    case, first = finding.case, finding.case.configurations[0]
+    bias = finding.discrepancy.bias.reshape(finding.residuals.shape)
+    return {
+        "measured": first.measured.reverberation_time,
+        "prior": predict([state(case, first)], distances(case, first)).reverberation_time[0],
+        "plain": np.exp(before.features[0, _T20]),
+        "corrected": np.exp(after.features[0, _T20] + bias[0, _T20]),
+    }
 
 
 # Pairs of positions.
+
+
+def at_pairs(finding: Finding, pairs: Sequence[Pair], gaps: Array, **said: Any) -> Verification:
+    """Return what gaps at held-out pairs say of a finding; ``said`` is the rest of it.
+
+    The standard error is over pairs and, of two seeds and more, over seeds. More than it is needed,
+    one-sided, by Student's t over the pairs, and `LEAST_SHRINKAGE`.
+    """
+    of_pairs = _mean(np.abs(gaps), (2, 4))
+    gains = of_pairs[-2] - of_pairs[-1]  # (n_seeds, n_pairs)
+    n_seeds, n_pairs = gains.shape
+    error = gains.mean(axis=0).std(ddof=1) / np.sqrt(n_pairs)
+    of_seeds = gains.mean(axis=1).std(ddof=1) / np.sqrt(n_seeds) if n_seeds > 1 else 0.0
+    error = float(np.hypot(error, of_seeds))
+    needed = max(LEAST_SHRINKAGE, error * float(stats.t.ppf(_CONFIDENCE, n_pairs - 1)))
+    return Verification(
+        finding=finding,
+        places=tuple(" to ".join(pair) for pair in pairs),
+        gaps=gaps,
+        counted=np.ones(gaps.shape[2:4], dtype=bool),
+        uncertainty=error,
+        needed=needed,
+        endured=needed,
+        **said,
+    )
 
 
 def _check_pairs(pairs: Sequence[object]) -> None:
@@ -693,72 +668,65 @@ def _check_pairs(pairs: Sequence[object]) -> None:
         )
 
 
-def _gain_over_pairs(gains: Array) -> dict[str, Any]:
-    """Return `Verification.gain`, ``uncertainty``, ``needed`` and ``endured``, of gains at pairs.
+def _halves_of(pairs: Sequence[Pair]) -> tuple[tuple[Pair, ...], ...]:
+    """Return two halves with every source in both: every second receiver of each source.
 
-    ``gains`` (n_seeds, n_pairs) are decreases of the mean absolute gap in JND. The standard error is
-    over pairs and, of two seeds and more, over seeds. More than it is needed, one-sided, by Student's t
-    over the pairs, and `LEAST_SHRINKAGE`.
+    Sources begin in turn with the first and the second receiver, so that a half has all receivers
+    where there are two sources.
     """
-    n_seeds, n_pairs = gains.shape
-    of_pairs = gains.mean(axis=0).std(ddof=1) / np.sqrt(n_pairs)
-    of_seeds = gains.mean(axis=1).std(ddof=1) / np.sqrt(n_seeds) if n_seeds > 1 else 0.0
-    error = float(np.hypot(of_pairs, of_seeds))
-    needed = max(LEAST_SHRINKAGE, error * float(stats.t.ppf(_CONFIDENCE, n_pairs - 1)))
-    gain = float(gains.mean())
-    return {"gain": gain, "uncertainty": error, "needed": needed, "endured": needed}
+    sources = list(dict.fromkeys(s for s, _ in pairs))
+    receivers = list(dict.fromkeys(r for _, r in pairs))
+    even = tuple((s, r) for s, r in pairs if (sources.index(s) + receivers.index(r)) % 2 == 0)
+    return even, tuple(p for p in pairs if p not in even)
 
 
 def _misses_over_pairs(
-    matched: Mapping[str, tuple[Array, Array]],
+    name: str,
+    measured: Array,
+    gaps: Array,
     pairs: Sequence[Pair],
     frequencies: Array,
-    times: Array | None = None,
+    times: Array | None,
     prediction: Array | float = 0.0,
-) -> tuple[Miss, ...]:
-    """Return the means over pairs that a model misses.
+) -> list[Miss]:
+    """Return the means of a parameter over pairs that a model misses.
 
     Their variance is the larger of that over the pairs, of which as many are independent as there are
     sources or receivers, and of that of noise in as many responses (ISO 3382-2).
 
     Parameters
     ----------
-    matched : mapping of str to two arrays
-        For each parameter the mean measured over the pairs, (n_bands,), and what is left of the gap,
-        (n_pairs, n_bands), signed and in JND.
+    name : str
+    measured : array (n_bands,)
+        Its mean over the pairs.
+    gaps : array (n_pairs, n_bands)
+        What is left, signed and in JND.
     pairs : sequence of (source, receiver)
     frequencies : array (n_bands,)
         Hz.
-    times : array (n_bands,), optional
-        T in s by which a response is noisy; by default that among ``matched``.
+    times : array (n_bands,) or None
+        T in s by which a response is noisy.
     prediction : array (n_bands,) or float
         Standard deviation in JND that the model states for itself; 0 of a calibrated one.
     """
-    out = list[Miss]()
     independent = max(len({s for s, _ in pairs}), len({r for _, r in pairs}))
-    if times is None:
-        slopes = (m for p, (m, _) in matched.items() if isinstance(observable(p), DecaySlope))
-        times = next(slopes, None)
-    for name, (measured, gaps) in matched.items():
-        of = observable(name)
-        step = of.jnd * measured if of.relative_jnd else np.full(len(measured), of.jnd)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # a band without a value
-            mean = np.nanmean(gaps, axis=0)
-            error = np.nanstd(gaps, axis=0, ddof=1) / np.sqrt(independent)
-        if times is not None:
-            one = of.scatter(frequencies, times) * (measured if of.logarithmic else 1.0)
-            error = np.fmax(error, one / step / np.sqrt(len(pairs)))
-        error = np.hypot(error, prediction)
-        values = (frequencies, measured + step * mean, measured, step * np.nan_to_num(error))
-        out += _missed(of.label, "", of.unit, values, mean, error)
-    return tuple(out)
+    of, mean = observable(name), _mean(gaps, 0)
+    step = of.jnd * measured if of.relative_jnd else np.full(len(measured), of.jnd)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a band without a value
+        error = np.nanstd(gaps, axis=0, ddof=1) / np.sqrt(independent)
+    if times is not None:
+        one = of.scatter(frequencies, times) * (measured if of.logarithmic else 1.0)
+        error = np.fmax(error, one / step / np.sqrt(len(pairs)))
+    error = np.hypot(error, prediction)
+    columns = (frequencies, measured + step * mean, measured, step * np.nan_to_num(error))
+    return list(_missed(of.label, "", of.unit, columns, mean, error))
 
 
 # Every position.
 
 
-def _verify_at_positions(
+def _at_positions(
     finding: Finding,
     *,
     seeds: Sequence[int] = (0,),
@@ -791,7 +759,11 @@ def _verify_at_positions(
         added.append(next((c for c in again.candidates if c.can_be_added), None))
         finished("search in half of the pairs")
     gaps = _gaps_at_positions(finding, halves, added, chosen, finished)
-    return at_positions(finding, gaps, added, halves, chosen)
+    return at_positions(finding, gaps, added, halves)
+
+
+MODELS = ("as stated", "calibrated", "corrected and calibrated")
+"""The models whose gaps are compared at positions."""
 
 
 def at_positions(
@@ -799,7 +771,6 @@ def at_positions(
     gaps: Array,
     added: Sequence[Candidate | None],
     halves: Sequence[Sequence[Pair]],
-    seeds: Sequence[int],
 ) -> Verification:
     """Return what the gaps at pairs that were not fitted say of a finding.
 
@@ -807,30 +778,27 @@ def at_positions(
     held-out pairs, of each of `MODELS`. ``added`` is what each half added to its model; None where it
     found no surface.
     """
-    size, pairs, parameters = np.abs(gaps), finding.pairs, finding.parameters
-    before, plainly, after = np.nanmean(size, axis=(2, 3, 4)).mean(axis=1).tolist()
-    without, with_it = (np.nanmean(each, axis=(1, 3)) for each in size[1:])
-    by_seed = np.nanmean(size, axis=(3, 4))
-    spread = by_seed.std(axis=1, ddof=1) if len(seeds) > 1 else np.full(by_seed[:, 0].shape, np.nan)
-    by_parameter = np.nanmean(size, axis=(1, 3, 4))
-    by_pair = np.nanmean(size, axis=(1, 2, 4))
+    pairs, parameters = finding.pairs, finding.parameters
     measured = Observations.of_measurement(finding.case.in_room, parameters, pairs)
     relative = LEVEL.key if LEVEL.key in finding.case.measured.values else ""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a band without a value
-        left = np.nanmean(gaps[-1], axis=0)
-        matched = {
-            name: (np.nanmean(measured.natural(name), axis=0), left[p])
-            for p, name in enumerate(parameters)
-            if name != relative  # its mean over the pairs is taken off
-        }
+    means = {n: _mean(measured.natural(n), 0) for n in parameters if n != relative}
+    times = next((m for n, m in means.items() if isinstance(observable(n), DecaySlope)), None)
+    left, frequencies = _mean(gaps[-1], 0), finding.case.room.centre_frequencies
+    misses = [
+        miss
+        for n, mean in means.items()  # the mean of a relative level is taken off
+        for miss in _misses_over_pairs(
+            n, mean, left[parameters.index(n)], pairs, frequencies, times
+        )
+    ]
     doubts, but, again = _found_again(finding, added)
-    n_seeds = "1 seed" if len(seeds) == 1 else f"{len(seeds)} seeds"
+    stated, plainly = _mean(np.abs(gaps[:2]), (1, 2, 3, 4)).tolist()
+    n_seeds = "1 seed" if gaps.shape[1] == 1 else f"{gaps.shape[1]} seeds"
     notes = [
         f"± is the standard error over {len(pairs)} pairs and {n_seeds} of the simulator. As stated, "
-        f"the gap is {before:.2f} JND."
+        f"the gap is {stated:.2f} JND."
     ]
-    if before < plainly:
+    if stated < plainly:
         notes.append(
             "Calibrated, the model is no better there than as stated: do not simulate with it."
         )
@@ -838,37 +806,19 @@ def at_positions(
         names = ", ".join(" to ".join(pair) for pair in half)
         said = "nothing" if what is None else f"{what.title}, {what.in_words}"
         notes.append(f"Fitted on {names}: added {said}.")
-    named = zip(parameters, by_parameter.T.tolist(), spread.T.tolist(), strict=True)
-    quantities = [Gap(parameter_label(n), "", tuple(v), "", tuple(off)) for n, v, off in named]
-    quantities.append(Gap("all", "", (before, plainly, after)))
-    each = zip(pairs, by_pair.T.tolist(), strict=True)
-    quantities += [Gap(" to ".join(pair), "", tuple(values)) for pair, values in each]
-    return Verification(
-        finding=finding,
-        models=tuple(MODELS.values()),
+    return at_pairs(
+        finding,
+        pairs,
+        gaps,
+        models=MODELS,
         held_out=("pairs that were not fitted",),
-        before=plainly,
-        after=after,
-        **_gain_over_pairs(without - with_it),
-        quantities=tuple(quantities),
-        misses=_misses_over_pairs(matched, pairs, finding.case.room.centre_frequencies),
+        quantities=tuple(map(parameter_label, parameters)),
+        misses=tuple(misses),
         doubts=doubts,
         but=but,
         found_again=again,
         notes=tuple(notes),
-        gaps=gaps,
-        details={
-            "pairs": [list(p) for p in pairs],
-            "seeds": list(seeds),
-            "halves": [[list(p) for p in half] for half in halves],
-            "gaps_jnd": dict(zip(MODELS, np.nanmean(size, axis=(2, 3, 4)).tolist(), strict=True)),
-            "by_parameter_jnd": {
-                model: dict(zip(parameters, values, strict=True))
-                for model, values in zip(MODELS, by_parameter.tolist(), strict=True)
-            },
-            "by_pair_jnd": dict(zip(MODELS, by_pair.tolist(), strict=True)),
-            "added": [None if c is None else c.to_dict() for c in added],
-        },
+        added=tuple(added),
     )
 
 
@@ -930,29 +880,16 @@ def _gaps_at_positions(
         stated if best is None else corrected_geometry(case.only(half), best).simulator().denser()
         for half, best in zip(halves, added, strict=True)
     ]
-    names = [*MODELS.values()]
     for n, seed in enumerate(seeds):
         trace_ahead(stated, stated.room.alpha, seed)
         as_stated = observe_pairs(stated, stated.room.alpha, finding.parameters, seed=seed)
-        finished(names[0])
+        finished(MODELS[0])
         for half, simulator in zip(halves, with_added, strict=True):
             compare(0, n, as_stated, half)
             for model, tracer in enumerate((stated, simulator), 1):
                 compare(model, n, calibrated_at(case.only(half), tracer, finding, seed), half)
-                finished(names[model])
+                finished(MODELS[model])
     return gaps
-
-
-def _halves_of(pairs: Sequence[Pair]) -> tuple[tuple[Pair, ...], ...]:
-    """Return two halves with every source in both: every second receiver of each source.
-
-    Sources begin in turn with the first and the second receiver, so that a half has all receivers
-    where there are two sources.
-    """
-    sources = list(dict.fromkeys(s for s, _ in pairs))
-    receivers = list(dict.fromkeys(r for _, r in pairs))
-    even = tuple((s, r) for s, r in pairs if (sources.index(s) + receivers.index(r)) % 2 == 0)
-    return even, tuple(p for p in pairs if p not in even)
 
 
 def calibrated_at(
@@ -976,7 +913,7 @@ def calibrated_at(
 # Two states.
 
 
-def _verify_states(
+def _of_states(
     finding: Finding,
     *,
     before: Measurement | None = None,
@@ -984,7 +921,8 @@ def _verify_states(
     seed: int = 0,
 ) -> Verification:
     checks.whole("seed", seed, 0)
-    found: StatesCase = finding.case
+    case: StatesCase = finding.case
+    found = held = case
     if not finding.detected:
         raise DataError(f'the verdict is "{finding.verdict}"; there is no change to verify')
     if (before is None) != (after is None):
@@ -993,16 +931,32 @@ def _verify_states(
     if before is not None and after is not None:
         if seed:
             raise DataError("seed is of halves of the pairs: what was found predicts further pairs")
-        found = _at_new_pairs(finding, before, after)
-        return _of_states(finding, found, finding.shift, "the other pairs")
-    _check_pairs(found.pairs)
-    predicted = np.full(found.change.shape, np.nan)
-    for half in range(2):
-        fitted = _of_pairs(finding.case, found.pairs[half::2])
+        held, fitted = _at_new_pairs(case, before, after), "the other pairs"
+        predicted = np.broadcast_to(finding.shift, held.change.shape)
+    else:
+        _check_pairs(found.pairs)
+        predicted, fitted = np.full(found.change.shape, np.nan), "the other half of the pairs"
         effects = tuple(finding.effects.values())
-        again = find_change(fitted, effects=effects, seed=seed, without=finding.left_out)
-        predicted[1 - half :: 2] = again.shift
-    return _of_states(finding, found, predicted, "the other half of the pairs")
+        for half in _halves_of(found.pairs):
+            part = _of_pairs(case, half)
+            again = find_change(part, effects=effects, seed=seed, without=finding.left_out)
+            predicted[[pair not in half for pair in found.pairs]] = again.shift
+    # A gap is as if nothing had changed, and as predicted: in steps of 1 JND each of ln T.
+    steps = np.stack([-held.change, predicted - held.change]) / np.log1p(TARGET.jnd)
+    # The geometric mean is the same of two states that are exchanged.
+    times = np.sqrt(found.times[0] * found.times[1])
+    left = (finding.shift - found.change) / np.log1p(TARGET.jnd)
+    at = (found.pairs, found.room.centre_frequencies, times, _prediction_error(finding))
+    return at_pairs(
+        finding,
+        held.pairs,
+        steps[:, np.newaxis, np.newaxis],
+        models=("if nothing changed", f"with what {fitted} found"),
+        held_out=(f"pairs that {fitted} predict",),
+        quantities=(parameter_label(TARGET.key),),
+        misses=tuple(_misses_over_pairs(TARGET.key, found.times[1], left, *at)),
+        notes=() if held is found else held.notes,
+    )
 
 
 def _of_pairs(case: StatesCase, pairs: Sequence[Pair]) -> StatesCase:
@@ -1011,10 +965,10 @@ def _of_pairs(case: StatesCase, pairs: Sequence[Pair]) -> StatesCase:
     return replace(case, before=before, after=after, simulator=None, match=MATCH)
 
 
-def _at_new_pairs(finding: Finding, before: Measurement, after: Measurement) -> StatesCase:
+def _at_new_pairs(case: StatesCase, before: Measurement, after: Measurement) -> StatesCase:
     """Return the case of the pairs that a finding had not; DataError for fewer than two."""
-    fitted = finding.case.pairs
-    if finding.case.of_means or before.is_summary or after.is_summary:
+    fitted = case.pairs
+    if case.of_means or before.is_summary or after.is_summary:
         raise DataError("means over positions have no pairs that were not fitted")
     new = [p for p in before.pairs if p in after.pairs and p not in fitted]
     if len(new) < _LEAST_NEW:
@@ -1022,45 +976,7 @@ def _at_new_pairs(finding: Finding, before: Measurement, after: Measurement) -> 
             f"{len(new)} pairs of before and after are not among the {len(fitted)} that were fitted; "
             f"{_LEAST_NEW} are needed"
         )
-    return _of_pairs(replace(finding.case, before=before, after=after), new)
-
-
-def _of_states(finding: Finding, held: StatesCase, predicted: Array, fitted: str) -> Verification:
-    """Return what the gaps of T after say of a finding.
-
-    ``predicted`` (n_bands,) or (n_pairs, n_bands) are shifts of ln T at the pairs ``held`` out, which
-    the ``fitted`` pairs predict. A gap is as if nothing had changed, and as predicted.
-    """
-    found, ratio = finding.case, np.exp(held.change)
-    gaps = np.stack([gap_jnd(np.ones_like(ratio), ratio), gap_jnd(np.exp(predicted), ratio)])
-    # In steps of 1 JND each (ln T), so that states that are exchanged have the same means, gains and
-    # misses: a JND of the longer T is another one than of the shorter.
-    without, with_change = np.abs(np.log1p(TARGET.jnd * gaps) / np.log1p(TARGET.jnd))
-    left = (finding.shift - found.change) / np.log1p(TARGET.jnd)
-    return Verification(
-        finding=finding,
-        models=("if nothing changed", f"with what {fitted} found"),
-        held_out=(f"pairs that {fitted} predict",),
-        before=float(np.nanmean(without)),
-        after=float(np.nanmean(with_change)),
-        **_gain_over_pairs(np.nanmean(without - with_change, axis=1)[np.newaxis]),
-        misses=_misses_over_pairs(
-            {TARGET.key: (found.times[1], left)},
-            found.pairs,
-            found.room.centre_frequencies,
-            # The geometric mean is the same of two states that are exchanged.
-            np.sqrt(found.times[0] * found.times[1]),
-            _prediction_error(finding),
-        ),
-        notes=() if found is held else held.notes,
-        gaps=gaps[:, np.newaxis, np.newaxis],
-        details={
-            "pairs": [list(pair) for pair in held.pairs],
-            "centre_frequencies": json_numbers(held.room.centre_frequencies),
-            "before": json_numbers(gaps[0]),
-            "after": json_numbers(gaps[1]),
-        },
-    )
+    return _of_pairs(replace(case, before=before, after=after), new)
 
 
 def _prediction_error(finding: Finding) -> Array:

@@ -23,7 +23,6 @@ from rtcal.acoustics.observables import TARGET, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.files.disk import make_folder, write_all, write_bytes
 from rtcal.files.saved import NUMBERS
-from rtcal.io.mend import Faces
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.errors import DataError, MissingDependencyError
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
     from rtcal.finder.finding import Finding
     from rtcal.finder.positions.places import Place
     from rtcal.finder.verification import Verification
+    from rtcal.io.mend import Faces
     from rtcal.loop.closed import Loop
     from rtcal.loop.positions import PositionsResult
     from rtcal.modes.calibrate import ModesResult
@@ -649,7 +649,7 @@ def corrected_times(verification: Verification) -> Any:
 
     finding = verification.finding
     f = finding.case.room.centre_frequencies
-    times = reverberation_times(finding, *verification.calibrations)[0]
+    times = reverberation_times(finding, *verification.calibrations)
     figure, axes = new_figure()
     jnd_band(axes, f, times["measured"])
     axes.plot(f, times["measured"], **MEASURED, label="measured")

@@ -378,7 +378,7 @@ def judged(finding: Finding) -> dict[str, Any]:
         "before": json_numbers(seen.before),
         "after": json_numbers(seen.after),
         "uncertainty": json_numbers(seen.uncertainty),
-        "predictive": seen.details["predictive_nats"],
+        "predictive": seen.predictive,
         "misses": len(seen.misses),
         "objections": [] if seen.verdict == "not tested" else list(seen.objections),
     }

@@ -40,7 +40,7 @@ from rtcal.finder.means.problem import (
 )
 from rtcal.finder.means.verdict import FURTHER, USUAL, further_in_words, separations
 from rtcal.finder.model import FEATURES
-from rtcal.support import blocks, checks
+from rtcal.support import checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
 from rtcal.support.speed import single_threaded_blas
@@ -82,13 +82,7 @@ class Proposal:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return {
-            "measurement": self.measurement,
-            "kind": self.kind,
-            "information_nats": self.information,
-            "cost": self.cost,
-            "nats_per_cost": self.per_cost,
-        }
+        return vars(self) | {"per_cost": self.per_cost}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -141,62 +135,48 @@ class Plan(Result):
     def __repr__(self) -> str:
         return f"<Plan with {', '.join(self.parameters)}: {len(self.reached)} effects>"
 
-    def __str__(self) -> str:
+    def blocks(self) -> list[Block]:
         """Return what each effect would show, what it may be taken for, and what to measure next."""
-        return "\n".join(blocks.lines([*self._seen, *self._taken_for, *self._proposed]))
-
-    @property
-    def _seen(self) -> list[Block]:
-        """A table: each effect with its change of T and the evidence that it is there."""
         measured = listed([parameter_label(p) for p in self.parameters])
-        rows = []
+        seen, taken = list[Row](), list[Block]()
         for name, change in self.reached.items():
             nats = self.separations[name, NONE]
             shown = f"{nats:.1f}" if nats <= _MOST else f">{_MOST:.0f}"
-            seen = "yes" if nats >= DISTINCT_NATS else "no"
-            rows.append(Row(name, [f"{100 * change:.1f} %", shown, seen]))
-        said = (
-            f"What {measured} would show of each effect, if it alone were in the room. Each has the "
-            f"size whose change of T is nearest to {100 * self.change:g} %. Evidence of "
-            f"{DISTINCT_NATS} nats, odds of ten to one, is enough to see it."
-        )
-        columns = ["change of T", "evidence / nats", "seen"]
-        return [Note(said, hanging=""), Table(columns, rows, corner="effect")]
-
-    @property
-    def _taken_for(self) -> list[Block]:
-        """For each effect the others that the data would leave possible."""
-        out: list[Block] = [
-            Note(
-                "What each may be taken for: the data would tell it from these by less than "
-                f"{DISTINCT_NATS} nats.",
-                hanging="",
+            seen.append(
+                Row(
+                    name, [f"{100 * change:.1f} %", shown, "yes" if nats >= DISTINCT_NATS else "no"]
+                )
             )
-        ]
-        for name in self.reached:
             others = [b for b in self.reached if b != name]
             alike = [b for b in others if self.separations[name, b] < DISTINCT_NATS]
             apart = [b for b in others if b not in alike]
             said = ", ".join(alike) or "no other"
             if len(alike) > len(apart):
                 said = f"all but {', '.join(apart)}" if apart else "all"
-            out.append(Note(f"{name}: {said}", "  "))
-        return out
-
-    @property
-    def _proposed(self) -> list[Block]:
-        """The further measurements: information, hours, and the greedy sequence."""
+            taken.append(Note(f"{name}: {said}", "  "))
+        out: list[Block] = [
+            Note(
+                f"What {measured} would show of each effect, if it alone were in the room. Each has the "
+                f"size whose change of T is nearest to {100 * self.change:g} %. Evidence of "
+                f"{DISTINCT_NATS} nats, odds of ten to one, is enough to see it.",
+                hanging="",
+            ),
+            Table(["change of T", "evidence / nats", "seen"], seen, corner="effect"),
+            Note(
+                "What each may be taken for: the data would tell it from these by less than "
+                f"{DISTINCT_NATS} nats.",
+                hanging="",
+            ),
+            *taken,
+        ]
         if not self.proposals:
-            return []
+            return out
         rows = [
             Row(p.measurement, [f"{p.information:.2f}", f"{p.cost:g}", f"{p.per_cost:.2f}"])
             for p in self.proposals
         ]
-        steps = [
-            Note(f"{number}. {p.measurement} ({p.information:+.2f} nats)", "  ", "     ")
-            for number, p in enumerate(self.sequence, 1)
-        ]
         return [
+            *out,
             Note(""),
             Note(
                 "What to measure next: the information to expect about which effects are there, and "
@@ -205,7 +185,10 @@ class Plan(Result):
             ),
             Table(["nats", "hours", "nats/hour"], rows, corner="measurement"),
             Note("Best one after the other:"),
-            *steps,
+            *(
+                Note(f"{number}. {p.measurement} ({p.information:+.2f} nats)", "  ", "     ")
+                for number, p in enumerate(self.sequence, 1)
+            ),
         ]
 
 
@@ -410,9 +393,9 @@ class Information:
         diagonal = np.arange(covariance.shape[1])
         covariance[:, diagonal, diagonal] *= 1 + _TRACE
         mean = moments.mean
-        self._known = measured if values is not None else np.zeros_like(measured)
-        self._measured = measured
+        self._measured, self._known = measured, np.zeros_like(measured)
         if values is not None:
+            self._known = measured
             across = covariance[:, measured]
             solved = np.linalg.solve(across[:, :, measured], across)  # (n, n_measured, m)
             residual = values - mean[:, measured]
@@ -426,15 +409,14 @@ class Information:
 
     def entropy(self) -> float:
         """Return the entropy of the sets before any further measurement, in nats."""
-        return float(_entropy(self._by_group(self._weights[None]))[0])
+        return float(self._entropy(self._weights[None])[0])
 
     def of(self, further: Mask) -> float:
         """Return the information of measuring these features as well, in nats."""
-        if self._known.any():
-            return self._information(further & ~self._known)
         return self._information(further | self._measured) - self._information(self._measured)
 
     def _information(self, mask: Mask) -> float:
+        mask = mask & ~self._known
         if not mask.any():
             return 0.0
         mean, m = self._mean[:, mask], int(mask.sum())
@@ -450,18 +432,14 @@ class Information:
         log -= log.max(0)
         after = np.exp(log)
         after /= after.sum(0)
-        return max(self.entropy() - float(_entropy(self._by_group(after.T)).mean()), 0.0)
+        return max(self.entropy() - float(self._entropy(after.T).mean()), 0.0)
 
-    def _by_group(self, weights: Array) -> Array:
-        """Return the probabilities of the sets, (draws, n_groups)."""
-        out = np.zeros((len(weights), int(self._groups.max()) + 1))
-        np.add.at(out.T, self._groups, weights.T)
-        return out
-
-
-def _entropy(probabilities: Array) -> Array:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(-np.nansum(probabilities * np.log(probabilities), axis=1))
+    def _entropy(self, weights: Array) -> Array:
+        """Return the entropy of the sets, (n,), by the weights of the hypotheses, (n, n_hypotheses)."""
+        sets = np.zeros((len(weights), int(self._groups.max()) + 1))
+        np.add.at(sets.T, self._groups, weights.T)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(-np.nansum(sets * np.log(sets), axis=1))
 
 
 def _told_apart(
