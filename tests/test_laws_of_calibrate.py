@@ -207,3 +207,8 @@ def test_another_room_of_a_problem_has_its_bands() -> None:
     other = room.replace(centre_frequencies=[100, 200, 400, 800, 1600, 3150])
     with pytest.raises(rt.errors.DataError, match="other bands than the one built with: 100 Hz"):
         problem.solve(measured, other)
+
+
+def test_a_misspelt_option_names_the_function_that_was_called() -> None:
+    with pytest.raises(TypeError, match=r"^calibrate\(\) got an unexpected .* 'slover'"):
+        rt.calibrate(room(), [0.5] * 5, slover="osqp")

@@ -108,7 +108,11 @@ def calibrate(
     measured: Times,
     method: str = "mle",
     equation: Equation | None = None,
-    **options: Any,
+    *,
+    solver: str = ...,
+    unreachable: str = ...,
+    warm_start: bool = ...,
+    settings: Mapping[str, Any] | None = ...,
 ) -> CalibrationResult: ...
 
 
@@ -118,7 +122,11 @@ def calibrate(
     measured: Sequence[Times],
     method: str = "mle",
     equation: Equation | None = None,
-    **options: Any,
+    *,
+    solver: str = ...,
+    unreachable: str = ...,
+    warm_start: bool = ...,
+    settings: Mapping[str, Any] | None = ...,
 ) -> JointResult: ...
 
 

@@ -156,8 +156,8 @@ class Plan(Result):
             taken.append(Note(f"{name}: {said}", "  "))
         out: list[Block] = [
             Note(
-                f"What {measured} would show of each effect, if it alone were in the room. Each has the "
-                f"size whose change of T is nearest to {100 * self.change:g} %. Evidence of "
+                f"What {measured} would show of each effect, if it alone were in the room. Each has "
+                f"the size whose change of T is nearest to {100 * self.change:g} %. Evidence of "
                 f"{DISTINCT_NATS} nats, odds of ten to one, is enough to see it.",
                 hanging="",
             ),
