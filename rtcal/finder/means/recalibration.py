@@ -18,10 +18,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.equations import mean_equation
+from rtcal.acoustics.equations import LinearEquation, mean_equation
+from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.calibration.measured import data_history, times_in_room
+from rtcal.calibration.methods import calibrate
 from rtcal.calibration.problem import Calibration, fit
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import LinearObservations, PriorDeviation
@@ -178,8 +180,8 @@ _STEP = 1e-5
 """Change of alpha over which ln T is differentiated."""
 _LEAST_U = 0.002
 """Relative uncertainty of T at least: a stated one of 0 would leave the prior no weight."""
-_EXACT_U = 1e-5
-"""That with which a T is matched exactly."""
+_EXACT_U = 1e-4
+"""That with which a T is matched exactly by an equation that is no function of the mean alpha."""
 _T20 = FEATURES.index("t20")
 _TIMES = LinearObservations("ln T")
 
@@ -190,7 +192,26 @@ def plain(case: Case) -> Recalibrated:
     A band whose T no alpha reaches gets the nearest reachable T.
     """
     case.require_fresh()
-    return LogTimes.of(replace(case, applied=()), [0], exact=True).calibrated()
+    case, equation = replace(case, applied=()), mean_equation(case.equation)
+    if not isinstance(equation, LinearEquation):
+        return LogTimes.of(case, [0], exact=True).calibrated()
+    data, first = LogTimes.of(case, [0]), case.configurations[0]
+    times = np.exp(data.measured)
+    measured = Measurement(
+        centre_frequencies=case.room.centre_frequencies,
+        values={"t20": times},
+        uncertainty={"t20": times * np.minimum(data.u, 0.9)},
+    )
+    room = _room(case, {}, *first.coefficients(case.room)).replace(air=first.air or case.room.air)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MissingAirWarning)  # it is among the finding's notes
+        solved = calibrate(room, measured, equation=equation.linear(), unreachable="nearest")
+    alpha = np.array(case.room.alpha)
+    own = [m not in first.changes for m in case.room.materials]
+    alpha[own] = solved.alpha[own]
+    changed = [solved.alpha[case.room.material_index(m)] for m in first.changes]
+    others = [c.changes[m].alpha for c, m in data.changed if c is not first]
+    return data.result(np.array([*alpha, *changed, *others]), solved.joint)
 
 
 @single_threaded_blas()
@@ -220,6 +241,24 @@ def recalibrate(
     bias = None if discrepancy is None else checked_discrepancy(case, discrepancy).bias
     fitted = [c for c in range(len(case.configurations)) if c not in left_out]
     return LogTimes.of(case, fitted, bias).calibrated()
+
+
+def _room(case: Case, further: Mapping[str, str], alpha: Array, sigma: Array) -> Room:
+    """Return the case's room with other coefficients, and ``further`` materials, each like another."""
+    room = case.room
+    rows = [*range(room.n_materials), *map(room.material_index, further.values())]
+    return Room(
+        name=room.name,
+        volume=room.volume,
+        materials=[*room.materials, *further],
+        areas=room.areas[rows],
+        alpha=alpha,
+        sigma=sigma,
+        centre_frequencies=room.centre_frequencies,
+        air=room.air,
+        alpha_min=None if room.alpha_min is None else np.minimum(room.alpha_min[rows], alpha),
+        band_correlation=room.band_correlation,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,19 +355,7 @@ class LogTimes:
         further = {f"{m} in {c.name}": m for c, m in self.changed}
         alpha = np.array([*room.alpha, *(c.changes[m].alpha for c, m in self.changed)])
         sigma = np.array([*room.sigma, *(c.changes[m].sigma for c, m in self.changed)])
-        rows = [*range(room.n_materials), *map(room.material_index, further.values())]
-        unknowns = Room(
-            name=room.name,
-            volume=room.volume,
-            materials=[*room.materials, *further],
-            areas=room.areas[rows],
-            alpha=alpha,
-            sigma=sigma,
-            centre_frequencies=room.centre_frequencies,
-            air=room.air,
-            alpha_min=None if room.alpha_min is None else np.minimum(room.alpha_min[rows], alpha),
-            band_correlation=room.band_correlation,
-        )
+        unknowns = _room(case, further, alpha, sigma)
         equation = mean_equation(state(case, case.configurations[0]).equation).linear()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MissingAirWarning)  # it is among the finding's notes
@@ -342,8 +369,11 @@ class LogTimes:
                 most=_ROUNDS,
                 settled=lambda step, end: bool(np.abs(end - step.alpha).max() < _SETTLED),
             )
-        alpha, joint = found.alpha, found.answer.joint
-        n = room.n_materials
+        return self.result(found.alpha, found.answer.joint)
+
+    def result(self, alpha: Array, joint: JointResult) -> Recalibrated:
+        """Return what coefficients (n_unknowns, n_bands) are calibrated to."""
+        case, n = self.case, self.case.room.n_materials
         fitted = [case.configurations[c] for c in self.fitted]
         off = (self.predict(alpha) - self.values) / self.u[self.used]
         return Recalibrated(
