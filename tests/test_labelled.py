@@ -1,7 +1,8 @@
-"""Tables with labels: their order is that of the labels, not that of the rows."""
+"""Values with labels: a mapping is put in the room's order, a table with labels is refused."""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,6 @@ import pytest
 import rtcal as rt
 from rtcal.simulators.base import check_alpha
 from rtcal.support.errors import DataError
-
-pandas = pytest.importorskip("pandas", reason="needs pandas")
 
 ALPHA = [[0.1, 0.2], [0.3, 0.4]]
 
@@ -29,36 +28,21 @@ def room(**changes: Any) -> rt.Room:
     return rt.Room(**{**stated, **changes})
 
 
-def table(**labels: Any) -> Any:
-    return pandas.DataFrame([[0.4, 0.3], [0.2, 0.1]], **labels)
-
-
-@pytest.mark.parametrize("columns", [[1000, 500], ["1000 Hz", "500"], [1000.0, 501.0]])
-def test_a_table_in_another_order_is_put_in_the_room_s(columns: list[Any]) -> None:
-    """The labels were ignored: the floor had the coefficients of the walls."""
-    alpha = table(index=["walls", "floor"], columns=columns)
-    areas = pandas.Series([74.0, 20.0], index=["walls", "floor"])
-    labelled = room(alpha=alpha, areas=areas)
+def test_a_mapping_in_another_order_is_put_in_the_room_s() -> None:
+    alpha = {"walls": ALPHA[1], "floor": ALPHA[0]}
+    labelled = room(alpha=alpha, areas={"walls": 74, "floor": 20})
     np.testing.assert_array_equal(labelled.alpha, ALPHA)
     np.testing.assert_array_equal(labelled.areas, [20, 74])
     np.testing.assert_array_equal(check_alpha(labelled, alpha), ALPHA)
 
 
-def test_a_table_without_labels_is_taken_as_it_stands() -> None:
-    """Also rows that were selected from a longer table, whose numbers say nothing of materials."""
-    assert room(alpha=table()).alpha[0, 0] == 0.4
-    assert room(alpha=table(index=[7, 3])).alpha[0, 0] == 0.4
-
-
 @pytest.mark.parametrize(
-    ("labels", "message"),
+    ("alpha", "message"),
     [
-        ({"index": ["wals", "floor"]}, "alpha: rows are wals, floor; the room has floor, walls"),
-        ({"index": ["floor", "floor"]}, "alpha: rows are floor, floor"),
-        ({"columns": [250, 500]}, "alpha: columns are 250.0, 500.0; the room has 500.0, 1000.0"),
-        ({"columns": ["low", "high"]}, "alpha: columns are low, high"),
+        ({"wals": ALPHA[1], "floor": ALPHA[0]}, "alpha: keys are wals, floor; the room has floor"),
+        (SimpleNamespace(to_numpy=lambda: np.array(ALPHA)), "alpha is a table with labels"),
     ],
 )
-def test_labels_of_another_room_are_refused(labels: dict[str, Any], message: str) -> None:
+def test_labels_of_another_room_or_of_a_table_are_refused(alpha: Any, message: str) -> None:
     with pytest.raises(DataError, match=message):
-        room(alpha=table(**labels))
+        room(alpha=alpha)

@@ -561,7 +561,7 @@ class Room:
 
     One row is one unknown of the calibration. A material that covers several surfaces is one row
     with the sum of their areas: `Room.from_surfaces` sums them and keeps them. A mapping by material,
-    such as ``areas={"floor": 20, "rest": 74}``, and a pandas DataFrame are ordered by their labels.
+    such as ``areas={"floor": 20, "rest": 74}``, is put in the room's order.
 
     Parameters
     ----------
@@ -686,7 +686,7 @@ class Room:
         self._check_names()
         for name in ("areas", "alpha", "sigma", "scattering", "alpha_min"):
             stated = getattr(self, name)
-            put(**{name: in_order(name, stated, self.materials, self.centre_frequencies)})
+            put(**{name: in_order(name, stated, self.materials)})
         put(areas=checks.shaped("areas", self.areas, self.n_materials))
         if (bad := ~((self.areas > 0) & (self.areas <= LARGEST))).any():
             i = int(np.argmax(bad))
@@ -1237,49 +1237,23 @@ def of_materials(
     }
 
 
-def in_order(place: str, value: Any, materials: Sequence[str], frequencies: Array) -> Any:
-    """Return the values of a mapping, DataFrame or Series in the room's order; others as they are.
+def in_order(place: str, value: Any, materials: Sequence[str]) -> Any:
+    """Return the values of a mapping by material in the room's order; others as they are.
 
-    A mapping has the materials as keys. Rows are ordered by their labels if these are texts, which have
-    to be the materials. Columns are ordered by theirs unless they are 0, 1, 2, ...: they have to be the
-    bands, in Hz.
-
-    Raises
-    ------
-    DataError
-        If labels are not the room's materials or bands.
+    Raises DataError for other keys, and for a table with labels, such as pandas': its rows may have
+    another order.
     """
-    if isinstance(value, Mapping):
-        _places(f"{place}: keys", list(value), list(materials))
-        return [value[name] for name in materials]
-    index = getattr(value, "index", None)
-    if index is None or callable(index) or not hasattr(value, "to_numpy"):
+    if hasattr(value, "to_numpy"):
+        raise DataError(
+            f"{place} is a table with labels, which are not read: give a mapping by material, or the "
+            "values (to_numpy) in the room's order"
+        )
+    if not isinstance(value, Mapping):
         return value
-    array = value.to_numpy()
-    if array.shape[:1] == (len(materials),) and any(isinstance(name, str) for name in index):
-        array = array[_places(f"{place}: rows", list(index), list(materials))]
-    columns = list(getattr(value, "columns", ()))
-    if columns != list(range(len(columns))) and len(columns) == len(frequencies):
-        place = f"{place}: columns"
-        array = array[:, _places(place, [_band(c) for c in columns], frequencies.tolist())]
-    return array
-
-
-def _band(label: object) -> object:
-    """Return a column's label as a nominal frequency, or as it is if it is none."""
-    try:
-        return bands.nominal(float(str(label).removesuffix("Hz")))
-    except ValueError:
-        return label
-
-
-def _places(place: str, labels: list[Any], wanted: list[Any]) -> list[int]:
-    """Return where each of the wanted labels stands; DataError unless the labels are these."""
-    if len(set(labels)) < len(labels) or set(labels) != set(wanted):
-        others = shortened(", ".join(str(label) for label in labels), 60)
-        needed = shortened(", ".join(f"{label}" for label in wanted), 60)
-        raise DataError(f"{place} are {others}; the room has {needed}")
-    return [int(np.flatnonzero([label == name for label in labels])[0]) for name in wanted]
+    if {*value} != {*materials}:
+        stated, needed = (shortened(", ".join(map(str, each)), 60) for each in (value, materials))
+        raise DataError(f"{place}: keys are {stated}; the room has {needed}")
+    return [value[name] for name in materials]
 
 
 def above_one_hint(alpha: float) -> str:

@@ -158,7 +158,7 @@ def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
         If alpha is not (n_materials, n_bands), or a coefficient is not in [0, 1].
     """
     materials, frequencies = of.materials, of.centre_frequencies
-    ordered = in_order("alpha", alpha, materials, frequencies)
+    ordered = in_order("alpha", alpha, materials)
     alpha = checks.shaped("alpha", ordered, len(materials), len(frequencies))
     if (outside := ~((alpha >= 0) & (alpha <= 1))).any():
         i, k = (int(v) for v in np.argwhere(outside)[0])
