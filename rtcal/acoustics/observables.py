@@ -53,87 +53,50 @@ Part = Literal["late", "early", "level"]
 
 
 class Observable(ABC):
-    """A room-acoustic parameter: its names, its units, and how it follows from an energy decay.
-
-    Attributes
-    ----------
-    key : str
-        Name in files, in JSON and in Python.
-    label : str
-        Name as it is printed.
-    spellings : str
-        Further names in tables of other programs, in lower case without spaces, with blanks between.
-    unit : str
-    decimals : int
-        Digits after the point as it is printed.
-    rank : int
-        Place in lists, the smallest first.
-    jnd : float
-        Just noticeable difference, in the unit or, where ``relative_jnd``, of the value.
-    limits : (float, float)
-        Least and largest value that is accepted.
-    doubt : str
-        The likely mistake behind a value beyond them.
-    simulated : (float, float) or None
-        Least and largest value that a `Measurement` takes, if a simulated one may be beyond the limits.
-    usual : (float, float)
-        Least and largest value that hardly any room is beyond; one that is, is read and told.
-    minimum_range : float or None
-        Impulse-to-noise ratio in dB that a response needs to hold it. None where a response alone does
-        not: its level needs a calibrated source.
-    reaches : float
-        Time in s that a response must be longer than to hold it.
-    logarithmic : bool
-        Whether the logarithm is observed. Uncertainties are then relative.
-    rises : bool
-        Whether it rises with the absorption.
-    part : {"late", "early", "level"}
-        Part of the decay that it hears. What stands near a position changes each part by a share of its
-        own.
-    teams : tuple of float
-        Standard deviation between teams at one pair of positions, by octave of `OCTAVES`, as observed.
-    unknown_error : float
-        Standard deviation of a simulator's error that no control run tells, as observed.
-    remeasured : float
-        Standard deviation by which all pairs of a band differ, as observed, if it is measured anew and
-        nothing changed.
-    matched : bool
-        Whether it is matched at every position where nothing else is asked for.
-    predicted : bool
-        Whether a prediction at positions gives it beside what is matched.
-    shown : bool
-        Whether a loop on mean values shows it, and a tracer states its noise.
-    stand_in : str or None
-        Key of an observable that serves in its place where it was not measured.
-    averaging : Scale
-        The quantity that averages over the thirds of an octave.
-    """
+    """A room-acoustic parameter: its names, its units, and how it follows from an energy decay."""
 
     key: ClassVar[str]
+    """Name in files, in JSON and in Python."""
     label: ClassVar[str]
+    """Name as it is printed."""
     spellings: ClassVar[str] = ""
+    """Further names in tables of other programs, in lower case without spaces, with blanks between."""
     unit: ClassVar[str]
-    decimals: ClassVar[int]
-    rank: ClassVar[int]
+    decimals: ClassVar[int]  # after the point as it is printed
+    rank: ClassVar[int]  # place in lists, the smallest first
     jnd: ClassVar[float]
     relative_jnd: ClassVar[bool] = False
+    """Whether the just noticeable difference is a share of the value; else it is in the unit."""
     limits: ClassVar[tuple[float, float]]
-    simulated: ClassVar[tuple[float, float] | None] = None
+    """Least and largest value that is accepted; ``doubt`` is the likely mistake beyond them."""
     doubt: ClassVar[str]
+    simulated: ClassVar[tuple[float, float] | None] = None
+    """The same of a `Measurement`, if a simulated value may be beyond ``limits``."""
     usual: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
+    """Least and largest value that hardly any room is beyond; one that is, is read and told."""
     minimum_range: ClassVar[float | None] = 20.0
-    reaches: ClassVar[float] = 0.0
+    """Impulse-to-noise ratio in dB that a response needs to hold it. None where a response alone does
+    not: its level needs a calibrated source."""
+    reaches: ClassVar[float] = 0.0  # time in s that a response must be longer than to hold it
     logarithmic: ClassVar[bool] = False
-    rises: ClassVar[bool] = False
+    """Whether the logarithm is observed. Uncertainties are then relative."""
+    rises: ClassVar[bool] = False  # with the absorption
     part: ClassVar[Part] = "early"
+    """Part of the decay that it hears: what stands near a position changes each by its own share."""
     teams: ClassVar[tuple[float, ...]]
+    """Standard deviation between teams at one pair of positions, as observed, by `OCTAVES`."""
     unknown_error: ClassVar[float]
+    """Standard deviation of a simulator's error that no control run tells, as observed."""
     remeasured: ClassVar[float] = 0.01
-    matched: ClassVar[bool] = False
-    predicted: ClassVar[bool] = False
-    shown: ClassVar[bool] = False
+    """Standard deviation by which all pairs of a band differ, as observed, if it is measured anew and
+    nothing changed."""
+    matched: ClassVar[bool] = False  # at every position where nothing else is asked for
+    predicted: ClassVar[bool] = False  # at positions, beside what is matched
+    shown: ClassVar[bool] = False  # by a loop on mean values; a tracer states its noise
     stand_in: ClassVar[str | None] = None
+    """Key of an observable that serves in its place where it was not measured."""
     averaging: ClassVar[Scale] = ITSELF
+    """The quantity that averages over the thirds of an octave."""
 
     @abstractmethod
     def value(self, energy: Array, bin_width: float) -> Array:
@@ -415,27 +378,18 @@ class Relative(Observable):
 
 
 class DecaySlope(Relative):
-    """A decay time in s: -60 dB over the slope of the decay curve within a range of levels.
+    """A decay time in s: -60 dB over the slope of the decay curve within a range of levels."""
 
-    Attributes
-    ----------
-    upper, lower : float
-        The range in dB.
-    one_decay : float
-        Relative standard deviation of one decay's time, times sqrt(B T), B the bandwidth in Hz.
-    averages : (float, float) or None
-        a and b of the uncertainty of a mean over positions (ISO 3382-2:2008, Eqs. 4 and 5).
-    bend : (str, float, float) or None
-        Where its ratio to T20 less 1 tells whether a decay is bent: that ratio's name, its limit in
-        percent, and its standard deviation times sqrt(B T) in straight decays (4,000 exponential decays
-        of Gaussian noise, B T = 44 to 355).
-    """
-
-    upper: ClassVar[float]
+    upper: ClassVar[float]  # of the range, in dB
     lower: ClassVar[float]
     one_decay: ClassVar[float]
+    """Relative standard deviation of one decay's time, times sqrt(B T), B the bandwidth in Hz."""
     averages: ClassVar[tuple[float, float] | None] = None
+    """a and b of the uncertainty of a mean over positions (ISO 3382-2:2008, Eqs. 4 and 5)."""
     bend: ClassVar[tuple[str, float, float] | None] = None
+    """Where its ratio to T20 less 1 tells whether a decay is bent: that ratio's name, its limit in
+    percent, and its standard deviation times sqrt(B T) in straight decays (4,000 exponential decays of
+    Gaussian noise, B T = 44 to 355)."""
     jnd = 0.05
     relative_jnd = True
     limits = LIMITS
