@@ -15,7 +15,7 @@ no public source was found.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, product
 from typing import Any, Literal
@@ -1004,8 +1004,10 @@ def _box_of_floor(surfaces: Sequence[Surface], along: Sequence[Array | None]) ->
 
 _NEAR = 0.02
 """Share by which an area may differ from that of the faces that it is."""
-_LARGEST_SEARCH = 8
-"""Surfaces whose areas are matched at once."""
+_AGREE = 0.05
+"""Difference of the shares of two sets of faces below which they are one answer."""
+_OF_REST = 0.1
+"""Share by which the surfaces that are left may differ from the faces that are left."""
 
 
 def _matched(
@@ -1013,68 +1015,37 @@ def _matched(
 ) -> list[Array | None]:
     """Return the areas along the axes, also of surfaces with the area of faces of the box.
 
-    All six faces are surfaces, or what is left of them is what is left of the surfaces. Of several
-    ways, those count that leave the least area, and only where they agree.
-    """
-    out = list(along)
-    places = [i for i, of_surface in enumerate(along) if of_surface is None]
-    if not 0 < len(places) <= _LARGEST_SEARCH:
-        return out
-    stated = np.sum([a for a in along if a is not None], axis=0) if len(places) < len(out) else 0.0
-    face = box / 2
-    left = np.asarray(np.round(np.clip((box - stated) / face, 0, 2), 2), dtype=float)
-    areas = np.array([surfaces[i].area for i in places])
-    ways = list(_ways(areas, face, left))
-    if not ways:
-        return out
-    least = min(rest for rest, _ in ways)
-    best = np.array([counts for rest, counts in ways if rest <= least + _NEAR * box.sum()])
-    for column, place in enumerate(places):
-        of_place = best[:, column] * face
-        total = of_place.sum(axis=1)
-        if (total > 0).all():
-            shares = of_place / total[:, np.newaxis]
-            if np.ptp(shares, axis=0).max() < _AGREE:
-                out[place] = areas[column] * shares.mean(axis=0)
-    return out
-
-
-_AGREE = 0.05
-
-
-def _ways(areas: Array, face: Array, left: Array) -> Iterator[tuple[float, Array]]:
-    """Yield ways in which areas are those of faces of a box: the area that is left, and the counts.
-
-    The counts (n_surfaces, 3) are numbers of faces along each axis, 0 of a surface that is no faces.
+    All six faces are surfaces, or what is left of them is what is left of the surfaces.
     """
     # One material is usually on floor and ceiling, or on walls but for a corner of two, or on floor or
     # ceiling with all walls.
     every = np.array(list(product(range(3), repeat=3)))[1:]
     x, y, z = every.T
-    walls = (z == 0) & ((x != 1) | (y != 1))
-    combinations = every[(x + y == 0) | (x + y == 4) | walls]
+    combinations = every[(x + y == 0) | (x + y == 4) | ((z == 0) & ((x != 1) | (y != 1)))]
+    face = box / 2
+    left = box - np.sum([np.zeros(3), *(a for a in along if a is not None)], axis=0)
+    left = np.round(np.clip(left / face, 0, 2), 2)
+    unknown = [i for i, of_surface in enumerate(along) if of_surface is None]
+    by_area = sorted(unknown, key=lambda i: surfaces[i].area)
+    found: tuple[float, list[Array | None]] = np.inf, list(along)
+    for order in (by_area, by_area[::-1]):
+        free, out, rest = left, list(along), 0.0
+        for i in order:
+            area, fits = surfaces[i].area, combinations[(combinations <= free + _NEAR).all(axis=1)]
+            fits = fits[np.abs(area / (fits @ face) - 1) <= _NEAR]
+            shares = fits * face / (fits @ face)[:, np.newaxis]
+            if len(fits) and np.ptp(shares, axis=0).max() < _AGREE:
+                out[i] = area * shares.mean(axis=0)
+                free = free - fits[0]
+            else:
+                rest += area
+        remaining = float(np.maximum(free, 0) @ face)
+        all_are = remaining <= _NEAR * face.sum() or abs(rest / remaining - 1) <= _OF_REST
+        if all_are and rest < found[0]:
+            found = rest, out
+    return found[1]
 
-    options = [
-        [np.zeros(3)]
-        + [n for n in combinations if (n <= left + _NEAR).all() and _is_near(area, n @ face)]
-        for area in areas
-    ]
-    for counts in product(*options):
-        table = np.array(counts)
-        if (table.sum(axis=0) > left + _NEAR).any():
-            continue
-        remaining = float(np.maximum(left - table.sum(axis=0), 0) @ face)
-        rest = float(areas[(table == 0).all(axis=1)].sum())
-        if remaining <= _NEAR * face.sum() or abs(rest / remaining - 1) <= _OF_REST:
-            yield rest, table
 
-
-def _is_near(area: float, of_faces: float) -> bool:
-    return bool(abs(area / of_faces - 1) <= _NEAR)
-
-
-_OF_REST = 0.1
-"""Share by which the surfaces that are left may differ from the faces that are left."""
 _ONE_KIND = 0.05
 """Share of another direction in what is left, up to which it is of one kind."""
 
