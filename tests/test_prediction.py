@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.changed_time import DRAWS, TimeChange, probability_within
 from rtcal.acoustics.changes import placed, read_variants
 from rtcal.prediction import Assumptions, Change, changed, predict
+from rtcal.prediction.changed_time import DRAWS, TimeChange, probability_within
 from rtcal.prediction.predicted import Prediction
 from rtcal.support.errors import DataError, ModelError
 
@@ -135,8 +135,8 @@ def test_adding_absorption_lengthens_t_in_no_draw(method: str, equation) -> None
         # What covers is more absorbing than what is covered in every draw: so is the room.
         sure = rt.Material("sure", [0.9] * 3, [0.0] * 3)
         made = found.predict(Change(cover=found.prior.materials[1], by=sure, area=5))
-        unknowns = made.model.unknowns.absorption
-        more = unknowns[:, made.model.materials.index("sure")] > unknowns[:, 1]
+        unknowns = made.unknowns.absorption
+        more = unknowns[:, made.materials.index("sure")] > unknowns[:, 1]
         longer = made.samples > np.log(made.time_before)[:, np.newaxis] + 1e-12
         assert not (longer & more).any()
         assert more.mean() > 0.9
@@ -305,7 +305,7 @@ def test_an_acoustic_ceiling_is_within_the_interval(scattering: float, named: bo
         assert (made.by_equation["Arau-Puchades"] > 1.2 * made.by_equation["Eyring"]).all()
     else:
         assert "does not say which way the surfaces face that change" in text
-    assert made.model.is_placed == named
+    assert made.is_placed == named
 
 
 def test_an_even_change_is_the_same_with_and_without_uneven_equations(result) -> None:

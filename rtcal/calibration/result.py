@@ -16,12 +16,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from rtcal.acoustics import room_errors
-from rtcal.acoustics.changed_time import (
-    KnownRoom,
-    MeasuredState,
-    correlation_of,
-    normal_quantiles,
-)
 from rtcal.acoustics.changes import Change, facing
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.marks import (
@@ -60,6 +54,12 @@ from rtcal.calibration.terms import (
 from rtcal.calibration.unknowns import Configurations, Flags, Numbers
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
+from rtcal.prediction.changed_time import (
+    KnownRoom,
+    MeasuredState,
+    correlation_of,
+    normal_quantiles,
+)
 from rtcal.prediction.predicted import Prediction, predict
 from rtcal.support import __version__
 from rtcal.support.blocks import Block

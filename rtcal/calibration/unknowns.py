@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.changed_time import refuse_other_priors
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import target_changes
+from rtcal.prediction.changed_time import refuse_other_priors
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.text import shortened

@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.changed_time import KnownRoom
 from rtcal.acoustics.changes import Target, Treatment, check_treatments, name_of
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.files.saved import Result
 from rtcal.prediction import words
-from rtcal.prediction.predicted import JND, Known, Prediction, known_room, predict
+from rtcal.prediction.changed_time import KnownRoom
+from rtcal.prediction.predicted import Known, Prediction, known_room, predict
 from rtcal.support import checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError, InfeasibleError, SolverError
@@ -316,7 +316,7 @@ class DesignModel:
 
     def prediction(self, x: Array) -> Prediction:
         """Return T of the room with areas of the treatments in m²."""
-        put = [(self.treatments[j], float(x[j])) for j in self._order]
+        put = sorted(zip(self.treatments, x.tolist(), strict=True), key=lambda each: _what(each[0]))
         return predict(
             self.known,
             [t.change(area) for t, area in put if area > _NONE * t.largest],
@@ -354,42 +354,37 @@ class DesignModel:
         return of
 
     @cached_property
-    def _order(self) -> Array:
-        """The treatments by what they are: the search does not depend on the order of a list."""
+    def in_order(self) -> tuple[DesignModel, NDArray[np.int64]]:
+        """The same with the treatments by what they are, and the place of each in it.
 
-        def what(j: int) -> tuple[object, ...]:
-            t = self.treatments[j]
-            return t.cost, t.largest, t.unit or 0.0, t.covers or "", name_of(t.material), t.name
-
-        return np.array(sorted(range(len(self.treatments)), key=what))
+        Searches take it, so that they do not depend on the order of a list.
+        """
+        order = sorted(range(len(self.treatments)), key=lambda j: _what(self.treatments[j]))
+        model = replace(self, treatments=tuple(self.treatments[j] for j in order))
+        return model, np.argsort(order)
 
     def _choice(self, margins: Margins) -> Choice:
-        """Return what may be placed, and what it must keep, in the treatments' own order."""
-        listed = [self.treatments[j] for j in self._order]
-        units = [np.nan if t.unit is None else t.unit for t in listed]
-        largest = [t.largest for t in listed]
+        """Return what may be placed, and what it must keep."""
         covers, surfaces = self.covering
         return Choice(
-            cost=self.prices[self._order],
-            largest=np.array(largest),
-            unit=np.array(units),
-            covers=covers[:, self._order],
+            cost=self.prices,
+            largest=np.array([t.largest for t in self.treatments]),
+            unit=np.array([np.nan if t.unit is None else t.unit for t in self.treatments]),
+            covers=covers,
             surfaces=surfaces,
-            margins=lambda x: margins(self._as_listed(x)),
+            margins=margins,
         )
 
-    def _as_listed(self, x: Array) -> Array:
-        return x[np.argsort(self._order)]
+    def cheapest(self, probability: float) -> Array | None:
+        """Return the cheapest areas in m², (n_treatments,), panels whole; None if none will do."""
+        model, places = self.in_order
+        found = model._choice(model.margins(probability)).cheapest()
+        return None if found is None else found[places]
 
     def _widest(self, margins: Margins) -> Array:
         """Return the areas in m² whose least margin is largest. Panels need not be whole."""
         choice = self._choice(margins)
-        return self._as_listed(choice.widest()[0] * choice.size)
-
-    def cheapest(self, probability: float) -> Array | None:
-        """Return the cheapest areas in m², (n_treatments,), panels whole; None if none will do."""
-        found = self._choice(self.margins(probability)).cheapest()
-        return None if found is None else self._as_listed(found)
+        return np.asarray(choice.widest()[0] * choice.size)
 
     def most_probable(self, target: Target | None = None) -> tuple[Array, float]:
         """Return the areas whose least probable band is most probable, and its probability.
@@ -427,6 +422,10 @@ class DesignModel:
             middle = float(np.sqrt(least * most))
             least, most = (least, middle) if kept(middle) else (middle, most)
         return most
+
+
+def _what(t: Treatment) -> tuple[object, ...]:
+    return t.cost, t.largest, t.unit or 0.0, t.covers or "", name_of(t.material), t.name
 
 
 FRONTIER = (0.8, 0.85, 0.9, 0.95)
@@ -519,7 +518,6 @@ class Design(Result):
     def blocks(self) -> list[Block]:
         """Return what the design says."""
         made, target = self.prediction, self.model.target
-        low, high = made.interval
         treatments = [
             Row(
                 t["name"],
@@ -534,17 +532,6 @@ class Design(Result):
             for t in self.treatments
         ]
         columns = ["covers", "area / m²", "largest / m²", "panels", "cost"]
-        rows = [
-            Row("target from / s", target.low, ".2f"),
-            Row("       to / s", target.high, ".2f"),
-            Row("T before / s", made.time_before, ".2f"),
-            Row("T after / s", made.mean, ".2f"),
-            Row("change / s", made.mean - made.time_before, "+.2f"),
-            Row("change / %", 100 * JND * made.change, "+.0f"),
-            Row("90 %: from / s", low, ".2f"),
-            Row("      to / s", high, ".2f"),
-            Row("probability", self.probability, ".2f"),
-        ]
         nothing = (
             "Nothing is needed: T is in its range in every band with the probability asked for."
         )
@@ -557,7 +544,7 @@ class Design(Result):
             Note(f"{self.model.before.name}: {target.source}"),
             *([] if self.areas.any() else [Note(nothing)]),
             Table(columns, treatments, corner="treatment"),
-            Table(bands.labels(made.after.centre_frequencies), rows),
+            Table(bands.labels(made.after.centre_frequencies), [*made.rows, *made.within(target)]),
             Note(f"Cost {self.cost:.0f}. Cost by probability: {frontier}."),
             Note(
                 f"Probability that all bands are in range at once: {self.probability_together:.2f}. "
@@ -658,6 +645,7 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
     The best probability of each band and of all, the least widening of the range, what parts of panels
     would allow, and what would narrow the interval.
     """
+    model = model.in_order[0]
     labels, target = bands.labels(model.before.centre_frequencies), model.target
     said = [f"No areas of these treatments are in range with probability {probability:g}."]
     if any(t.unit is not None for t in model.treatments):

@@ -7,7 +7,7 @@ mean, 90 % interval, what the interval is made of, and how probable a range is.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -16,14 +16,14 @@ from scipy.special import ndtri
 from scipy.stats import multivariate_normal
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.changed_time import KnownRoom, TimeChange, probability_within
-from rtcal.acoustics.changes import Change, Placed, Target, Variant, placed
+from rtcal.acoustics.changes import Change, Target, Variant, placed
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room, is_calibrated, refuse_repeats
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.prediction import words
+from rtcal.prediction.changed_time import KnownRoom, TimeChange, probability_within
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
@@ -64,46 +64,28 @@ def known_room(known: Known, equation: LinearEquation | None = None) -> KnownRoo
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Prediction(Result):
+class Prediction(TimeChange, Result):
     """T of a changed room per band, with its interval; `predict` makes it.
 
     Attributes
     ----------
     name : str
-    known : KnownRoom
-        What is known of the room before the change.
-    state : Placed
-        The changed room, and which way its materials face.
     changes : tuple of Change
-        What leads from one to the other; empty if the changed room itself was given.
-    assumptions : Assumptions
+        What leads from one state to the other; empty if the changed room itself was given.
     """
 
-    record_kind: ClassVar[str] = "prediction 2"
+    record_kind: ClassVar[str] = "prediction 3"
     in_file: ClassVar[str] = (
         "room=before.name name changes measured_states=known.n_measured equation=equation.name "
         "assumptions centre_frequencies=after.centre_frequencies before_is "
         "reverberation_time_before=time_before uncertainty_before reverberation_time=mean "
         "interval_90=interval change_jnd=change half_width_jnd=half_width "
-        "directions_known=model.is_placed by_equation uncalibrated=uncalibrated.mean "
+        "directions_known=is_placed by_equation uncalibrated=uncalibrated.mean "
         "uncalibrated_half_width_jnd=uncalibrated.half_width parts sentences"
     )
 
     name: str
-    known: KnownRoom
-    state: Placed
     changes: tuple[Change, ...]
-    assumptions: Assumptions
-
-    @property
-    def before(self) -> Room:
-        """The room before, with the stated coefficients."""
-        return self.known.room
-
-    @property
-    def after(self) -> Room:
-        """The changed room, with the stated coefficients."""
-        return self.state.room
 
     @property
     def equation(self) -> LinearEquation:
@@ -111,21 +93,15 @@ class Prediction(Result):
         return self.known.equation
 
     @cached_property
-    def model(self) -> TimeChange:
-        """T after over T before, in draws of what is not known."""
-        return TimeChange(self.known, self.state, self.assumptions)
-
-    @cached_property
     def samples(self) -> Array:
         """Draws of ln T after, T in s, (n_bands, n_draws).
 
         T before is given where it was measured. Elsewhere it is the model's, and its error counts.
         """
-        ratio = self.model.log_ratio()
-        given = np.log(self.time_before)[:, np.newaxis] + ratio
+        given = np.log(self.time_before)[:, np.newaxis] + self.log_ratio()
         if self.known.measured.all():
             return given
-        return np.asarray(given + self.model.log_before())
+        return np.asarray(given + self.log_before())
 
     @property
     def time_before(self) -> Array:
@@ -152,7 +128,7 @@ class Prediction(Result):
         measured = self.known.log_uncertainty
         if self.known.measured.all():
             return measured * self.time_before
-        of_model = self.model.log_before().std(axis=1)
+        of_model = self.log_before().std(axis=1)
         return np.where(self.known.measured, measured, of_model) * self.time_before
 
     @cached_property
@@ -199,17 +175,16 @@ class Prediction(Result):
         They add up to 1, or are 0 where nothing changes. ln T is linear in the unknowns for it. A
         material whose area changes stands alone; the other coefficients stand together.
         """
-        model, unknowns = self.model, self.model.unknowns
-        n_bands = self.after.n_bands
+        unknowns, n_bands = self.unknowns, self.after.n_bands
         columns: dict[str, list[Array]] = {}
-        for i, material in enumerate(model.materials):
-            part = words.ALPHA.format(material) if model.changing[i] else words.STAYS
+        for i, material in enumerate(self.materials):
+            part = words.ALPHA.format(material) if self.changing[i] else words.STAYS
             columns.setdefault(part, []).append(np.log(np.maximum(unknowns.alpha[:, i], 1e-6)))
             columns.setdefault(words.EQUATION, []).append(unknowns.factor[:, i])
         columns[words.EQUATION] += [unknowns.evenness, unknowns.alone.astype(float)]
         columns[words.SIZES] = [unknowns.air, unknowns.volume]
         if not self.known.measured.all():
-            columns[words.BEFORE] = [self.model.log_before()]
+            columns[words.BEFORE] = [self.log_before()]
         shares = {part: np.zeros(n_bands) for part in columns}
         for k in np.flatnonzero(self.log_sigma > _SURE).tolist():
             y = self.samples[k] - self.log_mean[k]
@@ -230,23 +205,9 @@ class Prediction(Result):
         return dict(sorted(used.items(), key=lambda each: -float(each[1].mean())))
 
     @cached_property
-    def by_equation(self) -> dict[str, Array]:
-        """T after in s by the equations alone, at the calibrated coefficients, (n_bands,) each.
-
-        Fitzroy's and Arau-Puchades' stand beside the calibration's own where the absorption is uneven.
-        """
-        return self.model.by_equation()
-
-    @cached_property
     def uncalibrated(self) -> Prediction:
         """The same prediction from the stated coefficients alone, without any measurement."""
-        return Prediction(
-            name=self.name,
-            known=KnownRoom.stated(self.before, self.equation),
-            state=self.state,
-            changes=self.changes,
-            assumptions=self.assumptions,
-        )
+        return replace(self, known=KnownRoom.stated(self.before, self.equation))
 
     def probability(self, low: Array, high: Array) -> Array:
         """Return the probability that T is from ``low`` to ``high`` in s, (n_bands,).
@@ -289,7 +250,7 @@ class Prediction(Result):
         said = [words.GIVEN if known.measured.any() else stated]
         if known.measured.any() and not known.measured.all():
             said.append(words.not_measured([labels[k] for k in np.flatnonzero(~known.measured)]))
-        if not self.model.is_placed:
+        if not self.is_placed:
             said.append(words.UNPLACED)
         elif len(self.by_equation) > 1:
             own, (low, high, _) = next(iter(self.by_equation)), self.by_equation.values()
@@ -322,6 +283,14 @@ class Prediction(Result):
             Row("change / JND", self.change, "+.1f"),
             Row("half width / %", 100 * JND * self.half_width, ".1f"),
             Row("half width / JND", self.half_width, ".1f"),
+        ]
+
+    def within(self, target: Target) -> list[Row]:
+        """Return a range of T and the probability that T is in it, by band."""
+        return [
+            Row("target: from / s", target.low, ".2f"),
+            Row("        to / s", target.high, ".2f"),
+            Row("probability", self.probability(target.low, target.high), ".2f"),
         ]
 
     def blocks(self) -> list[Block]:
@@ -409,7 +378,7 @@ def predict(
         changes=made,
         assumptions=assumptions or Assumptions(),
     )
-    prediction.model.refuse()
+    prediction.refuse()
     return prediction
 
 

@@ -39,14 +39,9 @@ def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Pag
         """Return what a prediction prints below its title, and the figure of its interval's parts."""
         blocks = variant.blocks()[1:]
         if isinstance(result, Design):  # which has said the rest
-            blocks = [*tables(blocks)]
-        elif ends is not None:
-            rows = [
-                Row("target: from / s", ends[0], ".2f"),
-                Row("to / s", ends[1], ".2f"),
-                Row("probability", variant.probability(*ends), ".2f"),
-            ]
-            blocks.append(Table(bands.labels(f), rows, "Target"))
+            blocks = [*tables(blocks)][1:]
+        elif target is not None:
+            blocks.append(Table(bands.labels(f), variant.within(target), "Target"))
         return [
             Section(variant.name, ""),
             Items(list(map(str, variant.changes))),

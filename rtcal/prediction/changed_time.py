@@ -209,14 +209,25 @@ class TimeChange:
     Attributes
     ----------
     known : KnownRoom
-    after : Placed
-        The other state; `rtcal.acoustics.changes.placed` makes it.
+        What is known of the room before the change.
+    state : Placed
+        The other state, and which way its materials face; `rtcal.acoustics.changes.placed` makes it.
     assumptions : Assumptions
     """
 
     known: KnownRoom
-    after: Placed
+    state: Placed
     assumptions: Assumptions
+
+    @property
+    def before(self) -> Room:
+        """The room before, with the stated coefficients."""
+        return self.known.room
+
+    @property
+    def after(self) -> Room:
+        """The changed room, with the stated coefficients."""
+        return self.state.room
 
     def refuse(self) -> None:
         """Raise for states that do not fit each other, or have no T.
@@ -224,10 +235,9 @@ class TimeChange:
         DataError if the rooms differ in bands, or in stated alpha or sigma of a material; ModelError
         if the equation gives no T before, or after.
         """
-        others = [state.room for state in self.known.others]
-        rooms = [self.known.room, *others, self.after.room]
+        rooms = [*_rooms(self.known), self.after]
         refuse_other_priors(rooms, [f'room "{room.name}"' for room in rooms])
-        for room in (rooms[0], self.after.room):
+        for room in (self.before, self.after):
             mean = room.absorption_area / room.total_area
             with np.errstate(divide="ignore"):
                 time = self.known.equation.time(room, room.absorption_area)
@@ -239,18 +249,18 @@ class TimeChange:
 
     @cached_property
     def _both(self) -> tuple[Placed, Placed]:
-        return _before(self.known), self.after
+        return _before(self.known), self.state
 
     @cached_property
     def _new(self) -> list[int]:
         """Rows of the materials that come in, in the room after."""
-        room = self.after.room
-        return [i for i, name in enumerate(room.materials) if name not in self.known.materials]
+        every = enumerate(self.after.materials)
+        return [i for i, name in every if name not in self.known.materials]
 
     @cached_property
     def materials(self) -> tuple[str, ...]:
         """Every material: those that are known, and then the new ones."""
-        return (*self.known.materials, *(self.after.room.materials[i] for i in self._new))
+        return (*self.known.materials, *(self.after.materials[i] for i in self._new))
 
     @cached_property
     def areas(self) -> Array:
@@ -283,11 +293,7 @@ class TimeChange:
     @cached_property
     def unknowns(self) -> Unknowns:
         """The draws of all unknowns, given every measured T."""
-        before, known, room = (
-            _drawn_before(self.known, self.assumptions),
-            self.known,
-            self.after.room,
-        )
+        before, known, room = _drawn_before(self.known, self.assumptions), self.known, self.after
         if not self._new:
             return before
         names, rows = self.materials[len(known.materials) :], self._new
@@ -322,14 +328,14 @@ class TimeChange:
                 ratio = np.maximum(ratio, 0.0)
         return np.asarray(ratio)
 
+    @cached_property
     def by_equation(self) -> dict[str, Array]:
-        """Return T after in s by the equations alone, at the calibrated coefficients, (n_bands,) each.
+        """T after in s by the equations alone, at the calibrated coefficients, (n_bands,) each.
 
         T before times the ratio of each. Arau-Puchades' and Fitzroy's stand there where the absorption
         is uneven, before or after.
         """
-        new = self.after.room.alpha[self._new]
-        alpha = np.vstack([self.known.alpha, new]).T[:, :, np.newaxis]
+        alpha = np.vstack([self.known.alpha, self.after.alpha[self._new]]).T[:, :, np.newaxis]
         nothing = np.zeros((len(alpha), 1))
         found: dict[str, Array] = {}
         for u, name in enumerate((self.known.equation.name, "Arau-Puchades", "Fitzroy")):
