@@ -1163,27 +1163,17 @@ class Room:
         data = room.to_dict()
         surfaces = data.get("surfaces", [])
         covered = {surface["material"] for surface in surfaces}
-        materials = []
-        for i, name in enumerate(room.materials):
-            stated: dict[str, Any] = {
-                "name": name,
-                "area": None if name in covered else data["areas"][i],
-                **{
-                    k: data[k][i]
-                    for k in ("alpha", "sigma", "alpha_min", "scattering")
-                    if k in data
-                },
-                "area_sigma": float(room.area_sigma[i]),
-                "source": room.sources.get(name),
-            }
-            materials.append({k: v for k, v in stated.items() if v})
+        rows = [
+            asdict(room.material(name)) | ({"area": None} if name in covered else {})
+            for name in room.materials
+        ]
         top = [name for name in _Common.__struct_fields__ if name not in ("air", "calibration")]
         tables = {
             **data.get("scene", {}),
             "prior": {k: data[k] for k in ("band_correlation",) if data[k]},
             "air": {k: float(v) for k, v in sorted((data["air"] or {}).items())},
             "calibration": data.get("calibration"),
-            "material": materials,
+            "material": [{k: v for k, v in row.items() if v} for row in rows],
             "correlation": data.get("material_correlation"),
             "surface": [{k: v for k, v in s.items() if v is not None} for s in surfaces],
         }
