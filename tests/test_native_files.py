@@ -391,10 +391,11 @@ def test_what_breaks_a_rule_is_refused_with_its_place(
 @pytest.mark.parametrize("value", ["true", '"1.5"', "null", "[]", "1" + "0" * 350, "1e999", "{}"])
 def test_only_numbers_are_numbers(value: str, tmp_path: Path) -> None:
     path = tmp_path / "case.json"
-    for name in ("volume", "areas", "alpha", "t20", "band_correlation"):
+    for name in ("volume", "area", "alpha", "t20", "band_correlation"):
         data = opened().to_dict()
-        values = data["configuration"][0]["measured"]["values"]
-        (values if name == "t20" else data["room"])[name] = "MARK"
+        values, room = data["configuration"][0]["measured"]["values"], data["room"]
+        tables = {"t20": values, "volume": room, "band_correlation": room["prior"]}
+        tables.get(name, room["material"][0])[name] = "MARK"
         path.write_text(json.dumps(data).replace('"MARK"', value))
         with pytest.raises(DataError, match=name):
             Case.from_file(str(path))

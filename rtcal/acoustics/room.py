@@ -12,7 +12,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import InitVar, asdict, dataclass, field, replace
+from dataclasses import InitVar, asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
@@ -26,7 +26,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import OBSERVABLES, parameter_label
 from rtcal.acoustics.priors import TIERS, SigmaRule
-from rtcal.files.disk import json_numbers, read_text, write_text
+from rtcal.files.disk import read_text, write_text
 from rtcal.files.schema import FileTable, Number, Point, Share, read, toml_table, toml_text
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Row, Table
@@ -1015,22 +1015,22 @@ class Room:
     def from_surfaces(
         cls,
         *,
-        surfaces: Iterable[Surface],
         materials: Iterable[Material],
         centre_frequencies: Sequence[float] | Array,
+        surfaces: Iterable[Surface] = (),
         prior: SigmaRule | None = None,
         **stated: Any,
     ) -> Room:
-        """Return the room whose area per material is the sum over its surfaces.
+        """Return the room whose area per material is the sum over its surfaces, or the material's own.
 
         A wall may be drawn as two polygons, since only the area per material counts. Materials
-        without a surface are left out. ``prior`` gives the sigma of materials that state none;
-        ``stated`` are the room's other fields. Raises DataError as `Room` does, for a surface whose
-        material is not among ``materials``, and for a field that is missing or that a room does not
-        have.
+        without a surface and an area are left out. ``prior`` gives the sigma of materials that state
+        none; ``stated`` are the room's other fields. Raises DataError as `Room` does, for a surface
+        whose material is not among ``materials``, for a material with surfaces and an area, and for a
+        field that is missing or that a room does not have.
         """
         frequencies = bands.as_bands(centre_frequencies)
-        drawn = checks.listed("surfaces", surfaces)
+        drawn = [*checks.listed("surfaces", surfaces)]
         for i, surface in enumerate(drawn):
             checks.instance(f"surfaces[{i}]", surface, Surface)
         listed = checks.listed("materials", materials)
@@ -1045,6 +1045,14 @@ class Room:
                     f"materials: {', '.join(areas)}"
                 )
             areas[surface.material].append(surface.area)
+        for m in listed:
+            if m.area is None:
+                continue
+            if areas[m.name]:
+                raise DataError(f'area["{m.name}"] is given, and its surfaces too; give one')
+            areas[m.name].append(m.area)
+            if drawn:
+                drawn.append(Surface(m.name, m.name, m.area))
         used = [m for m in listed if areas[m.name]]
         lacking = [m.name for m in used if m.scattering is None]
         if lacking and len(lacking) < len(used):
@@ -1072,40 +1080,82 @@ class Room:
         return cls.from_surfaces(volume=geometry.volume, surfaces=geometry.surfaces, **stated)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the room as plain values for JSON, without fields that are not stated."""
-        plain = {}
-        for name in PlainRoom.__struct_fields__:
-            value = getattr(self, name, None)
-            if isinstance(value, Air | CalibrationRecord):
-                value = asdict(value)
-            elif isinstance(value, np.ndarray):
-                value = json_numbers(value) if value.any() or name in _ALWAYS else None
-            elif isinstance(value, tuple):
-                value = [asdict(v) if isinstance(v, Surface) else v for v in value]
-            plain[name] = value
-        plain |= {
-            "sources": dict(self.sources),
-            "material_correlation": [
+        """Return the tables of the room's file as plain values, without those that are not stated.
+
+        What was above 1 stands clipped in alpha.
+        """
+        covered = {surface.material for surface in self.surfaces}
+        rows = [
+            asdict(self.material(name)) | ({"area": None} if name in covered else {})
+            for name in self.materials
+        ]
+        tables = {
+            "name": self.name,
+            "author": self.author,
+            "volume": self.volume,
+            "centre_frequencies": self.centre_frequencies.tolist(),
+            "scattering_model": "" if self.scattering_model == "random" else self.scattering_model,
+            "dimensions": list(self.dimensions or ()),
+            "clipped": list(self.clipped),
+            **{name: getattr(self, name) for name in RELATIVE},
+            "climate_sigma": list(self.climate_sigma) if any(self.climate_sigma) else None,
+            **self.scene.to_dict(),
+            "prior": {"band_correlation": self.band_correlation} if self.band_correlation else None,
+            "air": self.air and asdict(self.air),
+            "calibration": self.calibration and asdict(self.calibration),
+            "material": [{k: v for k, v in row.items() if v} for row in rows],
+            "correlation": [
                 {"materials": list(pair), "value": float(value)}
                 for pair, value in self.material_correlation.items()
             ],
-            "scattering_model": self.scattering_model
-            if self.scattering_model != "random"
-            else None,
-            "scene": self.scene.to_dict(),
-            "climate_sigma": list(self.climate_sigma) if any(self.climate_sigma) else None,
-            "above_one": None,  # what was above 1 stands clipped in alpha
+            "surface": [
+                {k: v for k, v in asdict(surface).items() if v is not None}
+                for surface in self.surfaces
+            ],
         }
-        return {name: value for name, value in plain.items() if value or name in _ALWAYS}
+        return {name: table for name, table in tables.items() if table}
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], place: str = "room") -> Room:
-        """Return the room of plain values, as `to_dict` gives them.
+    def from_dict(cls, data: Mapping[str, Any], place: str = "") -> Room:
+        """Return the room of the tables of a file, as `to_dict` gives them.
 
-        Raises DataError, which begins with ``place``, for an unknown key, for a value of the wrong
-        kind, and as `Room` does.
+        Raises DataError, which names ``place``, for an unknown key, for a value of the wrong kind, and
+        as `Room` does.
         """
-        return cls(**of_plain(read(PlainRoom, data, place)))
+        if isinstance(data, Mapping) and data and {*data} <= {*SceneTables.__struct_fields__}:
+            raise DataError(
+                f"{' and '.join(data)} are tables of the room's file: copy them to the end of "
+                "room.toml"
+            )
+        return cls.of_table(read(RoomFile, data, place))
+
+    @classmethod
+    def of_table(cls, file: RoomFile) -> Room:
+        """Return the room of a file's tables; DataError as `from_surfaces`, and without an area."""
+        covered = {surface.material for surface in file.surface}
+        refuse_repeats("material", file.material)
+        for m in file.material:
+            if m.area is None and m.name not in covered:
+                raise DataError(f'area["{m.name}"] is missing, and no [[surface]] has it')
+        of_all = file.area_sigma
+        area_sigma = of_all if isinstance(of_all, dict) else {m.name: of_all for m in file.material}
+        rule = {} if file.prior is None else msgspec.structs.asdict(file.prior)
+        band_correlation = rule.pop("band_correlation", 0.0)
+        alike = {*RoomFile.__struct_fields__} & {f.name for f in fields(cls)} | {"above_one"}
+        stated = {key: getattr(file, key) for key in alike - {"sources", "area_sigma"}}
+        return cls.from_surfaces(
+            **stated,
+            surfaces=[
+                Surface(s.name or f"surface {i}", s.material, s.area, s.axis)
+                for i, s in enumerate(file.surface, start=1)
+            ],
+            materials=file.material,
+            prior=SigmaRule(**rule) if rule else None,
+            scene=Scene.of(file),
+            band_correlation=band_correlation,
+            material_correlation={c.materials: c.value for c in file.correlation},
+            area_sigma=area_sigma | {m.name: m.area_sigma for m in file.material if m.area_sigma},
+        )
 
     @classmethod
     def from_file(cls, path: str) -> Room:
@@ -1117,42 +1167,9 @@ class Room:
     def from_text(cls, text: str, place: str) -> Room:
         """Return the room of a TOML text; messages begin with ``place``."""
         try:
-            return cls._of_file(toml_table(text))
+            return cls.from_dict(toml_table(text))
         except DataError as error:
             raise DataError(f"{place}: {error}") from error
-
-    @classmethod
-    def _of_file(cls, content: Mapping[str, Any]) -> Room:
-        if content and set(content) <= set(SceneTables.__struct_fields__):
-            raise DataError(
-                f"{' and '.join(content)} are tables of the room's file: copy them to the end of "
-                "room.toml"
-            )
-        file = read(RoomFile, content)
-        surfaces = _surfaces(file.surface)
-        covered = {surface.material for surface in surfaces}
-        refuse_repeats("material", file.material)
-        for m in file.material:
-            if m.area is not None and m.name in covered:
-                raise DataError(f'area["{m.name}"] is given, and its surfaces too; give one')
-            if m.area is None and m.name not in covered:
-                raise DataError(f'area["{m.name}"] is missing, and no [[surface]] has it')
-            if m.area is not None:
-                surfaces.append(Surface(name=m.name, material=m.name, area=m.area))
-        of_all = file.area_sigma
-        area_sigma = of_all if isinstance(of_all, dict) else {m.name: of_all for m in file.material}
-        rule = {} if file.prior is None else msgspec.structs.asdict(file.prior)
-        band_correlation = rule.pop("band_correlation", 0.0)
-        return cls.from_surfaces(
-            **{key: getattr(file, key) for key in _Common.__struct_fields__},
-            surfaces=surfaces,
-            materials=file.material,
-            prior=SigmaRule(**rule) if rule else None,
-            scene=Scene.of(file),
-            band_correlation=band_correlation,
-            material_correlation=_correlations(file.correlation),
-            area_sigma=area_sigma | {m.name: m.area_sigma for m in file.material if m.area_sigma},
-        )
 
     def to_text(self, folder: str | os.PathLike[str] | None = None) -> str:
         """Return the text of its TOML file; reading it gives the same numbers.
@@ -1160,26 +1177,7 @@ class Room:
         The scene's mesh is named as seen from ``folder``, if that is given.
         """
         room = self if folder is None else self.replace(scene=self.scene.seen_from(folder))
-        data = room.to_dict()
-        surfaces = data.get("surfaces", [])
-        covered = {surface["material"] for surface in surfaces}
-        rows = [
-            asdict(room.material(name)) | ({"area": None} if name in covered else {})
-            for name in room.materials
-        ]
-        top = [name for name in _Common.__struct_fields__ if name not in ("air", "calibration")]
-        tables = {
-            **data.get("scene", {}),
-            "prior": {k: data[k] for k in ("band_correlation",) if data[k]},
-            "air": {k: float(v) for k, v in sorted((data["air"] or {}).items())},
-            "calibration": data.get("calibration"),
-            "material": [{k: v for k, v in row.items() if v} for row in rows],
-            "correlation": data.get("material_correlation"),
-            "surface": [{k: v for k, v in s.items() if v is not None} for s in surfaces],
-        }
-        return toml_text(
-            {k: data[k] for k in top if k in data} | {k: v for k, v in tables.items() if v}
-        )
+        return toml_text(room.to_dict())
 
     def save(self, path: str) -> None:
         """Write the room to TOML, whole or not at all."""
@@ -1401,8 +1399,8 @@ class Correlation(FileTable):
     value: Number
 
 
-class _Common(FileTable, kw_only=True):
-    """Keys that a room's file and its plain values have in common."""
+class RoomFile(FileTable, kw_only=True):
+    """A room's file; its scene's tables are those of `SceneTables`."""
 
     name: str = "room"
     author: str = ""
@@ -1418,11 +1416,6 @@ class _Common(FileTable, kw_only=True):
     common_area_sigma: Number = 0.0
     common_alpha_sigma: Number = 0.0
     climate_sigma: tuple[Number, Number] = (0.0, 0.0)
-
-
-class RoomFile(_Common):
-    """A room's file; its scene's tables are those of `SceneTables`."""
-
     geometry: GeometryTable = msgspec.field(default_factory=GeometryTable)
     sources: Places | None = None
     receivers: Places | None = None
@@ -1434,50 +1427,8 @@ class RoomFile(_Common):
     area_sigma: Number | str | dict[str, Number | str] = 0.0
 
 
-class PlainRoom(_Common, kw_only=True):
-    """A room as plain values, as `rtcal.Room.to_dict` returns them."""
-
-    materials: list[str]
-    areas: list[Number]
-    alpha: list[list[Number]]
-    sigma: list[list[Number]]
-    alpha_min: list[list[Number]] | None = None
-    scattering: list[list[Number]] | None = None
-    surfaces: list[SurfaceTable] = []
-    sources: dict[str, str] = {}
-    scene: SceneTables = msgspec.field(default_factory=SceneTables)
-    band_correlation: Number = 0.0
-    material_correlation: list[Correlation] = []
-    area_sigma: Number | str | list[Number | str] | dict[str, Number | str] = 0.0
-
-
-def _surfaces(tables: list[SurfaceTable]) -> list[Surface]:
-    return [
-        Surface(s.name or f"surface {i}", s.material, s.area, s.axis)
-        for i, s in enumerate(tables, start=1)
-    ]
-
-
-def _correlations(tables: list[Correlation]) -> dict[tuple[str, str], float]:
-    return {c.materials: c.value for c in tables}
-
-
-def of_plain(data: PlainRoom) -> dict[str, Any]:
-    """Return the arguments of `Room` of its plain values."""
-    return {
-        **{field: getattr(data, field) for field in PlainRoom.__struct_fields__},
-        "scene": Scene.of(data.scene),
-        "surfaces": _surfaces(data.surfaces),
-        "material_correlation": _correlations(data.material_correlation),
-    }
-
-
 def refuse_repeats(place: str, named: Sequence[Any]) -> None:
     """Raise DataError if two of what has a ``name`` have the same."""
     names = [each.name for each in named]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise DataError(f'{place} has "{twice}" twice; each has a name of its own')
-
-
-_ALWAYS = ("areas", "alpha", "sigma", "centre_frequencies", "band_correlation", "air")
-"""Fields of a room's plain values that are there whatever they are."""

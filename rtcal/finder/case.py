@@ -53,10 +53,9 @@ from rtcal.acoustics.observables import MATCH, REVERBERATION, observable, parame
 from rtcal.acoustics.room import (
     POSITION,
     Directivity,
-    PlainRoom,
     Room,
+    RoomFile,
     checked_uncertainty,
-    of_plain,
     refuse_repeated_data,
 )
 from rtcal.calibration.measured import notes_of_bands, times_in_room
@@ -144,7 +143,7 @@ class EffectTable(FileTable):
 class CaseTable(FileTable):
     """A case; see `Case`. ``room`` is the name of a room's file, or its plain values."""
 
-    room: str | PlainRoom
+    room: str | RoomFile
     configuration: list[ConfigurationTable] = []
     equation: str = "eyring"
     uncertainty: Uncertainty = msgspec.field(default_factory=Uncertainty)
@@ -473,7 +472,7 @@ class Case:
         if isinstance(table.room, str):
             room = Room.from_file(str(folder / table.room))
         else:
-            room = Room(**of_plain(table.room))
+            room = Room.of_table(table.room)
         return cls(
             room=room,
             equation=table.equation,

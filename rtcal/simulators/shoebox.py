@@ -165,7 +165,8 @@ def box_of(room: Room) -> Polyhedron:
         raise DataError(f'room "{room.name}" states no dimensions; a shoebox needs them')
     if room.n_materials == 1:
         return Polyhedron.shoebox(sides, room.materials[0])
-    walls = {s.name: s.material for s in room.surfaces if s.name in SHOEBOX_WALLS}
+    named = {m: m for m in room.materials} | {s.name: s.material for s in room.surfaces}
+    walls = {wall: named[wall] for wall in SHOEBOX_WALLS if wall in named}
     if missing := [wall for wall in SHOEBOX_WALLS if wall not in walls]:
         raise DataError(
             f'room "{room.name}" is the box of its dimensions, and no surface is called '

@@ -73,11 +73,11 @@ def laboratory(turned: float = 0.9, seed: int = 1, *, turned_back: bool = False)
                     "name": "laboratory",
                     "volume": volume,
                     "centre_frequencies": BANDS,
-                    "materials": MATERIALS,
-                    "areas": areas,
-                    "alpha": PRIOR,
-                    "sigma": sigma,
-                    "band_correlation": 0.7,
+                    "material": [
+                        {"name": n, "area": area, "alpha": mu, "sigma": s}
+                        for n, area, mu, s in zip(MATERIALS, areas, PRIOR, sigma, strict=True)
+                    ],
+                    "prior": {"band_correlation": 0.7},
                     "air": {"temperature": 20.0, "humidity": 45.0},
                 },
                 "facing": facing / facing.sum(1, keepdims=True),

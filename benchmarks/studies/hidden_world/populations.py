@@ -444,11 +444,13 @@ def build(population: int, kind: int, index: int) -> dict[str, Any]:
         "room": {
             "volume": h.stated["volume"],
             "centre_frequencies": BANDS,
-            "materials": materials,
-            "areas": h.stated["areas"],
-            "alpha": h.mu,
-            "sigma": h.sigma,
-            "band_correlation": 0.7,
+            "material": [
+                {"name": n, "area": area, "alpha": mu, "sigma": sigma}
+                for n, area, mu, sigma in zip(
+                    materials, h.stated["areas"], h.mu, h.sigma, strict=True
+                )
+            ],
+            "prior": {"band_correlation": 0.7},
             "air": h.stated["air"],
         },
         "equation": h.stated["equation"],

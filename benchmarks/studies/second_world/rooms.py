@@ -668,14 +668,16 @@ def build(population: int, kind: int, index: int) -> dict[str, Any]:
         facing[made.owner[w, 0]] += (whole - second) * normals[w]
         if made.owner[w, 1] >= 0:
             facing[made.owner[w, 1]] += second * normals[w]
-    climate = made.stated["air"]
+    climate, sigmas = made.stated["air"], np.maximum(0.3 * made.mu, 0.02)
     room = {
         "volume": made.stated["volume"],
         "centre_frequencies": BANDS,
-        "materials": made.materials,
-        "areas": made.stated["areas"],
-        "alpha": made.mu,
-        "sigma": np.maximum(0.3 * made.mu, 0.02),
+        "material": [
+            {"name": n, "area": area, "alpha": mu, "sigma": sigma}
+            for n, area, mu, sigma in zip(
+                made.materials, made.stated["areas"], made.mu, sigmas, strict=True
+            )
+        ],
         "air": None
         if climate is None
         else {"temperature": round(climate[0]), "humidity": round(climate[1])},

@@ -326,10 +326,10 @@ def build(population: int, kind: int, index: int) -> dict[str, Any]:
         "room": {
             "volume": made.volume,
             "centre_frequencies": BANDS,
-            "materials": made.names,
-            "areas": made.areas,
-            "alpha": made.mu,
-            "sigma": sigma,
+            "material": [
+                {"name": n, "area": area, "alpha": mu, "sigma": s}
+                for n, area, mu, s in zip(made.names, made.areas, made.mu, sigma, strict=True)
+            ],
             "air": {"temperature": round(made.climate[0]), "humidity": round(made.climate[1])},
         },
         "equation": "eyring",

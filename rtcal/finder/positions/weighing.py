@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
 from typing import Any
@@ -650,7 +650,7 @@ def _apertures(
 def key_of(case: PositionsCase, seed: int) -> str:
     """Return a hash of all that the shifts depend on."""
     tracer, room = case.simulator, case.room
-    of_room = [room.to_dict()[name] for name in ("centre_frequencies", "air")]
+    of_room = [room.centre_frequencies.tolist(), room.air and asdict(room.air)]
     return measured_pairs.key_of(
         tracer,
         "where, all paths",
