@@ -1086,7 +1086,8 @@ class Room:
         """
         covered = {surface.material for surface in self.surfaces}
         rows = [
-            asdict(self.material(name)) | ({"area": None} if name in covered else {})
+            {"name": name, "area": None, **asdict(self.material(name))}
+            | ({"area": None} if name in covered else {})
             for name in self.materials
         ]
         tables = {
@@ -1101,7 +1102,7 @@ class Room:
             "climate_sigma": list(self.climate_sigma) if any(self.climate_sigma) else None,
             **self.scene.to_dict(),
             "prior": {"band_correlation": self.band_correlation} if self.band_correlation else None,
-            "air": self.air and asdict(self.air),
+            "air": self.air and dict(sorted(asdict(self.air).items())),
             "calibration": self.calibration and asdict(self.calibration),
             "material": [{k: v for k, v in row.items() if v} for row in rows],
             "correlation": [

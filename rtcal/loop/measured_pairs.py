@@ -31,7 +31,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -1055,7 +1055,8 @@ def _key(
         for name, value in vars(simulator).items()
         if isinstance(value, (int, float, str, bool, type(None)))
     }
-    of_room = [room.to_dict()[name] for name in ("alpha", "sigma", "centre_frequencies", "air")]
+    tables = (room.alpha, room.sigma, room.centre_frequencies)
+    of_room = [*(each.tolist() for each in tables), room.air and asdict(room.air)]
     numbers = [seed, uncertainty, RUNS, n_paths, room.band_correlation]
     return key_of(base, simulator.name, settings, of_room, list(match), numbers)
 
