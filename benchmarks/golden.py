@@ -150,7 +150,7 @@ def of_finding(finding: Any, gaps: bool) -> dict[str, Any]:
         "evidence": finding.evidence,
         "score": finding.score,
         "threshold": finding.threshold,
-        "parameters": finding.best_parameters,
+        "parameters": {} if finding.best is None else finding.best.parameters,
         "size": None if size is None else [size.mean, size.low, size.high],
         "residuals": finding.residuals,
     }

@@ -344,7 +344,7 @@ def test_the_command_writes_numbers_and_page(
     assert said["written"] == [str(tmp_path / "changed" / "room.toml")]
     # What the verification says against the room stands in its file, too.
     caution = said["corrected"]["caution"]
-    assert caution.startswith("Do not simulate with it")
+    assert caution.startswith("Do not simulate with the corrected model")
     text = (tmp_path / "changed" / "room.toml").read_text(encoding="utf-8")
     assert text.startswith(f"# {caution}\n")
     for name in ("q.json", "q.toml"):

@@ -188,7 +188,7 @@ def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
     others = {c.surface: 0.0 for c in finding.candidates if c.surface not in (None, "south")}
     said = replace(finding, surfaces={"south": 1.0} | others)
     assert said.located is not None
-    assert said.located.about == ", most probably about (3.0, 0.0, 1.5) m"
+    assert said.located.middle == pytest.approx((3.0, 0.0, 1.5))
     legend = figures.plan(said).axes[0].get_legend_handles_labels()[1]
     assert "most probable part of its surface" in legend
 

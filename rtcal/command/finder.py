@@ -268,6 +268,7 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     Example: rtcal find room.toml measured.csv --out found
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.report import of_finding
+    from rtcal.report.finding_words import blocks
 
     if out == "":
         raise DataError("--out is empty; it is a folder")
@@ -284,11 +285,10 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     )
     place = next(iter(_further_places(finding)), None)
     of_finding.write(finding, verification, target, heading, command(), place)
-    record, said = finding.to_dict(), str(finding)
+    record = finding.to_dict()
     if verification is not None:
         record["verification"] = verification.to_dict()
-        said = f"{verification.sentence}\n{said}"
-    tell(said, record)
+    tell("\n".join(lines(blocks(finding, verification))), record)
 
 
 @click.command(short_help="Compare the gaps with and without what was found.")

@@ -151,7 +151,7 @@ class Corrected:
         """Return what was added or changed as plain values."""
         case = self.case
         return {
-            "added": None if self.added is None else self.added.to_dict(),
+            "added": disk.json_numbers(self.added),
             "effects": [p.to_dict() for p in case.applied] if isinstance(case, Case) else [],
             "form": self.form,
             "surfaces": list(self.surfaces),

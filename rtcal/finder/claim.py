@@ -316,11 +316,6 @@ class Size:
         """The fields of a `Candidate` of this size."""
         return {"size": self.mean, **{k: v for k, v in vars(self).items() if k != "mean"}}
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        ends = {name: json_numbers(getattr(self, name)) for name in ("mean", "low", "high")}
-        return {**vars(self), **ends, "end": self.end or None}
-
 
 Point = tuple[float, float, float]
 LOCATED = 0.5
@@ -394,29 +389,11 @@ class Candidate:
         return self.surface is not None and self.effect != CoupledRoom.name
 
     @property
-    def sized(self) -> Size | None:
-        """The size with its interval; None where there is none."""
-        if not np.isfinite(self.size):
-            return None
-        return Size(self.size, self.low, self.high, self.unit, self.end)
-
-    @property
     def in_words(self) -> str:
         """Size with its interval; "" where there is none."""
-        return "" if self.sized is None else self.sized.words
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values."""
-        return {
-            **{k: v for k, v in vars(self).items() if k not in _CONVERTED},
-            **{k: json_numbers(getattr(self, k)) for k in ("size", "low", "high")},
-            "parameters": dict(self.parameters),
-            "spectrum": json_numbers(self.spectrum),
-            "parts": [{"middle": list(m), "probability": p} for m, p in self.parts],
-        }
-
-
-_CONVERTED = ("called", "size", "low", "high", "spectrum", "parameters", "parts")
+        if not np.isfinite(self.size):
+            return ""
+        return Size(self.size, self.low, self.high, self.unit, self.end).words
 
 
 @dataclass(frozen=True)

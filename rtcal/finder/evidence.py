@@ -27,7 +27,6 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.special import gammaln
 
-from rtcal.acoustics.bands import is_middle
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import HANDBOOK_SIGMA, POWER, common_error_columns
 from rtcal.finder.case import Case, ChangedMaterial, Configuration
@@ -403,25 +402,6 @@ class OffTogether:
     spread: Array
     ratio: Array
 
-    def words(self, frequencies: Array) -> str:
-        """Return the ratio in words: ``about 0.82 of what is stated below 500 Hz, ...``."""
-        middle = is_middle(frequencies)
-        ranges = (
-            ("below 500 Hz", ~middle & (frequencies < 1000)),
-            ("from 500 Hz to 2 kHz", middle),
-            ("above 2 kHz", ~middle & (frequencies > 1000)),
-        )
-        parts = [(place, float(self.ratio[here].mean())) for place, here in ranges if here.any()]
-        values = [value for _, value in parts]
-        if max(values) - min(values) < _ALIKE:
-            return f"about {np.mean(values):.2f} of what is stated"
-        (first, value), *others = parts
-        said = [
-            f"about {value:.2f} of what is stated {first}",
-            *(f"{v:.2f} {p}" for p, v in others),
-        ]
-        return ", ".join(said)
-
     def apply(self, case: Case) -> Case:
         """Return the case with alpha moved by the factor, and sigma widened by its spread."""
         room = case.room
@@ -441,10 +421,6 @@ class OffTogether:
         moved = np.clip(alpha * self.factor[rows], 0.0, 1.0)
         wide = np.hypot(sigma * self.factor[rows], moved * self.spread[rows])
         return moved, np.minimum(wide, 1.0)
-
-
-_ALIKE = 0.06
-"""Ratios that differ by less over frequency are said as one."""
 
 
 def off_together(

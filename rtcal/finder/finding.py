@@ -132,9 +132,8 @@ class Finding(Result):
         Posterior mean of the coefficients, averaged over all sets: what `apply` cannot give, since it
         adds one set.
     prior : Prior
-    fits, alone : mapping of str to Fit
-        Parameters, size and gap of each candidate; of a member with the other members in the model, and
-        of two or more members without the others.
+    fits : mapping of str to Fit
+        Parameters, size and gap of each candidate; of a member with the other members in the model.
     advice : Reason or None
         The next measurement that would decide; None where the data show nothing that is missing.
     residuals : array (n_configurations, n_features, n_bands)
@@ -207,7 +206,6 @@ class Finding(Result):
     alpha: Array = field(default_factory=_no_numbers)
     prior: Any = None
     fits: Mapping[str, Fit] = field(default_factory=dict)
-    alone: Mapping[str, Fit] = field(default_factory=dict)
     advice: Reason | None = None
     residuals: Array = field(default_factory=_no_numbers)
     discrepancy: Any = None
@@ -269,11 +267,6 @@ class Finding(Result):
     def detected(self) -> bool:
         """Whether something is other than stated, whatever it is."""
         return self.verdict not in ("none", "hint")
-
-    @property
-    def best_parameters(self) -> Mapping[str, float]:
-        """The best effect's parameters; the size among them is the `size`'s mean."""
-        return {} if self.best is None else self.best.parameters
 
     @property
     def engines(self) -> tuple[str, ...]:
@@ -550,7 +543,7 @@ _RECORDED = {
     "all": "verdict effect family named probabilities families score threshold mistake reasons notes "
     "candidates size left_out",
     "means": "detected_by=detection.deciding named_families named_set members undecided numbers "
-    "evidence alone stand_ins alpha coefficients engines advice not_judged residuals",
+    "evidence stand_ins alpha coefficients engines advice not_judged residuals",
     "positions": "surface unexplained surfaces likely_surfaces groups parameters pairs map "
     "nats_of_noise=detection.noise nats_of_means=detection.means "
     "centre_frequencies=case.room.centre_frequencies",

@@ -119,14 +119,11 @@ class Miss:
 
     @property
     def in_words(self) -> str:
-        """The band with both values: "T20 at 500 Hz is 0.53 s, measured 0.645 ± 0.013 s"."""
-        at = f"{self.quantity} at {bands.label(self.frequency)}"
-        at += f' of "{self.place}"' if self.place else ""
+        """Both values and the band: "T20 = 0.53 s at 500 Hz (measured 0.645 ± 0.013 s)"."""
         unit = f" {self.unit}" if self.unit else ""
-        return (
-            f"{at} is {self.model:.3g}{unit}, measured {self.measured:.3g} ± "
-            f"{self.uncertainty:.2g}{unit}"
-        )
+        at = bands.label(self.frequency) + (f' of "{self.place}"' if self.place else "")
+        measured = f"{self.measured:.3g} ± {self.uncertainty:.2g}{unit}"
+        return f"{self.quantity} = {self.model:.3g}{unit} at {at} (measured {measured})"
 
 
 def _missed(
@@ -270,26 +267,26 @@ class Verification(Result):
             return ""
         worst = sorted(self.misses, key=lambda miss: -abs(miss.jnd))
         said = first_of([miss.in_words for miss in worst], _WORDS_OF_MISSES)
-        return f"Do not simulate with it: with what was found {said}."
+        return f"Do not simulate with the corrected model: it has {said}."
 
     @property
     def sentence(self) -> str:
         """The verdict, the change of the gap with its standard error, and what speaks against it."""
         if np.isnan(self.before):
             said = [
-                "Not tested: what was found was fitted to all that was measured. Measure C80 or G, or "
-                "a second configuration. The finding rests on T and on the stated coefficients."
+                "Not tested: nothing was measured that the finding was not fitted to. Measure C80 or "
+                "G, or a second configuration."
             ]
         else:
             supported = self.verdict == "supported"
             verb = "shrinks" if self.gain > 0 else "grows"
             grounds = self.objections[: -1 if self.misses else None]
             said = [
-                f"{self.verdict.capitalize()}{self.but if supported else ''}: {self.found_again}at "
-                f"data that it was not fitted to ({listed(self.held_out)}) the mean gap {verb} with "
-                f"what was found from {self.before:.2f} to {self.after:.2f} JND, by "
-                f"{abs(self.gain):.2f} ± {self.uncertainty:.2f} JND (standard error)"
-                f"{f'; more than {self.needed:.2f} JND counts' if supported else ''}.",
+                f"{self.verdict.capitalize()}{self.but if supported else ''}: {self.found_again}with "
+                f"what was found, the mean deviation at data that were not fitted "
+                f"({listed(self.held_out)}) {verb} from {self.before:.2f} to {self.after:.2f} JND (by "
+                f"{abs(self.gain):.2f} ± {self.uncertainty:.2f} JND, standard error"
+                f"{f'; more than {self.needed:.2f} JND counts' if supported else ''}).",
                 as_sentence(listed(grounds)) if grounds else "",
                 "The model is better; the name may still be wrong." if supported else "",
             ]
@@ -358,7 +355,7 @@ class Verification(Result):
             "places": list(self.places),
             "counted": self.counted.tolist(),
             "gaps_jnd": json_numbers(self.sizes.mean(axis=1)),
-            "added": [None if c is None else c.to_dict() for c in self.added],
+            "added": list(self.added),
             **{name: of.to_dict() for name, of in calibrated.items() if of is not None},
         }
 
@@ -585,7 +582,7 @@ def of_means(
             "off as the uncertainty of T allows. So no coefficients near the stated ones go with this "
             "effect and size."
         )
-    notes = (f"It is {support(finding, finding.candidates[0])}.", met)
+    notes = (f"What was found: {support(finding, finding.candidates[0])}.", met)
     return replace(found, doubts=tuple(doubts), notes=notes)
 
 

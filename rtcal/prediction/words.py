@@ -111,9 +111,10 @@ def to_narrow(parts: Mapping[str, Array], n_states: int) -> str:
 
 def gained(without: Array, half_width: Array) -> str:
     """Return by how much calibrating narrowed an interval; half widths in JND, (n_bands,) each."""
+    before, after = np.median(without), np.median(half_width)
+    how = "narrowed" if after < before else "did not narrow"
     return (
-        f"Calibrating changed the interval from ± {np.median(without):.1f} to "
-        f"± {np.median(half_width):.1f} JND."
+        f"Calibration {how} the interval: ± {before:.1f} JND without it, ± {after:.1f} JND with it."
     )
 
 

@@ -31,7 +31,6 @@ from rtcal.finder.claim import (
 from rtcal.finder.effects import checked_effects
 from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN
 from rtcal.finder.finding import Finding, feature_names
-from rtcal.finder.means.verdict import AbsorptionChange
 from rtcal.finder.records import (
     WITH_LEVEL,
     WITHOUT_LEVEL,
@@ -42,6 +41,7 @@ from rtcal.finder.records import (
     stored,
 )
 from rtcal.finder.states import ADDED
+from rtcal.finder.verification import Verification
 from rtcal.io.tables import unusual
 from rtcal.loop.measured_pairs import without_place
 from rtcal.support.blocks import Block, Note, Row, Table
@@ -147,8 +147,8 @@ SENTENCES: dict[str, str] = {
     "{others:or}.",
     "volume alone undecided": "effect = volume has {probability:p}, and the room's volume is changed "
     "only from {least:p} on. Measure the volume and state it in the room's file.",
-    "support": "{verdict}: {best}; {others:and} cannot be distinguished",
-    "sole": "{verdict}: {best}",
+    "support": "{best}; {others:and} cannot be distinguished (verdict {verdict})",
+    "sole": "{best} (verdict {verdict})",
     "not predicted": "with their uncertainty, the odds that these data give for it are {nats:odds}; "
     "{least:odds} count",
     # What to know of the data and of the search.
@@ -322,20 +322,20 @@ def title(f: Finding) -> str:
     return listed([called(titles.get(n, n)) for n in f.members or (str(f.best_effect),)])
 
 
-def absorbs(change: AbsorptionChange) -> str:
-    """Return how much more or less the room absorbs than the model.
+def absorbs(change: Array, end: str = "") -> str:
+    """Return how much more or less the room absorbs than the model, with the ``end`` of a `Size`.
 
-    >>> absorbs(AbsorptionChange(np.array([[0.2, 0.6], [0.1, 0.3], [0.3, 0.9]])))
+    >>> absorbs(np.array([[0.2, 0.6], [0.1, 0.3], [0.3, 0.9]]))
     'The room absorbs 40 % more than the model (90 %: 20 to 60 %), rising with frequency'
     """
-    mean, *ends = 100 * np.abs(change.share.mean(1))
-    more = "more" if change.share[0].mean() > 0 else "less"
-    if change.end:
-        bound = min(ends) if change.end == "least" else max(ends)
-        said = f"at {change.end} {bound:.0f} % {more} than the model"
+    mean, *ends = 100 * np.abs(change.mean(1))
+    more = "more" if change[0].mean() > 0 else "less"
+    if end:
+        bound = min(ends) if end == "least" else max(ends)
+        said = f"at {end} {bound:.0f} % {more} than the model"
     else:
         said = f"{mean:.0f} % {more} than the model (90 %: {min(ends):.0f} to {max(ends):.0f} %)"
-    return f"The room absorbs {said}, {over_frequency(change.share[0])}"
+    return f"The room absorbs {said}, {over_frequency(change[0])}"
 
 
 def _of_means(f: Finding) -> list[str]:
@@ -355,8 +355,9 @@ def _of_means(f: Finding) -> list[str]:
         which = "no effect of the library explains it" if whole else unexplained(tuple(f.effects))
         return [f"Something is missing from the model: {which}."]
     fit = f.fits.get(str(f.best_effect))
-    change = fit.absorption if fit is not None and f.verdict != "ambiguous" else None
-    subject = _contradiction(f) if change is None else absorbs(change)
+    subject = _contradiction(f)
+    if f.verdict != "ambiguous" and fit is not None and fit.absorption is not None:
+        subject = absorbs(fit.absorption, "" if fit.size is None else fit.size.end)
     titles = {c.effect: c.title for c in f.candidates}
     some = [(titles[n], f.probabilities.get(n, 0.0)) for n in f.names]
     if f.verdict == "ambiguous":
@@ -534,8 +535,11 @@ def details(f: Finding) -> list[str]:
 def _details_of_means(f: Finding) -> list[str]:
     said = [size_of(f, n) for n in f.names if f.probabilities.get(n, 0.0) >= SAID]
     if f.coefficients is not None:
-        ratio = f.coefficients.words(f.case.room.centre_frequencies)
-        said.append(f"Coefficients off in common: {ratio}. Look for another source of them.")
+        low, high = f.coefficients.ratio.min(), f.coefficients.ratio.max()
+        said.append(
+            f"Coefficients off in common: by band, the room has {low:.2f} to {high:.2f} times the "
+            "absorption area of the input. Look for another source of them."
+        )
     if f.more_than_one:
         said += [
             f"{called(name)} may be {listed([called(o) for o in others], last='or')} instead"
@@ -564,10 +568,7 @@ def size_of(f: Finding, name: str) -> str:
     if fit.size is None:
         return f"{what}: {effect.describe(fit.parameters)}"
     others = effect.describe(fit.parameters, without=effect.size)
-    alone = None if name not in f.alone else f.alone[name].size
-    words = f"size of {what}: {fit.size.words}"
-    words += "" if alone is None else f", without the others {alone.words}"
-    return words + (f"; {others}" if others else "")
+    return f"size of {what}: {fit.size.words}" + (f"; {others}" if others else "")
 
 
 def _details_at_positions(f: Finding) -> list[str]:
@@ -764,8 +765,11 @@ def _by_band(f: Finding) -> Table:
     return Table.of_columns(bands.labels(case.room.centre_frequencies[measured]), columns)
 
 
-def blocks(f: Finding) -> list[Block]:
-    """Return the answer, cautions, candidates, what was measured, what to do next, evidence, notes."""
+def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
+    """Return the answer, cautions, candidates, what was measured, what to do next, evidence, notes.
+
+    The ``verification`` stands among the cautions.
+    """
     table = candidates(f)
     last = [evidence(f), track_record(f), *(f"Note: {as_sentence(str(n))}" for n in f.notes)]
     if f.advice is not None:
@@ -773,6 +777,7 @@ def blocks(f: Finding) -> list[Block]:
     return [
         Note(" ".join(headline(f))),
         *(Note(f"Caution: {said}") for said in cautions(f)),
+        *([] if verification is None else [Note(verification.sentence)]),
         *([] if table is None else [table]),
         *(Note(said, "  ") for said in details(f)),
         *numbers(f),

@@ -151,12 +151,12 @@ def test_halves_that_found_another_thing_stand_in_the_verdict() -> None:
     lacks = replace(same, family="less absorption", effect="covered surface")
     agreed = verification_of(claimed, shrinks, added=(same, same))
     assert agreed.verdict == "supported"
-    assert agreed.sentence.startswith("Supported: at data that it was not fitted to")
+    assert agreed.sentence.startswith("Supported: with what was found, the mean deviation")
     placed = verification_of(claimed, shrinks, added=(same, alike))
     assert placed.verdict == "supported"
     assert placed.sentence.startswith(
         "Supported for added absorption, not for its surface: half of the pairs found porous on "
-        '"wall 1", not porous on "wall 5" as all pairs did; at data that it was not fitted to'
+        '"wall 1", not porous on "wall 5" as all pairs did; with what was found'
     )
     at_another = verification_of(found, shrinks, added=(other, other))
     assert at_another.verdict == "supported"

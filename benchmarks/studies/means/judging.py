@@ -57,7 +57,7 @@ def row_of(finding: Finding) -> dict[str, Any]:
         "score": finding.score,
         "threshold": finding.threshold,
         "excess": excess(finding),
-        "parameters": dict(finding.best_parameters),
+        "parameters": {} if finding.best is None else dict(finding.best.parameters),
         "evidence": {k: round(v, 2) for k, v in finding.evidence.items()},
         "probabilities": rounded(finding.probabilities),
         "families": rounded(finding.families),

@@ -67,28 +67,19 @@ AT_END = 2.0
 """Evidence in nats below that of the best size from which the last size that is tried is no end."""
 
 
-@dataclass(frozen=True, eq=False)
-class AbsorptionChange:
-    """Absorption area that an effect adds by band, over the room's mean one over the bands.
-
-    ``share`` (3, n_bands) is that of the size's mean, and of both ends of its interval. ``end`` is the
-    size's.
-    """
-
-    share: Array
-    end: End = ""
-
-
 def absorption_change(
     case: Case, effect: Effect, parameters: Parameters, size: Size | None
-) -> AbsorptionChange | None:
-    """Return what an effect of absorption changes in the first configuration; None for another."""
+) -> Array | None:
+    """Return the area in m² that an effect of absorption adds, over the room's mean one, (3, n_bands).
+
+    In the first configuration, of the size's mean and both ends of its interval; None for another one.
+    """
     if size is None or "absorption" not in effect.family:
         return None
     base = state(case, case.configurations[0])
     sets = [{**parameters, effect.size: s} for s in (size.mean, size.low, size.high)]
     without, *others = rates([base, *changed_states(effect, base, sets)])
-    return AbsorptionChange((np.array(others) - without) / without.mean(), size.end)
+    return np.asarray((np.array(others) - without) / without.mean())
 
 
 def estimate_size(
@@ -230,7 +221,7 @@ class Fit:
 
     ``parameters`` have the size's mean, ``most_probable`` the size that fits best. ``coefficients``
     are None where they are right as stated. ``gap`` is the gap that alpha cannot close. ``surprise`` is
-    what `goodness_of_fit` returns, ``absorption`` how much the room's absorption changes.
+    what `goodness_of_fit` returns, ``absorption`` that of `absorption_change`.
     """
 
     name: str
@@ -240,7 +231,7 @@ class Fit:
     gap: GapCheck
     most_probable: Parameters
     surprise: tuple[float, float]
-    absorption: AbsorptionChange | None = None
+    absorption: Array | None = None
 
     def applied(self, effect: Effect) -> AppliedEffect:
         """Return the effect with its size and interval, to be put into a case."""
@@ -257,7 +248,6 @@ class MeansClaim(Claim):
     members: Names = ()
     names: Names = ()
     fits: Mapping[str, Fit] = field(default_factory=dict)
-    alone: Mapping[str, Fit] = field(default_factory=dict)
     stand_ins: Mapping[str, Names] = field(default_factory=dict)
 
 
@@ -332,7 +322,6 @@ def of_sets(
         members=best,
         names=(*best, *(n for n in others if n not in best)),
         fits=fits,
-        alone={n: fit(evidence.beside(n), n, precise=True) for n in best} if len(best) > 1 else {},
         stand_ins=stand_ins,
         reasons=tuple(doubt for i, doubt in enumerate(every) if doubt not in every[:i]),
     )
@@ -546,11 +535,6 @@ class GapCheck:
     after: float
     uncertainty: float
     predictive: float
-
-    @property
-    def shrinks(self) -> bool:
-        """Whether the gap shrinks by more than its uncertainty, and the prediction gets better."""
-        return self.before - self.after > self.uncertainty and self.predictive > 0
 
     @property
     def growth(self) -> float:
