@@ -355,7 +355,7 @@ class Verification(Result):
             "places": list(self.places),
             "counted": self.counted.tolist(),
             "gaps_jnd": json_numbers(self.sizes.mean(axis=1)),
-            "added": list(self.added),
+            "added": json_numbers(self.added),
             **{name: of.to_dict() for name, of in calibrated.items() if of is not None},
         }
 
