@@ -529,6 +529,16 @@ def test_changes_keep_the_books() -> None:
     assert opened.alpha[-1].tolist() == [1, 1]
     assert opened.sigma[-1].tolist() == [0, 0]
     assert changed(room, Change(cover="wall", by="floor", area=10)).areas.tolist() == [90, 40]
+    # Two materials are exchanged, though none of the first is left in between.
+    first, second = room.materials
+    one, other = room.areas.tolist()
+    swap = [Change(cover=first, by=second), Change(cover=second, by=first, area=other)]
+    after = changed(room, swap)
+    assert dict(zip(after.materials, after.areas.tolist(), strict=True)) == {
+        first: other,
+        second: one,
+    }
+    assert after.alpha[after.materials.index(first)].tolist() == room.alpha[0].tolist()
 
 
 @pytest.mark.parametrize(

@@ -483,6 +483,11 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
     for change in changes:
         if not isinstance(change, Change):
             raise DataError(f"change = {checks.shown(change)} is not a rtcal Change")
+        again = change.material if change.open is None else None
+        if isinstance(again, str) and again in {*before.materials} - {*room.materials}:
+            # None of it is left, as where two materials are exchanged: it is still known.
+            whole: Any = {"add" if change.by is None else "by": before.material(again)}
+            change = replace(change, **whole)
         try:
             taken, comes = change.exchanged(room)
             after = change.apply(room)
