@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 import rtcal as rt
 from rtcal.finder.positions import search
-from rtcal.finder.positions.case import lobes
 from rtcal.finder.positions.problem import covariance_of_lobes
+from rtcal.finder.positions.weighing import lobes
 from rtcal.simulators import PathTracing
 from tests.conftest import also
 from tests.test_where import MATCH, RECEIVERS, SOURCES, heard, stated, tracing

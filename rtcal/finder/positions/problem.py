@@ -85,7 +85,6 @@ from rtcal.finder.evidence import (
     with_columns,
 )
 from rtcal.finder.model import RoomState
-from rtcal.finder.positions.case import covariances_of_gains
 from rtcal.finder.positions.weighing import (
     AIR,
     MOVE,
@@ -97,6 +96,7 @@ from rtcal.finder.positions.weighing import (
     TRACINGS,
     VOLUME,
     PairShifts,
+    covariances_of_gains,
 )
 from rtcal.loop.measured_pairs import COMMON as OF_ROOM
 from rtcal.loop.measured_pairs import OWN as OF_MATERIAL

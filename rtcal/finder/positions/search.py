@@ -55,16 +55,6 @@ from rtcal.finder.evidence import (
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions import surfaces as of_room
-from rtcal.finder.positions.case import (
-    AIMED,
-    LIKELY_GAINS,
-    LIKELY_INDEX,
-    LIKELY_LOBES,
-    MISCALIBRATED,
-    as_unknown,
-    of_lobes,
-    with_index,
-)
 from rtcal.finder.positions.problem import (
     COUPLED,
     NOISE,
@@ -81,7 +71,18 @@ from rtcal.finder.positions.problem import (
     shifts,
     spreads,
 )
-from rtcal.finder.positions.weighing import parameters, responses_of
+from rtcal.finder.positions.weighing import (
+    AIMED,
+    LIKELY_GAINS,
+    LIKELY_INDEX,
+    LIKELY_LOBES,
+    MISCALIBRATED,
+    as_unknown,
+    of_lobes,
+    parameters,
+    responses_of,
+    with_index,
+)
 from rtcal.loop.measured_pairs import T30_ALONE, ControlRuns, simulated_controls, with_t30
 from rtcal.support import checks
 from rtcal.support.errors import DataError
