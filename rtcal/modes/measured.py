@@ -138,6 +138,12 @@ class MeasuredModes:
 
     def __post_init__(self) -> None:
         put = partial(object.__setattr__, self)
+
+        def require(name: str, good: NDArray[np.bool_], found: Array, rule: str) -> None:
+            if not good.all():
+                bad = int(np.argmin(good))
+                raise DataError(f"{name}[{bad}] = {found[bad]:.6g} {rule}")
+
         n = checks.array("frequencies", self.frequencies).size
         if n == 0:
             raise DataError("frequencies is empty; at least one mode is needed")
@@ -145,26 +151,17 @@ class MeasuredModes:
             put("frequency_uncertainty", np.full(n, 0.01))
         for name in _NUMBERS:
             values = checks.shaped(name, getattr(self, name), n)
-            good = np.isfinite(values) & (values > 0)
-            if not good.all():
-                bad = int(np.argmin(good))
-                raise DataError(f"{name}[{bad}] = {values[bad]:g} is not finite and above 0")
+            require(name, np.isfinite(values) & (values > 0), values, "is not finite and above 0")
             put(name, values)
         for name, found, (low, high), unit in (
             ("frequencies", self.frequencies, _SINGLE, "Hz"),
             ("decays", self.decay_times, LIMITS, "s (6.91 / delta)"),
         ):
-            if (outside := (found < low) | (found > high)).any():
-                bad = int(np.argmax(outside))
-                raise DataError(
-                    f"{name}[{bad}] = {found[bad]:.3g} {unit} is not from {low:g} to {high:g}, where "
-                    "rooms have single modes; is the unit another?"
-                )
-        if (falls := np.diff(self.frequencies) <= 0).any():
-            bad = int(np.argmax(falls)) + 1
-            raise DataError(
-                f"frequencies[{bad}] = {self.frequencies[bad]:g} Hz is not above the one before it"
-            )
+            rule = f"{unit} is not from {low:g} to {high:g}, where rooms have single modes; "
+            good = (found >= low) & (found <= high)
+            require(name, good, found, f"{rule}is the unit another?")
+        rising = np.diff(self.frequencies, prepend=0.0) > 0
+        require("frequencies", rising, self.frequencies, "Hz is not above the one before it")
         put("largest", checks.between("largest", self.largest, 0, np.inf, "Hz"))
         put("notes", tuple(checks.listed("notes", self.notes)))
         if self.amplitudes is not None:
@@ -179,14 +176,12 @@ class MeasuredModes:
                 )
             put("amplitudes", amplitudes)
         if self.calculated is not None:
-            stated = checks.shaped("calculated", self.calculated, n)
-            with np.errstate(invalid="ignore"):  # a number that no integer holds is another then
-                own = stated.astype(int)
-            if (own != stated).any() or len(np.unique(own)) < n or (own < 0).any():
+            own = checks.shaped("calculated", self.calculated, n)
+            if len(np.unique(own)) < n or not ((own >= 0) & (own % 1 == 0) & (own < 2**31)).all():
                 raise DataError(
                     f"calculated is not {n} different whole numbers from 0 on, one of each mode"
                 )
-            put("calculated", own)
+            put("calculated", own.astype(int))
 
     def __repr__(self) -> str:
         f = self.frequencies
@@ -316,13 +311,11 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
             ],
         )
     except DataError as error:
-        # Values are above 0: what breaks a rule is a frequency or a decay.
-        placed = re.sub(
-            r"(frequencies|decays)\[(\d+)\] =",
-            lambda m: at("frequency" if m[1] == "frequencies" else of, int(m[2])) + ":",
-            str(error),
-        )
-        raise DataError(placed) from error
+        broken = re.match(r"(\w+)\[(\d+)\] =", str(error))
+        if broken is None:
+            raise DataError(f"{place}: {error}") from error
+        place = at("frequency" if broken[1].startswith("f") else of, int(broken[2]))
+        raise DataError(f"{place}:{str(error)[broken.end() :]}") from error
 
 
 def _columns(header: Sequence[str], place: str) -> dict[str, tuple[int, str]]:
