@@ -78,7 +78,7 @@ def specular(n_paths: int) -> None:
         scattering=0.0,
         **POINTS,
     )
-    exact = ImageSource(room=room, duration=0.05 * steps, bin_width=BIN, **POINTS).energy(alpha)
+    exact = ImageSource(room=room, duration=0.05 * steps, bin_width=BIN, **POINTS).decays(alpha)[0]
     found = tracer.energy(alpha, 0.6)[:, 0, :, 0]
     per, n = round(0.05 / BIN), round(0.05 / BIN) * steps
     found = found[..., :n].reshape(*found.shape[:2], steps, per).sum(axis=-1)
@@ -183,7 +183,7 @@ def engines(name: str, scattering: float, seconds: float, n_rays: int) -> None:
                     receivers={r: place},
                     duration=seconds,
                     bin_width=BIN,
-                ).energy(hall.room.alpha)
+                ).decays(hall.room.alpha)[0]
                 for r, place in common["receivers"].items()
             ]
         )
