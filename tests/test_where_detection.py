@@ -60,7 +60,16 @@ def test_a_noisy_pair_is_a_hint() -> None:
 
 def spread(effect: str) -> SpreadHypothesis:
     one = np.ones(1)
-    return SpreadHypothesis(effect, "S1", one, "", np.arange(1), np.eye(1), one, 0.5 * one)
+    return SpreadHypothesis(
+        effect=effect,
+        place="S1",
+        sizes=one,
+        unit="",
+        odds=0.5 * one,
+        rows=np.arange(1),
+        columns=np.eye(1),
+        scales=one,
+    )
 
 
 def scored(

@@ -51,26 +51,25 @@ def with_noise(error: float, noise: float, more_paths: int = 1) -> Any:
 
 def test_the_noise_of_one_tracing_is_left_and_has_no_pattern() -> None:
     left = with_noise(0.1, 0.2)
-    assert left.runs.errors.var() == pytest.approx(0.1**2, rel=0.1)
     common = COMMON * 0.1**2 / SHAPE[1] - 0.1**2 / SHAPE[1]  # of the runs, as is assumed
-    variance = np.diag(left.covariance())
+    variance = np.diag(left)
     assert variance.mean() == pytest.approx(0.1**2 + common + 0.2**2, rel=0.1)
     # Noise alone: few runs leave hardly any covariance of values that have none.
-    noise = with_noise(0.0, 0.2).covariance()
+    noise = with_noise(0.0, 0.2)
     off = noise[~np.eye(len(noise), dtype=bool)]
     assert np.sqrt((off**2).mean()) < 0.02 * np.diag(noise).mean()
 
 
 @pytest.mark.parametrize("more_paths", [2, 4])
 def test_an_assumed_error_does_not_depend_on_the_paths_of_control_runs(more_paths: int) -> None:
-    few, many = (np.diag(with_noise(0.2, 0.1, n).covariance()) for n in (1, more_paths))
+    few, many = (np.diag(with_noise(0.2, 0.1, n)) for n in (1, more_paths))
     assert many.mean() == pytest.approx(few.mean(), rel=0.03)
 
 
 def of_the_mean(noise: np.ndarray) -> np.ndarray:
     """Return the covariance of the error by noise alone, but for that of one tracing."""
     of_one = controls(noise).alike() * GROUPS / (GROUPS - TRACINGS)
-    covariance = error_of(controls(np.zeros((16, *SHAPE))), noise).covariance() - of_one
+    covariance = error_of(controls(np.zeros((16, *SHAPE))), noise) - of_one
     return np.asarray(covariance.reshape(*SHAPE, *SHAPE))
 
 
@@ -98,7 +97,7 @@ def test_noise_of_the_derivatives_by_scattering_is_no_evidence() -> None:
     error = error_of(
         controls(np.zeros((16, *SHAPE))), np.zeros((GROUPS, *SHAPE)), of_groups=of_groups
     )
-    covariance = error.covariance().reshape(*SHAPE, *SHAPE)
+    covariance = error.reshape(*SHAPE, *SHAPE)
     # Two materials: their own variance in all bands, and that of the whole room from band to band.
     expected = 2 * (0.8**2 + 0.7 * (0.8**2 + 1.0)) * 0.2**2 / GROUPS
     assert covariance[0, 2, 1, 1, 3, 2] == pytest.approx(expected, rel=0.25)
@@ -109,7 +108,7 @@ def test_what_the_scattering_of_a_material_changes_is_no_evidence() -> None:
     rng = np.random.default_rng(6)
     slope = rng.standard_normal((*SHAPE, 2))
     error = error_of(controls(np.zeros((16, *SHAPE))), np.zeros((GROUPS, *SHAPE)), slope)
-    covariance = error.covariance().reshape(*SHAPE, *SHAPE)
+    covariance = error.reshape(*SHAPE, *SHAPE)
     first, other = slope[0].mean(axis=0)[1], slope[1].mean(axis=0)[2]
     own = 0.8**2 * np.eye(2)
     expected = first @ (own + 0.7 * (own + 1.0)) @ other
@@ -148,15 +147,15 @@ def test_how_much_the_whole_room_scatters_is_no_evidence() -> None:
 def test_errors_that_are_all_noise_do_not_vanish() -> None:
     rng = np.random.default_rng(2)
     runs = rng.standard_normal((RUNS, *SHAPE))
-    left = error_of(controls(runs), 2 * rng.standard_normal((GROUPS, *SHAPE)))
-    assert left.runs.errors.var() == pytest.approx(0.1, rel=0.2)
+    left = controls(runs).without_noise(np.full((SHAPE[0], SHAPE[2]), 8.0))
+    assert left.errors.var() == pytest.approx(0.1, rel=0.2)
 
 
 def test_a_share_of_a_variance_is_the_value_s_own() -> None:
     # All errors of a run are alike, so that only the values' own parts leave other combinations open.
     rng = np.random.default_rng(3)
     runs = np.ones(SHAPE) * rng.standard_normal((16, 1, 1, 1))
-    covariance = error_of(controls(runs), np.zeros((8, *SHAPE))).covariance()
+    covariance = error_of(controls(runs), np.zeros((8, *SHAPE)))
     assert np.linalg.eigvalsh(covariance).min() > 0.99 * OWN * covariance.diagonal().min()
 
 
@@ -165,10 +164,9 @@ def test_only_what_is_common_to_all_pairs_is_assumed_smaller() -> None:
     common, own = rng.standard_normal((2, 2000, *SHAPE))
     runs = own - own.mean(axis=2, keepdims=True) + 3 * common[:, :, :1]
     error = error_of(controls(runs), np.zeros((8, *SHAPE)))
-    covariance = error.covariance().reshape(*SHAPE, *SHAPE)
+    covariance = error.reshape(*SHAPE, *SHAPE)
     variance = np.einsum("pikpik->pik", covariance)
     assert variance == pytest.approx(np.full(SHAPE, COMMON * 9 + 1 - 1 / SHAPE[1]), rel=0.1)
-    assert error.runs.errors == pytest.approx(runs)
 
 
 @pytest.mark.parametrize(("pattern", "kept"), [(1.0, 1.0), (0.0, 0.0)])

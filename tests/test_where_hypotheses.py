@@ -130,7 +130,7 @@ def test_the_error_of_a_place_is_integrated_as_a_covariance(uneven: float) -> No
         {"surface 0": nodes},
         uneven=columns,
         amount=uneven_amount(names, n_pairs),
-        levels=ScatteringLevels.assumed(n),
+        levels=ScatteringLevels(np.zeros((n, 1)), np.zeros(1)),
     )
     residual = 0.1 * rng.standard_normal(n)
     change = nodes[:, :, 0]

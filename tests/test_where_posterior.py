@@ -77,7 +77,7 @@ def test_the_means_of_a_drawn_room_have_the_density_of_means(
     case: rt.finder.PositionsCase, kept: Path
 ) -> None:
     numbers, every = where_ideal.prepared(case, kept)
-    numbers.levels = ScatteringLevels.assumed(len(numbers.residual))
+    numbers.levels = ScatteringLevels(np.zeros((len(numbers.residual), 1)), np.zeros(1))
     likelihoods = numbers.likelihoods()
     mean, of_means = where_ideal.averaged(numbers, likelihoods)
     whole, averaged = likelihoods[0], of_means[0]

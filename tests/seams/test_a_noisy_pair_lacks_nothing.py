@@ -37,7 +37,16 @@ def shift(effect: str) -> ShiftHypothesis:
 
 def spread(effect: str) -> SpreadHypothesis:
     one = np.ones(1)
-    return SpreadHypothesis(effect, "S1", one, "", np.arange(1), np.eye(1), one, ODDS[effect] * one)
+    return SpreadHypothesis(
+        effect=effect,
+        place="S1",
+        sizes=one,
+        unit="",
+        odds=ODDS[effect] * one,
+        rows=np.arange(1),
+        columns=np.eye(1),
+        scales=one,
+    )
 
 
 EVERY = PositionsHypotheses(

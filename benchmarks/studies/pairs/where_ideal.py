@@ -129,7 +129,7 @@ def averaged(numbers: PositionsProblem, likelihoods: Likelihoods) -> tuple[np.nd
             {name: within @ nodes for name, nodes in likelihood.nodes.items()},
             uneven=within @ likelihood.uneven,
             amount=uneven_amount(names, 1),
-            levels=replace(likelihood.levels, shifts=mean @ likelihood.levels.shifts),
+            levels=likelihood.levels._replace(shifts=mean @ likelihood.levels.shifts),
         )
 
     stated, off, unknown = likelihoods

@@ -47,7 +47,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,20 +118,41 @@ ODDS = {
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ShiftHypothesis:
+class Sizes:
     """Hypotheses of one effect in one place, with their sizes.
 
     Attributes
     ----------
     effect, family : str
+    place : str
+        The source, receiver or pair, or the material whose coefficients are off.
+    surface : int or None
+        Number of the surface; None for the whole room and the measurement.
+    sizes : array (n_hypotheses,)
+    unit : str
+    odds : array (n_hypotheses,)
+        Prior odds of each within its effect; over all surfaces they are normalised to 1.
+    """
+
+    effect: str
+    family: str
+    place: str = ""
+    surface: int | None = None
+    sizes: Array
+    unit: str
+    odds: Array
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ShiftHypothesis(Sizes):
+    """Hypotheses that the room is other than stated, which shifts what is heard.
+
+    Attributes
+    ----------
     response : str
         Which of the responses is interpolated.
     weights : array (n_hypotheses, n_bands, n_nodes)
         Shift of band k is weights[:, k] @ the response's nodes of band k.
-    odds : array (n_hypotheses,)
-        Prior odds of each within its effect; over all surfaces they are normalised to 1.
-    sizes : array (n_hypotheses,)
-    unit : str
     parameters : sequence of mapping
     error : array (n_bands, n_bands)
         Covariance of the relative error of the change, band by band.
@@ -141,30 +162,19 @@ class ShiftHypothesis:
         How far pairs may hear more or less of it than if it were spread evenly.
     size_error : float
         Standard deviation of ln size that the effect's description leaves open.
-    surface : int or None
-        Number of the surface; None for the whole room.
-    place : str
-        The material whose coefficients are off.
     part : int or None
         Number of the part of the surface; None for all of it.
     divisible : bool
         Whether it may stand on a part of its surface alone.
     """
 
-    effect: str
-    family: str
     response: str
     weights: Array
-    odds: Array
-    sizes: Array
-    unit: str
     parameters: Sequence[Parameters]
     error: Array
     spectra: Array
     uneven: Array
     size_error: float = 0.0
-    surface: int | None = None
-    place: str = ""
     part: int | None = None
     divisible: bool = False
 
@@ -175,26 +185,19 @@ class ShiftHypothesis:
         return replace(self, parameters=parameters, **{n: getattr(self, n)[which] for n in by_row})
 
 
-@dataclass(frozen=True, eq=False)
-class SpreadHypothesis:
-    """Hypotheses that some values err by more, with their sizes.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SpreadHypothesis(Sizes):
+    """Hypotheses that some values err by more.
 
     The covariance grows by ``scales**2 columns columns'``. ``rows`` are the values' numbers in the
     order (band, parameter, pair), ``columns`` (n_rows, n_errors) their errors, one standard deviation
-    each at a scale of 1. ``sizes``, ``scales`` and ``odds`` are (n_hypotheses,). ``place`` names the
-    source, receiver or pair.
+    each at a scale of 1. ``scales`` are (n_hypotheses,).
     """
 
-    effect: str
-    place: str
-    sizes: Array
-    unit: str
+    family: str = MEASUREMENT
     rows: NDArray[np.int64]
     columns: Array
     scales: Array
-    odds: Array
-    family: str = field(default=MEASUREMENT, init=False)
-    surface: None = field(default=None, init=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,10 +326,14 @@ FACTOR_SCALE = 0.35
 tables, and now and then by a factor of three."""
 
 
-def _anywhere(**of: Any) -> ShiftHypothesis:
-    """Return what stands on no surface: it has no spectrum, and no place that is not known."""
+def _anywhere(effect: str, family: str, nodes: Array, **of: Any) -> ShiftHypothesis:
+    """Return what stands on no surface: it has no spectrum, and no place that is not known.
+
+    ``nodes`` (n_hypotheses, n_bands, n_nodes) are the weights of its response.
+    """
     n = len(of["sizes"])
-    return ShiftHypothesis(**of, spectra=np.zeros((n, 0)), uneven=np.zeros(n))
+    nothing: dict[str, Any] = {"spectra": np.zeros((n, 0)), "uneven": np.zeros(n)}
+    return ShiftHypothesis(effect=effect, family=family, weights=nodes, **nothing, **of)
 
 
 def materials(case: PositionsCase) -> list[ShiftHypothesis]:
@@ -347,11 +354,11 @@ def materials(case: PositionsCase) -> list[ShiftHypothesis]:
         moved = np.minimum(factors[:, np.newaxis] * alpha, 1.0) - alpha
         made.append(
             _anywhere(
-                effect=COEFFICIENTS,
-                family=COEFFICIENTS,
+                COEFFICIENTS,
+                COEFFICIENTS,
+                np.tile(towards(moved, alpha), (1, 1, len(members))),
                 place=room.materials[row],
                 response=f"material {row}",
-                weights=np.tile(towards(moved, alpha), (1, 1, len(members))),
                 odds=density / density.sum() * absorbed[row] / absorbed.sum() * odds,
                 sizes=factors,
                 unit="of what is stated",
@@ -367,21 +374,30 @@ def stated_room(case: PositionsCase) -> RoomState:
     return RoomState.of_room(case.room, np.full((case.room.n_materials, 3), 1 / 3))
 
 
-def _whole(
-    effect: Effect,
-    nodes: Sequence[float],
-    at: Array,
-    grid: Sequence[Parameters],
-    odds: Array,
-    sizes: Array,
-    error: Array,
-) -> ShiftHypothesis:
-    """Return an effect of the whole room, whose response has the effect's name."""
+def whole_room(case: PositionsCase, effect: Any) -> ShiftHypothesis:
+    """Return an effect of `WHOLE`: other climates, or air where none is stated; other volumes.
+
+    Another volume is the geometry scaled. One that is traced has no gross mistake in it.
+    """
+    room, stated, f = case.room, stated_room(case), case.room.centre_frequencies
+    nodes: Sequence[float]
+    if effect.name == OmittedAir.name:
+        grid = effect.grid(stated)
+        attenuation = np.array([state.air for state in effect.changes(stated, grid)])
+        at = (attenuation - room.air_attenuation) / Air(20, 50).attenuation(f)
+        nodes, sizes = AIR, np.array([p["humidity"] for p in grid])
+        prior, error = effect.prior_odds(room), effect.error_over_bands(f)
+    else:
+        grid = effect.near(stated)
+        sizes = np.array([p["ratio"] for p in grid])
+        at = np.repeat(np.log(sizes)[:, np.newaxis], room.n_bands, axis=1)
+        nodes, prior, error = VOLUME, 1.0, 0.02**2 * (1 + np.eye(room.n_bands))
+    odds = grid_weights(effect, grid, stated) * prior
     return _anywhere(
-        effect=effect.name,
-        family=effect.family,
+        effect.name,
+        effect.family,
+        interpolation(nodes, at),
         response=effect.name,
-        weights=interpolation(nodes, at),
         odds=odds * ODDS[effect.name] / odds.sum(),
         sizes=sizes,
         unit=effect.unit,
@@ -390,37 +406,13 @@ def _whole(
     )
 
 
-def air(case: PositionsCase) -> ShiftHypothesis:
-    """Return other climates, or air where none is stated."""
-    effect, room, stated = OmittedAir(), case.room, stated_room(case)
-    f = room.centre_frequencies
-    grid = effect.grid(stated)
-    attenuation = np.array([state.air for state in effect.changes(stated, grid)])
-    more = (attenuation - room.air_attenuation) / Air(20, 50).attenuation(f)
-    odds = grid_weights(effect, grid, stated) * effect.prior_odds(room)
-    sizes = np.array([p["humidity"] for p in grid])
-    return _whole(effect, AIR, more, grid, odds, sizes, effect.error_over_bands(f))
-
-
-def volume(case: PositionsCase) -> ShiftHypothesis:
-    """Return other volumes, the geometry scaled."""
-    effect, n_bands, stated = WrongVolume(), case.room.n_bands, stated_room(case)
-    # A geometry that is traced has no gross mistake in its volume.
-    grid = effect.near(stated)
-    logs = np.log([p["ratio"] for p in grid])
-    at = np.repeat(logs[:, np.newaxis], n_bands, axis=1)
-    error = 0.02**2 * (1 + np.eye(n_bands))
-    odds = grid_weights(effect, grid, stated)
-    return _whole(effect, VOLUME, at, grid, odds, np.exp(logs), error)
-
-
 COUPLED = CoupledRoom()
 LEAST = 0.05
 """Least area that is tried, over the room's absorption area at 500 to 2000 Hz."""
 RATIO = 28.0 ** (1 / 13)
 """Of an area that is tried to the one before it. The last is the largest that the surface holds."""
-WHOLE = {"air": air, "volume": volume}
-"""Effects of the whole room that change what is traced, by name."""
+WHOLE = (OmittedAir.name, WrongVolume.name)
+"""Effects of the whole room that change what is traced."""
 DISPLACEMENTS = np.array([0.5, 1.0, 2.0])
 """Distances in m by which a source or receiver may stand elsewhere."""
 NOISES = np.array([3.0, 10.0])
@@ -451,7 +443,7 @@ def shifts(
     standing = [*on_surfaces([*tried.values()]), *([COUPLED] if COUPLED.name in tried else [])]
     out = [each for effect in standing for each in _standing(case, effect)]
     out += materials(case) if COEFFICIENTS not in without else []
-    return out + [make(case) for name, make in WHOLE.items() if name in tried]
+    return out + [whole_room(case, tried[name]) for name in WHOLE if name in tried]
 
 
 def _standing(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
@@ -573,18 +565,33 @@ def spreads(
         # The displacements along an axis and back have nearly opposite shifts: three free directions.
         columns = np.moveaxis(shift[:, pairs], 2, 0).reshape(len(rows), -1) / np.sqrt(6)
         odds = np.full(len(DISPLACEMENTS), ODDS[POSITION] / (len(moved) * len(DISPLACEMENTS)))
-        scales = DISPLACEMENTS / MOVE
         out.append(
-            SpreadHypothesis(POSITION, place, DISPLACEMENTS, "m", rows, columns, scales, odds)
+            SpreadHypothesis(
+                effect=POSITION,
+                place=place,
+                sizes=DISPLACEMENTS,
+                unit="m",
+                odds=odds,
+                rows=rows,
+                columns=columns,
+                scales=DISPLACEMENTS / MOVE,
+            )
         )
     for i, pair in enumerate(measured):
         rows = number[:, :, i].ravel()
         root = np.asarray(np.linalg.cholesky(full[np.ix_(rows, rows)]))
         odds = np.full(len(NOISES), ODDS[NOISE] / (len(measured) * len(NOISES)))
-        scales = np.sqrt(NOISES**2 - 1)
-        name = " to ".join(pair)
         out.append(
-            SpreadHypothesis(NOISE, name, NOISES, "times as uncertain", rows, root, scales, odds)
+            SpreadHypothesis(
+                effect=NOISE,
+                place=" to ".join(pair),
+                sizes=NOISES,
+                unit="times as uncertain",
+                odds=odds,
+                rows=rows,
+                columns=root,
+                scales=np.sqrt(NOISES**2 - 1),
+            )
         )
     return out
 
@@ -593,25 +600,14 @@ _AT_ONCE = 256
 """Hypotheses in one product: their matrices fill some 10 MB."""
 
 
-@dataclass(frozen=True, eq=False)
-class ScatteringLevels:
-    """Shifts of the whole room if it scatters more or less than is assumed.
+class ScatteringLevels(NamedTuple):
+    """Shifts of the whole room if it scatters more or less than is assumed, (n, n_levels).
 
-    Attributes
-    ----------
-    shifts : array (n, n_levels)
-        In the order (band, parameter, pair).
-    log_weights : array (n_levels,)
-        Log prior probabilities of the levels.
+    In the order (band, parameter, pair), with the log prior probabilities of the levels, (n_levels,).
     """
 
     shifts: Array
     log_weights: Array
-
-    @classmethod
-    def assumed(cls, n: int) -> ScatteringLevels:
-        """Return the assumed level alone, for ``n`` values."""
-        return cls(np.zeros((n, 1)), np.zeros(1))
 
 
 Residuals = tuple[Array, Array]
@@ -674,9 +670,8 @@ class Likelihood:
         weights, shifts = np.exp(self.levels.log_weights), self.levels.shifts
         off = shifts - (shifts @ weights)[:, np.newaxis]
         covariance = self.covariance + (off * weights) @ off.T
-        return replace(
-            self, covariance=covariance, levels=ScatteringLevels.assumed(len(covariance))
-        )
+        one = ScatteringLevels(np.zeros((len(covariance), 1)), np.zeros(1))
+        return replace(self, covariance=covariance, levels=one)
 
     def stated(self, residuals: Residuals) -> Array:
         """Return the log density if nothing is other than stated, (n_draws,)."""
@@ -800,32 +795,6 @@ BETWEEN_OCTAVES = 0.7
 what was measured in a flat room that scatters little was less likely by 8 to 11 nats."""
 
 
-@dataclass(frozen=True, eq=False)
-class TracingError:
-    """The simulator's error at the pairs and parameters of a search.
-
-    Attributes
-    ----------
-    runs : ControlRuns
-        Without their noise.
-    rest : array (n, n)
-        Covariance by the scattering of the materials and by noise, n = parameters x pairs x bands.
-    """
-
-    runs: ControlRuns
-    rest: Array
-
-    @property
-    def assumed(self) -> ControlRuns:
-        """The runs, what is common to all pairs as large as is assumed."""
-        return self.runs.with_common(COMMON**0.5)
-
-    def covariance(self) -> Array:
-        """Return the covariance, (n, n)."""
-        of_runs = self.assumed.covariance()
-        return np.asarray((1 - OWN) * of_runs + OWN * np.diag(np.diag(of_runs)) + self.rest)
-
-
 def reordered(covariance: Array, shape: Sequence[int]) -> Array:
     """Return a covariance over (parameter, pair, band) in the order (band, parameter, pair)."""
     order = flat(np.arange(len(covariance)).reshape(*shape))
@@ -839,8 +808,11 @@ def simulator_error(
     scattering_noise: Array,
     tracings: int,
     centre_frequencies: Array,
-) -> TracingError:
-    """Return the error of the mean of some tracings.
+) -> Array:
+    """Return the covariance of the error of the mean of some tracings, (n, n).
+
+    n = parameters x pairs x bands. It is that of the control runs without their noise, what is common
+    to all pairs as large as is assumed, of the scattering of the materials, and of the paths' noise.
 
     Parameters
     ----------
@@ -885,7 +857,9 @@ def simulator_error(
     between = np.tile(between, 2 * [len(slope) // len(between)])
     # Parameters and bands share the paths, and the pairs of a source, too.
     in_all_bands = of_scattering(OF_MATERIAL**2 * np.eye(len(prior)))
-    return TracingError(runs, of_paths + in_all_bands + of_scattering(prior) * between)
+    of_runs = runs.with_common(COMMON**0.5).covariance()
+    of_runs = (1 - OWN) * of_runs + OWN * np.diag(np.diag(of_runs))
+    return np.asarray(of_runs + of_paths + in_all_bands + of_scattering(prior) * between)
 
 
 _LEVELS = np.linspace(-2.4, 2.4, 9)
@@ -950,7 +924,8 @@ class PositionsProblem:
         The part of it that is a common error of the coefficients.
     measurement : array (n, n)
         Covariance of the measurement's errors.
-    error : TracingError
+    simulator_error : array (n, n)
+        Covariance of the simulator's error.
     levels : ScatteringLevels
     aimed : array (n, n), optional
         Covariance of what other lobes of the sources change; None where no source may have any.
@@ -1024,7 +999,7 @@ class PositionsProblem:
         }
         of_groups = shifts["noise of scattering"]
         of_groups = of_groups.reshape(*stated.shape, -1, shifts["scattering"].shape[-1])
-        self.error = simulator_error(
+        error = simulator_error(
             controls.at(names, pairs),
             np.moveaxis(shifts["noise"], -1, 0),
             shifts["scattering"],
@@ -1032,6 +1007,7 @@ class PositionsProblem:
             TRACINGS,
             frequencies,
         )
+        self.simulator_error = reordered(error, stated.shape) * scales
         step = STEP * (1 - np.minimum(room.alpha, LARGEST_ALPHA).T)  # (n_bands, n_materials)
         by_alpha = shifted("materials") / step[:, np.newaxis]
         self.alpha, self.together = _prior(case, by_alpha, self.nodes["air"])
@@ -1046,12 +1022,6 @@ class PositionsProblem:
         measurement, there = np.zeros(scales.shape), np.flatnonzero(self.data.used)
         measurement[np.ix_(there, there)] = self.data.covariance
         self.measurement = reordered(measurement, stated.shape) * scales
-
-    @cached_property
-    def simulator_error(self) -> Array:
-        """Covariance of the simulator's error, (n, n)."""
-        covariance = reordered(self.error.covariance(), self.shape)
-        return covariance * np.outer(self.scale, self.scale)
 
     def likelihoods(self, sources: Array | float = 0.0) -> Likelihoods:
         """Return the likelihoods with coefficients as stated, off together, and of the unknown.

@@ -24,6 +24,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
 from rtcal.acoustics.changes import facing
@@ -664,18 +665,6 @@ def _groups(
     gram = every @ inverse @ every.T
     size = np.maximum(np.diag(gram), 1e-12)
     nats = 0.5 * (size[:, np.newaxis] - gram**2 / size) / TOLD_TEMPER
-    return _joined(names, np.minimum(nats, nats.T) < DISTINCT_NATS)
-
-
-def _joined(names: Sequence[str], alike: Array) -> tuple[tuple[str, ...], ...]:
-    """Return the connected groups of two and more names."""
-    left, out = set(range(len(names))), []
-    while left:
-        group = [left.pop()]
-        for member in group:
-            near = {other for other in left if alike[member, other]}
-            left -= near
-            group += sorted(near)
-        if len(group) > 1:
-            out.append(tuple(names[g] for g in sorted(group)))
-    return tuple(out)
+    number, group = connected_components(np.minimum(nats, nats.T) < DISTINCT_NATS)
+    groups = [tuple(n for n, g in zip(names, group, strict=True) if g == i) for i in range(number)]
+    return tuple(members for members in groups if len(members) > 1)
