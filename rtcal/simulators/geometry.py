@@ -533,17 +533,17 @@ def distances(points: Array, triangles: Array) -> Array:
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     normal = np.cross(b - a, c - a)
     normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
-    p = points[:, np.newaxis, :]
-    height = np.sum((p - a) * normal, axis=-1)
-    foot = p - height[..., np.newaxis] * normal
+    from_corners = [points[:, np.newaxis] - corner for corner in (a, b, c)]
+    height = np.einsum("ptx,tx->pt", from_corners[0], normal)
     inside = np.ones(height.shape, dtype=bool)
     nearest = np.full(height.shape, np.inf)
-    for start, end in ((a, b), (b, c), (c, a)):
-        edge = end - start
-        inside &= np.sum(np.cross(edge, foot - start) * normal, axis=-1) >= 0
-        share = np.sum((p - start) * edge, axis=-1) / np.sum(edge * edge, axis=-1)
-        on_edge = start + np.clip(share, 0, 1)[..., np.newaxis] * edge
-        nearest = np.minimum(nearest, np.linalg.norm(p - on_edge, axis=-1))
+    for away, edge in zip(from_corners, (b - a, c - b, a - c), strict=True):
+        # The foot of the perpendicular is on the same side of the edge as the point itself.
+        inside &= np.einsum("ptx,tx->pt", away, np.cross(normal, edge)) >= 0
+        share = np.einsum("ptx,tx->pt", away, edge) / np.einsum("tx,tx->t", edge, edge)
+        off = away - np.clip(share, 0, 1)[..., np.newaxis] * edge
+        nearest = np.minimum(nearest, np.einsum("ptx,ptx->pt", off, off))
+    nearest = np.sqrt(nearest)
     return np.asarray(np.where(inside, np.abs(height), nearest))
 
 

@@ -218,8 +218,10 @@ class PositionsHypotheses:
         """Return "effect", "family" or "surface" of each row; the first three have no surface."""
         groups: list[Any] = [*self.spreads, *self.shifts]
         groups += self.shifts if self.unknown else ()
-        first = [None] * 3 if attribute == "surface" else [NONE, COEFFICIENTS, UNKNOWN]
-        return [*first, *(getattr(group, attribute) for group in groups for _ in group.odds)]
+        rows: list[Any] = [None] * 3 if attribute == "surface" else [NONE, COEFFICIENTS, UNKNOWN]
+        for group in groups:
+            rows += [getattr(group, attribute)] * len(group.odds)
+        return rows
 
     def of_groups(self, values: Array) -> tuple[list[Array], list[Array], list[Array]]:
         """Return the rows of each spread, of each shift, and of each shift with "unknown" beside."""
