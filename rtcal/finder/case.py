@@ -453,7 +453,7 @@ class Case:
             f"configurations: {shortened(names)}>"
         )
 
-    @property
+    @cached_property
     def directions_known(self) -> bool:
         """Whether the directions of most of the room's absorption are known.
 

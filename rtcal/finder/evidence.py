@@ -21,6 +21,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ from rtcal.finder.effects import Effect, Parameters, columns
 from rtcal.finder.model import RoomState
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only_view
 
 
 def with_columns(
@@ -318,6 +319,7 @@ SCALES = ((2.0, 0.6), (4.0, 0.4))
 """Where coefficients are off together: factors on these standard deviations, with probabilities."""
 
 
+@lru_cache(maxsize=4)
 def directions(case: Case, power: float = POWER) -> Array:
     """Return the changes of alpha in which the coefficients of a case may be off together.
 
@@ -326,7 +328,7 @@ def directions(case: Case, power: float = POWER) -> Array:
     changed it. They fall with the ``power`` of the stated relative sigma, below a handbook's. What the
     room states of its volume, its areas and its tables comes on top.
     """
-    return np.array([_directions(case.room, c, power) for c in case.configurations])
+    return read_only_view(np.array([_directions(case.room, c, power) for c in case.configurations]))
 
 
 def _directions(room: Room, c: Configuration | None = None, power: float = POWER) -> Array:

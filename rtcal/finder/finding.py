@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import import_module
 from operator import attrgetter
 from typing import Any, ClassVar, Literal
@@ -62,10 +63,6 @@ _LEAST = 1e-3
 """Probability below which nothing is added to a surface, even where the user names it."""
 Kind = Literal["means", "positions", "states"]
 DATA = {"means": "means over positions", "positions": "positions", "states": "two states"}
-
-
-def _no_numbers() -> Array:
-    return np.zeros(0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -203,25 +200,25 @@ class Finding(Result):
     stand_ins: Mapping[str, Names] = field(default_factory=dict)
     evidence: Mapping[str, float] = field(default_factory=dict)
     likely: Sequence[tuple[tuple[AppliedEffect, ...], float]] = ()
-    alpha: Array = field(default_factory=_no_numbers)
+    alpha: Array = field(default_factory=partial(np.zeros, 0))
     prior: Any = None
     fits: Mapping[str, Fit] = field(default_factory=dict)
     advice: Reason | None = None
-    residuals: Array = field(default_factory=_no_numbers)
+    residuals: Array = field(default_factory=partial(np.zeros, 0))
     discrepancy: Any = None
     not_judged: Mapping[str, str] = field(default_factory=dict)
 
     surface: str | None = None
     groups: tuple[Names, ...] = ()
-    map: Array = field(default_factory=_no_numbers)
+    map: Array = field(default_factory=partial(np.zeros, 0))
     parameters: tuple[str, ...] = ()
     pairs: tuple[tuple[str, str], ...] = ()
     controls: Any = None
     unexplained: float = 0.0
 
-    area: Array = field(default_factory=_no_numbers)
-    change: Array = field(default_factory=_no_numbers)
-    shift: Array = field(default_factory=_no_numbers)
+    area: Array = field(default_factory=partial(np.zeros, 0))
+    change: Array = field(default_factory=partial(np.zeros, 0))
+    shift: Array = field(default_factory=partial(np.zeros, 0))
     middle: tuple[float, ...] = ()
     climate: float = 0.0
 
