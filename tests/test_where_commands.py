@@ -68,6 +68,24 @@ def test_the_next_position_is_proposed(found: Finding, capsys: pytest.CaptureFix
     assert "No surfaces are in question" in " ".join(capsys.readouterr().out.split())
 
 
+def test_the_same_search_is_made_once(found: Finding, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With other options, or other files, it is another one."""
+    searches: list[Finding] = []
+
+    def search(*_: Any, **__: Any) -> Finding:
+        searches.append(found)
+        return found
+
+    monkeypatch.setattr("rtcal.finder.search.find", search)
+    for count, options in enumerate(((), ("--seed", "2"), ("--without", "opening")), 1):
+        for _ in range(2):
+            assert run("find", *FILES, *options) == 0
+            assert len(searches) == count
+    measured(False).select(measured(False).pairs[1:]).save("pairs.csv")
+    assert run("find", *FILES) == 0
+    assert len(searches) == 4
+
+
 def test_nothing_found_is_said_and_nothing_is_written(
     found: Finding,
     tmp_path: Path,

@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,8 +31,9 @@ from rtcal.command.console import (
     takes,
     tell,
 )
-from rtcal.files.disk import command, make_folder, spare, write_all
-from rtcal.files.saved import Result, load
+from rtcal.files.disk import command, make_folder, replace_file, spare, write_all
+from rtcal.files.saved import CannotBeSavedError, Result, load, plain
+from rtcal.support import __version__
 from rtcal.support.blocks import Block, Note, Row, Table, lines
 from rtcal.support.errors import DataError
 from rtcal.support.speed import bar
@@ -114,19 +117,45 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
 
 
 def searched(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) -> Any:
-    """Find what the room's model misses, or what changed; simulations are kept beside its file."""
-    from rtcal.finder import Case
-    from rtcal.finder.search import find
+    """Find what the room's model misses, or what changed.
+
+    What is found is kept beside its file, as simulations are.
+    """
+    from rtcal.finder import Case, search
 
     case = read_case(options, targets)
     chosen = {name: options[name] for name in ("seed", "without", "only")}
     if isinstance(case, Case):
         chosen |= {name: options[name] for name in ("most", "expected")}
         chosen["prior"] = numbers("--prior", options["prior"], "EFFECT=ODDS, such as opening=2")
-    if options["before"] is not None:
-        return find(case, **chosen)
-    with _progress("step") as progress:
-        return find(case, **chosen, cache=kept_beside(options["case"]), progress=progress)
+    cache = kept_beside(options["case"])
+
+    def find() -> Any:
+        if options["before"] is not None:
+            return search.find(case, **chosen)
+        with _progress("step") as progress:
+            return search.find(case, **chosen, cache=cache, progress=progress)
+
+    return _once(cache, case, chosen, find)
+
+
+def _once(cache: Path, of: Any, options: Mapping[str, Any], make: Callable[[], Result]) -> Any:
+    """Return what is kept of the same object and options, else what ``make`` gives, which is kept.
+
+    The file's name is a hash of both and of the version of rtcal; what no file can hold is made anew.
+    """
+    try:
+        content = json.dumps([plain(of), options, __version__], sort_keys=True)
+        path = cache / f"{hashlib.sha256(content.encode()).hexdigest()[:32]}.json"
+    except CannotBeSavedError:
+        return make()
+    with suppress(DataError):
+        return load(path)
+    made = make()
+    with suppress(DataError):  # a folder that cannot be written costs the time alone
+        make_folder(cache)
+        replace_file(path, made.to_json().encode())
+    return made
 
 
 def kept_beside(path: str) -> Path:
@@ -203,10 +232,13 @@ def verified(finding: Any, cache: Path) -> Any:
     """Return the gaps before and after; at pairs that were not fitted over `SEEDS`."""
     from rtcal import finder
 
-    if finding.kind != "positions":
-        return finder.verify(finding)
-    with _progress("model") as progress:
-        return finder.verify(finding, seeds=SEEDS, cache=cache, progress=progress)
+    def verify() -> Any:
+        if finding.kind != "positions":
+            return finder.verify(finding)
+        with _progress("model") as progress:
+            return finder.verify(finding, seeds=SEEDS, cache=cache, progress=progress)
+
+    return _once(cache, finding, {"seeds": SEEDS}, verify)
 
 
 @click.command(short_help="Find what a model misses.")
