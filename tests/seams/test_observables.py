@@ -199,11 +199,11 @@ def named(path: Path) -> set[str]:
 
 
 THE_MEANS_HAVE_FIVE = {
-    *(f"finder/{name}.py" for name in ("case", "model")),
+    *(f"finder/{name}.py" for name in ("apply", "case", "model")),
     *(
         f"finder/means/{name}.py"
         for name in (
-            *("corrected", "engines", "planning", "problem"),
+            *("engines", "planning", "problem"),
             *("recalibration", "search", "verdict"),
         )
     ),
