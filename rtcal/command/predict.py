@@ -10,24 +10,21 @@ import click
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.command.console import (
-    PATHS,
     control_bar,
-    flag,
     folder,
+    is_quiet,
     read_measured,
     takes,
     tell,
+    warn,
     without_air_warning,
 )
 from rtcal.files.disk import read_text
 from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
-    from rtcal.acoustics.measurement import Measurement
-    from rtcal.acoustics.room import Room
     from rtcal.calibration.result import CalibrationResult
     from rtcal.files.saved import Result
-    from rtcal.loop.positions import PositionsResult
 
 
 MAX_BYTES = 2**18
@@ -73,16 +70,12 @@ def read_changes(path: str, read: Callable[[str], Any]) -> Any:
         required=True,
         help="File of variants (TOML): `rtcal example change` writes one; see docs/files.md.",
     ),
-    flag("means", "Predict T by an equation, although ROOM states a mesh and positions."),
-    "paths",
     *_KNOWN,
 )
 def predict(
     room: str,
     measured: str | None,
     change: str,
-    means: bool,
-    paths: int | None,
     also: tuple[tuple[str, str], ...],
     equation: LinearEquation,
     out: Path | None,
@@ -92,40 +85,45 @@ def predict(
     The change is predicted: T before is given, that of the calibrated room, and nothing changed is T
     before exactly. One JND is 5 % of T. Without MEASURED the stated coefficients alone predict.
 
-    Where ROOM states its mesh, sources and receivers, and MEASURED has their pairs, ROOM is calibrated
-    to every position as by `rtcal fit`, and every position is predicted: T20, EDT, C80, Ts, level, D50,
-    STI. ROOM may be the folder of an `rtcal fit`, too, without MEASURED.
+    ROOM may be the folder of an `rtcal calibrate` or of an `rtcal fit`, without MEASURED. A fit
+    predicts every position: T20, EDT, C80, Ts, level, D50, STI.
 
     Example: rtcal predict room.toml t20.csv --change variants.toml
     """
     from rtcal.acoustics.changes import read_variants
-    from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.datasets import catalogue
+    from rtcal.files.saved import load
+    from rtcal.loop.positions import PositionsResult
     from rtcal.loop.predicted import predict_positions
     from rtcal.prediction.predicted import compare
 
     # What the file of variants states is checked before anything is calibrated.
-    fitted = fitted_folder(room, measured)
-    before = Room.from_file(room) if fitted is None else fitted.prior
+    known = load(room) if Path(room).is_dir() else None
+    if known is not None and (measured is not None or also):
+        raise DataError(
+            f"{room} is a folder, whose T is that of its calibration: leave MEASURED out"
+        )
+    before = Room.from_file(room) if known is None else getattr(known, "prior", None)
+    if before is None:
+        raise DataError(f"{room} is no folder of `rtcal calibrate` or `rtcal fit`")
     variants, target = read_changes(
         change, lambda text: read_variants(text, before, catalogue.material)
     )
-    known: PositionsResult | Measurement | None = fitted
-    if measured is not None and not means:
-        known = heard_at_positions(before, measured)
-    if known is None or means:
-        if measured is None and not also:
+    if not isinstance(known, PositionsResult):
+        if known is None and (measured is not None or also):
+            known = calibrated(room, measured, also, equation)
+        if known is None:
             told(compare(before, variants, equation=equation, target=target), out)
             return
-        result = calibrated(room, measured, also, equation)
-        told(compare(result, variants, target=target), out)
+        if before.scene.sources and not is_quiet():
+            warn("T is predicted by an equation; the folder of `rtcal fit` predicts every position")
+        told(compare(known, variants, target=target), out)
         return
-    if also or target is not None:
-        stated = "--also" if also else f"{change}: a target"
-        raise DataError(f"{stated} takes T by an equation; add --means")
-    if isinstance(known, Measurement):
-        known = calibrated_to_positions(Path(room), before, known, paths or PATHS)
+    if target is not None:
+        raise DataError(
+            f"{change}: a target is one of T by an equation, and {room} is of `rtcal fit`"
+        )
     with control_bar() as progress:
         at_positions = predict_positions(
             known,
@@ -134,51 +132,6 @@ def predict(
             progress=progress,
         )
     told(at_positions, out)
-
-
-def fitted_folder(room: str, measured: str | None) -> PositionsResult | None:
-    """Return the calibration of an `rtcal fit` folder; None for a room's file."""
-    from rtcal.files.saved import load
-    from rtcal.loop.positions import PositionsResult
-
-    if not Path(room).is_dir():
-        return None
-    if measured is not None:
-        raise DataError(f"{room} is a folder; give the room (TOML) that was calibrated and its T")
-    result = load(room)
-    if not isinstance(result, PositionsResult):
-        raise DataError(f"{room} is no folder of `rtcal fit`; give the room (TOML) and its T")
-    return result
-
-
-def heard_at_positions(room: Room, measured: str) -> Measurement | None:
-    """Return what was measured at the room's positions; None where either has none."""
-    heard, scene = read_measured(measured, quietly=True), room.scene
-    if not (scene.mesh or room.dimensions is not None) or heard.is_summary:
-        return None
-    placed = any(s in scene.sources and r in scene.receivers for s, r in heard.pairs)
-    return heard if placed else None
-
-
-def calibrated_to_positions(
-    file: Path, room: Room, heard: Measurement, paths: int
-) -> PositionsResult:
-    """Return the calibration to every position."""
-    from rtcal.calibration.measured import tell_data
-    from rtcal.finder.means.engines import FOLDER
-    from rtcal.io import geometry_files
-    from rtcal.loop.positions import calibrate_positions
-
-    tell_data(room, heard)
-    with without_air_warning(), control_bar() as progress:
-        return calibrate_positions(
-            geometry_files.path_tracing(room, n_paths=paths),
-            room,
-            heard,
-            cache=file.parent / FOLDER,
-            position_uncertainty=room.scene.position_uncertainty,
-            progress=progress,
-        )
 
 
 def calibrated(

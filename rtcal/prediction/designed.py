@@ -334,14 +334,13 @@ class DesignModel:
         target = target or self.target
         return self._known(x.tobytes()).probability(target.low, target.high)
 
-    def margins(self, probability: float, target: Target | None = None) -> Margins:
+    def margins(self, probability: float) -> Margins:
         """Return the function that returns ndtri(P) - ndtri(probability) of the bands with a range."""
-        target = target or self.target
-        bounded = target.bounded
-        low, high = np.log(target.low[bounded]), np.log(target.high[bounded])
+        bounded = self.target.bounded
+        low, high = np.log(self.target.low[bounded]), np.log(self.target.high[bounded])
 
         def of(x: Array) -> Array:
-            found = self.probability(x, target)[bounded]
+            found = self.probability(x)[bounded]
             made = self._known(x.tobytes())
             mean, sigma = made.log_mean[bounded], made.log_sigma[bounded]
             # Further off than samples reach, ln T is taken as normal: the search must see a slope.
@@ -386,14 +385,10 @@ class DesignModel:
         choice = self._choice(margins)
         return np.asarray(choice.widest()[0] * choice.size)
 
-    def most_probable(self, target: Target | None = None) -> tuple[Array, float]:
-        """Return the areas whose least probable band is most probable, and its probability.
-
-        Panels need not be whole.
-        """
-        target = target or self.target
-        x = self._widest(self.margins(LEAST, target))
-        return x, float(self.probability(x, target)[target.bounded].min())
+    @cached_property
+    def most_probable(self) -> Array:
+        """The areas in m² whose least probable band is most probable. Panels need not be whole."""
+        return self._widest(self.margins(LEAST))
 
     def widening(self, probability: float) -> float | None:
         """Return the factor by which both ends must move for a design to exist; None above 100.
@@ -431,8 +426,6 @@ def _what(t: Treatment) -> tuple[object, ...]:
 FRONTIER = (0.8, 0.85, 0.9, 0.95)
 """Probabilities of `Design.frontier`."""
 _BEST = 0.99
-_HARDLY = 0.01
-"""Probability below which a range is almost surely missed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -642,8 +635,8 @@ def _cheapest(model: DesignModel, probability: float) -> Design | None:
 def can_be_had(model: DesignModel, probability: float) -> list[str]:
     """Return what can be had where the design is infeasible, in sentences.
 
-    The best probability of each band and of all, the least widening of the range, what parts of panels
-    would allow, and what would narrow the interval.
+    The best probabilities, the least widening of the range, what parts of panels would allow, and what
+    would narrow the interval.
     """
     model = model.in_order[0]
     labels, target = bands.labels(model.before.centre_frequencies), model.target
@@ -659,20 +652,14 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
                 f"No whole panels are in range with probability {probability:g}.",
                 f"Panels that may be cut would be, at a cost of {found.cost:.0f}: {areas}.",
             ]
-    each = []
-    for k in np.flatnonzero(target.bounded):
-        here = np.arange(len(labels)) == k
-        alone = Target(np.where(here, target.low, np.nan), np.where(here, target.high, np.nan))
-        each.append(f"{labels[k]} {model.most_probable(alone)[1]:.2f}")
-    said.append(f"Best probability of each band alone: {', '.join(each)}.")
-    at, best = model.most_probable()
-    if best < _HARDLY:
-        said.append("With the best areas found, some band stays almost surely out of its range.")
-    else:
-        said.append(
-            "With the best areas found, every band is in its range with a probability of "
-            f"{best:.2f} or more, at a cost of {model.prices @ at:.0f}."
-        )
+    at = model.most_probable
+    each = [
+        f"{labels[k]} {p:.2f}" for k, p in enumerate(model.probability(at)) if target.bounded[k]
+    ]
+    said.append(
+        f"With the areas whose least probable band is most probable, at a cost of "
+        f"{model.prices @ at:.0f}, the probabilities are: {', '.join(each)}."
+    )
     wider = model.widening(probability)
     if wider is None:
         said.append("No range about this one is met.")

@@ -232,20 +232,26 @@ def test_the_command_takes_a_room_or_a_calibration(measured, result, tmp_path: P
     change.write_text(
         '[[variant]]\nname = "tiles off"\n[[variant.change]]\nopen = "tiles"\narea = 3\n'
     )
-    arguments = ["predict", str(room), str(pairs), "--change", str(change), "--quiet"]
-    out = tmp_path / "after"
-    told = CliRunner().invoke(cli, [*arguments, "--paths", "800", "--out", str(out), "--json"])
-    assert told.exit_code == 0, told.output
-    found = rt.load(out)
-    assert isinstance(found, Predictions)
-    assert found.predictions[0].pairs == tuple(measured.pairs)
-    calibrated = tmp_path / "fitted"
-    result.save(calibrated)
-    arguments[1:3] = [str(calibrated)]
-    again = CliRunner().invoke(cli, [*arguments, "--out", str(tmp_path / "again")])
-    assert again.exit_code == 0, again.output
-    assert rt.load(tmp_path / "again").predictions[0].simulator == result.simulator
-    arguments[1:2] = [str(room), str(pairs)]
-    means = CliRunner().invoke(cli, [*arguments[:-1], "--means"])
-    assert means.exit_code == 0
-    assert "T after / s" in means.output
+    result.save(tmp_path / "fitted")
+    rt.calibrate(rt.Room.from_file(str(room)), measured).save(tmp_path / "calibrated")
+
+    def predicted(*of: Path) -> Predictions:
+        out = tmp_path / "after"
+        arguments = ["predict", *map(str, of), "--change", str(change), "--out", str(out)]
+        told = CliRunner().invoke(cli, [*arguments, "--force"])
+        assert told.exit_code == 0, told.output
+        found = rt.load(out)
+        assert isinstance(found, Predictions)
+        return found
+
+    (of_fit,) = predicted(tmp_path / "fitted").predictions
+    assert of_fit.pairs == tuple(measured.pairs)
+    assert of_fit.simulator == result.simulator
+    (of_folder,), (of_room,) = (
+        predicted(*of).predictions for of in ([tmp_path / "calibrated"], [room, pairs])
+    )
+    np.testing.assert_allclose(of_folder.mean, of_room.mean, rtol=1e-12)
+    refused = CliRunner().invoke(
+        cli, ["predict", str(tmp_path / "fitted"), str(pairs), "--change", str(change)]
+    )
+    assert "leave MEASURED out" in str(refused.exception)
