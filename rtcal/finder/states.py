@@ -32,7 +32,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, combinations
+from itertools import chain, combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +63,6 @@ from rtcal.finder.evidence import (
     UNKNOWN,
     UNKNOWN_ODDS,
     left_out_of,
-    log_mixture,
     with_columns,
 )
 from rtcal.finder.finding import Finding
@@ -671,45 +670,6 @@ def _as_changed(family: str | None, change: Array) -> str | None:
     return family if KINDS[over_frequency(change)] == kind else whole
 
 
-def _located(
-    case: StatesCase,
-    family: str | None,
-    families: Mapping[str, float],
-    change: Array,
-    variance: Array,
-    degrees: float,
-    seed: int,
-    climate: bool,
-) -> tuple[
-    Mapping[str, float], Mapping[tuple[str, ...], float], Mapping[str, float], Reason | None
-]:
-    """Return on which surfaces something changed, and gains, as `locate`; and why no surface is told.
-
-    ``climate`` is whether another one is tried.
-    """
-    simulator = case.simulator
-    if simulator is None:
-        return {}, {}, {}, Reason("no geometry")
-    absorption = family is not None and "absorption" in family
-    if unstated := case.sources_unstated:
-        why = Reason("no directivity", {"sources": unstated}) if absorption else None
-        return {}, {}, {}, why
-    of_air, weights, forth = None, None, case.falls
-    if absorption:
-        forth = families[f"{ADDED} absorption"] > families[f"{REMOVED} absorption"]
-        # How far each pair's differences lie from the pairs' mean tells how noisy the pair is.
-        mean = np.nansum(change / variance, axis=0) / np.nansum(1 / variance, axis=0)
-        squares = np.nansum((change - mean) ** 2 / variance, axis=1)
-        count = np.isfinite(change).sum(axis=1)
-        weights = np.minimum(1.0, (degrees + count) / (degrees + squares))
-        if climate:
-            of_two = np.diag(climate_covariance(case.room, case.climate_uncertainty))
-            of_air = np.sqrt(of_two) / (4 * case.room.volume)
-    states, sign = (case.states, 1.0) if forth else (case.states[::-1], -1.0)
-    surfaces, sets, gains = locate(simulator, *states, case.match, seed, weights, of_air)
-    return surfaces, sets, {source: sign * gain for source, gain in gains.items()}, None
-
-
 def _summed(names: Iterable[str], given: Array, none: float) -> dict[str, float]:
     """Return the probability of "none" and of each name, the most probable first."""
     out = {NONE: none}
@@ -784,93 +744,113 @@ def sets_of(simulator: PathTracing, surfaces: Mapping[str, Faces]) -> list[tuple
     return out
 
 
-def locate(
-    simulator: PathTracing,
-    before: Measurement,
-    after: Measurement,
-    match: Sequence[str],
-    seed: int = 0,
-    weights: Array | None = None,
-    climate: Array | None = None,
-) -> tuple[Mapping[str, float], Mapping[tuple[str, ...], float], Mapping[str, float]]:
-    """Return the probability of each surface, and of each set, that it absorbs more after than before.
+def _located(
+    case: StatesCase,
+    family: str | None,
+    families: Mapping[str, float],
+    change: Array,
+    variance: Array,
+    degrees: float,
+    seed: int,
+    climate: bool,
+) -> tuple[
+    Mapping[str, float], Mapping[tuple[str, ...], float], Mapping[str, float], Reason | None
+]:
+    """Return the probabilities of surfaces and of sets of them, gains, and why no surface is told.
 
-    The third are the sources whose level is left out, and by how many dB it shifts beside what T says.
+    A gain is of a source whose level is left out: by how many dB it shifts beside what T says. Where no
+    absorption is claimed, the gains alone are found.
 
     Parameters
     ----------
-    simulator : PathTracing
-        With every source's directivity.
-    before, after : Measurement
-        Of the same pairs of the simulator, in the room's bands; before absorbs less.
-    match : sequence of str
-        Parameters that are compared: those that both states have and the directivities allow, and T20.
-    weights : array (n_pairs,), optional
-        Precision of each pair's noise over the expected one. Without it no surface is told, and the
-        gains alone are found.
-    climate : array (n_bands,), optional
-        Standard deviation in 1/m by which the air's attenuation differs in two states, if it does; None
-        where another climate is not tried.
+    family, families
+        As of the finding.
+    change, variance : array (n_pairs, n_known_bands)
+        Of ln T, from which the precision of each pair's noise over the expected one follows.
+    climate : bool
+        Whether another one is tried.
     """
-    wanted = dict.fromkeys((TARGET.key, *simulator.trusted(match)))
-    states = (before, after)
+    tracer = case.simulator
+    if tracer is None:
+        return {}, {}, {}, Reason("no geometry")
+    absorption = family is not None and "absorption" in family
+    if unstated := case.sources_unstated:
+        why = Reason("no directivity", {"sources": unstated}) if absorption else None
+        return {}, {}, {}, why
+    states, sign = case.states, 1.0  # the second absorbs more
+    forth = families[f"{ADDED} absorption"] > families[f"{REMOVED} absorption"]
+    if not (forth if absorption else case.falls):
+        states, sign = (states[1], states[0]), -1.0
+    wanted = dict.fromkeys((TARGET.key, *tracer.trusted(case.match)))
     match = [n for n in wanted if all(OBSERVABLES[n].key_in(m.values) in m.values for m in states)]
     level = match.index(LEVEL.key) if LEVEL.key in match else None
-    if weights is None and level is None:
-        return {}, {}, {}
-    pairs, frequencies = before.pairs, simulator.centre_frequencies
-    rows = [simulator.pairs.index(p) for p in pairs]
+    if not absorption and level is None:
+        return {}, {}, {}, None
+    pairs, frequencies = case.pairs, tracer.centre_frequencies
+    rows = [tracer.pairs.index(p) for p in pairs]
     two = [Observations.of_measurement(m, match, pairs).values for m in states]
-    change = two[1] - two[0]
-    weighing = _scaled_to(simulator, before, match, rows, seed)
+    moved = two[1] - two[0]
+    weighing = _scaled_to(tracer, states[0], match, rows, seed)
     energy = weighing.energy(weighing.alpha)[0]
     gains = dict[str, float]()
     if level is not None:
         times = [m.reverberation_time for m in states]
-        gains = _gains(simulator, pairs, energy[rows], times, change[level])
-        change[level][[source in gains for source, _ in pairs]] = np.nan
-    if weights is None:
-        return {}, {}, gains
+        gains = _gains(tracer, pairs, energy[rows], times, moved[level])
+        moved[level][[source in gains for source, _ in pairs]] = np.nan
+    of_gains = {source: sign * gain for source, gain in gains.items()}
+    if not absorption:
+        return {}, {}, of_gains, None
     direct = energy[rows, :, 0] / energy[rows].sum(axis=-1)
     if EARLY.key in match:
-        change[match.index(EARLY.key)][direct > MOST_DIRECT] = np.nan
+        moved[match.index(EARLY.key)][direct > MOST_DIRECT] = np.nan
+    # How far each pair's differences of ln T lie from the pairs' mean tells how noisy the pair is.
+    mean = np.nansum(change / variance, axis=0) / np.nansum(1 / variance, axis=0)
+    squares = np.nansum((change - mean) ** 2 / variance, axis=1)
+    weights = np.minimum(1.0, (degrees + np.isfinite(change).sum(axis=1)) / (degrees + squares))
     shorter = np.nanmean(np.exp(two[0][0] - two[1][0]), axis=0) if match[0] == TARGET.key else 1.0
-    noise = _noise(energy[rows], simulator, match) * (1 + np.asarray(shorter))[:, None, None]
+    noise = _noise(energy[rows], tracer, match) * (1 + np.asarray(shorter))[:, None, None]
     noise = noise / weights[:, None, None, None]
-    faces = of_room.of_geometry(simulator.geometry)
-    tried = sets_of(simulator, faces)
+    faces = of_room.of_geometry(tracer.geometry)
+    tried = sets_of(tracer, faces)
     groups = [np.concatenate([faces[n] for n in names]) for names in tried]
-    base = _observed(energy, simulator, match)
+    base = _observed(energy, tracer, match)
     shifts = np.array(
         [
-            [np.zeros_like(base), *(_observed(decay, simulator, match) - base for decay in decays)]
+            [np.zeros_like(base), *(_observed(decay, tracer, match) - base for decay in decays)]
             for decays in weighing.of_groups(groups, NODES)
         ]
     )[:, :, :, rows]
     # What a decay lacks under any set counts for none: EDT, where the direct sound is all there is.
-    change[~np.isfinite(shifts).all(axis=(0, 1))] = np.nan
+    moved[~np.isfinite(shifts).all(axis=(0, 1))] = np.nan
     shifts = np.where(np.isfinite(shifts), shifts, 0.0)
-
-    def evidence_of(sources: Sequence[str], by_air: Array | None) -> Array:
-        common = _common_errors(pairs, match, sources, by_air, len(frequencies))
-        return np.array([_evidence(change, s, noise, match, frequencies, common) for s in shifts])
-
-    def in_climate(by_air: Array | None) -> Array:
-        as_calibrated = evidence_of((), by_air)
-        if level is None:
-            return as_calibrated
-        every = [*dict.fromkeys(source for source, _ in pairs)]
-        return log_mixture(as_calibrated, evidence_of(every, by_air), ANOTHER_GAIN)
-
-    evidence = in_climate(None)
-    if climate is not None:
-        attenuation = simulator.room.air_attenuation + climate
-        in_it = _observed(weighing.energy(weighing.alpha, attenuation)[0], simulator, match)
+    # What pairs may err by together: columns (n_pairs, n_bands, n_parameters, n_errors), variances.
+    shape = len(pairs), len(frequencies), len(match)
+    shared = np.broadcast_to(np.eye(len(match)), (*shape, len(match)))
+    again = np.array([OBSERVABLES[name].remeasured for name in match]) ** 2
+    others: list[tuple[float, Array, Array]] = []
+    if level is not None:
+        sources = [*dict.fromkeys(source for source, _ in pairs)]
+        own = np.array([[source == name for name in sources] for source, _ in pairs], dtype=float)
+        columns = np.zeros((*shape, len(sources)))
+        columns[:, :, level] = own[:, np.newaxis]
+        others.append((ANOTHER_GAIN, columns, np.full(len(sources), GAIN**2)))
+    if climate:
+        of_two = np.diag(climate_covariance(case.room, case.climate_uncertainty))
+        attenuation = tracer.room.air_attenuation + np.sqrt(of_two) / (4 * case.room.volume)
+        in_it = _observed(weighing.energy(weighing.alpha, attenuation)[0], tracer, match)
         by_air = np.nan_to_num(np.moveaxis((in_it - base)[:, rows], 0, -1))
-        evidence = log_mixture(evidence, in_climate(by_air), ANOTHER_CLIMATE)
+        others.append((ANOTHER_CLIMATE, by_air[..., np.newaxis], np.ones(1)))
+    evidence = np.full(len(shifts), -np.inf)
+    for taken in product((False, True), repeat=len(others)):
+        some = [other for other, there in zip(others, taken, strict=True) if there]
+        columns = np.concatenate([shared, *(of for _, of, _ in some)], axis=3)
+        least = np.concatenate([again, *(of for _, _, of in some)])
+        log = [_evidence(moved, s, noise, match, frequencies, (columns, least)) for s in shifts]
+        odds = [p if there else 1 - p for (p, _, _), there in zip(others, taken, strict=True)]
+        evidence = np.logaddexp(evidence, np.log(np.prod(odds)) + np.array(log))
     chances = dict(zip(tried, np.exp(evidence - logsumexp(evidence)).tolist(), strict=True))
     by_surface = {n: sum(p for names, p in chances.items() if n in names) for n in faces}
-    return most_probable_first(by_surface), most_probable_first(chances), gains
+    return most_probable_first(by_surface), most_probable_first(chances), of_gains, None
 
 
 def _gains(
@@ -953,37 +933,6 @@ def _noise(energy: Array, simulator: PathTracing, match: Sequence[str]) -> Array
     return np.asarray(np.nan_to_num(covariance / (bandwidth * width)[:, None, None]))
 
 
-def _common_errors(
-    pairs: Sequence[tuple[str, str]],
-    match: Sequence[str],
-    sources: Sequence[str],
-    climate: Array | None,
-    n_bands: int,
-) -> tuple[Array, Array]:
-    """Return what several pairs err by together, and its variance where nothing changes.
-
-    All pairs share an error of each parameter, those of each of ``sources`` a gain of the level, and
-    all another climate, whose standard deviation shifts them by ``climate`` (n_pairs, n_bands,
-    n_parameters).
-
-    Returns
-    -------
-    columns : array (n_pairs, n_bands, n_parameters, n_errors)
-    variance : array (n_errors,)
-    """
-    again = np.array([OBSERVABLES[name].remeasured for name in match])
-    shared = np.broadcast_to(np.eye(len(match)), (len(pairs), len(match), len(match)))
-    gain = np.zeros((len(pairs), len(match), len(sources)))
-    for r, (source, _) in enumerate(pairs):
-        if source in sources:
-            gain[r, list(match).index(LEVEL.key), sources.index(source)] = 1.0
-    variance = np.concatenate([again**2, np.full(len(sources), GAIN**2)])
-    columns = np.repeat(np.concatenate([shared, gain], axis=2)[:, np.newaxis], n_bands, axis=1)
-    if climate is None:
-        return columns, variance
-    return np.concatenate([columns, climate[..., np.newaxis]], axis=3), np.append(variance, 1.0)
-
-
 def _evidence(
     change: Array,
     shifts: Array,
@@ -1000,8 +949,8 @@ def _evidence(
     shifts : array (n_nodes, n_parameters, n_pairs, n_bands)
         At a share of 0 and those of `NODES`.
     noise : array (n_pairs, n_bands, n_parameters, n_parameters)
-    common
-        As `_common_errors`.
+    common : array (n_pairs, n_bands, n_parameters, n_errors), array (n_errors,)
+        What pairs err by together, and its variance where nothing changes.
     """
     nodes = np.array([0.0, *NODES])
     to = np.array([np.interp(SHARES, nodes, row) for row in np.eye(len(nodes))]).T
