@@ -63,6 +63,7 @@ from rtcal.acoustics.observables import (
     parameter_label,
 )
 from rtcal.io import budget, sofa
+from rtcal.io.table_columns import position_in
 from rtcal.io.tables import MOST_NAMED, means, spread
 from rtcal.support import checks, library, text
 from rtcal.support.checks import text_name
@@ -82,7 +83,6 @@ LEAST_BT = 4.0
 """Bandwidth times T above which a backward filter does not bias T (Jacobsen & Rindel 1987)."""
 
 _ORDER = 6  # Butterworth; IEC 61260-1 class 1 needs 5 for octaves and 6 for third-octaves
-_NAMES = re.compile(r"(?<![A-Za-z])(L?S\w*?\d+)[_-]+((?:MP|M|R)\w*?\d+(?:#\d+)?)", re.I | re.ASCII)
 
 
 def read(
@@ -200,30 +200,21 @@ class Analysis:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """A sentence per band: how many pairs lack which parameter, their range in dB, what ends it."""
+        """A sentence per band: what how many pairs lack, their range in dB, and what ends it."""
         sentences, n = [], len(self.measurement.pairs)
         for k, frequency in enumerate(self.measurement.centre_frequencies):
-            lacking: dict[tuple[int, ...], list[str]] = {}
-            for parameter, values in self.measurement.values.items():
-                rows = tuple(np.flatnonzero(np.isnan(values[:, k])).tolist())
-                lacking.setdefault(rows, []).append(parameter_label(parameter))
-            lacking.pop((), None)
-            if not lacking:
-                continue
-            where = "; ".join(
-                ", ".join(names) + (f" in {self._pairs(rows)}" if n > 1 else "")
-                for rows, names in sorted(lacking.items(), key=lambda item: -len(item[0]))
-            )
-            of_floor: dict[Floor, list[int]] = {}
-            for i in sorted({i for rows in lacking for i in rows}):
-                of_floor.setdefault(self.floors[i][k], []).append(i)
-            why = []
-            for floor, some in of_floor.items():
-                sentence = floor.value.format(spread(self.impulse_to_noise_ratio[some, k], ".1f"))
-                why.append(
-                    sentence if len(of_floor) == 1 else f"In {self._pairs(some)}: {sentence}"
-                )
-            sentences.append(f"{_bands.label(frequency)}: no {where}. {' '.join(why)}")
+            alike: dict[tuple[tuple[str, ...], Floor], list[int]] = {}
+            for i in range(n):
+                of_pair = ((p, v[i, k]) for p, v in self.measurement.values.items())
+                if names := tuple(parameter_label(p) for p, value in of_pair if np.isnan(value)):
+                    alike.setdefault((names, self.floors[i][k]), []).append(i)
+            parts = [
+                f"no {', '.join(names)}{f' in {self._pairs(rows)}' if n > 1 else ''}. "
+                + floor.value.format(spread(self.impulse_to_noise_ratio[rows, k], ".1f"))
+                for (names, floor), rows in sorted(alike.items(), key=lambda item: -len(item[1]))
+            ]
+            if parts:
+                sentences.append(f"{_bands.label(frequency)}: {' And '.join(parts)}")
         return tuple(sentences)
 
     def _pairs(self, rows: Sequence[int]) -> str:
@@ -318,8 +309,7 @@ def _of_sound(
     if any(int(a) > int(b) + _SLACK and int(a) < 2**32 - 1 for a, b in _SIZE.findall(log)):
         doubts.append(f"{place}: it is shorter than its header states, so that its end is missing")
     stem = Path(place).stem
-    match = _NAMES.search(stem)
-    source, receiver = match.groups() if match else ("S1", stem)
+    source, receiver = position_in(stem) or ("S1", stem)
     loads = [partial(_samples, place, n, channel) for channel in range(n_channels)]
     yield source, receiver, [_Response(place, load, float(rate)) for load in loads]
 
