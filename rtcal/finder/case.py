@@ -775,7 +775,7 @@ class PositionsCase:
     @cached_property
     def surfaces_of_materials(self) -> dict[int, list[int]]:
         """The numbers of the surfaces that are of one material alone, by the material's number."""
-        made_of = np.array(self.room.material_rows(self.geometry.materials))
+        made_of = self.simulator.made_of
         out: dict[int, list[int]] = {}
         for j, faces in enumerate(self.faces.values()):
             if (made_of[faces] == made_of[faces[0]]).all():
@@ -790,7 +790,7 @@ class PositionsCase:
     @cached_property
     def surface_alpha(self) -> Array:
         """Mean alpha of each surface, (n_surfaces, n_bands)."""
-        alpha = self.room.alpha[self.room.material_rows(self.geometry.materials)]
+        alpha = self.room.alpha[self.simulator.made_of]
         areas = self.geometry.face_areas
         faces = self.faces.values()
         return np.array([np.average(alpha[f], axis=0, weights=areas[f]) for f in faces])

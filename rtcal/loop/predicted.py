@@ -465,11 +465,10 @@ def in_pieces(
     (n_pieces,), and for each cover which pieces it covers at every place, (n_places, n_pieces).
     """
     geometry, room = tracer.geometry, tracer.room
-    owner = room.material_rows(geometry.materials)
-    ends = [_ends(geometry, owner, moved) for _, _, moved in moves]
+    ends = [_ends(geometry, tracer.made_of, moved) for _, _, moved in moves]
     cut: list[tuple[str, str, Array]] = []
     parent: list[int] = []
-    for face, own in enumerate(owner.tolist()):
+    for face, own in enumerate(tracer.made_of.tolist()):
         sides = [s for of, (*_, moved) in zip(ends, moves, strict=True) if moved[own] for s in of]
         for piece in cut_face(geometry, face, sides):
             cut.append((f"{len(cut)}", f"{room.materials[own]} ({len(cut)})", piece))

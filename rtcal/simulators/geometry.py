@@ -262,7 +262,8 @@ class Polyhedron:
         places = np.array(
             [_points(f'{kind} "{name}"', [point])[0] for name, point in points.items()]
         )
-        inside = self.contains(places) & (self.wall_distance(places) > WELD)
+        within = winding_number(places, self.triangles) > 0.5
+        inside = within & (distance(places, self.triangles) > WELD)
         for name, place, free in zip(points, places, inside, strict=True):
             if not free:
                 raise DataError(f'{kind} "{name}" = {_place(place)} is outside the room')

@@ -66,7 +66,8 @@ RADIUS_SHARE = 0.075
 class Tracer(RoomSimulator, ABC):
     """A simulator that follows rays or paths through a `Polyhedron`, in independent batches.
 
-    The parameters are described by `PathTracing` and `RayTracing`.
+    The parameters are described by `PathTracing` and `RayTracing`. ``made_of`` (n_faces,) is the number
+    of each face's material.
     """
 
     geometry: Polyhedron
@@ -77,6 +78,7 @@ class Tracer(RoomSimulator, ABC):
     radius: float | None = None
     bin_width: float = 0.002
     n_batches: int = 8
+    made_of: NDArray[np.int64] = field(init=False, repr=False)
     deterministic: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -91,16 +93,9 @@ class Tracer(RoomSimulator, ABC):
         observables.bins(self.bin_width)
         if self.radius is not None:
             checks.positive("radius", self.radius, "m")
-        self.made_of.setflags(write=False)  # raises for a material that the room lacks
-        if doubt := volume_doubt(self.geometry, self.room):
-            raise DataError(doubt)
+        object.__setattr__(self, "made_of", check_walls(self.geometry, self.room))
         scattering = scattering_coefficients(self.room, self.scattering)
         object.__setattr__(self, "scattering", scattering)
-
-    @cached_property
-    def made_of(self) -> NDArray[np.int64]:
-        """Number of each face's material, (n_faces,)."""
-        return self.room.material_rows(self.geometry.materials)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -201,11 +196,15 @@ def check_seconds(seconds: float) -> float:
     return seconds
 
 
-def check_walls(geometry: Polyhedron, room: Room) -> None:
-    """Raise DataError for a wall material that the room lacks, or a volume off by `OFF_VOLUME`."""
-    room.material_rows(geometry.materials)
+def check_walls(geometry: Polyhedron, room: Room) -> NDArray[np.int64]:
+    """Return the number of each face's material, (n_faces,).
+
+    DataError for a wall material that the room lacks, or a volume off by `OFF_VOLUME`.
+    """
+    rows = room.material_rows(geometry.materials)
     if doubt := volume_doubt(geometry, room):
         raise DataError(doubt)
+    return read_only(rows)
 
 
 def volume_doubt(geometry: Polyhedron, room: Room) -> str:

@@ -134,7 +134,7 @@ class RayTracing(Tracer):
         n_bands = alpha.shape[1]
         absorption = np.hstack([alpha, np.tile(alpha[:, -1:], (1, _BANDS - n_bands))])
         walls = []
-        for face, row in enumerate(self.room.material_rows(self.geometry.materials)):
+        for face, row in enumerate(self.made_of):
             walls += [
                 engine.wall_factory(
                     rotation @ corners.T, absorption[row], np.full(_BANDS, scattering[row]), ""

@@ -264,20 +264,18 @@ class Weighing:
         ------
         array (n_shares, n_pairs, n_bands, n_bins)
         """
-        for start in range(0, len(groups), _AT_ONCE):
-            yield from self._of_groups(groups[start : start + _AT_ONCE], shares)
-
-    def _of_groups(self, groups: Sequence[Faces], shares: Sequence[float]) -> Array:
         room, alpha = self.tracer.room, self.alpha
-        held = np.array([np.isin(np.arange(len(alpha)), group) for group in groups])
         changed = np.array([changed_alpha(alpha, share) for share in shares])
-        width = room.speed_of_sound * self.tracer.bin_width
+        width, air = room.speed_of_sound * self.tracer.bin_width, room.air_attenuation
+        for start in range(0, len(groups), _AT_ONCE):
+            some = groups[start : start + _AT_ONCE]
+            held = np.array([np.isin(np.arange(len(alpha)), group) for group in some])
 
-        def weighed(paths: Paths, bands: NDArray[np.int64]) -> Array:
-            air = room.air_attenuation[bands]
-            return paths.energy_changed(alpha[:, bands], air, width, held, changed[..., bands])
+            def weighed(paths: Paths, bands: NDArray[np.int64], held: Any = held) -> Array:
+                by = alpha[:, bands], air[bands], width
+                return paths.energy_changed(*by, held, changed[..., bands])
 
-        return self._long_enough(weighed, 1.5)
+            yield from self._long_enough(weighed, 1.5)
 
     def _long_enough(
         self, weighed: Callable[[Paths, NDArray[np.int64]], Array], growth: float
