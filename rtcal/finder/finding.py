@@ -266,11 +266,6 @@ class Finding(Result):
         return self.verdict not in ("none", "hint")
 
     @property
-    def engines(self) -> tuple[str, ...]:
-        """The simulators of the control rooms, from which threshold and discrepancy were estimated."""
-        return () if self.discrepancy is None else self.discrepancy.engines
-
-    @property
     def numbers(self) -> tuple[float, ...]:
         """Of means, the probabilities of 0, 1, 2, ... effects."""
         return numbers_of(self.sets)
@@ -521,9 +516,8 @@ class Finding(Result):
         return made
 
     def __repr__(self) -> str:
-        """Return one line: the verdict, what is most probable, and its evidence."""
-        line: str = import_module(WORDS).line(self)
-        return f"<Finding {line}>"
+        """Return one line: the verdict, and the answer's first sentence."""
+        return f"<Finding {self.verdict}: {import_module(WORDS).headline(self)[0]}>"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -540,7 +534,7 @@ _RECORDED = {
     "all": "verdict effect family named probabilities families score threshold mistake reasons notes "
     "candidates size left_out",
     "means": "detected_by=detection.deciding named_families named_set members undecided numbers "
-    "evidence stand_ins alpha coefficients engines advice not_judged residuals",
+    "evidence stand_ins alpha coefficients engines=discrepancy.engines advice not_judged residuals",
     "positions": "surface unexplained surfaces likely_surfaces groups parameters pairs map "
     "nats_of_noise=detection.noise nats_of_means=detection.means "
     "centre_frequencies=case.room.centre_frequencies",

@@ -785,34 +785,12 @@ def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
     ]
 
 
-def line(f: Finding) -> str:
-    """Return the verdict, what is most probable and its odds in one line."""
-    if f.kind == "states":
-        what = "nothing" if f.verdict == NONE else _change(f)
-    elif f.kind == "positions":
-        what = "nothing" if f.best is None else likely(f.best.title, f.best.probability)
-    else:
-        some = f.members if len(f.members) > 1 else f.names
-        what = first_of([likely(n, f.probabilities.get(n, 0.0)) for n in some], _FEW) or "no effect"
-    return f"{f.verdict}: {what}; odds {odds(f.score)}, required {odds(f.threshold)}"
-
-
 def added(f: Finding, members: tuple[str, ...]) -> str:
     """Return the effects that `Finding.apply` adds, and those that explain the data as well."""
     titles = {c.effect: c.title for c in f.candidates}
     some = listed([likely(titles.get(n, n), f.probabilities.get(n, 0.0)) for n in members])
     if len(members) > 1:
-        of_named = {family_of(n, f.effects) for n in f.named}
-        families = dict.fromkeys(
-            (*(n for n in f.named_families if n not in of_named), *f.named_set)
-        )
-        identified = listed([*f.named, *(f"the group {name}" for name in families)])
-        said = (
-            f"Of it, {identified} is identified." if identified else "Nothing of it is identified."
-        )
-        if set(members) <= set(f.named):
-            said = "It is identified."
-        return f"Added: {some}, the most probable set ({percent(f.sets[members])}). {said}"
+        return f"Added: {some}, the most probable set ({percent(f.sets[members])})."
     others = listed([likely(n, f.probabilities.get(n, 0.0)) for n in f.names if n not in members])
     beside = f" Other candidates: {others}." if others else ""
     return f"Added{'' if members == f.members else ', as stated'}: {some}.{beside}"

@@ -16,11 +16,9 @@ from rtcal.acoustics.room import MAX_BYTES
 from rtcal.calibration.methods import calibrate
 from rtcal.files.disk import make_folder, write_all
 from rtcal.files.saved import NUMBERS
-from rtcal.finder.claim import CLAIMED
 from rtcal.finder.evidence import NONE
 from rtcal.finder.finding import Finding, rivals
 from rtcal.finder.means.recalibration import recalibrate
-from rtcal.finder.means.verdict import TWO
 from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification
 from rtcal.report import figures, of_calibration, room_view
@@ -92,7 +90,6 @@ def page(
                 [
                     Section("What to do", "to-do", 3),
                     Items(to_do(finding, verification, place)),
-                    *_unknowable(finding, verification),
                 ],
                 [drawn[beside]],
             ]
@@ -111,18 +108,12 @@ def page(
 
 def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
     """Return what the answer rests on, a sentence each, cautions first."""
-    rule = (
-        "An effect or a group is identified if its probability is at least "
-        f"{percent(CLAIMED)}, and if it passes the checks. More than one is identified from "
-        f"{percent(TWO)} for more than one effect."
-    )
     return [
         *(f"Caution: {said}" for said in words.cautions(finding)),
         *([] if verification is None else [verification.sentence]),
         *map(as_sentence, words.details(finding)),
         words.evidence(finding),
         *filter(None, [words.track_record(finding)]),
-        *([rule] if finding.more_than_one else []),
     ]
 
 
@@ -135,13 +126,7 @@ _USE = {
     "distinguish it from other errors of the model.",
     "withdrawn": "Use neither calibration: with the effect in the model the measurements fit worse.",
 }
-_QUOTE = {
-    "supported": "They may be quoted once the effect is confirmed.",
-    "not tested": "Nothing but the evidence supports them.",
-    "unproven": "Nothing but the evidence supports them.",
-    "withdrawn": "They must not be used: the finding is withdrawn.",
-}
-"""What may be done with the corrected calibration, and with its coefficients, by verification."""
+"""What may be done with the corrected model, by verification."""
 
 
 def to_do(
@@ -176,20 +161,6 @@ def to_do(
             "it can be used: nothing missing was found, but T may still be missed or mistyped."
         )
     return steps
-
-
-def _unknowable(finding: Finding, verification: Verification | None) -> list[Note]:
-    """Return what no calibration can show: whether the name is right."""
-    if not finding.can_be_added or finding.kind == "states" or finding.undecided is not None:
-        return []
-    others = listed([words.called(c.title) for c in rivals(finding, finding.likeliest)])
-    said = "The name may be wrong"
-    said += f": {others} would explain the data about as well." if others else "."
-    if verification is not None and verification.verdict == "supported":
-        said += (
-            " A deviation that shrinks shows that the model is better, not which effect is there."
-        )
-    return [Note(said)]
 
 
 def _of_means(
@@ -303,18 +274,14 @@ def _corrected(
     """Return the coefficients with the effect or the set in the model; nothing where none is added."""
     if not finding.can_be_added or finding.undecided is not None:
         return []
-    use = "They are right if these are the right names."
-    if verification is None:
+    corrected = None if verification is None else verification.corrected
+    if corrected is None:
         corrected = recalibrate(finding.with_effects(), finding.discrepancy)
-    else:
-        (_, corrected), use = verification.calibrations, _QUOTE[verification.verdict]
-        if verification.misses:
-            use = "They must not be used: with them the model misses T."
     of = listed([f'"{c.name}"' for c in finding.case.configurations])
     with_it = f"with {words.title(finding)} in the model, calibrated to {_time(finding)} of {of}"
     return [
         Section("The corrected calibration", "corrected", new_sheet=True),
-        Note(f"In the model: {'; '.join(corrected.effects_in_words)}. {use}", kind="keep"),
+        Note(f"In the model: {'; '.join(corrected.effects_in_words)}.", kind="keep"),
         coefficients(
             f"Corrected coefficients, {with_it}: input → calibrated, below it the 90 % interval",
             finding.case.room,
@@ -459,8 +426,8 @@ def _reproduced(finding: Finding, command: str) -> list[Any]:
     if finding.kind == "states":
         return []
     if command:
-        of = listed([*finding.engines])
-        rooms = [Note(f"The reference simulations are those of {of}:", kind="keep")] if of else []
+        engines = () if finding.discrepancy is None else finding.discrepancy.engines
+        rooms = [Note(f"Reference simulations: {listed(engines)}.", kind="keep")] if engines else []
         return [title, *rooms, Code(command)]
     if finding.kind == "positions":
         return []
