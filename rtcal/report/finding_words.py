@@ -97,7 +97,7 @@ SENTENCES: dict[str, str] = {
     "too large": "{effect:name} would take {share:p} of all surfaces; more than {most:p} is not "
     "plausible.",
     "below Schroeder": "{effect:name} rests on {bands:and}, below Schroeder's frequency, where no "
-    "sound field is diffuse: without them its odds are {without:odds} instead of {nats:odds}.",
+    "sound field is diffuse: without such bands its odds are {without:odds} instead of {nats:odds}.",
     "directivity unknown": "The surface is not identified, because the directivity of a source is "
     "unknown: where a source aims looks like absorption on the other surfaces.",
     "second room anywhere": "The surface is not identified: a second room returns its energy to all "
@@ -568,7 +568,7 @@ def size_of(f: Finding, name: str) -> str:
     if fit.size is None:
         return f"{what}: {effect.describe(fit.parameters)}"
     others = effect.describe(fit.parameters, without=effect.size)
-    return f"size of {what}: {fit.size.words}" + (f"; {others}" if others else "")
+    return f"{what}: {fit.size.words}" + (f"; {others}" if others else "")
 
 
 def _details_at_positions(f: Finding) -> list[str]:
