@@ -14,7 +14,7 @@ from rtcal.acoustics.room import times_of
 from rtcal.command.main import main
 from rtcal.finder import StatesCase
 from rtcal.finder.finding import Finding
-from rtcal.report.finding_words import headline
+from rtcal.report.finding_words import cautions, headline
 from tests.two_states import BANDS, measured, room, times
 from tests.typed import wrongly_typed
 
@@ -196,6 +196,16 @@ def test_it_is_saved_loaded_and_printed(panels: Finding, tmp_path: Path) -> None
     np.testing.assert_array_equal(again.case.change, panels.case.change)
     assert "more absorption at 500 to 2000" in str(panels)
     assert "more absorption" in panels._repr_html_()
+
+
+def test_a_likely_typing_error_is_a_caution_of_the_answer(panels: Finding) -> None:
+    """It stood on stderr alone, which no saved finding and no page has."""
+    values = panels.case.after.values["t20"].copy()
+    values[0, 2] *= 10
+    wrong = replace(panels.case, after=replace(panels.case.after, values={"t20": values}))
+    typed = [c for c in cautions(replace(panels, case=wrong)) if "typing error" in c]
+    assert len(typed) == 1
+    assert not any("typing error" in c for c in cautions(panels))
 
 
 def test_pairs_that_one_state_lacks_are_left_out_and_said() -> None:
