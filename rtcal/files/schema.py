@@ -189,7 +189,7 @@ def _parts(kind: Any, value: Any, place: str) -> Iterator[tuple[str, Any, Any]]:
     if _is_table(bare) and isinstance(value, Mapping):
         hints = get_type_hints(bare, include_extras=True)
         yield from ((within(place, k), hints[k], v) for k, v in value.items() if k in hints)
-    elif origin is dict and isinstance(value, Mapping):
+    elif origin in (dict, Mapping) and isinstance(value, Mapping):
         yield from ((f"{place}: a name", args[0], key) for key in value)
         yield from ((f'{place}["{shown(k)[1:-1]}"]', args[1], v) for k, v in value.items())
     elif _is_list(bare) and isinstance(value, list | tuple):
@@ -221,7 +221,7 @@ def _words(kind: Any) -> str:
         most = f"at most {meta.max_length} " if meta and meta.max_length else ""
         count = most if _is_list(bare) else f"{len(args)} "
         return f"a list of {count}{' or '.join(plural)}"
-    if origin is dict:
+    if origin in (dict, Mapping):
         return f"a table{' with an entry' if meta else ''}"
     if meta is None or meta.le == _LARGEST:
         return _SCALARS.get(bare, "a table")

@@ -132,14 +132,6 @@ class Uncertainty(FileTable):
     level: Annotated[float, msgspec.Meta(gt=0, le=20)] | None = None
 
 
-class EffectTable(FileTable):
-    """An effect that was added to a case; see `AppliedEffect`."""
-
-    effect: str
-    parameters: dict[str, Number]
-    size_interval: tuple[Number, Number] | None = None
-
-
 class CaseTable(FileTable):
     """A case; see `Case`. ``room`` is the name of a room's file, or its plain values."""
 
@@ -148,7 +140,7 @@ class CaseTable(FileTable):
     equation: str = "eyring"
     uncertainty: Uncertainty = msgspec.field(default_factory=Uncertainty)
     facing: list[list[Number | None]] | None = None
-    applied: list[EffectTable] = []
+    applied: list[AppliedEffect] = []
     climate_uncertainty: tuple[Number, Number] = CLIMATE_UNCERTAINTY
     caution: str = ""  # for whoever opens the file
 
@@ -480,7 +472,7 @@ class Case:
             configurations=[
                 Configuration.of(c, room, folder, table.uncertainty) for c in table.configuration
             ],
-            applied=[AppliedEffect(e.effect, e.parameters, e.size_interval) for e in table.applied],
+            applied=table.applied,
             climate_uncertainty=table.climate_uncertainty,
         )
 
