@@ -155,6 +155,7 @@ def _once(cache: Path, of: Any, options: Mapping[str, Any], make: Callable[[], R
     with suppress(DataError):  # a folder that cannot be written costs the time alone
         make_folder(cache)
         replace_file(path, made.to_json().encode())
+        return load(path)  # it is written as it is read, so that what is made of it has one name
     return made
 
 
@@ -286,8 +287,8 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     MEASURED has every pair of them, the answer says on which surface (docs/where.md). A CASE is one
     file that names a room, its equation, and measurements by configuration (docs/files.md).
 
-    The first search simulates control rooms, which takes a minute or more. They are kept beside ROOM or
-    CASE, in .rtcal_cache.
+    The first search simulates control rooms, which takes a minute or more. They, what is found and its
+    verification are kept beside ROOM or CASE, in .rtcal_cache: the same search is made once.
 
     With --most 3, sets of up to three effects are compared, and each effect has the probability that it
     is there at all. With --out the finding is kept: `rtcal verify`, `apply`, `plan` and `report` read
