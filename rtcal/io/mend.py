@@ -1289,30 +1289,19 @@ def _walls_of(walls: Walls, ends: Array) -> list[tuple[int, Any]]:
 def _covered(scene: FaceSet, areas: Sequence[float]) -> list[int]:
     """Return the pieces of walls that an object covers; none if it does not divide them in two."""
     scene = rejoined(scene)
-    links: list[list[tuple[int, int]]] = [[] for _ in areas]
+    n, pairs = len(areas), []
     for faces in scene.owners().values():
         of_walls = [int(scene.names[k]) for k in faces if scene.names[k] != _OBJECT]
         if len(of_walls) == 2:
-            first, second = of_walls
-            crossing = (len(faces) - 2) % 2
-            links[first].append((second, crossing))
-            links[second].append((first, crossing))
-    side: dict[int, int] = {}
-    covered = list[int]()
-    for start in range(len(areas)):
-        if start in side:
-            continue
-        side[start], joined = 0, [start]
-        for here in joined:  # the list grows during the loop
-            for there, crossing in links[here]:
-                if there not in side:
-                    side[there] = side[here] ^ crossing
-                    joined.append(there)
-                elif side[there] != side[here] ^ crossing:
-                    return []
-        sizes = [sum(areas[k] for k in joined if side[k] == s) for s in (0, 1)]
-        covered += [k for k in joined if side[k] == int(np.argmin(sizes))]
-    return covered
+            (first, second), is_crossed = of_walls, len(faces) % 2
+            # A piece has two nodes, one for each side that it may be on.
+            pairs += [(first, second + n * is_crossed), (first + n, second + n * (1 - is_crossed))]
+    links = coo_array((np.ones(len(pairs)), np.array(pairs, int).reshape(-1, 2).T), (2 * n, 2 * n))
+    _, label = connected_components(links, directed=False)
+    if (label[:n] == label[n:]).any():
+        return []
+    sizes = np.bincount(label[:n], areas, 2 * n)  # of the pieces on each side
+    return np.flatnonzero(sizes[label[:n]] < sizes[label[n:]]).tolist()
 
 
 def _within_walls(room: Polyhedron, part: FaceSet) -> FaceSet | None:
@@ -1515,14 +1504,17 @@ def _reaches_into(hull: Polyhedron, part: FaceSet) -> bool:
 
 @dataclass
 class _Contact:
-    """A face of an object before a face of a larger one, or of the room.
+    """A face of an object before a face of a larger one, or of the room: the wall.
 
     ``gap`` is the width in m of the air between them; below 0 where the object reaches through.
+    ``area`` is what both share in m².
     """
 
     face: int
     wall: int
+    plane: Polygon
     gap: float
+    area: float
 
 
 def _of_geometry(mend: Mending, geometry: Polyhedron) -> FaceSet:
@@ -1552,22 +1544,24 @@ def without_contacts(mend: Mending, geometry: Polyhedron) -> Polyhedron:
     contacts = [*_contacts(part, geometry, groups)]
     touching = [c for c in contacts if c.gap <= mend.weld]
     _note_gaps(part, [c for c in contacts if c.gap > mend.weld], groups[0] if groups else ())
-    moved = [_move(part, contact) for contact in touching]
+    moved = []
+    for c in touching:
+        own = part.corners(c.face)
+        moved.append(c.plane.thickness(own))
+        mend.points[part.faces[c.face]] = c.plane.onto(own)
     cuts: dict[int, list[Cut]] = {}
     area, places, unsure = 0.0, [], []
-    for contact, distance in zip(touching, moved, strict=True):
-        wall, own = (Polygon(part.corners(i)) for i in (contact.wall, contact.face))
-        shared = _shared(part, contact)
-        for shape in shared:
-            seen = own.seen(shape, wall)
-            cuts.setdefault(contact.wall, []).append((shape, None, ""))
-            cuts.setdefault(contact.face, []).append((seen, None, ""))
-            # What the object's other faces have gained or lost there.
-            longer = ANY_SHARE * distance * float(shape.length)
-            unsure.append((part.materials[contact.face], longer))
-        if shared:
-            area += sum(float(shape.area) for shape in shared)
-            places.append(f'"{part.names[contact.face]}" on "{part.names[contact.wall]}"')
+    for c, distance in zip(touching, moved, strict=True):
+        wall, own_plane = Polygon(part.corners(c.wall)), Polygon(part.corners(c.face))
+        shapes = _shared(wall, part.corners(c.face), mend.weld)
+        cuts.setdefault(c.wall, []).extend((shape, None, "") for shape in shapes)
+        seen = [own_plane.seen(shape, wall) for shape in shapes]
+        cuts.setdefault(c.face, []).extend((shape, None, "") for shape in seen)
+        area += sum(float(shape.area) for shape in shapes)
+        places += [f'"{part.names[c.face]}" on "{part.names[c.wall]}"'] * bool(shapes)
+        # What the object's other faces have gained or lost there.
+        longer = ANY_SHARE * distance * sum(float(shape.length) for shape in shapes)
+        unsure.append((part.materials[c.face], longer))
     if not cuts:
         return geometry
     try:
@@ -1581,13 +1575,6 @@ def without_contacts(mend: Mending, geometry: Polyhedron) -> Polyhedron:
     surface = float(np.sum(mended.face_areas) - np.sum(geometry.face_areas))
     mend.found("contact", CONTACT, places, area, volume, surface, unsure=unsure)
     return mended
-
-
-def _move(part: FaceSet, contact: _Contact) -> float:
-    """Move a face of an object onto its wall, and return the largest distance in m."""
-    wall, own = Polygon(part.corners(contact.wall)), part.corners(contact.face)
-    part.mend.points[part.faces[contact.face]] = wall.onto(own)
-    return wall.thickness(own)
 
 
 def _without(part: FaceSet, cuts: Mapping[int, Sequence[Cut]]) -> Polyhedron:
@@ -1640,36 +1627,32 @@ def _contacts(
                 least, most = (-FINE, FINE) if is_same else limits
                 if not least <= away.min() <= away.max() <= most:
                     continue
-                pieces = polygons_of(wall.polygon(polygons[i]).intersection(wall.shape))
-                if not pieces:
+                shapes = _shared(wall, polygons[i], mend.weld)
+                if not shapes:
                     continue
-                point = max(pieces, key=lambda p: float(p.area)).representative_point()
+                area = sum(float(shape.area) for shape in shapes)
+                point = max(shapes, key=lambda p: float(p.area)).representative_point()
                 inner = wall.lifted(np.array(point.coords))
                 # A thin object on the other side of a thin wall is not behind this face of it.
                 behind = inner + (max(away.max(), 0.0) + _BEFORE) * into
                 if is_same:
                     before = inner - _BEFORE * geometry.normals[[i, j]]
                     if not geometry.contains(before).any():
-                        yield _Contact(i, j, 0.0)
+                        yield _Contact(i, j, wall, 0.0, area)
                 elif abs(float(winding_number(behind, solid)[0])) > 0.5:
-                    yield _Contact(i, j, float(away.max()))
+                    yield _Contact(i, j, wall, float(away.max()), area)
 
 
-def _shared(part: FaceSet, contact: _Contact) -> list[Any]:
+def _shared(wall: Polygon, corners: Array, weld: float) -> list[Any]:
     """Return the shapes, in the wall's axes, that both faces have; not those as narrow as a sliver."""
-    wall = Polygon(part.corners(contact.wall))
-    shape = common(wall, part.corners(contact.face), FINE)
-    return [p for p in polygons_of(shape) if p.area > part.mend.weld * extent_of(ring_of(p)) / 2]
+    shape = common(wall, corners, FINE)
+    return [p for p in polygons_of(shape) if p.area > weld * extent_of(ring_of(p)) / 2]
 
 
 def _note_gaps(part: FaceSet, contacts: Sequence[_Contact], shell: Sequence[int]) -> None:
     """Note the objects that are as near to a wall as a window may be, over a whole face."""
     areas = part.areas
-    near = [
-        c
-        for c in contacts
-        if c.wall in shell and sum(p.area for p in _shared(part, c)) > COVERED * areas[c.face]
-    ]
+    near = [c for c in contacts if c.wall in shell and c.area > COVERED * areas[c.face]]
     if near:
         widest = max(c.gap for c in near)
         part.mend.found(
