@@ -81,7 +81,7 @@ def calibrate(
             data = read_measured(measured)
             by_modes = told_by_modes(Room.from_file(room), modes, data, equation)
         if out is not None:
-            figures.write_with_figures(by_modes, out, {})
+            figures.write_folder(by_modes, out, {})
         tell(str(by_modes), by_modes.to_dict())
         return
     prior = Room.from_file(room)
@@ -93,7 +93,8 @@ def calibrate(
         with suppress(DataError):  # told by the mesh's doubt
             result = replace(result, shares=facing(prior, geometry_files.read(prior)))
     if out is not None:
-        figures.write_folder(result, out)
+        pictures = {figures.FIGURE: lambda: figures.reverberation_time(result)}
+        figures.write_folder(result, out, pictures)
     tell(str(result), result.to_dict())
 
 
@@ -193,7 +194,12 @@ def fit(
                     progress=progress,
                 )
     if out is not None and (is_forced() or not result.refused):
-        figures.write_positions(result, out, tracer.geometry, tracer.sources, tracer.receivers)
+        at = tracer.geometry, tracer.sources, tracer.receivers
+        pictures = {
+            figures.PLAN: lambda: figures.position_gaps(result, *at),
+            figures.SHIFTS: lambda: figures.shifts(result),
+        }
+        figures.write_folder(result, out, pictures)
     tell(str(result), result.to_dict())
     if result.refused:
         raise click.exceptions.Exit(NOT_NEARER)

@@ -1108,27 +1108,7 @@ def _check_kind(kind: str, place: str) -> None:
         raise DataError(f'{place}: a figure ends with .png, .svg or .pdf, not ".{kind}"')
 
 
-def write_folder(result: CalibrationResult, folder: Path) -> list[Path]:
-    """Write room, numbers and figure of a calibration; see `write_with_figures`."""
-    return write_with_figures(result, folder, {FIGURE: lambda: reverberation_time(result)})
-
-
-def write_positions(
-    result: PositionsResult,
-    folder: Path,
-    geometry: Polyhedron,
-    sources: Mapping[str, Sequence[float]],
-    receivers: Mapping[str, Sequence[float]],
-) -> list[Path]:
-    """Write room, numbers and figures of a calibration to every position; see `write_with_figures`."""
-    draw = {
-        PLAN: lambda: position_gaps(result, geometry, sources, receivers),
-        SHIFTS: lambda: shifts(result),
-    }
-    return write_with_figures(result, folder, draw)
-
-
-def write_with_figures(
+def write_folder(
     result: CalibrationResult | PositionsResult | ModesResult,
     folder: Path,
     draw: Mapping[str, Callable[[], Any]],

@@ -288,7 +288,8 @@ def test_a_list_says_of_each_part_of_a_scene_that_it_is_lost(field: str, tmp_pat
 def test_what_a_fit_has_gained_is_in_the_file(name: str, tmp_path: Path) -> None:
     """T of the exported room is that of the fit, whose scattering was fitted."""
     result = fitted()
-    figures.write_positions(result, tmp_path, GEOMETRY, SOURCES, RECEIVERS)
+    draw = {"plan.png": lambda: figures.position_gaps(result, GEOMETRY, SOURCES, RECEIVERS)}
+    figures.write_folder(result, tmp_path, draw)
     room = rt.Room.from_file(str(tmp_path / "room.toml"))
     shared = list(range(8))
     if name != "native":
