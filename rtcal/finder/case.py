@@ -615,6 +615,7 @@ def _content(path: str, text: str) -> dict[str, Any]:
 
 
 def _table(content: Mapping[str, Any]) -> CaseTable:
+    content = checks.mapped("case", content)
     if "material" in content:
         raise DataError("this is a room's file; name what was measured in the room beside it")
     if "geometry" in content:
