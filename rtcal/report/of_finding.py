@@ -71,14 +71,8 @@ def page(
     room, drawn = finding.case.room, pictures(finding, verification, place)
     level = {"none": "agrees", "hint": "open"}.get(finding.verdict, "contradicts")
     answer, *more = words.headline(finding)
-    beside = next(
-        (
-            n
-            for n in ("reverberation_time", "probabilities", "residuals", "gap", "plan")
-            if n in drawn
-        ),
-        "change",
-    )
+    first = ("reverberation_time", "probabilities", "residuals", "gap", "plan", "change")
+    beside = [name for name in first if name in drawn][:1]
     made = {"means": _of_means, "positions": _at_positions, "states": _of_states}[finding.kind]
     blocks = [
         Section("The finding", "finding"),
@@ -91,10 +85,10 @@ def page(
                     Section("What to do", "to-do", 3),
                     Items(to_do(finding, verification, place)),
                 ],
-                [drawn[beside]],
+                [drawn[name] for name in beside],
             ]
         ),
-        *made(finding, verification, {n: p for n, p in drawn.items() if n != beside}, place),
+        *made(finding, verification, {n: p for n, p in drawn.items() if n not in beside}, place),
         *(
             [Section("Notes", "notes", 3), Items([*map(str, finding.notes)])]
             if finding.notes
