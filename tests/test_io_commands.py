@@ -224,7 +224,7 @@ def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     assert "it is like facing_brick: " in capsys.readouterr().err
     program = ("import", "catalogue", "--volume", 60, "--area", "material=90", *out)
     assert run(*program) == 2
-    assert '--catalogue "material=carpet" describes the entries' in capsys.readouterr().err
+    assert '--catalogue "material=carpet" names the entries' in capsys.readouterr().err
 
 
 def test_an_entry_that_has_an_equals_sign_is_stated_after_the_first_one(tmp_path: Path) -> None:

@@ -436,26 +436,35 @@ def _require_all(
     known = {*listed.names, *listed.aliases, *found}
     if not (missing := [name for name in used if name not in known]):
         return
-    own = {} if program == "catalogue" else dict.fromkeys(listed.names, "")
+    of_list = {} if program == "catalogue" else dict.fromkeys(listed.names, "")
     lines = []
     for name in missing[:_PROPOSED]:
-        near = [f'"{entry}" of the list' for entry in catalogue.similar(name, 2, own)]
+        near = [f'"{entry}" of the list' for entry in catalogue.similar(name, 2, of_list)]
         with suppress(MissingDependencyError):
-            near += catalogue.similar(name, 3)
-        lines.append(f'\n- "{name}" is like {"; ".join(near) or "no entry"}')
-    options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing[:_PROPOSED])
-    has = ""
-    if own:
+            near += (catalogue.nearest if len(missing) <= _DESCRIBED else catalogue.similar)(
+                name, 3
+            )
+        near = near or [
+            f'nothing: --catalogue "{name}=carpet" names the entries that are like carpet'
+        ]
+        lines.append(f'\n- "{name}" is like {"; ".join(near)}')
+    if len(missing) > _DESCRIBED:
+        words = missing[0].replace("_", " ")
+        lines.append(f'\n--catalogue "{missing[0]}={words}" describes the entries that are like it')
+    options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing[:_DESCRIBED])
+    options += f" and so on, for {len(missing)} materials" * (len(missing) > _DESCRIBED)
+    where = "the catalogue" if program == "catalogue" else listed.path
+    own = ""
+    if program != "catalogue":
+        own = f".\nThe list has: {shortened(', '.join([*listed.names, *listed.aliases]), 200)}"
         options = (
             f'one of its names (--as "{missing[0]}=NAME"), or an entry of the catalogue: {options}'
         )
-        has = f".\nThe list has: {shortened(', '.join([*listed.names, *listed.aliases]), 200)}"
-    raise DataError(
-        f"{place}: not in {listed.path}:{';'.join(lines)}{has}.\nState {options}. --catalogue "
-        f'"{missing[0]}=carpet" describes the entries that are like carpet'
-    )
+    raise DataError(f"{place}: not in {where}:{';'.join(lines)}{own}.\nState {options}")
 
 
+_DESCRIBED = 3
+"""Largest number of missing materials whose proposals are described."""
 _PROPOSED = 12
 """Largest number of missing materials for which a message has proposals."""
 

@@ -32,6 +32,35 @@ _TABLE = "pyroomacoustics"
 _RENAMED = {"gypsum_board": "gypsum_board_perforated"}
 """Entries whose name hides what they are. 19.6 % of this board are holes, and alpha is 1.00 at 500 Hz;
 a plain board is ``plasterboard``."""
+_SYNONYMS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("vinyl", "pvc", "lino", "resilient", "gummi"), ("linoleum",)),
+    **dict.fromkeys(
+        ("parquet", "parkett", "laminate", "timber", "holz", "oak"), ("wood", "wooden")
+    ),
+    **dict.fromkeys(("drywall", "gips", "gipskarton", "sheetrock"), ("plasterboard", "gypsum")),
+    **dict.fromkeys(("gypsum", "plasterboard"), ("plasterboard", "gypsum")),
+    **dict.fromkeys(("steel", "aluminium", "aluminum", "metall", "blech"), ("metal", "steel")),
+    **dict.fromkeys(("window", "windows", "fenster", "glas", "glazing"), ("glass", "glazing")),
+    **dict.fromkeys(("teppich", "rug"), ("carpet",)),
+    **dict.fromkeys(("vorhang", "drape", "drapes"), ("curtain", "curtains")),
+    **dict.fromkeys(("beton", "cement", "screed", "estrich"), ("concrete",)),
+    **dict.fromkeys(("ziegel", "masonry", "mauerwerk"), ("brick", "brickwork")),
+    **dict.fromkeys(("tuer", "tür", "doors"), ("door",)),
+    **dict.fromkeys(("putz", "stucco", "render"), ("plaster", "rendered")),
+    **dict.fromkeys(("fliesen", "tiles", "tile"), ("ceramic", "tiles", "tile")),
+    **dict.fromkeys(("decke",), ("ceiling",)),
+    **dict.fromkeys(("boden", "flooring"), ("floor",)),
+    **dict.fromkeys(("wand", "waende", "wände"), ("walls", "wall")),
+    **dict.fromkeys(("seat", "seats", "stuhl", "stühle"), ("chairs", "seats")),
+    **dict.fromkeys(("publikum", "people", "persons"), ("audience",)),
+    **dict.fromkeys(("rockwool", "mineralwolle", "glasswool"), ("rockwool", "mineral", "wool")),
+    **dict.fromkeys(("stone", "stein", "granite"), ("limestone", "marble")),
+}
+"""Words of the trade, English and German, for those of the catalogue."""
+_PLACES = {"floor", "wall", "walls", "ceiling", "roof", "panel", "board", "decke", "boden", "wand"}
+"""Words that say where a material is, and of which form, rather than which it is."""
+_PEOPLE = {"audience", "chairs", "orchestra"}
+_OF_A_PLACE = 0.4
 _LEAST_LIKENESS = 0.75
 """Share of the letters that two words have in common: 0.93 for "curtains" and "curtain"."""
 
@@ -130,25 +159,35 @@ def material_list() -> MaterialList:
 
 
 def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) -> list[str]:
-    """Return the names of entries whose name or description has words like those of a name.
+    """Return the names of entries whose name or description resembles a material's name.
 
-    A word counts more in an entry's name than in its description, and may differ in its ending.
+    A word counts the more, the fewer entries have it, and more in an entry's name than in its
+    description. Words may differ in their ending, and `_SYNONYMS` of the trade stand for each other.
     ``among`` are other entries than the catalogue's, with a description each.
 
     Examples
     --------
-    >>> similar("brick wall", 1), similar("perforated metal panel", 1)
-    (['brick_wall_rough'], ['ceiling_metal_panel'])
+    >>> similar("vinyl floor", 1), similar("perforated metal panel", 1)
+    (['linoleum_on_concrete'], ['ceiling_fibre_absorber'])
     """
     described = names() if among is None else among
-
-    def likeness(entry: str) -> float:
-        own, text = _words(entry), _words(described[entry])
-        each = (max(_closest(word, own), 0.75 * _closest(word, text)) for word in _words(name))
-        return sum(each) / (1 + 0.02 * len(own))
-
-    scores = {entry: likeness(entry) for entry in described}
-    return sorted((n for n in scores if scores[n]), key=lambda n: (-scores[n], n))[:most]
+    of_entry = {n: (_words(n), _words(text)) for n, text in described.items()}
+    scores = dict.fromkeys(described, 0.0)
+    for word in _words(name):
+        close = {
+            entry: max(_closest(word, own), 0.75 * _closest(word, text))
+            for entry, (own, text) in of_entry.items()
+        }
+        having = sum(share > 0 for share in close.values())
+        weight = np.log((len(described) + 1) / (having + 1)) if having else 0.0
+        weight *= _OF_A_PLACE if word in _PLACES else 1.0
+        for entry, share in close.items():
+            scores[entry] += weight * share
+    for entry, (own, _) in of_entry.items():
+        people = own & _PEOPLE and not any(_closest(word, _PEOPLE) for word in _words(name))
+        scores[entry] *= (_OF_A_PLACE if people else 1.0) / (1 + 0.02 * len(own))
+    best = sorted((n for n, score in scores.items() if score), key=lambda n: (-scores[n], n))
+    return best[:most]
 
 
 def nearest(name: str, most: int = 3) -> list[str]:
@@ -172,7 +211,10 @@ def _words(text: str) -> set[str]:
 
 
 def _closest(word: str, others: set[str]) -> float:
-    """Return the largest likeness of a word to one of others; 0 below the least."""
-    likeness = (difflib.SequenceMatcher(None, word, other).ratio() for other in others)
+    """Return the largest likeness of a word, or of a synonym, to one of others; 0 below the least."""
+    shares = [(word, 1.0), *((synonym, 0.9) for synonym in _SYNONYMS.get(word, ()))]
+    likeness = (
+        share * difflib.SequenceMatcher(None, w, o).ratio() for w, share in shares for o in others
+    )
     best = max(likeness, default=0.0)
     return best if best >= _LEAST_LIKENESS else 0.0
