@@ -151,6 +151,7 @@ HOSTILE: dict[str, Callable[[], bytes]] = {
         b"ply\nformat binary_little_endian 1.0\nelement vertex 8\nproperty float x\nproperty float y\n"
         b"property float z\nelement face 900000000\nproperty list uchar int vertex_index\nend_header\n"
     ),
+    "corners.off": lambda: b"OFF\n900000000 6 0\n0 0 0\n",
     "triangles.stl": lambda: bytes(80) + struct.pack("<I", 400_000) + bytes(50 * 400_000),
 }
 

@@ -513,7 +513,7 @@ def written(folder: Path, ending: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("ending", [".glb", ".dae", ".3mf", ".ply", ".stl"])
+@pytest.mark.parametrize("ending", [".glb", ".dae", ".3mf", ".ply", ".stl", ".off"])
 def test_formats_that_libraries_read(tmp_path: Path, ending: str) -> None:
     done = mesh.room(written(tmp_path, ending))
     assert done.volume == pytest.approx(V, rel=1e-6)
@@ -597,7 +597,7 @@ def test_bad_files(tmp_path: Path, name: str, content: bytes, rule: str) -> None
         mesh.room(tmp_path / name)
 
 
-@pytest.mark.parametrize("ending", [".glb", ".dae", ".3mf", ".ply", ".stl", ".dxf", ".obj"])
+@pytest.mark.parametrize("ending", [".glb", ".dae", ".3mf", ".ply", ".stl", ".off", ".dxf", ".obj"])
 def test_broken_files_raise_typed_errors(tmp_path: Path, ending: str) -> None:
     """A PLY or a glTF with an index beyond its corners had raised an IndexError."""
     content = written(tmp_path, ending).read_bytes()

@@ -169,6 +169,21 @@ def test_colours_of_a_ply_are_its_materials(order: str, triangles: int, tmp_path
     require_box(mesh.room(path), {"room": 94.0})
 
 
+def test_colours_of_an_off_are_its_materials(tmp_path: Path) -> None:
+    path = tmp_path / "room.off"
+    rows = ["OFF", "# a box", "8 6 0", *(" ".join(f"{x:g}" for x in c) for c in CORNERS)]
+    plain = [*rows, *(" ".join(map(str, (4, *face))) for _, face in EVERY)]
+    path.write_text("\n".join(plain))
+    require_box(mesh.room(path), {"room": 94.0})
+    rows += [" ".join(map(str, (4, *face, *COLOURS[name]))) for name, face in EVERY]
+    path.write_text("\n".join(rows))
+    found = {"colour 200 30 10": 20.0, "colour 0 255 0": 20.0, "colour 0 0 255": 54.0}
+    require_box(mesh.room(path), found)
+    path.write_text("\n".join(rows[:-1]))
+    with pytest.raises(DataError, match="13 lines for 8 corners and 6 faces"):
+        mesh.room(path)
+
+
 def gltf(materials: list[dict[str, object]]) -> bytes:
     """A box with y up, whose floor, ceiling and walls have the first, second and third material."""
     points = (CORNERS[:, [0, 2, 1]] * [1, 1, -1]).astype("<f4")
