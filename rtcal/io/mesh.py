@@ -1,8 +1,8 @@
 """Meshes of every format as `rtcal.io.mend.Faces`: what is drawn, with the names of its materials.
 
-A format is one reader, which returns what a file draws in its own unit: OBJ, OFF and 3MF by own code, DXF
-by ezdxf, COLLADA (.dae), which SketchUp writes, by pycollada, PLY by plyfile, STL and glTF by trimesh
-(all ``rtcal[mesh]``). trimesh reads COLLADA, too, but not the materials' names. A mesh
+A format is one reader, which returns what a file draws in its own unit: OBJ, OFF and 3MF by own code,
+DXF by ezdxf, COLLADA (.dae), which SketchUp writes, by pycollada, PLY by plyfile, STL and glTF by
+trimesh (all ``rtcal[mesh]``). trimesh reads COLLADA, too, but not the materials' names. A mesh
 without materials, such as STL, has one, named after its file. Objects of 3MF, which have names and no
 materials, are materials. Of DXF (text) 3D faces, polyface and polygon meshes and meshes are read; the
 layer is the material, and others, such as lines, blocks and solids (ACIS), are counted in a note.
