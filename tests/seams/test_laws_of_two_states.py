@@ -92,9 +92,8 @@ def test_exchanged_states_mirror_the_answer(seed: int) -> None:
     if there.can_be_verified:
         one, other = rt.finder.verify(there), rt.finder.verify(back)
         assert one.verdict == other.verdict
-        # A JND is 5 % of T after, which is another T in the other order: ln T is mirrored.
-        in_log = [np.log1p(0.05 * each.gaps) for each in (one, other)]
-        np.testing.assert_allclose(in_log[1], -in_log[0], rtol=1e-6, atol=1e-9)
+        # The gaps are in steps of 1 JND each of ln T, which is mirrored.
+        np.testing.assert_allclose(other.gaps, -one.gaps, rtol=1e-6, atol=1e-9)
 
 
 @pytest.fixture
