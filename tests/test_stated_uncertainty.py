@@ -68,7 +68,10 @@ def test_uncertainties_survive_their_file(tmp_path: Path) -> None:
     thirds = again.in_bands(F[1:4])
     assert thirds.common_uncertainty["t20"] == pytest.approx(stated.common_uncertainty["t20"][1:4])
     configuration = Configuration(name="A", measured=again).to_dict()
-    assert configuration["common_uncertainty"]["c80"] == again.common_uncertainty["c80"].tolist()
+    assert (
+        configuration["measured"]["common_uncertainty"]["c80"]
+        == again.common_uncertainty["c80"].tolist()
+    )
 
 
 @pytest.mark.parametrize("name", ["uncertainty", "common_uncertainty"])

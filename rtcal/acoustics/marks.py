@@ -582,7 +582,8 @@ def z_within_bounds(
     spread = np.maximum(variance - np.sum(of_bounds**2, axis=0), 0.0)
     sigma = np.where(at & (room.sigma > 0), room.sigma, np.inf)
     squares = np.sum((shift / sigma) ** 2, axis=0)
-    squares += np.divide(left**2, spread, out=np.zeros_like(left), where=spread > 0)
+    # Where none is left to move, T is out of reach: what is missing counts as if bounds were none.
+    squares += left**2 / np.where(spread > 0, spread, variance)
     return np.where(at.any(axis=0), np.sign(difference) * np.sqrt(squares), np.nan)
 
 

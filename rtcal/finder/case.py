@@ -1068,6 +1068,12 @@ def case_of(
     DataError
         For a simulator of another room, ``tracing`` where nothing is traced, what is stated of another
         kind of case; as `rtcal.io.geometry_files.path_tracing` and the cases do.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> type(case_of(*rt.datasets.bras_cr2())).__name__
+    'Case'
     """
     checks.instance("room", room, Room)
     of_pairs = not checks.instance("measured", measured, Measurement).is_summary
