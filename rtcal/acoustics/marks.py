@@ -583,7 +583,8 @@ def z_within_bounds(
     sigma = np.where(at & (room.sigma > 0), room.sigma, np.inf)
     squares = np.sum((shift / sigma) ** 2, axis=0)
     # Where none is left to move, T is out of reach: what is missing counts as if bounds were none.
-    squares += left**2 / np.where(spread > 0, spread, variance)
+    spread = np.where(spread > 0, spread, variance)
+    squares += np.divide(left**2, spread, out=np.zeros_like(left), where=spread > 0)
     return np.where(at.any(axis=0), np.sign(difference) * np.sqrt(squares), np.nan)
 
 

@@ -39,9 +39,8 @@ def test_a_level_that_is_off_is_told(off: float) -> None:
     said = notes(off)
     assert len(said) == 2
     for note in said:
-        assert ("above" if off > 0 else "below") in note
-        words = note.split(" dB")[0].split()
-        assert float(words[-1]) == pytest.approx(abs(off), abs=0.5)
+        assert note.values["side"] == ("above" if off > 0 else "below")
+        assert note.values["by"] == pytest.approx(abs(off), abs=0.5)
 
 
 def test_what_a_room_may_do_is_not_told_so() -> None:
