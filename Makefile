@@ -34,7 +34,7 @@ demo: $(DEMO_STAMP)  ## calibrate a real measured room; find what the model of a
 # tests run. Linear algebra takes one thread in each: two would wait for the other process' two.
 PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
-test: $(STAMP)  ## the tests, within five minutes on two cores
+test: $(STAMP)  ## the tests, within three minutes on two cores
 	$(PYTEST) -m "not study and not long"
 
 test-all: $(STAMP)  ## every test but the studies: notebooks, browser, long blocks of the docs too

@@ -124,6 +124,7 @@ def test_a_twenty_first_room_is_known_better_than_by_the_table() -> None:
     assert row["false suspects"] == 0
 
 
+@pytest.mark.long
 def test_a_material_that_is_another_is_named() -> None:
     """In a room where the wrong name changes the absorption by half."""
     row = study.misnamed(1014)
@@ -225,6 +226,7 @@ def test_configurations_are_learned_as_one_room(
     assert rt.learn(rt.archive.read_folder(tmp_path)).lessons == archive.lessons
 
 
+@pytest.mark.long
 def test_results_of_other_kinds_count_for_nothing(
     rooms: list[rt.calibration.CalibrationResult],
     tmp_path: Path,

@@ -187,6 +187,7 @@ def sofa_of(path: Path, samples: int) -> None:
         data.createVariable("Data.IR", "f8", ("M", "R", "N"), zlib=True, fill_value=0.0)
 
 
+@pytest.mark.long
 def test_what_is_declared_beyond_the_budget_is_refused_before_it_is_loaded(tmp_path: Path) -> None:
     folder = tmp_path / "hostile"
     folder.mkdir()

@@ -178,6 +178,7 @@ def test_groups_of_paths_have_the_mean_of_all_and_their_noise():
         tracer.observe_in_groups(hall.room.alpha, 5)
 
 
+@pytest.mark.long
 def test_unexplained_errors_are_those_under_which_the_data_are_likeliest():
     """Each parameter has its own; what all values have in common is no part of it."""
     rng = np.random.default_rng(5)

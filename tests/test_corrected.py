@@ -246,6 +246,7 @@ def test_a_geometry_without_what_the_finding_changed_is_refused(changed: str) ->
     assert corrected_case(replace(case, applied=[])).simulator(drawn(3.6))
 
 
+@pytest.mark.long
 def test_the_command_s_room_is_one_that_rtcal_calibrates(
     hidden: tuple[Case, np.ndarray], tmp_path: Path
 ) -> None:

@@ -71,12 +71,14 @@ def kept(found: Design, x: Array) -> bool:
     return bool((found.model.probability(x)[bounded] >= found.promised).all())
 
 
+@pytest.mark.long
 def test_the_cheapest_is_not_beaten_by_a_grid_and_keeps_its_promise() -> None:
     found = design(known(), TREATMENTS, TARGET, 0.85)
     assert 0.85 - 1e-4 <= found.probability.min() <= 0.86
     assert cheaper(found, [np.arange(0, 55.1, 3.0), np.arange(0, 40.1, 3.0)], 1.0) is None
 
 
+@pytest.mark.long
 def test_whole_panels_are_whole_and_cost_least() -> None:
     units = [2.5, 4.0]
     whole = tuple(replace(t, unit=u) for t, u in zip(TREATMENTS, units, strict=True))
@@ -116,6 +118,7 @@ def a_shop(one_sided: bool) -> tuple[rt.CalibrationResult, tuple[Treatment, ...]
     return result, every, Target(low, [0.42] * 3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("one_sided", [False, True])
 def test_panels_and_free_pieces_together_cost_least(one_sided: bool) -> None:
     """The dearer of two orders cost 9 % more, and panels were parts of panels."""
@@ -160,6 +163,7 @@ def test_panels_that_may_be_cut_are_named_where_whole_ones_will_not_do() -> None
         design(result, [large], target, 0.8)
 
 
+@pytest.mark.long
 def test_the_order_of_materials_changes_nothing() -> None:
     room = a_room()
     turned = room.replace(
@@ -173,6 +177,7 @@ def test_the_order_of_materials_changes_nothing() -> None:
     assert again.probability == pytest.approx(first.probability, abs=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("order", [(0, 2, 1), (2, 1, 0), (1, 0, 2)])
 def test_the_order_of_treatments_changes_nothing(order: tuple[int, ...]) -> None:
     shop, every, target = a_shop(one_sided=True)
@@ -182,6 +187,7 @@ def test_the_order_of_treatments_changes_nothing(order: tuple[int, ...]) -> None
     assert turned.probability == pytest.approx(first.probability, abs=1e-12)
 
 
+@pytest.mark.long
 def test_doubled_costs_double_the_cost_and_move_no_area() -> None:
     shop, every, target = a_shop(one_sided=True)
     first = design(shop, every, target, 0.85)
@@ -190,6 +196,7 @@ def test_doubled_costs_double_the_cost_and_move_no_area() -> None:
     assert dear.cost == pytest.approx(2 * first.cost, rel=1e-9)
 
 
+@pytest.mark.long
 def test_a_treatment_under_two_names_costs_no_less() -> None:
     shop, every, target = a_shop(one_sided=True)
     first = design(shop, every, target, 0.85)

@@ -172,6 +172,7 @@ def case_of(stated: rt.Room, of_room: rt.Measurement) -> Case:
     return Case(room=stated, configurations=[Configuration(name="A", measured=of_room)])
 
 
+@pytest.mark.long
 def test_a_search_finds_the_field_whatever_says_the_directions(of_room: rt.Measurement) -> None:
     """Floor and ceiling absorb, walls do not, and the field is not diffuse: found, or not judged."""
     cases = {way: case_of(stated, of_room) for way, stated in WAYS.items()}

@@ -115,6 +115,7 @@ def test_where_the_directivity_is_unknown_reverberation_times_alone_count():
         unknown.trusted(["edt", "sti"])
 
 
+@pytest.mark.long
 def test_a_fit_leaves_them_out_and_says_so():
     measured = tracer(n_paths=1600).simulate(HALL.room.alpha, seed=5)
     said = {}

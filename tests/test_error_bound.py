@@ -70,6 +70,7 @@ def test_a_wrong_answer_has_large_residuals_and_a_bound_that_holds(cr2) -> None:
         assert (wrong.alpha_error_bound >= moved).all()
 
 
+@pytest.mark.long
 def test_no_failure_and_no_answer_outside_its_bound_at_the_edge_of_double_precision() -> None:
     counts = Counts()
     for seed in range(30):

@@ -55,6 +55,7 @@ def truth(count: int) -> tuple[list[Problem], list]:
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", COUNTS)
 def test_against_rational_arithmetic(count: int) -> None:
     found, right = truth(count)
@@ -115,6 +116,7 @@ def variants() -> list[tuple[tuple, dict, list]]:
     return found
 
 
+@pytest.mark.long
 def test_bounds_per_coefficient_and_soft_against_rational_arithmetic() -> None:
     active, worst = 0, 0.0
     for arrays, options, right in variants():
@@ -227,6 +229,7 @@ def test_what_does_not_fit_is_an_error() -> None:
         exact.solve(["a"], [0.1], [1], 0.2)
 
 
+@pytest.mark.long
 def test_shapes_broadcast() -> None:
     rng = np.random.default_rng(4)
     mu, sigma = rng.uniform(0.2, 0.8, (5, 1, 4)), rng.uniform(0.01, 0.1, (4,))

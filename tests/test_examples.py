@@ -61,6 +61,7 @@ def test_the_printed_commands_run(
         assert Path("calibrated/report.html").exists()
 
 
+@pytest.mark.long
 def test_the_case_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run("example", "missing-effect", "-q") == 0

@@ -101,6 +101,7 @@ def test_a_callable_that_raises(cr2):
         base.run(external(room, fails), room.alpha)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="asks for a process by its number")
 def test_what_a_command_started_is_ended_with_it(cr2, tmp_path):
     room, _ = cr2

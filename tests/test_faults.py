@@ -49,6 +49,7 @@ def require_whole_or_refused(folder: Path) -> bool:
     return False
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fault", [faults.full, faults.interrupt, faults.kill])
 def test_a_set_is_old_new_or_refused_after_a_fault_at_any_event(
     fault: Callable[[str], None], tmp_path: Path
@@ -135,6 +136,7 @@ def test_what_a_command_writes_is_one_set(tmp_path: Path) -> None:
     assert one.read_text() == "1"
 
 
+@pytest.mark.long
 def test_a_torn_set_names_the_command_that_makes_it_anew(tmp_path: Path) -> None:
     one, two = tmp_path / "one", tmp_path / "two"
 

@@ -66,6 +66,7 @@ def texts(figure: Any) -> Iterator[Text]:
             yield text
 
 
+@pytest.mark.long
 def test_text_is_legible_on_a_phone(drawn: dict[str, Any]) -> None:
     small = {
         name: round(size, 1)

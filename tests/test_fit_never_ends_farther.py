@@ -218,6 +218,7 @@ def test_a_start_at_a_bound_is_left_towards_what_was_measured(name, alpha):
     assert np.abs(result.alpha - 0.5).max() <= 0.5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*AT_PAIRS, "network"])
 def test_where_the_start_fits_already_nothing_moves(name):
     room = stated(PRIORS["usual"])

@@ -14,6 +14,7 @@ from tests import fuzz
 EXAMPLES = 500
 
 
+@pytest.mark.long
 @settings(
     max_examples=EXAMPLES,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
@@ -29,6 +30,7 @@ def test_the_good_files_are_read(name: str, tmp_path: Path) -> None:
         assert fuzz.check(name, seed, tmp_path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(fuzz.READERS))
 def test_what_the_fuzzer_kept_is_read_or_refused(name: str, tmp_path: Path) -> None:
     contents = fuzz.kept(name)

@@ -53,6 +53,7 @@ def run(*arguments: str) -> str:
     return done.stdout
 
 
+@pytest.mark.long
 def test_the_commands_find_add_and_prove(folder: Path) -> None:
     case = str(folder / "case.json")
     found = json.loads(run("find", case, "--json"))
@@ -90,6 +91,7 @@ def test_sizes_are_of_what_has_a_row_and_no_number_is_minus_zero(folder: Path) -
     assert "missing are even" in evidence(replace(found, detection=nothing))
 
 
+@pytest.mark.long
 def test_evidence_without_one_band_is_without_it(kept: Path) -> None:
     found = rt.find(*rt.datasets.bras_cr2(), only=["membrane"], cache=kept)
     said = " ".join(str(found).split())
@@ -97,6 +99,7 @@ def test_evidence_without_one_band_is_without_it(kept: Path) -> None:
     assert "nats" not in said
 
 
+@pytest.mark.long
 def test_the_report_is_written_whole(folder: Path) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra report")
     pytest.importorskip("jinja2", reason="needs the extra report")
@@ -275,6 +278,7 @@ def held_out(seen: Verification) -> set[str]:
     return {seen.quantities[q] for q, _ in np.argwhere(seen.counted)}
 
 
+@pytest.mark.long
 def test_what_the_finding_was_fitted_to_tests_nothing(folder: Path) -> None:
     """T20, EDT and T30 of one configuration; with C80 and G these two count, and nothing else does."""
     case = Case.from_file(str(folder / "case.json"))
@@ -292,6 +296,7 @@ def test_what_the_finding_was_fitted_to_tests_nothing(folder: Path) -> None:
     assert held_out(later) == {"C80", "G"}
 
 
+@pytest.mark.long
 def test_a_sound_model_is_no_input_error(folder: Path) -> None:
     case = Case.from_file(str(folder / "case.json"))
     where = case.configurations[0]

@@ -367,6 +367,7 @@ def test_one_measurement_in_two_configurations_is_given_twice() -> None:
 # Control rooms that were simulated before.
 
 
+@pytest.mark.long
 def test_commands_simulate_a_case_s_control_rooms_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -75,6 +75,7 @@ disk._write_set = written
 """An interrupt at the end of a write."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -99,5 +100,6 @@ def test_a_command_that_has_written_names_its_files(arguments: list[str], tmp_pa
     assert {*names.split(", ")} <= {path.name for path in tmp_path.rglob("*")}
 
 
+@pytest.mark.long
 def test_interrupts_at_random_moments(tmp_path: Path) -> None:
     assert 130 in check(tmp_path, 3, 0.8)

@@ -130,6 +130,7 @@ def results() -> list[Any]:
     return made
 
 
+@pytest.mark.long
 def test_one_verdict_decides_what_text_page_and_record_say(monkeypatch) -> None:
     """None says "agrees" where T is not met, where a value is mistyped, or p is not in between."""
     monkeypatch.setattr(document, "source", no_figure)

@@ -344,6 +344,7 @@ def test_a_refused_mesh_lists_its_other_defects_too() -> None:
     assert len(refused.value.edges) >= 4
 
 
+@pytest.mark.long
 def test_defective_meshes_are_right_or_refused_for_the_right_defect() -> None:
     """The benchmark has 200; these are others."""
     outcomes = {defective_meshes.judged(seed)[0] for seed in range(3000, 3040)}

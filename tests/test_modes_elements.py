@@ -114,6 +114,7 @@ def test_two_refinements_converge():
     assert (np.abs(middle / fine - 1) < 1e-3).all()
 
 
+@pytest.mark.long
 def test_ten_walls_and_a_cupboard():
     """The constant pressure sees each wall's area; the cupboard is left out of the room's volume."""
     coarse, fine = (modes_of(TEN_WALLS, 90, spacing=h) for h in (0.5, 0.3))
@@ -128,6 +129,7 @@ def test_ten_walls_and_a_cupboard():
         fine.shapes(np.array([[2.0, 0.3, 0.5]]))
 
 
+@pytest.mark.long
 def test_furniture_lowers_the_first_mode():
     empty = Polyhedron.shoebox((5, 4, 2.5), "plaster")
     furnished, alone = modes_of(FURNISHED, 60, spacing=0.5), modes_of(empty, 60, spacing=0.5)

@@ -93,6 +93,7 @@ def test_a_new_equation_is_kept_in_a_saved_loop(
         Loop.load(str(tmp_path / "loop.json"))
 
 
+@pytest.mark.long
 def test_a_new_equation_is_a_command_s_choice(tmp_path: Path) -> None:
     code = f"""
         from typing import ClassVar

@@ -146,6 +146,7 @@ def test_a_finding_of_another_case_is_refused() -> None:
         plan(case_with(), finding=found)
 
 
+@pytest.mark.long
 def test_the_command_proposes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     case: Case = case_with(*BOTH).only("t20", "edt")
     monkeypatch.setattr(

@@ -166,6 +166,7 @@ def test_what_scatters_nothing_or_everything_has_no_derivative_by_scattering(tra
         ends.scattering_jacobian(tracer.room.alpha, ["level"], number=3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", [ImageSource, ScatteringDelayNetwork])
 def test_shoebox_simulators_have_exact_derivatives(kind, monkeypatch):
     monkeypatch.setattr(base, "STEP", 1e-5)  # decays of one length, no curvature

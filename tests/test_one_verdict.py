@@ -70,6 +70,7 @@ def test_drawn_rooms_have_one_verdict(world: int, kind: int, tmp_path: Any) -> N
     assert len(said) == 1, said
 
 
+@pytest.mark.long
 def test_the_order_of_materials_moves_no_number(tmp_path: Any) -> None:
     """The score moved by 0.2 nats, since what was drawn for a material belonged to its place."""
     case = rt.datasets.hidden_room()[0].only("t20", "edt", "t30", configurations=["A"])
@@ -155,6 +156,7 @@ def test_where_nothing_has_a_fair_part_nothing_is_called_missing(
     assert bool(too_weak(probabilities, {"none": none, "added absorption": family})) is weak
 
 
+@pytest.mark.long
 def test_a_weak_finding_is_a_hint_and_advises_nothing() -> None:
     """In 180 stored empty rooms 12 were called ambiguous, with a first candidate of 0.1."""
     case = rt.datasets.hidden_room()[0].only("t20", configurations=["A"])

@@ -300,6 +300,7 @@ def test_lost_paths_are_dropped_and_the_others_weigh_more():
     assert gradient[:, :, 0, 0] == pytest.approx(slope, rel=1e-5, abs=1e-7)
 
 
+@pytest.mark.long
 def test_numpy_drops_the_same_paths():
     first = trace(leaky_box(0.03), SOURCE, RECEIVERS, 0.5, 0.5, n_paths=600, n_batches=2)
     with in_place_of(kernels, reference):

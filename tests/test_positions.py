@@ -69,6 +69,7 @@ def off_by_one(result, parameter, band=slice(None)):
     )
 
 
+@pytest.mark.long
 def test_a_simulator_that_is_farther_from_the_measurement_than_before_is_not_to_be_used(result):
     assert result.farther == ()
     astray = off_by_one(result, "t20")  # in one room of the study it was 0.6
@@ -104,6 +105,7 @@ def test_gaps_shrink_in_every_parameter(result):
     assert (after < before).all()
 
 
+@pytest.mark.long
 def test_positions_that_were_not_measured_are_predicted(case, result):
     room, _, measured = case
     half = [p for p in measured.pairs if p[1] in ("R1", "R2")]
@@ -144,6 +146,7 @@ def test_what_is_heard_after_is_what_the_returned_tracer_gives(result):
     assert np.abs((returned - stated).mean(axis=1)).max() > 0.01
 
 
+@pytest.mark.long
 def test_scattering_that_cannot_be_fitted_is_kept_and_said(case, result):
     """Coefficients of 0 and 1 have no derivatives, and the model "vector" has none at all."""
     room, _, measured = case
@@ -163,6 +166,7 @@ def test_scattering_that_cannot_be_fitted_is_kept_and_said(case, result):
         simulator.scattering_jacobian(room.alpha, MATCH)
 
 
+@pytest.mark.long
 def test_the_scattering_is_fitted_to_what_was_measured(case, result):
     room, _, measured = case
     fit = result.scattering
@@ -291,6 +295,7 @@ def replaced(measured, parameter, values):
     )
 
 
+@pytest.mark.long
 def test_two_pairs_whose_names_were_exchanged_are_both_named(case, result):
     """An error that the data themselves make larger must not explain them."""
     room, _, measured = case
@@ -305,6 +310,7 @@ def test_two_pairs_whose_names_were_exchanged_are_both_named(case, result):
     assert set(found.contradictions) == set(measured.pairs[:2])
 
 
+@pytest.mark.long
 def test_a_pair_that_contradicts_all_others_is_named_and_can_be_left_out(case, result):
     room, _, measured = case
     wrong = measured.values["c80"].copy()
@@ -323,6 +329,7 @@ def test_a_pair_that_contradicts_all_others_is_named_and_can_be_left_out(case, r
     assert error(room, without.alpha, right) < error(room, found.alpha, right)
 
 
+@pytest.mark.long
 def test_relative_levels_do_not_depend_on_a_sources_power(case, result):
     room, _, measured = case
     level = measured.values["g"] + 7.0
@@ -342,6 +349,7 @@ def test_relative_levels_do_not_depend_on_a_sources_power(case, result):
     np.testing.assert_allclose(found[0].gap_after, found[1].gap_after, atol=0.05)
 
 
+@pytest.mark.long
 def test_terms_and_constraints_stand_beside_the_positions(case, result):
     room, _, measured = case
     calibration = rt.Calibration(

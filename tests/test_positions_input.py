@@ -271,6 +271,7 @@ def fit(folder: Path, *options: str):
     return CliRunner().invoke(cli, ["fit", *files, "--paths", "160", *options])
 
 
+@pytest.mark.long
 def test_the_command_writes_room_and_record_whole(folder):
     done = fit(folder, "--match", "t20", "--match", "c80", "--out", str(folder / "made"), "--json")
     assert done.exit_code == 0, done.output

@@ -584,6 +584,7 @@ air = {temperature = 24, humidity = 50}
 """
 
 
+@pytest.mark.long
 def test_the_command_predicts_and_writes(tmp_path: Path) -> None:
     for name, content in rt.datasets.examples.example("room").files.items():
         (tmp_path / name).write_bytes(content)

@@ -84,6 +84,7 @@ def louder() -> Case:
     return case_of(room(), room(alpha=np.minimum(ALPHA * factor, 0.95)))
 
 
+@pytest.mark.long
 def test_coefficients_off_together_are_a_verdict_in_words_and_a_prior_to_go_on_from() -> None:
     case = louder()
     finding = find(case, only=["coefficients", "volume", "air"], controls=controls(case))
@@ -161,6 +162,7 @@ def test_a_grid_twice_as_fine_changes_no_probability() -> None:
         assert fine.probabilities[name] == pytest.approx(p, abs=0.02), name
 
 
+@pytest.mark.long
 def test_effects_can_be_left_out_and_their_odds_stated() -> None:
     case = louder()
     rooms = controls(case)

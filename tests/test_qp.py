@@ -40,6 +40,7 @@ def test_lse_is_mle_with_equal_sigma(seed: int) -> None:
     np.testing.assert_allclose(first.alpha, second.alpha, rtol=0, atol=1e-10)
 
 
+@pytest.mark.long
 @given(seeds)
 def test_order_of_materials_and_unit_of_area_change_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)

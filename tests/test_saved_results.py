@@ -32,6 +32,7 @@ def back(result: Result, folder: Path) -> Any:
     return again
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["mle", "lse", "soft", "smooth", "robust"])
 def test_calibrations_are_read_back(method: str, tmp_path: Path) -> None:
     room, measured = rt.datasets.bras_cr2()
@@ -46,6 +47,7 @@ def test_calibrations_are_read_back(method: str, tmp_path: Path) -> None:
     assert page_of(tmp_path) == page
 
 
+@pytest.mark.long
 def test_joint_calibrations_are_read_back(tmp_path: Path) -> None:
     room, measured = rt.datasets.bras_cr2()
     rooms = rt.Configurations([room, room.replace(name="larger", volume=1.02 * room.volume)])
@@ -65,6 +67,7 @@ def test_loops_are_read_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loop.next_alpha, result.next_alpha)  # it still calibrates
 
 
+@pytest.mark.long
 def test_positions_are_read_back(tmp_path: Path) -> None:
     room = HALL.room.replace(sigma=0.3 * HALL.room.alpha)
     measured = heard(room, room.alpha, n_paths=2000)
@@ -79,6 +82,7 @@ def test_positions_are_read_back(tmp_path: Path) -> None:
     page_of(tmp_path)
 
 
+@pytest.mark.long
 def test_findings_are_read_back(tmp_path: Path, kept: Path) -> None:
     case, _ = rt.datasets.hidden_room()
     finding = rt.find(case, cache=kept)

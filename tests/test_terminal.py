@@ -148,6 +148,7 @@ def test_every_command_is_called() -> None:
     ]
 
 
+@pytest.mark.long
 def test_no_line_is_longer_than_the_terminal(
     projects: Path, computed: None, monkeypatch, capsys, tmp_path
 ) -> None:

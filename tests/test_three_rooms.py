@@ -47,6 +47,7 @@ def responses(folder: Path, times: dict[float, float], rate: int = 16000) -> lis
     return paths
 
 
+@pytest.mark.long
 def test_impulse_responses_and_an_obj(tmp_path: Path, capsys) -> None:
     for library in ("pyfar", "pyrato", "pyroomacoustics", "jinja2", "matplotlib"):
         pytest.importorskip(library)

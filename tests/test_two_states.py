@@ -181,6 +181,7 @@ def test_means_stated_as_exact_are_no_gap_in_the_numbers() -> None:
     assert np.isfinite(list(finding.probabilities.values())).all()
 
 
+@pytest.mark.long
 def test_a_smaller_change_has_less_evidence() -> None:
     scores = [
         rt.find(room(), measured(times(n), 6), before=measured(times(), 5)).score
@@ -238,6 +239,7 @@ def test_t_that_is_missed_is_never_supported(panels: Finding) -> None:
     assert f"± {verification.uncertainty:.2f} JND" in verification.sentence
 
 
+@pytest.mark.long
 def test_each_half_of_the_pairs_predicts_the_other(panels: Finding, many: Finding) -> None:
     verification = rt.finder.verify(many)
     assert verification.verdict == "supported"
@@ -315,6 +317,7 @@ def run(*arguments: str) -> int:
     return int(stop.value.code or 0)
 
 
+@pytest.mark.long
 def test_the_command_writes_numbers_and_page(
     panels: Finding, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -76,6 +76,7 @@ def finding(states: tuple[rt.Measurement, rt.Measurement]) -> Finding:
     return rt.find(model.room, states[1], model, before=states[0])
 
 
+@pytest.mark.long
 def test_the_wall_that_changed_is_claimed_and_no_other(finding: Finding) -> None:
     assert finding.claimed_surfaces == ("east",)
     assert 'The change is on "east".' in headline(finding)
@@ -105,6 +106,7 @@ def test_without_the_directivity_something_changed_but_no_surface_is_told(
     assert any("S1, S2, S3 and 3 more is not stated" in str(note) for note in found.notes)
 
 
+@pytest.mark.long
 def test_another_gain_is_a_caution_whether_something_changed_or_not(
     states: tuple[rt.Measurement, rt.Measurement],
 ) -> None:

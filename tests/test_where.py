@@ -117,6 +117,7 @@ def finding(kept: Path) -> rt.finder.Finding:
     return rt.find(case, cache=kept)
 
 
+@pytest.mark.long
 def test_an_opening_is_found_on_its_wall(finding: rt.finder.Finding) -> None:
     assert finding.detected
     assert next(iter(finding.surfaces)) == "east"
@@ -129,6 +130,7 @@ def test_an_opening_is_found_on_its_wall(finding: rt.finder.Finding) -> None:
     assert finding.family.startswith("added absorption")
 
 
+@pytest.mark.long
 def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
     case = rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(False))
     finding = rt.find(case, cache=kept)
@@ -147,6 +149,7 @@ def with_coefficient(value: float, n_paths: int = 4800) -> rt.finder.PositionsCa
     return rt.finder.PositionsCase(simulator=tracer, measured=measured(False))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("extreme", [0.0, *also(1.0)])
 def test_a_coefficient_of_0_or_1_has_a_score(
     extreme: float, kept: Path, monkeypatch: pytest.MonkeyPatch

@@ -131,6 +131,7 @@ def test_fewer_effects_are_asked_of_the_positions_alone(
     assert rt.find(case, **options) is None
 
 
+@pytest.mark.long
 def test_a_search_for_a_noisy_pair_alone_detects_nothing(
     case: rt.finder.PositionsCase, kept: Path
 ) -> None:

@@ -102,6 +102,7 @@ def rows(folder: Path) -> list[str]:
     return (folder / "simulated.csv").read_text().splitlines()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("changed", "message"),
     [

@@ -92,6 +92,7 @@ def test_an_index_that_is_off_is_not_claimed_of_the_room(
     assert (exact.score > 20) == (off != 0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("nats", "level"),
     [(20.0, False), *also((5.0, True))],

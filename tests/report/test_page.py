@@ -15,6 +15,7 @@ from rtcal.support.errors import DataError
 from tests.report.pages import evil_room, no_figure, run
 
 
+@pytest.mark.long
 def test_the_page_has_its_numbers_and_pictures(html, result) -> None:
     for text in ("15.6", "2.49", "1.40", "1.7e-05", "19.5 °C", result.measured_data.fingerprint):
         assert text in html, text

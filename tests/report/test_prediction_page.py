@@ -35,6 +35,7 @@ def folder(result, tmp_path_factory) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_variants_stand_side_by_side_and_names_are_text(folder: Path) -> None:
     html = pages.page_of(folder)
     assert "window open" in html
@@ -56,6 +57,7 @@ def designed(result, tmp_path_factory) -> tuple[Design, Path, str]:
     return found, path, pages.page_of(path)
 
 
+@pytest.mark.long
 def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None:
     found, folder, html = designed
     assert f"Cost {found.cost:.0f}." in html
@@ -65,6 +67,7 @@ def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None
     assert html == pages.page_of(folder)
 
 
+@pytest.mark.long
 def test_variants_have_cost_and_probability_of_a_target(result, tmp_path: Path) -> None:
     variants = [
         Variant("two", (Change(open="windows", area=2.0),), 100),

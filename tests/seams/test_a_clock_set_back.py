@@ -40,6 +40,7 @@ def test_a_workbook_has_no_date_that_a_clock_could_spoil(monkeypatch) -> None:
     assert str(one.rows) == str(other.rows)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("date", [FIRST_MOON, LATE])
 def test_dates_of_files_say_nothing(tmp_path: Path, date: int) -> None:
     room, measured = rt.datasets.bras_cr2()
@@ -59,6 +60,7 @@ def test_dates_of_files_say_nothing(tmp_path: Path, date: int) -> None:
     }
 
 
+@pytest.mark.long
 def test_what_is_kept_is_read_whatever_its_date(tmp_path: Path) -> None:
     """Control rooms are kept by what they are of, not by when they were made."""
     case = rt.datasets.hidden_room()[0]

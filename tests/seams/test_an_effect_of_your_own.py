@@ -40,6 +40,7 @@ def case() -> rt.finder.PositionsCase:
     )
 
 
+@pytest.mark.long
 def test_it_is_found_on_the_wall_where_it_stands(case: rt.finder.PositionsCase, kept: Path) -> None:
     finding = rt.find(case, effects=OWN, cache=kept)
     hatches = [c for c in finding.candidates if c.effect == "hatch"]
@@ -52,6 +53,7 @@ def test_it_is_found_on_the_wall_where_it_stands(case: rt.finder.PositionsCase, 
     assert verified.after < 0.9 * verified.before
 
 
+@pytest.mark.long
 def test_it_is_found_by_means_over_positions(case: rt.finder.PositionsCase) -> None:
     finding = rt.find(of_means(case), effects=OWN)
     assert finding.families["added absorption, hatches"] > 0.05

@@ -150,6 +150,7 @@ def test_a_loop_gives_the_materials_coefficients_beside_the_simulators() -> None
     assert exact.of_uncertain_room is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "stated",
     [{"volume_sigma": 0.1}, *also({"common_area_sigma": 0.1}, {"common_alpha_sigma": 0.1})],

@@ -104,6 +104,7 @@ def with_odds(finding: Finding, verdict: str, **probabilities: float) -> Finding
     )
 
 
+@pytest.mark.long
 def test_an_improbable_candidate_is_added_only_by_its_name(finding: Finding) -> None:
     """Nine of 41 first candidates with less than 0.3 were right."""
     unsure = with_odds(finding, "ambiguous", first=0.29, second=0.2)

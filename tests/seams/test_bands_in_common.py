@@ -91,6 +91,7 @@ OTHERS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("frequencies", "said"), OTHERS.values(), ids=OTHERS)
 @pytest.mark.parametrize(
     "command",

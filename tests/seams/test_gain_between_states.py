@@ -40,6 +40,7 @@ def found(before: rt.Measurement, after: rt.Measurement) -> Finding:
     return rt.find(model.room, after, model, before=before)
 
 
+@pytest.mark.long
 def test_another_gain_in_one_state_is_said_first_and_the_level_left_out(
     states: tuple[rt.Measurement, rt.Measurement],
 ) -> None:

@@ -84,6 +84,7 @@ def both_ways(two: Two) -> tuple[Finding, Finding]:
     return rt.find(stated, after, before=before), rt.find(stated, before, before=after)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(6))
 def test_exchanged_states_mirror_the_answer(seed: int) -> None:
     """Sizes were negated to 5 %, and a climate was claimed in one order of two states alone."""
@@ -101,6 +102,7 @@ def real(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(real_data, "DATA", shared_data)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("real")
 def test_exchanged_real_states_mirror_the_answer_and_no_turned_panel_is_a_climate() -> None:
     laboratory = two_states.box("laboratory", two_states.LABORATORY, two_states.OCTAVES)
@@ -126,6 +128,7 @@ def test_exchanged_real_states_mirror_the_answer_and_no_turned_panel_is_a_climat
         assert "absorption" in there.family
 
 
+@pytest.mark.long
 def test_the_same_state_twice_is_no_change() -> None:
     """One file given twice, of one to fewer digits, and of one that was measured again."""
     once = measured(times(), 1)
@@ -142,6 +145,7 @@ def test_the_same_state_twice_is_no_change() -> None:
             assert not finding.can_be_added
 
 
+@pytest.mark.long
 def test_twice_the_change_is_a_larger_one() -> None:
     sizes = [
         rt.find(room(), measured(times(n), 6), before=measured(times(), 5)).size.mean
@@ -152,6 +156,7 @@ def test_twice_the_change_is_a_larger_one() -> None:
     assert ((ratios > 1.5) & (ratios < 2.5)).all()
 
 
+@pytest.mark.long
 def test_the_order_of_pairs_and_of_effects_changes_nothing() -> None:
     before, after = measured(times(), 1), measured(times(8), 2)
     there = rt.find(room(), after, before=before)
@@ -176,6 +181,7 @@ def in_climates(seed: int, panels: float) -> Finding:
     return rt.find(room(), two[1], before=two[0])
 
 
+@pytest.mark.long
 def test_panels_that_change_t_by_a_twentieth_are_no_climate() -> None:
     """ "another climate of the air, and nothing else", 0.96 and 0.997, where panels were turned."""
     assert np.log(times() / times(0.9))[2:4].mean() == pytest.approx(0.05, abs=0.01)
@@ -186,6 +192,7 @@ def test_panels_that_change_t_by_a_twentieth_are_no_climate() -> None:
         assert finding.probabilities["air"] < 0.01
 
 
+@pytest.mark.long
 def test_a_climate_that_is_named_explains_t_and_leaves_no_interval_of_nothing() -> None:
     claims = []
     for seed in range(6):
@@ -210,6 +217,7 @@ def test_a_climate_that_does_not_explain_t_is_not_named() -> None:
     assert "nan" not in str(alone)
 
 
+@pytest.mark.long
 def test_a_climate_is_as_well_known_as_it_is_stated() -> None:
     two = [measured(times(air=rt.Air(20, h)), j, pairs=30) for j, h in enumerate((50, 35), 3)]
     by_uncertainty = [

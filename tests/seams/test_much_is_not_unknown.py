@@ -65,6 +65,7 @@ def told(of: Searched, seed: int, hidden: bool) -> tuple[Summary, float]:
     return said, float(scores(weights(evidence, every), every)[0][0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
 def test_what_a_surface_explains_is_not_unknown_where_errors_are_larger(
     searched: Searched, seed: int

@@ -211,6 +211,7 @@ THE_MEANS_HAVE_FIVE = {
 """The closed-form model of a room predicts five features, of T20, EDT, T30, C80 and G."""
 
 
+@pytest.mark.long
 def test_no_module_outside_the_registry_names_an_observable() -> None:
     package = ROOT / "rtcal"
     modules = {

@@ -101,6 +101,7 @@ def test_some_of_these_values_stand_at_a_bound() -> None:
     assert (result.interval[0] < 0.98).all()
 
 
+@pytest.mark.long
 def test_between_bounds_the_distribution_is_a_mean_over_the_sum() -> None:
     """Two coefficients, one cut by its bound, by quadrature over the sum and the first one."""
     stated = rt.Room(
@@ -167,6 +168,7 @@ def test_an_unknown_uncertainty_counts_as_none() -> None:
     np.testing.assert_array_equal(result.posterior_sigma, 0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["soft", *also("mle")])
 def test_the_interval_covers(method: str) -> None:
     """The first 160 rooms of benchmarks/studies/calibrations/interval_coverage.py: 0.9 ± 0.013."""

@@ -35,6 +35,7 @@ def test_a_loop_takes_it_as_exact_and_does_not_push_the_target(room: rt.Room) ->
     assert np.abs(loops[0].room.alpha - room.alpha).max() > 0.001
 
 
+@pytest.mark.long
 def test_a_predicted_change_hardly_depends_on_it(room: rt.Room) -> None:
     """T before is known, so that a volume, and an error common to all areas, cancel in the change."""
     change = Change(air=rt.Air(25, 30))

@@ -49,6 +49,7 @@ def test_an_unknown_option() -> None:
         rt.calibrate(*rt.datasets.bras_cr2(), solvr="osqp")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("names", ["only", "without"])
 def test_arrays_and_generators_of_effects(names: str, kept: Path) -> None:
     case, _ = rt.datasets.hidden_room()
