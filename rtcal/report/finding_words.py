@@ -264,11 +264,12 @@ def percent(probability: float) -> str:
 def called(title: str) -> str:
     """Return the name in print of an effect, or of an effect in a place.
 
-    >>> called("porous"), called('membrane on "west"'), called("opening")
-    ('porous absorber', 'panel absorber on "west"', 'opening')
+    >>> called("porous"), called('membrane on "west"'), called("noise floor")
+    ('porous absorber', 'panel absorber on "west"', 'noise floor')
     """
-    first, space, rest = title.partition(" ")
-    return f"{NAMES.get(first, first)}{space}{rest}"
+    first, _, place = title.partition(" ")
+    in_place = not place or (place.split()[0] in ("on", "of", "at") and first != COEFFICIENTS)
+    return f"{NAMES.get(first, first)} {place}".rstrip() if in_place else title
 
 
 def likely(name: str, probability: float) -> str:
