@@ -357,7 +357,10 @@ def test_record_and_table_state_what_is_known(
         assert material["name"] == archive.materials[i]
         np.testing.assert_array_equal(material["table"], archive.table[i])
         np.testing.assert_array_equal(material["alpha"], archive.alpha[i])
-    assert "factor" in str(archive)
+    text = " ".join(str(archive).split())
+    assert "factor" in text
+    together, sigma = 100 * archive.together, 100 * archive.together_sigma
+    assert f"together by {together:+.0f} ± {sigma:.0f} %" in text
 
 
 def test_bands_that_it_lacks_are_named(rooms: list[rt.calibration.CalibrationResult]) -> None:

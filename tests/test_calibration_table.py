@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.calibration.table import band_rows, coefficients, remarks
+from rtcal.calibration.table import band_rows, coefficients, remarks, verdict
 
 
 @pytest.fixture
@@ -57,3 +57,33 @@ def test_what_the_room_states_of_its_uncertainty_is_repeated(
     )
     assert "taken as exact; stated is" in by_method[0]
     assert "volume 5 %" in by_method[0]
+
+
+@pytest.mark.parametrize(
+    ("factor", "bands", "longer"),
+    [([1.3, 1.3, 1.3], 3, True), ([1.3, 0.7, 1.3], 3, False), ([1.3], 1, False)],
+)
+def test_t_that_is_longer_in_every_band_is_said_to_be_the_equation(
+    factor: list[float], bands: int, longer: bool
+) -> None:
+    room = rt.Room(
+        name="hall",
+        volume=2000,
+        materials=["wall", "floor"],
+        areas=[700, 300],
+        alpha=[[0.1] * bands, [0.3] * bands],
+        sigma=[[0.002] * bands, [0.005] * bands],
+        centre_frequencies=[500, 1000, 2000][:bands],
+        air=rt.Air(20, 50),
+    )
+    t20 = np.array(factor) * rt.Eyring().reverberation_time(room)
+    record = rt.calibrate(room, t20).to_dict()
+    assert ("longer in every band" in verdict(record).text) is longer
+
+
+def test_a_second_calibration_confirms_no_material(cr2: tuple[rt.Room, rt.Measurement]) -> None:
+    room = rt.calibrate(*cr2).room
+    t20 = rt.Eyring().reverberation_time(room) * np.resize([1.001, 0.999], room.n_bands)
+    found = verdict(rt.calibrate(room, t20).to_dict())
+    assert "follow from a measurement of this room" in found.heading
+    assert "no evidence for the materials" in found.text

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -325,14 +325,23 @@ class DesignModel:
         )
 
     @cached_property
-    def _known(self) -> Callable[[bytes], Prediction]:
-        """The prediction of areas by their bytes; the last ones are kept."""
-        return lru_cache(_MOST_PREDICTIONS)(lambda x: self.prediction(np.frombuffer(x)))
+    def _kept(self) -> dict[bytes, Prediction]:
+        """The last predictions, by the bytes of their areas; they go with the model."""
+        return {}
+
+    def _known(self, x: Array) -> Prediction:
+        """Return the prediction of areas, made once."""
+        key = x.tobytes()
+        if key not in self._kept:
+            if len(self._kept) == _MOST_PREDICTIONS:
+                del self._kept[next(iter(self._kept))]
+            self._kept[key] = self.prediction(x)
+        return self._kept[key]
 
     def probability(self, x: Array, target: Target | None = None) -> Array:
         """Return the probability that T is in its range, (n_bands,), as the prediction states it."""
         target = target or self.target
-        return self._known(x.tobytes()).probability(target.low, target.high)
+        return self._known(x).probability(target.low, target.high)
 
     def margins(self, probability: float) -> Margins:
         """Return the function that returns ndtri(P) - ndtri(probability) of the bands with a range."""
@@ -341,7 +350,7 @@ class DesignModel:
 
         def of(x: Array) -> Array:
             found = self.probability(x)[bounded]
-            made = self._known(x.tobytes())
+            made = self._known(x)
             mean, sigma = made.log_mean[bounded], made.log_sigma[bounded]
             # Further off than samples reach, ln T is taken as normal: the search must see a slope.
             ends = np.fmin(high - mean, mean - low) / np.maximum(sigma, 1e-9)
@@ -400,7 +409,7 @@ class DesignModel:
 
         def spare(x: Array) -> Array:
             """Distance by which a normal ln T keeps the nearer end."""
-            made = self._known(x.tobytes())
+            made = self._known(x)
             mean, sigma = made.log_mean[bounded], made.log_sigma[bounded]
             return np.asarray(np.fmin(high - mean, mean - low) - ndtri(probability) * sigma)
 
