@@ -373,6 +373,10 @@ def test_a_compromise_divides_what_t20_and_edt_disagree_on_by_the_weights(cr2):
     np.testing.assert_allclose(off["edt"] - left, (1 - share) * np.log(1.2), atol=1e-9)
     # What is stated of it:
     assert list(result.compromise) == ["t20", "edt"]
+    assert "EDT lost / JND" in str(result)
+    n = result.simulations
+    assert f"{n} simulation{'s' * (n != 1)}, " in repr(result)
+    assert result.to_dict()["status"] == list(result.status)
     for parameter, part in result.compromise.items():
         for when, stated in ((result.before, part.before), (result.after, part.after)):
             gap = gap_jnd(when.mean(parameter), data.mean(parameter), parameter)

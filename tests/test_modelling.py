@@ -388,11 +388,11 @@ def test_configurations_that_do_not_fit_are_refused() -> None:
     with pytest.raises(rt.errors.DataError, match="has one prior"):
         Configurations([room, room.replace(alpha=room.alpha * 0.9)])
     one = Configurations([room])
-    with pytest.raises(rt.errors.DataError, match="^names = 5"):
+    with pytest.raises(rt.errors.DataError, match=r"^names = 5"):
         Configurations([room], names=5)
-    with pytest.raises(rt.errors.DataError, match="^equation = 'x'"):
+    with pytest.raises(rt.errors.DataError, match=r"^equation = 'x'"):
         one.target_changes("x", [t])
-    with pytest.raises(rt.errors.DataError, match="^times is not"):
+    with pytest.raises(rt.errors.DataError, match=r"^times is not"):
         one.target_changes(EYRING, "x")
     with pytest.raises(rt.errors.DataError, match="2 measurements for 1 configurations"):
         rt.Calibration(PRIOR).build(Configurations([room])).solve([t, t])

@@ -26,16 +26,19 @@ from rtcal.finder.means.problem import (
     acting_order,
     averaged_alpha,
     compare,
+    distances,
     estimate_discrepancy,
     evaluate,
     evaluate_sets,
+    features_of,
     log_prior,
     moments,
     observe,
     posterior_of_sets,
     predict_hypotheses,
+    state,
 )
-from rtcal.finder.model import FEATURES
+from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.records import stored
 from rtcal.finder.search import find
 from rtcal.report.finding_words import headline
@@ -133,6 +136,37 @@ def test_the_evidence_of_a_set_is_the_density_with_all_of_it_in_the_model() -> N
     expected = multivariate_t.logpdf(c.observed.values, mean, shape, DEGREES)
     assert evaluate_sets(c, [rows], off=False)[0, 0] == pytest.approx(expected, abs=1e-6)
     assert np.isneginf(evaluate_sets(c, [rows], off=False)[0, 1])
+
+
+def test_a_set_has_an_error_of_the_direct_sound() -> None:
+    """Its columns are the change of the features by `DIRECT_SOUND` dB, here by a smaller difference."""
+    case = case_with()
+    observed, _ = observe(case)
+    plain = MeansProblem(
+        case, observed, predict_hypotheses(case, []), estimate_discrepancy(case, controls_of(case))
+    )
+    added = np.diag(compare(plain).predicted.applied - plain.predicted.applied)
+    base, at = state(case, case.configurations[0]), distances(case, case.configurations[0])
+    levels = [replace(base, direct_db=base.direct_db + d) for d in (0.01, -0.01)]
+    up, down = predict(levels, at).features
+    change = problem.DIRECT_SOUND * (up - down) / 0.02
+    np.testing.assert_allclose(added, change.ravel() ** 2, rtol=0.05, atol=1e-9)
+    np.testing.assert_array_equal(features_of(case), features_of(case, far=1.0))
+
+
+def test_an_effect_without_a_finite_t_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = problem.predict_states
+
+    def broken(case: Case, states: Sequence[object]) -> object:
+        predicted = whole(case, states)
+        features = predicted.features.copy()
+        features[1:] = np.inf
+        return replace(predicted, features=features)
+
+    monkeypatch.setattr(problem, "predict_states", broken)
+    openings = [effect for effect in library() if effect.name == "opening"]
+    with pytest.raises(DataError, match='effect "opening" has no finite T'):
+        predict_hypotheses(case_with(), openings)
 
 
 def at_the_points(c: MeansProblem) -> MeansProblem:

@@ -580,7 +580,8 @@ def predicted_times(
         colour, marker = _VARIANTS[i % len(_VARIANTS)]
         moved = frequencies * 1.03 ** (i - (len(variants) - 1) / 2)
         style = {"color": colour, "marker": marker, "capsize": 3, "linestyle": "-"}
-        axes.errorbar(moved, mean, yerr=[mean - low, high - mean], **style, label=shown(name))
+        ends = np.maximum([mean - low, high - mean], 0.0)  # rounding, where nothing changes
+        axes.errorbar(moved, mean, yerr=ends, **style, label=shown(name))
     _times_axes(axes, frequencies, "T", top)
     return figure
 
