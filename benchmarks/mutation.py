@@ -51,6 +51,18 @@ SURVIVORS: dict[tuple[str, str], str] = {
         "rtcal.calibration.problem.x_fit",
         "+ for share in (*0.5 ** np.arange(halvings + 2.0), 0.0):",
     ): "a seventh halving is tried before the start is returned",
+    (
+        "rtcal.calibration.qp.xǁCompiledProblemǁ__init__",
+        "+ numbered = np.arange(n, )",
+    ): "equivalent: cvxpy makes floats of them",
+    (
+        "rtcal.finder.means.problem.x_evaluate_leading",
+        "+ for stated, off, unknown in zip(*parts, strict=False)",
+    ): "equivalent: the parts have one length",
+    (
+        "rtcal.loop.closed.xǁLoopǁblocks",
+        '+ Row("simulated / s", last, ".3F"),',
+    ): "equivalent for numbers that are finite",
 }
 """Mutants that survive, by function and last changed line, and why that is right."""
 

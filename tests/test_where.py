@@ -386,7 +386,7 @@ def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
         p.name for p in (tmp_path / "page").iterdir() if not p.name.startswith(".rtcal_files")
     } == names
     page = (tmp_path / "page" / "report.html").read_text()
-    assert page.index("not fitted") < page.index("What was found")
+    assert page.index("not fitted") < page.index("Where the model disagrees")
 
 
 @pytest.mark.parametrize(

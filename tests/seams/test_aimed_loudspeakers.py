@@ -41,13 +41,13 @@ def test_where_nothing_is_stated_nothing_is_claimed_and_the_lobes_are_said(
     """It was an alarm: "none" had less than 0.1 before lobes counted as far as they are likely."""
     found = findings["omnidirectional"]
     assert not found.detected
-    assert any("So they are not taken as omnidirectional." in note for note in found.notes)
+    assert any("So they are not taken as omnidirectional." in str(note) for note in found.notes)
 
 
 def test_stated_nothing_is_claimed(findings: dict[str, Finding]) -> None:
     found = findings["stated"]
     assert found.verdict == "none"
-    assert not any("omnidirectional" in note for note in found.notes)
+    assert not any("omnidirectional" in str(note) for note in found.notes)
 
 
 def test_unknown_nothing_is_claimed_and_times_alone_are_asked(
@@ -57,4 +57,4 @@ def test_unknown_nothing_is_claimed_and_times_alone_are_asked(
     assert found.parameters == ("t20",)
     assert found.verdict == "none"
     assert found.surface is None
-    assert any("The directivity of S1, S2 is unknown" in note for note in found.notes)
+    assert any("The directivity of S1, S2 is unknown" in str(note) for note in found.notes)

@@ -81,7 +81,7 @@ def test_bands_in_common_are_compared(
         # What nothing was calibrated to is the same in the bands that are left.
         np.testing.assert_allclose(made[0, ..., 1:], gaps[0, ..., 1:], atol=1e-9)
     else:  # a calibration's last step is rounded otherwise on another machine
-        np.testing.assert_allclose(made, gaps, atol=1e-5)
+        np.testing.assert_allclose(made, gaps, atol=1e-4)  # JND
 
 
 OTHERS = {
