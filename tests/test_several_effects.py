@@ -164,7 +164,7 @@ def test_an_effect_without_a_finite_t_is_named(monkeypatch: pytest.MonkeyPatch) 
         return replace(predicted, features=features)
 
     monkeypatch.setattr(problem, "predict_states", broken)
-    with pytest.raises(DataError, match="effect .* has no finite T"):
+    with pytest.raises(DataError, match=r"effect .* has no finite T"):
         predict_hypotheses(case_with(), library()[:1])
 
 
