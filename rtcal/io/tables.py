@@ -175,6 +175,9 @@ def read(
     Parameters
     ----------
     path : path or sequence of paths
+
+    Other Parameters
+    ----------------
     decay_time : {"t20", "t30"}, optional
         The decay time in a column "RT60" or "T60".
     parameter : str, optional
