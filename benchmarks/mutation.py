@@ -49,7 +49,7 @@ SURVIVORS: dict[tuple[str, str], str] = {
     ): "the polish leads from any active set to the same optimum: more rounds, same answer",
     (
         "rtcal.calibration.problem.x_fit",
-        "+ for share in (*0.5 ** np.arange(halvings + 2.0), 0.0):",
+        "+ for share in (*0.5 ** np.arange(_HALVINGS + 2.0), 0.0):",
     ): "a seventh halving is tried before the start is returned",
     (
         "rtcal.calibration.qp.xǁCompiledProblemǁ__init__",

@@ -458,6 +458,8 @@ class ModelObjective:
 
 SETTLED = 0.05
 """Change of alpha in prior sigmas after which no further step is taken."""
+_HALVINGS = 6
+"""Largest number of halvings of a step, before none is taken."""
 
 
 def fit(
@@ -469,7 +471,6 @@ def fit(
     method: str,
     times: Times | None = None,
     most: int = 6,
-    halvings: int = 6,
     covariance: Array | None = None,
     allowed: Callable[[Array], bool] = lambda end: True,
     settled: Callable[[GaussNewtonStep, Array], bool] | None = None,
@@ -490,8 +491,8 @@ def fit(
         Name of the result's method.
     times : Times, optional
         The measured T of the problem's other terms.
-    most, halvings : int
-        Largest numbers of steps, and of halvings of a step.
+    most : int
+        Largest number of steps.
     covariance : array (n, n), optional
         In the QP in place of that of the data, which judges the steps all the same.
     allowed : callable
@@ -522,7 +523,7 @@ def fit(
                 return True
             return objective.value(end, off) > now or (np.isfinite(now) and not allowed(end))
 
-        for share in (*0.5 ** np.arange(halvings + 1.0), 0.0):
+        for share in (*0.5 ** np.arange(_HALVINGS + 1.0), 0.0):
             end = np.asarray(start + share * (answer.alpha - start))
             if not share or not worse(end):
                 break
