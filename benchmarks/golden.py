@@ -674,7 +674,7 @@ def of_worlds(every: bool) -> list[Task]:
     """Rooms of both worlds: in the short form one of each kind, as many as are affordable."""
     tasks = []
     for world, number in SHORT_MEANS.items():
-        cases, truths = (judged.WORLDS[world].read(0, part) for part in ("case", "truth"))
+        cases, truths = (judged.read(world, 0, part) for part in ("case", "truth"))
         kinds: dict[str, int] = {}
         for i, truth in enumerate(truths):
             kinds.setdefault(str(truth["kind"] if world == 2 else truth["seed"][1]), i)

@@ -17,7 +17,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.studies.geometric_world import rooms
+from benchmarks.studies.geometric_world.load import EMPTY
 from benchmarks.studies.means import judged, real_rooms, several_effects
 from benchmarks.studies.means.judging import FLAGS, UNKNOWN
 from benchmarks.studies.means.real_cases import every_case
@@ -98,7 +98,7 @@ def of_positions(statement: str, data: str) -> dict[str, Any]:
     claimed = [(t, r) for t, r in flagged if r["verdict"] in FLAGS[:2]]
     return {
         "detected": counted(r["verdict"] in FLAGS for t, r in every if t["kind"] in HIDDEN),
-        "flagged": counted(r["verdict"] in FLAGS for t, r in every if t["kind"] == rooms.NOTHING),
+        "flagged": counted(r["verdict"] in FLAGS for t, r in every if t["kind"] == EMPTY),
         "right": {
             "family": counted(family_of(r) in right_families(t["kind"]) for t, r in claimed),
             "surface": counted(is_first(r) for t, r in flagged if t["kind"] in ABSORBERS),

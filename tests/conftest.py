@@ -21,9 +21,6 @@ settings.load_profile("rtcal")
 # xdist sets it in its processes, as some shells do: the commands would wrap their messages to it.
 os.environ.pop("COLUMNS", None)
 
-# misuka, which draws the third world, is no dependency.
-collect_ignore = ["third_world/engine.py"]
-
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,7 @@ import pytest
 
 import rtcal as rt
 from benchmarks import studies
-from benchmarks.studies.geometric_world import generate as geometric
-from benchmarks.studies.geometric_world import in_situ
 from benchmarks.studies.geometric_world import load as geometric_rooms
-from benchmarks.studies.geometric_world import rooms as drawn_geometric
 from benchmarks.studies.hidden_world import generate as hidden
 from benchmarks.studies.hidden_world import populations, shipped, tracer
 from benchmarks.studies.means import judged
@@ -24,10 +20,7 @@ from benchmarks.studies.position_rooms import generate as positions
 from benchmarks.studies.position_rooms import load as position_rooms
 from benchmarks.studies.position_rooms import parameters, rooms, shapes
 from benchmarks.studies.position_rooms.tracer import Scene, trace
-from benchmarks.studies.second_world import rays
-from benchmarks.studies.second_world import rooms as second
-from benchmarks.studies.third_world import generate as third
-from benchmarks.studies.third_world.rooms import COUNTS, KINDS
+from benchmarks.studies.stored import numbered, read
 from rtcal.finder import Case
 from rtcal.simulators import PathTracing
 from tests.imports import imported_by
@@ -37,23 +30,12 @@ JUDGED = judged.rows_of()
 C, SIDE, WIDTH = 343.2, 6.0, 0.002
 SOURCE = np.array([1.5, 2.0, 1.2])
 RECEIVERS = np.array([[4.0, 4.5, 1.5], [4.5, 1.5, 3.0], [1.5, 4.5, 4.2]])
-FIRST = 12
-"""Rooms of a geometric population whose draw is frozen by a digest."""
 
 
-@pytest.mark.parametrize(
-    ("world", "others"),
-    [
-        ("hidden_world", ()),
-        ("second_world", ()),
-        ("third_world", ("second_world",)),
-        ("position_rooms", ()),
-        ("geometric_world", ("position_rooms",)),
-    ],
-)
-def test_a_world_imports_nothing_of_the_package(world: str, others: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("world", ["hidden_world", "position_rooms"])
+def test_a_world_imports_nothing_of_the_package(world: str) -> None:
     """So that a finding cannot owe its success to sharing the finder's physics."""
-    allowed = tuple(f"benchmarks.studies.{name}" for name in (world, *others))
+    allowed = f"benchmarks.studies.{world}", "benchmarks.studies.stored", "benchmarks.studies"
     names = list(imported_by(FOLDER / world, besides=["load.py", "shipped.py"]))
     assert names
     assert not [n for n in names if n.split(".")[0] in ("rtcal", ".", "tests")]
@@ -76,16 +58,6 @@ def by_first(alpha: float) -> np.ndarray:
     return tracer.trace(world, 20000, 1)[:, 0]
 
 
-def by_second(alpha: float) -> np.ndarray:
-    normals = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1.0]])
-    cuts = np.zeros((6, 2, 4))
-    cuts[:, :, 3] = 1.0
-    offsets = np.array([0, SIDE] * 3)
-    walls = rays.Walls(normals, offsets, cuts, np.full((6, 3, 1), alpha), np.ones(6))
-    scene = rays.Scene(walls, np.zeros(1), SOURCE, RECEIVERS, SIDE**3, False)
-    return rays.trace(scene, 12000, 3, radius=0.6, width=WIDTH, length=4.0, c=C)[:, 0]
-
-
 def by_positions(alpha: float) -> np.ndarray:
     plan = np.array([[0, 0], [SIDE, 0], [SIDE, SIDE], [0, SIDE]])
     polygons = shapes.prism(plan, np.full(4, SIDE))
@@ -96,7 +68,7 @@ def by_positions(alpha: float) -> np.ndarray:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("world", [by_first, by_second, by_positions])
+@pytest.mark.parametrize("world", [by_first, by_positions])
 @pytest.mark.parametrize("alpha", [0.1, 0.3])
 def test_a_diffuse_cube_decays_after_kuttruff(world: Any, alpha: float) -> None:
     t20 = parameters.evaluate(world(alpha).sum(0), WIDTH)["t20"]
@@ -120,9 +92,9 @@ def test_the_first_world_draws_its_stored_rooms(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(populations, "make", renamed)
     case = populations.build(*seed)["case"]
-    assert case == hidden.read(1, "case")[hidden.numbers(1).index(seed)]
+    assert case == read("hidden_world", 1, "case")[hidden.numbers(1).index(seed)]
     words = {*populations.KINDS.values()} - {"air", "area", "volume"}  # a room's own words
-    for stated in hidden.read(1, "case"):
+    for stated in read("hidden_world", 1, "case"):
         assert not [word for word in words if word in json.dumps(stated)]
 
 
@@ -132,44 +104,24 @@ def test_the_shipped_room_with_its_opening_closed_is_the_first_worlds() -> None:
     assert shipped.closed() == stored
 
 
-@pytest.mark.long
-def test_a_seed_of_the_second_world_gives_one_room() -> None:
-    opening = second.KINDS.index("opening")
-    first, again = second.build(0, opening, 1), second.build(0, opening, 1)
-    assert first == again
-    assert set(first["case"]) == {"room", "equation", "facing", "configuration"}
-    assert Case.from_dict(first["case"]).room.n_bands == second.N
-
-
-def test_the_third_world_has_the_rooms_that_were_frozen() -> None:
+def test_eyrings_equation_fits_the_third_world() -> None:
     """Where nothing is hidden, Eyring's equation fits another engine's rooms within a tenth."""
     ratios = []
-    for population, counts in COUNTS.items():
-        cases, truths = (third.read(population, part) for part in ("case", "truth"))
-        assert Counter(t["kind"] for t in truths) == Counter({k: counts[k] for k in KINDS})
-        for stated, truth in zip(cases, truths, strict=True):
+    cases, truths = (read("third_world", 13, part) for part in ("case", "truth"))
+    for stated, truth in zip(cases, truths, strict=True):
+        if truth["kind"] == "nothing":
             case = Case.from_dict(stated)
-            assert set(case.configurations[0].measured.values) == {"t20", "edt", "t30", "c80", "g"}
-            if truth["kind"] == "nothing":
-                room = case.room.replace(alpha=np.clip(truth["alpha"], 0, 1))
-                t = np.nanmean(case.configurations[0].measured.values["t20"], axis=0)
-                ratios.append(np.exp(np.nanmean(np.log(t / rt.Eyring().reverberation_time(room)))))
+            room = case.room.replace(alpha=np.clip(truth["alpha"], 0, 1))
+            t = np.nanmean(case.configurations[0].measured.values["t20"], axis=0)
+            ratios.append(np.exp(np.nanmean(np.log(t / rt.Eyring().reverberation_time(room)))))
     assert np.median(ratios) == pytest.approx(1, abs=0.03)
     assert 0.9 < min(ratios) < max(ratios) < 1.11
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("population", "digest"), sorted(drawn_geometric.FROZEN.items()))
-def test_the_geometric_rooms_are_the_frozen_ones(population: int, digest: str) -> None:
-    assert geometric.digest(population, FIRST) == digest
-    true = [geometric_rooms.truth(population, i)["alpha"] for i in range(FIRST)]
-    assert in_situ.digest(population, true) == in_situ.FROZEN[population]
 
 
 @pytest.mark.parametrize(("population", "index"), [(0, 1), (1, 31), (2, 6)])
 def test_a_position_room_is_what_its_seed_draws(population: int, index: int) -> None:
     stated, _, sources, truths = rooms.draw(population, index)
-    frozen = positions.read(population, "rooms")[index]["stated"]
+    frozen = numbered("position_rooms", population, "rooms")[index]["stated"]
     assert positions.stored({"stated": stated})["stated"] == frozen
     for prior, truth in zip(rooms.PRIORS, truths, strict=True):
         stored = position_rooms.true_alpha(population, index, prior)
@@ -208,7 +160,7 @@ def compare(simulated: Any, exact: rt.Measurement) -> None:
 
 @pytest.mark.parametrize("index", [0, 3])
 def test_told_the_truth_of_a_position_room_the_package_simulates_the_same(index: int) -> None:
-    truth = positions.read(0, "truth")[index]["truth"]
+    truth = numbered("position_rooms", 0, "truth")[index]["truth"]
     case = position_rooms.load(0, index, "wide")
     alpha = position_rooms.true_alpha(0, index, "wide")
     simulated = told(position_rooms, case, truth, 4000).observe(alpha, tuple(BOUNDS))
@@ -218,9 +170,10 @@ def test_told_the_truth_of_a_position_room_the_package_simulates_the_same(index:
 @pytest.mark.long
 def test_told_the_truth_of_a_geometric_room_the_package_simulates_the_same() -> None:
     """In a room of 430 m³ in which nothing is hidden and every surface has its own material."""
-    for index, kind in enumerate(drawn_geometric.order(0)):
+    for index, row in sorted(geometric_rooms.stored(0, "truth").items()):
         case = geometric_rooms.load(0, index)
-        if kind == drawn_geometric.NOTHING and case.room.n_materials == len(case.geometry.faces):
+        alone = case.room.n_materials == len(case.geometry.faces)
+        if alone and row["truth"]["kind"] == geometric_rooms.EMPTY:
             break
     truth = geometric_rooms.truth(0, index)
     simulated = told(geometric_rooms, case, truth, 16000).observe(

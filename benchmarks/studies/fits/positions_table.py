@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.studies.position_rooms.generate import HERE
 from benchmarks.studies.position_rooms.rooms import PRIORS
+from benchmarks.studies.stored import HERE
 from rtcal.finder.records import Share
 
 GAPS = ("edt", "c80", "g")
@@ -34,7 +34,7 @@ no alpha closes: that of the true one."""
 
 def stored_run(population: int, part: str = "results") -> Path:
     """Return the file of a stored run: "results", "bound", "before"."""
-    return HERE / f"population_{population}_{part}.jsonl"
+    return HERE / "position_rooms" / f"population_{population}_{part}.jsonl"
 
 
 def read(path: Path) -> list[dict[str, Any]]:

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.studies.hidden_world import generate as first_world
+from benchmarks.studies import stored
 from benchmarks.studies.hidden_world.populations import KINDS as KINDS_OF_FIRST
 from benchmarks.studies.hidden_world.populations import TOGGLED
 from benchmarks.studies.means.judging import (
@@ -42,14 +42,11 @@ from benchmarks.studies.means.judging import (
     rate,
     row_of,
 )
-from benchmarks.studies.second_world import generate as second_world
-from benchmarks.studies.second_world.rooms import KINDS
-from benchmarks.studies.third_world import generate as third_world
 from rtcal.finder import Case, verify
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.search import find
 
-WORLDS = {1: first_world, 2: second_world, 3: third_world}
+WORLDS = {1: "hidden_world", 2: "second_world", 3: "third_world"}
 POPULATIONS = ((1, 1), (1, 3), (2, 1), (3, 1), (3, 2), (3, 3), (3, 13))
 """World and population of the rooms that judge."""
 BOTH = (1, 2)
@@ -77,7 +74,7 @@ SAID_AS = {"nothing": NOTHING, "material": "coefficients"}
 @cache
 def read(world: int, population: int, part: str) -> list[dict[str, Any]]:
     """The stored cases ("case") or truths ("truth") of a population, decompressed once."""
-    return WORLDS[world].read(population, part)
+    return stored.read(WORLDS[world], population, part)
 
 
 def name_of(hidden: dict[str, Any]) -> str:
@@ -193,7 +190,7 @@ def judged(
 
 def table(rows: Sequence[dict[str, Any]]) -> None:
     """Print rates and confusion by world, then of both worlds together."""
-    names = [*NAMES.values(), *(k for k in KINDS if k not in ("nothing", *NAMES.values()))]
+    names = [*NAMES.values(), "coefficients", "curtain", "membrane"]
     names.insert(names.index("audience") + 1, "people")
     for worlds in ((1,), (2,), (3,), BOTH):
         for data, words in DATA.items():

@@ -34,7 +34,6 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
-from benchmarks.studies.geometric_world.generate import HERE
 from benchmarks.studies.geometric_world.load import (
     HANDBOOK,
     IN_SITU,
@@ -46,6 +45,7 @@ from benchmarks.studies.geometric_world.load import (
 )
 from benchmarks.studies.means.judging import FLAGS, rounded, row_of
 from benchmarks.studies.pairs.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
+from benchmarks.studies.stored import path
 from rtcal.acoustics.marks import gap_jnd
 from rtcal.finder import library
 from rtcal.finder.positions.problem import PositionsHypotheses, PositionsProblem
@@ -70,7 +70,7 @@ def population_of(which: str) -> int:
 
 def stored_in(which: str) -> Path:
     """Return the file that has the rows of rooms ``which``."""
-    return HERE / f"population_{population_of(which)}_results.jsonl.gz"
+    return path("geometric_world", population_of(which), "results")
 
 
 def case_of(room: GeometricRoom, data: str, paths: int = PATHS) -> rt.finder.PositionsCase:

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.studies.fits.positions_table import bootstrap, share
-from benchmarks.studies.geometric_world import rooms
-from benchmarks.studies.geometric_world.load import truth
+from benchmarks.studies.geometric_world.load import EMPTY, HIDDEN, ON_A_SURFACE, truth
 from benchmarks.studies.means.judging import FLAGS, NOTHING, families_of
 
 DATA = {"without": "without level", "level": "with level"}
-ABSORBERS = rooms.ON_A_SURFACE
+ABSORBERS = ON_A_SURFACE
 WHOLE_PLACES = ("audience",)
 """Kinds whose surface follows from their name: people stand on floors."""
 MODELS = ("before", "plain", "corrected")
@@ -65,9 +64,6 @@ class Rows:
         ]
 
 
-HIDDEN = tuple(k for k in rooms.KINDS if k != rooms.NOTHING)
-
-
 def family_of(row: dict[str, Any]) -> str | None:
     """Return the family that is claimed, or else the most probable one."""
     if row["family"]:
@@ -103,9 +99,9 @@ def common(rows: Rows) -> dict[str, Line]:
     """Return the lines that a finder without a geometry has as well."""
     caught = rows.only(HIDDEN, True)
     right = [(r, family_of(r) in right_families(t["kind"])) for t, r in caught]
-    empty = sorted((r["score"] for _, r in rows.only((rooms.NOTHING,))), reverse=True)[1:2]
+    empty = sorted((r["score"] for _, r in rows.only((EMPTY,))), reverse=True)[1:2]
     return {
-        "flagged with nothing hidden": portion(flags(rows, (rooms.NOTHING,))),
+        "flagged with nothing hidden": portion(flags(rows, (EMPTY,))),
         "detected": portion(flags(rows, HIDDEN)),
         "detected, absorbers alone": portion(flags(rows, ABSORBERS)),
         "detected where one empty room is flagged": portion(
@@ -214,7 +210,7 @@ def print_confusion(rows: Rows) -> None:
     flagged = [effect_of(r) for _, r in rows.all if r["verdict"] in FLAGS]
     names = [n for n in dict.fromkeys([*HIDDEN, *flagged]) if n in flagged]
     print(f"{'':16}{'-':>4}" + "".join(f"{n[:8]:>9}" for n in names))
-    for kind in (*HIDDEN, rooms.NOTHING):
+    for kind in (*HIDDEN, EMPTY):
         chosen = [r for _, r in rows.only((kind,))]
         count = Counter(effect_of(r) if r["verdict"] in FLAGS else "-" for r in chosen)
         if chosen:

@@ -8,17 +8,15 @@ processor time per room.
 
 from __future__ import annotations
 
-import gzip
-import json
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.studies import stored as files
 from benchmarks.studies.position_rooms.rooms import COUNTS, build
 
-HERE = Path(__file__).parent
+WORLD = "position_rooms"
 DIGITS = 5
 
 
@@ -51,31 +49,16 @@ def order(population: int) -> list[int]:
 def main(population: int, number: int) -> None:
     """Build the first ``number`` rooms in `order` that are not there yet; written after each."""
     parts = {"rooms": ("stated", "measured"), "truth": ("truth",)}
-    lines = {part: read(population, part) for part in parts}
+    lines = {part: files.numbered(WORLD, population, part) for part in parts}
     for i in order(population)[:number]:
         if i in lines["truth"]:
             continue
         made = stored(build(population, i))
         for part, keys in parts.items():
             lines[part][i] = {k: made[k] for k in keys}
-            rows = [{"index": n, **row} for n, row in sorted(lines[part].items())]
-            text = "\n".join(json.dumps(row, separators=(",", ":")) for row in rows)
-            path(population, part).write_bytes(gzip.compress(text.encode(), mtime=0))
+            rows = ({"index": n, **row} for n, row in sorted(lines[part].items()))
+            files.write(WORLD, population, part, rows)
         print(i, made["stated"]["kind"], made["truth"]["n_rays"], flush=True)
-
-
-def path(population: int, part: str) -> Path:
-    return HERE / f"population_{population}_{part}.jsonl.gz"
-
-
-def read(population: int, part: str) -> dict[int, dict[str, Any]]:
-    """Read ``part`` ("rooms" or "truth") of a population, by the rooms' numbers."""
-    if not path(population, part).exists():
-        return {}
-    rows = [
-        json.loads(r) for r in gzip.decompress(path(population, part).read_bytes()).splitlines()
-    ]
-    return {row.pop("index"): row for row in rows}
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
-from benchmarks.studies.position_rooms.generate import read
+from benchmarks.studies import stored as files
 from benchmarks.studies.position_rooms.parameters import PARAMETERS
 from benchmarks.studies.position_rooms.rooms import sigma_of
 from rtcal.acoustics.measurement import Measurement
@@ -58,7 +58,7 @@ def at(measured: Measurement, receivers: Sequence[str]) -> Measurement:
 
 @lru_cache(maxsize=4)
 def stored(population: int, part: str) -> dict[int, dict[str, Any]]:
-    return read(population, part)
+    return files.numbered("position_rooms", population, part)
 
 
 def as_measurement(bands: Any, values: dict[str, Any]) -> Measurement:
