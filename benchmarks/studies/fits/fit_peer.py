@@ -10,7 +10,6 @@ room and data, start at the stated coefficients, and are asked for the same numb
 source.
 A gap is that of each program's own simulation with the coefficients that it returned.
 
-`--room room.toml --measured pairs.csv` fits a room of your own instead, with all its pairs.
 acoustic-spaces (GPL-3, PyPI) is run where it is installed beside rtcal (`peer`); rtcal does not depend
 on it. `--first` chooses other rooms: 100 and above were used to develop, 0 to 4 to judge, once.
 """
@@ -28,7 +27,7 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
-from benchmarks.studies.fits.positions_peer import scene_of, values_of
+from benchmarks.studies.position_rooms.parameters import OCTAVES
 from rtcal.acoustics.marks import gap_jnd, rms
 from rtcal.simulators.geometry import Polyhedron
 
@@ -103,25 +102,11 @@ def drawn(index: int) -> Case:
     return Case(room, geometry, sources, receivers, measured, left_out)
 
 
-def own(room: Path, measured: Path) -> Case:
-    """Return a box of a user's, with dimensions, sources and receivers, and all its pairs."""
-    stated = rt.Room.from_file(room)
-    tracer = rt.io.geometry_files.path_tracing(stated, scattering=SCATTERING, n_paths=RAYS)
-    heard = rt.Measurement.from_file(measured)
-    heard = rt.acoustics.heard.in_bands(stated.centre_frequencies)
-    as_arrays = [
-        {n: np.array(p) for n, p in of.items()} for of in (tracer.sources, tracer.receivers)
-    ]
-    return Case(stated, tracer.geometry, as_arrays[0], as_arrays[1], heard, ())
-
-
 def gaps(case: Case, of: dict[str, dict[tuple[str, str], np.ndarray]]) -> dict[str, Any]:
     """Return rms gaps in JND at fitted and left-out pairs, by parameter and of all."""
     found: dict[str, Any] = {}
     fitted = [p for p in case.measured.pairs if p not in case.left_out]
     for name, pairs in (("fitted", fitted), ("left out", case.left_out)):
-        if not pairs:
-            continue
         rows = [case.measured.pairs.index(p) for p in pairs]
         each = {
             p: gap_jnd(np.array([of[p][pair] for pair in pairs]), case.measured.values[p][rows], p)
@@ -153,6 +138,81 @@ def fit(case: Case) -> dict[str, Any]:
     return out
 
 
+def obj(case: Case) -> str:
+    """The room as a Wavefront file, a group per surface."""
+    geometry = case.geometry
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in geometry.triangles.reshape(-1, 3)]
+    for i, face in enumerate(geometry.triangle_faces):
+        lines.append(f"g {underscored(geometry.materials[face])}")
+        lines.append(f"f {3 * i + 1} {3 * i + 2} {3 * i + 3}")
+    return "\n".join(lines) + "\n"
+
+
+def underscored(material: str) -> str:
+    return material.replace(" ", "_")
+
+
+def eight(values: np.ndarray, bands: np.ndarray, *, edges: bool) -> np.ndarray:
+    """Return values of six or eight octaves in eight: the edges repeated, or missing."""
+    at = np.clip(np.searchsorted(bands, OCTAVES), 0, len(bands) - 1)
+    out = values[..., at]
+    return out if edges else np.where(np.isin(OCTAVES, bands), out, np.nan)
+
+
+def scene_of(case: Case, folder: str) -> tuple[Any, list[str]]:
+    """Return the scene of a case in acoustic-spaces, and its materials' names there."""
+    from acoustic_spaces.scene import Scene
+
+    bands, measured = case.room.centre_frequencies, case.measured
+    path = Path(folder, "room.obj")
+    path.write_text(obj(case), encoding="utf-8")
+    stated = eight(case.room.alpha, bands, edges=True)
+    names = [underscored(m) for m in case.room.materials]
+    scene = Scene.model_validate(
+        {
+            "name": "box",
+            "geometry": {"file": str(path), "units": "m", "up_axis": "z"},
+            "materials": {
+                n: {"absorption": a.tolist(), "scattering": SCATTERING}
+                for n, a in zip(names, stated, strict=True)
+            },
+            "assignments": {n: n for n in names},
+            "sources": [{"name": n, "position": p.tolist()} for n, p in case.sources.items()],
+            "listeners": [{"name": n, "position": p.tolist()} for n, p in case.receivers.items()],
+            "air": {
+                "temperature_c": case.room.air.temperature,
+                "humidity_percent": case.room.air.humidity,
+            },
+            "simulation": {
+                "seed": 0,
+                "ir_length_s": float(max(0.5, 1.1 * np.nanmax(measured.values["t20"]))),
+                "early": {"diffraction": "none"},
+                "late": {"rays": RAYS},
+                "scattering": {"method": "random", "from_size": False},
+            },
+        }
+    )
+    return scene, names
+
+
+def values_of(room: rt.Room, measured: rt.Measurement) -> dict[tuple[str, str], Any]:
+    """Return the measured parameters in acoustic-spaces' form, by pair."""
+    from acoustic_spaces.parameters import PARAMETERS, RoomParameters
+
+    missing = np.full(len(OCTAVES), np.nan)
+    return {
+        pair: RoomParameters(
+            **{
+                p: eight(measured.values[p][i], room.centre_frequencies, edges=False)
+                if p in MATCH
+                else missing
+                for p in PARAMETERS
+            }
+        )
+        for i, pair in enumerate(measured.pairs)
+    }
+
+
 def fit_peer(case: Case) -> dict[str, Any]:
     """Return the same of acoustic-spaces."""
     from acoustic_spaces import calibration
@@ -161,8 +221,8 @@ def fit_peer(case: Case) -> dict[str, Any]:
     fitted = [p for p in case.measured.pairs if p not in case.left_out]
     clock = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
-        scene, names = scene_of(case, folder, RAYS, SCATTERING)
-        values = values_of(case.room, case.measured.select(fitted), MATCH)
+        scene, names = scene_of(case, folder)
+        values = values_of(case.room, case.measured.select(fitted))
         found = calibration.calibrate(scene, values, names, parameters=MATCH, threads=1)
         out: dict[str, Any] = {"processor": time.process_time() - clock}
         for name, of_scene in (("before", scene), ("after", found.fitted_scene())):
@@ -184,21 +244,13 @@ def main() -> None:
     parser.add_argument("command", choices=["run", "peer", "table"])
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--number", type=int, default=5)
-    parser.add_argument("--room", type=Path)
-    parser.add_argument("--measured", type=Path)
     parser.add_argument("--stored", type=Path, default=Path(__file__).with_suffix(".jsonl"))
     arguments = parser.parse_args()
     if arguments.command != "table":
-        tried: list[tuple[str, Case]] = []
-        if arguments.room is not None:
-            tried = [(arguments.room.name, own(arguments.room, arguments.measured))]
-        else:
-            span = range(arguments.first, arguments.first + arguments.number)
-            tried = [(f"box {i}", drawn(i)) for i in span]
         program = "rtcal" if arguments.command == "run" else "acoustic-spaces"
-        for name, case in tried:
-            row = {"room": name, "program": program}
-            row |= (fit if program == "rtcal" else fit_peer)(case)
+        for i in range(arguments.first, arguments.first + arguments.number):
+            row = {"room": f"box {i}", "program": program}
+            row |= (fit if program == "rtcal" else fit_peer)(drawn(i))
             with arguments.stored.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
     show(arguments.stored)

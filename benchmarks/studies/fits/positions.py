@@ -9,7 +9,7 @@ studies/position_rooms describes the rooms. `run` fits all pairs for alpha, and 
 for the gaps at the other three. A method is "t20" (the loop of `rtcal.calibrate_simulator`) or
 "positions" (the same with ``match``). The gaps of the stated and of the true alpha stand beside them.
 
-The other program is in benchmarks/studies/fits/positions_peer.py, a real room in
+Another program is in benchmarks/studies/fits/fit_peer.py, a real room in
 benchmarks/studies/fits/positions_cr2.py.
 """
 
@@ -149,11 +149,6 @@ def mean_gaps(model: Measurement, measured: Measurement) -> dict[str, float]:
     return {
         p: float(np.nanmean(np.abs(gap_jnd(model.values[p], measured.values[p], p)))) for p in GAPS
     }
-
-
-def mean_gap(simulator: PathTracing, alpha: np.ndarray, measured: Measurement) -> float:
-    """Return the mean of `mean_gaps` over the parameters, of what a tracer hears, in JND."""
-    return float(np.mean(list(mean_gaps(simulated(simulator, alpha, measured), measured).values())))
 
 
 def error(room: rt.Room, alpha: np.ndarray, truth: np.ndarray) -> float:

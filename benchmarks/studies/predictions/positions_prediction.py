@@ -29,7 +29,8 @@ from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.base import observe
 from rtcal.support.types import Array
 
-WORLDS = {"development": 0, "first": 1, "second": 2, "third": 3}
+WORLDS = {"development": 0, "third": 3}
+"""Seeds of the rooms; 1 and 2 were those of two worlds that earlier versions were judged in."""
 BANDS = parameters.OCTAVES[3:6]
 MATCH = ("t20", "edt", "c80", "ts", "level")
 CHANGES = 8
@@ -106,9 +107,11 @@ def world(part: str, index: int) -> World:
     tracer = _stated(
         polygons, stated, climate, rooms.moved(rng, sources), rooms.moved(rng, receivers)
     )
-    shared = {} if part == "first" else common_of_all_pairs(heard, share)
     measured = rt.Measurement(
-        centre_frequencies=BANDS, values=heard, pairs=tracer.pairs, common_uncertainty=shared
+        centre_frequencies=BANDS,
+        values=heard,
+        pairs=tracer.pairs,
+        common_uncertainty=common_of_all_pairs(heard, share),
     )
     truth = [parameters.evaluate(state, _WIDTH) for state in states]
     return World(
@@ -206,8 +209,13 @@ def stated_alone(tracer: PathTracing, prediction: PositionsPrediction) -> Array:
     return np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
 
 
-def in_jnd(prediction: PositionsPrediction, observed: Array) -> Array:
-    return np.array([prediction._in_jnd(p, observed) for p in MATCH])
+def in_jnd(prediction: PositionsPrediction, differences: Array) -> Array:
+    """Return differences of observed values in JND, (n_parameters, n_pairs + 1, n_bands)."""
+    rows = []
+    for p, row in zip(MATCH, differences, strict=True):
+        kind, own = observable(p), prediction.at_pairs(p)
+        rows.append(row / kind.of_observed(np.broadcast_to(kind.jnd_of(own), own.shape), own))
+    return np.array(rows)
 
 
 def tell(rows: list[dict[str, Array]]) -> None:
