@@ -294,7 +294,7 @@ def test_an_effect_of_weight_0_is_named() -> None:
 
 
 def test_a_calibration_that_ignores_t_says_so() -> None:
-    said = "Nothing in this calibration asks for the measured T"
+    said = "Nothing in this calibration requires the measured T"
     ignoring = rt.Calibration(PRIOR, []).build(room()).solve([0.8, 0.75])
     assert said in str(ignoring)
     assert "T20 NOT matched" in str(ignoring)

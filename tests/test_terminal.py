@@ -130,7 +130,7 @@ def computed() -> Any:
         ):
             patch.setattr(module, name, once(getattr(module, name)))
         patch.setattr(measured_pairs, "RUNS", 2)
-        drawn = {"residuals": document.Picture(lambda: None, "")}
+        drawn = [document.Picture(lambda: None, "", name="residuals")]
         patch.setattr(of_finding, "pictures", lambda *_: drawn)
         patch.setattr(document, "source", lambda *_: "data:,")
         patch.setattr(figures, "rendered", lambda *_: b"")

@@ -176,13 +176,13 @@ def test_q_too_small_is_said() -> None:
     stated = room()
     spread = np.sqrt(stated.areas**2 @ stated.sigma**2)
     usual = rt.Eyring().time(stated, stated.absorption_area + 0.8 * spread)
-    assert "The measurement agrees with what was stated" in unwrapped(rt.calibrate(stated, usual))
+    assert "The measurement agrees with the input" in unwrapped(rt.calibrate(stated, usual))
 
 
 def test_agreement_in_spite_of_a_large_gap_is_said_to_confirm_nothing() -> None:
     vague = room().replace(sigma=0.3 * room().alpha)
     usual, long = (f * rt.Eyring().reverberation_time(vague) for f in (1.08, 1.25))
-    reservation = "allows even the gap of 4.0 JND before, so this does not confirm the model."
+    reservation = "allows even the deviation of 4.0 JND before, so this does not confirm the model."
     assert reservation in unwrapped(rt.calibrate(vague, long))
     assert "agrees" not in unwrapped(rt.calibrate(vague, long))
     assert "does not confirm the model" not in unwrapped(rt.calibrate(vague, usual))

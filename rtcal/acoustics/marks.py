@@ -31,6 +31,7 @@ from rtcal.acoustics.observables import (
 from rtcal.acoustics.room import Room
 from rtcal.support import checks
 from rtcal.support.errors import DataError
+from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
 
 __all__ = ["gap_jnd", "plausibility", "trust_marks"]
@@ -65,7 +66,7 @@ MET = 0.5
 P_CONTRADICTION = 0.05
 """Below this p-value, prior and measurement contradict each other: the usual level of 5 %."""
 LARGE_Z = 2.0
-"""z of a band that contradicts what was stated of the materials."""
+"""z of a band that contradicts the input coefficients."""
 P_TOO_GOOD = 0.99
 """Above this p-value, prior and measurement agree too well to be true.
 
@@ -225,8 +226,8 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "missing": (
         "m",
-        "alpha stays as stated there, unless other bands, terms or observations move it: measure the "
-        "band, or draw no conclusion from it",
+        "alpha keeps its input value there, unless other bands, terms or observations move it: measure "
+        "the band, or draw no conclusion from it",
     ),
     "below_schroeder": (
         "s",
@@ -235,32 +236,33 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "air": (
         "a",
-        "an error of T, or of the stated climate, counts several times in alpha: measure "
-        "temperature and humidity with T",
+        "an error of T or of the climate counts several times in alpha: measure temperature and "
+        "humidity with T",
     ),
     "uncertain": (
         "u",
-        "the gap says nothing of the model: measure at more positions, or calibrate with method soft",
+        "the deviation says nothing of the model: measure at more positions, or calibrate with method "
+        "soft",
     ),
     "at_bound": (
         "b",
-        "its sigma or another's is too small, or an effect is missing: state a lower limit (alpha_min) "
-        "for hard materials and look for the effect",
+        "its sigma or another's is too small, or an effect is missing: give hard materials a lower "
+        "limit (alpha_min) and look for the effect",
     ),
     "at_upper_bound": (
         "b",
-        "the other materials supply what T asks for beyond it: this material's sigma, another "
-        "material's sigma or this material's area is stated too small, or an effect is missing",
+        "the other materials supply what T needs beyond it: this material's sigma, another material's "
+        "sigma or this material's area is too small, or an effect is missing",
     ),
     "all_at_upper_bound": (
         "b",
-        "T asks for more absorption than these materials can have: look for absorption that the "
+        "T needs more absorption than these materials can have: look for absorption that the "
         "model lacks, for a surface that is missing or too small, or a sigma that is too small",
     ),
     "implausible": (
         "z",
-        "the measurement contradicts what was stated of the materials: check areas and volume, "
-        "then look for an effect that the model lacks, before using these coefficients",
+        "the measurement contradicts the input: check areas and volume, then look for an effect that "
+        "the model lacks, before using these coefficients",
     ),
     "bent": (
         "c",
@@ -270,28 +272,28 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "no_air": (
         "",
-        "the surfaces are made to absorb what the air does, most of all above 1 kHz: state "
-        "temperature and humidity",
+        "the surfaces are made to absorb what the air does, most of all above 1 kHz: give the "
+        "room's file temperature and humidity",
     ),
     "no_uncertainty": (
         "",
-        "z and Q may be too large: state T per source and receiver, or its uncertainty",
+        "z and Q may be too large: give T per source and receiver, or its uncertainty",
     ),
     "implausible_modes": (
         "",
-        "the modes contradict each other or what was stated of the materials: are T and "
-        "decays called so, and which modes are they? Then check the stated coefficients",
+        "the modes contradict each other or the input coefficients: are T and decays called so, and "
+        "which modes are they? Then check the coefficients",
     ),
     "surface_missing": ("", "a surface is missing, or the volume is wrong: check both"),
     "surface_beyond_sense": ("", "are the areas in m² and the volume in m³?"),
     "clipped": (
         "",
         "a laboratory value above 1 counts the specimen's edges too, so the true one is not known: "
-        "state a larger sigma for these materials",
+        "give these materials a larger sigma",
     ),
     "dimensions": (
         "",
-        "one of them is wrong: the absorption that T asks for is proportional to the volume",
+        "one of them is wrong: the absorption that T needs is proportional to the volume",
     ),
     "equations_differ": (
         "",
@@ -622,7 +624,7 @@ def trust_marks(
         marks.append(mark(*stated))
 
     if room.air is None:
-        add("no_air", None, "no air is stated")
+        add("no_air", None, "the room has no air")
     if (doubt := surface_doubt(room)) is not None:
         marks.append(doubt)
     if room.dimensions is not None:
@@ -657,7 +659,7 @@ def trust_marks(
             add("air", f, "the air absorbs more than the surfaces")
         if uncertainty[k] > _ODD_UNCERTAINTY * measured[k]:
             over = f"{100 * _ODD_UNCERTAINTY:.0f} %"
-            add("uncertain", f, f"T is uncertain by over {over}: is it stated in percent, not s?")
+            add("uncertain", f, f"T is uncertain by over {over}: is it in percent, not s?")
         elif uncertainty[k] > TARGET.jnd_of(measured[k]) and not abs(z[k]) > LARGE_Z:
             add("uncertain", f, "T is uncertain by more than one JND")
         # A single coefficient at 1 says nothing of the others, which may still give the T.
@@ -669,9 +671,7 @@ def trust_marks(
         if abs(z[k]) > LARGE_Z:
             side = "more" if z[k] > 0 else "less"
             bound = " within the bounds" if active[:, k].any() else ""
-            add(
-                "implausible", f, f"T asks for {side} absorption than was stated, |z|{bound} over 2"
-            )
+            add("implausible", f, f"T needs {side} absorption than the input, |z|{bound} over 2")
     return tuple(marks)
 
 
@@ -692,9 +692,9 @@ def grouped(marks: Sequence[TrustMark]) -> Iterator[tuple[TrustMark, list[str]]]
 
 
 def explained(marks: Sequence[TrustMark]) -> list[str]:
-    """Return the marks as lines of text, grouped by advice: the facts, then the advice."""
+    """Return the marks as sentences, grouped by advice: the facts, then the advice."""
     out = []
     for first, facts in grouped(marks):
         letter = f"[{first.letter}] " if first.letter else ""
-        out += [f"{letter}{'; '.join(facts)}", f"    -> {first.advice}"]
+        out.append(f"{letter}{'; '.join(facts)}. {as_sentence(first.advice)}")
     return out

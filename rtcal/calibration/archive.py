@@ -22,8 +22,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.room import ARCHIVE, CalibrationRecord, Material, Room
@@ -164,6 +163,8 @@ class Evidence:
 
     def fitted(self, rows: NDArray[np.bool_] | None = None, start: Spread | None = None) -> Spread:
         """Return the spread of the largest marginal likelihood of ``rows`` times `_USUAL`."""
+        from scipy.optimize import minimize
+
         first = _CENTRE if start is None else _point(start)
         return _spread(minimize(self._cost, first, (rows,), method="L-BFGS-B").x)
 
@@ -818,7 +819,7 @@ def _judged(
         factor_sigma=float(np.sqrt(np.maximum(spread.room**2 - gain @ pull, 0.0))),
         q=q,
         degrees_of_freedom=len(miss),
-        p_value=float(chi2.sf(q, len(miss))),
+        p_value=float(chdtrc(len(miss), q)),
         taught=float(np.mean(learnt)) if learnt else 0.0,
     )
     return lesson, odds / (rest + odds.sum())

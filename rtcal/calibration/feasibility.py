@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.optimize import linprog
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.marks import surface_doubt
@@ -229,6 +228,8 @@ def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
     row's is divided by the sum of its coefficients of one sign. 0 <= alpha <= 1 and fixed unknowns are
     not relaxed.
     """
+    from scipy.optimize import linprog
+
     compiled, layout, moves = composition.compiled, composition.layout, numbers.movable
     A, places, unit = program.matrices[1], compiled.places, numbers.inverse_sigma
     own = A[:, places] @ sp.diags_array(unit * moves)

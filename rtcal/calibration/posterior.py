@@ -24,10 +24,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 from scipy.sparse.csgraph import connected_components
 from scipy.special import log_ndtr, ndtr, ndtri
-from scipy.stats import qmc
 
 from rtcal.support import checks
 from rtcal.support.errors import DataError, ModelError, SolverError
@@ -793,6 +791,8 @@ def _mixture_of_several(
     mean: Array, spread: float, lower: Array, upper: Array, values: Array, weight: Array
 ) -> Array:
     """Quantiles at `NORMAL` of a mixture of normal distributions (mean, spread), each cut."""
+    from scipy.interpolate import PchipInterpolator
+
     points = _weighted_quantiles(values, weight, _POINTS)
     peak = np.clip(mean, lower, upper)
     ends = [
@@ -839,5 +839,7 @@ def _mixture(lower: Array, upper: Array, weight: Array) -> Array:
 @lru_cache(maxsize=16)
 def _even(number: int, size: int, seed: int) -> Array:
     """Read-only points (number, size) between 0 and 1 that fill space evenly (Sobol, scrambled)."""
+    from scipy.stats import qmc
+
     points = qmc.Sobol(size, seed=np.random.default_rng(seed)).random(number)
     return read_only(np.clip(points, 1e-12, 1 - 1e-12))

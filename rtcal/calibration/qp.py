@@ -23,9 +23,8 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -33,8 +32,14 @@ from scipy.sparse.linalg import splu
 
 from rtcal.calibration.terms import AddedAbsorption, AnyTerm, Model, Shared, Term
 from rtcal.calibration.unknowns import Flags, Integers, Layout, Numbers
+from rtcal.support import Deferred
 from rtcal.support.errors import ModelError, SolverError
 from rtcal.support.types import Array
+
+if TYPE_CHECKING:
+    import cvxpy as cp
+else:
+    cp = Deferred("cvxpy")
 
 _EPS = np.finfo(float).eps
 Active = NDArray[np.int8]

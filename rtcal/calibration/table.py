@@ -131,19 +131,23 @@ def _mean_measurement(room: Room, measured: MeasuredTimes) -> Measurement:
 
 
 _STRONG_SHIFT = 3.0
-"""Shift (in sigmas) and gap (in JND) at which the notebook's shading saturates."""
+"""Shift (in sigmas) and deviation (in JND) at which the notebook's shading saturates."""
 
-SHIFT = "shift of alpha / stated sigma"
+SHIFT = "shift of alpha / input sigma"
 SIGNS = (
-    "gap: T of the model less the measured T, 1 JND being 5 %. z: the absorption that T asks for less "
-    "the stated, in standard deviations."
+    "deviation: T of the model less the measured T, 1 JND being 5 %. z: the absorption that T needs "
+    "less the input, in standard deviations."
 )
 
 _BOUNDS = {"lower": "*", "upper": "*", "": " "}
+_SEEN = 0.05
+"""Shift in standard deviations that is not printed as 0.0."""
 
 
 def blocks_of(record: Mapping[str, Any]) -> list[Block]:
-    """Return what a calibration says: verdict, cautions, bands, materials, certificate.
+    """Return what a calibration says: verdict, cautions, bands, materials, and how it was made.
+
+    Input coefficients and all shifts are details, which a terminal leaves out.
 
     Parameters
     ----------
@@ -151,48 +155,59 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
         As `CalibrationResult.to_dict` returns it.
     """
     labels, materials = bands.labels(record["centre_frequencies"]), record["materials"]
-    named = [(f"{m['name']}, {m['area']:g} m²", m) for m in materials]
-    stated = [Row(name, m["alpha_before"], ".3f") for name, m in named]
     calibrated = [
-        Row(name, [f"{alpha:.3f}{_BOUNDS[bound]}" for alpha, bound in cells])
-        for name, m in named
+        Row(m["name"], [*(f"{a:.3f}{_BOUNDS[b]}" for a, b in cells), _largest_shift(m, labels)])
+        for m in materials
         for cells in [zip(m["alpha_after"], m["at_bound"], strict=True)]
     ]
     heading, evidence = verdict(record)[1:]
-    marks = explained(_trust_marks(record))
+    cautions = explained(_trust_marks(record))
     return [
-        *map(Note, _header(record)),
-        Note(""),
         Note(f"{heading}. {evidence}"),
-        *([Note("Cautions:")] if marks else []),
-        *(Note(mark.lstrip(), " " * (2 + len(mark) - len(mark.lstrip()))) for mark in marks),
+        *(Note(f"Caution {caution}") for caution in cautions),
         *map(Note, remarks(record)),
         Table(labels, band_rows(record), note=SIGNS),
-        Table(labels, stated, "stated alpha"),
-        Table(labels, calibrated, "calibrated alpha (* at a bound)"),
-        Table(labels, shift_rows(record), SHIFT),
-        Note(certificate(record)),
+        Table(
+            [*labels, "largest shift / σ"],
+            calibrated,
+            "Calibrated alpha (* at a bound), and its shift",
+        ),
+        Table(
+            labels,
+            [Row(m["name"], m["alpha_before"], ".3f") for m in materials],
+            "Input alpha",
+            detail=True,
+        ),
+        Table(labels, shift_rows(record), SHIFT, detail=True),
+        *map(Note, _made(record)),
     ]
 
 
+def _largest_shift(material: Mapping[str, Any], labels: Sequence[str]) -> str:
+    """Return the largest shift of a material's coefficients in prior standard deviations, and where."""
+    shifts = np.nan_to_num(numbers(material["shift_in_sigmas"]))
+    k = int(np.argmax(np.abs(shifts)))
+    return f"{shifts[k]:+.1f} at {labels[k]}" if abs(shifts[k]) >= _SEEN else "none"
+
+
 def shift_rows(record: Mapping[str, Any]) -> list[Row]:
-    """Return the shift of each material's coefficients in stated standard deviations, by band."""
+    """Return the shift of each material's coefficients in prior standard deviations, by band."""
     shifts = [(m["name"], numbers(m["shift_in_sigmas"])) for m in record["materials"]]
     return [Row(name, of, "+.1f", np.nan_to_num(of) / _STRONG_SHIFT) for name, of in shifts]
 
 
-def _header(record: Mapping[str, Any]) -> tuple[str, str]:
-    """The room, and how it was calibrated."""
-    air = "no air stated"
+def _made(record: Mapping[str, Any]) -> list[str]:
+    """Return the room, how it was calibrated, and how exactly the problem was solved."""
+    air = "no air"
     if record["air"] is not None:
         air = f"air {record['air']['temperature']:g} °C, {record['air']['humidity']:g} % humidity"
     area = sum(material["area"] for material in record["materials"])
     matched = "matched" if record["matches_measured_time"] else "NOT matched"
-    return (
-        f"{record['room']}: {record['volume']:g} m³, {area:g} m², {air}",
-        f"method {record['method']}, {record['equation']}'s equation, "
-        f"{' and '.join(_parameters(record))} {matched}, solver {record['solver']['name']}",
-    )
+    return [
+        f"{record['room']}: {record['volume']:g} m³, {area:g} m², {air}; method {record['method']}, "
+        f"{record['equation']}'s equation, {' and '.join(_parameters(record))} {matched}.",
+        certificate(record),
+    ]
 
 
 def _parameters(record: Mapping[str, Any]) -> list[str]:
@@ -210,13 +225,13 @@ def band_rows(record: Mapping[str, Any]) -> list[Row]:
     rows = [
         Row("measured T / s", measured["reverberation_time"], ".3f"),
         Row("  its uncertainty / s", measured["uncertainty"], ".3f"),
-        Row("T before (model) / s", record["reverberation_time_before"], ".3f"),
-        Row("T after (model) / s", record["reverberation_time_after"], ".3f"),
-        Row("gap before / JND", record["gap_before_jnd"], "+.1f", shades[0]),
-        Row("gap after / JND", record["gap_after_jnd"], "+.1f", shades[1]),
-        Row("z", record["plausibility"]["z"], "+.1f"),
+        Row("T of the input / s", record["reverberation_time_before"], ".3f"),
+        Row("T calibrated / s", record["reverberation_time_after"], ".3f"),
+        Row("deviation before / JND", record["gap_before_jnd"], "+.1f", shades[0]),
+        Row("deviation after / JND", record["gap_after_jnd"], "+.1f", shades[1]),
+        Row("z / σ", record["plausibility"]["z"], "+.1f"),
         Row("air's share / %", 100 * numbers(record["air_share"]), ".0f"),
-        Row("reservations", trust),
+        Row("cautions", trust),
     ]
     if len(_parameters(record)) > 1:
         rows.insert(0, Row("matched", [parameter_label(p) or "-" for p in parameters]))
@@ -228,40 +243,38 @@ def _trust_marks(record: Mapping[str, Any]) -> list[TrustMark]:
 
 
 def remarks(record: Mapping[str, Any]) -> list[str]:
-    """Return what was taken as exact, left out, not measured or out of reach, a sentence each."""
-    measured, stated = record["measured"], record.get("room_uncertainty")
-    uncertain = (
-        f"; stated is (standard deviations): {stated}"
-        if stated
-        else ": the room states no uncertainty of them"
-    )
-    said = [
-        f"Volume and areas are taken as exact{uncertain}."
-        if record["room_taken_as_exact"]
-        else f"The room is uncertain as stated (standard deviations): {stated}. T after is computed "
-        "with the stated volume, areas and climate, not with corrected ones."
-    ]
-    said += [f"{sentence} (nearest end taken)" for sentence in record["unreachable"]]
+    """Return what counts as exact, what was left out, not measured or out of reach, a sentence each."""
+    measured, uncertainty = record["measured"], record.get("room_uncertainty")
+    sigmas = f" with these standard deviations: {uncertainty}"
+    if not record["room_taken_as_exact"]:
+        first = (
+            f"The room is uncertain{sigmas}. T calibrated is computed with the input volume, areas and "
+            "climate, not with corrected ones."
+        )
+    elif uncertainty:
+        first = f"Volume and areas count as exact, although the room's file gives them{sigmas}."
+    else:
+        first = "Volume and areas count as exact: the room's file gives them no uncertainty."
+    said = [first, *(f"{sentence} (nearest end taken)" for sentence in record["unreachable"])]
     said += filter(None, [measured["caution"]])
     if measured["bands_not_in_room"]:
         ignored = ", ".join(bands.labels(measured["bands_not_in_room"]))
         said.append(f"left out: {ignored} (measured, but no band of the room)")
     if beyond := _bands_beyond_equation(record):
         said.append(
-            f"no T before at {', '.join(beyond)}: {record['equation']}'s equation does not hold "
-            "for coefficients as large as those stated"
+            f"no T of the input at {', '.join(beyond)}: {record['equation']}'s equation does not hold "
+            "for coefficients as large as these"
         )
     return said
 
 
 def certificate(record: Mapping[str, Any]) -> str:
     """Return how exactly the problem was solved."""
-    worst = record["certificate"]
+    worst = max(abs(record["certificate"][name]) for name in _RESIDUALS)
     bound = np.max([numbers(material["error_bound"]) for material in record["materials"]])
     return (
-        f"Certificate, of the computation alone: primal residual {worst['primal_residual']:.1e}, dual "
-        f"residual {worst['dual_residual']:.1e}, duality gap {worst['duality_gap']:.1e}; alpha within "
-        f"{bound:.1e} of the optimum."
+        f"Solved by {record['solver']['name']}: residual {worst:.1e}, alpha within {bound:.1e} of the "
+        "optimum."
     )
 
 
@@ -278,11 +291,11 @@ def _bands_beyond_equation(record: Mapping[str, Any]) -> list[str]:
 
 
 LARGE_GAP = 3.0
-"""A gap before calibration, in JND, that anyone hears. Agreement says little where it is allowed."""
-_AGAINST = "The measurement contradicts what was stated of the materials"
-_ALIKE = "The measurement agrees with what was stated only if all coefficients err the same way"
+"""Deviation before calibration, in JND, that anyone hears; a sigma that allows it confirms nothing."""
+_AGAINST = "The measurement contradicts the input coefficients"
+_ALIKE = "The measurement agrees with the input coefficients only if all of them err the same way"
 _SOMETHING = (
-    "Something is missing from the model, or is stated wrongly, or is less certain than stated."
+    "Something is missing from the model, or an input value is wrong, or its sigma too small."
 )
 _OF_ROOM = (
     "surface_missing",
@@ -334,7 +347,7 @@ def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
         off = f", and T is off by up to {after[compared].max():.1f} JND" if compared.any() else ""
         return CalibrationVerdict(
             "open",
-            "Nothing in this calibration asks for the measured T",
+            "Nothing in this calibration requires the measured T",
             f"The coefficients follow the other terms alone{off}. Add terms.ExactMatch(), "
             "MatchWithin() or SoftMatch().",
         )
@@ -346,18 +359,20 @@ def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
             return CalibrationVerdict("contradicts", fact, text)
         q, asks, p, together = _evidence(record)
         contradicted = p is not None and p < P_CONTRADICTION
-        stated = "contradicted unless all coefficients err the same way"
-        stated = (
-            f"What was stated is {stated if contradicted else 'not contradicted'} ({q}); {asks}."
+        which = (
+            "contradicted unless all of them err the same way"
+            if contradicted
+            else "not contradicted"
         )
+        of_input = f"The input coefficients are {which} ({q}); {asks}."
         return CalibrationVerdict(
-            "open", fact, f"{cause} {stated} {together if contradicted else ''}".rstrip()
+            "open", fact, f"{cause} {of_input} {together if contradicted else ''}".rstrip()
         )
     f = np.asarray(record["centre_frequencies"])[compared]
     marked = {mark["frequency"] for mark in marks}
     reserved = any(mark["kind"] in _OF_ROOM for mark in marks) or marked >= set(f.tolist())
     if of_materials.level == "agrees" and reserved:
-        heading = f"{of_materials.heading}, with reservations"
+        heading = f"{of_materials.heading}, with cautions"
         return CalibrationVerdict("open", heading, of_materials.text)
     return of_materials
 
@@ -372,8 +387,8 @@ def _evidence(record: Mapping[str, Any]) -> tuple[str, str, float | None, str]:
         q += f", p = {p:.2g}"
     where = bands.hertz(_far(record))
     asks = (
-        f"{f'at {where} the measurement asks' if where else 'in no band does the measurement ask'} for "
-        "an absorption more than two standard deviations from the stated one"
+        f"{f'at {where} T needs' if where else 'in no band does T need'} "
+        "an absorption more than two standard deviations from the input"
     )
     together = ""
     if p is not None and p_together is not None and p_together >= 2 * p:
@@ -385,7 +400,7 @@ def _evidence(record: Mapping[str, Any]) -> tuple[str, str, float | None, str]:
 
 
 def _far(record: Mapping[str, Any]) -> list[float]:
-    """Return the bands in Hz whose T asks for what was stated as unlikely, within the bounds."""
+    """Return the bands in Hz whose T asks for an absorption that the prior makes unlikely."""
     marks = record["trust_marks"]
     return [m["frequency"] for m in marks if m["kind"] == "implausible"]
 
@@ -397,7 +412,7 @@ def _longer(record: Mapping[str, Any]) -> str:
     if len(known) < 2 or not (known < 0).all():
         return ""
     return (
-        "T is longer in every band than the stated coefficients give. Most often the equation then "
+        "T is longer in every band than the input coefficients give. Most often the equation then "
         "gives too little T for this room, because its absorption is unevenly distributed or its "
         "surfaces scatter little, or handbook coefficients are too high. A wrong volume or area is "
         "rarer."
@@ -425,22 +440,21 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
         return CalibrationVerdict(
             "open",
             "The measurement agrees with coefficients that follow from a measurement of this room",
-            f"The coefficients moved less than their stated uncertainty makes likely ({q}); {asks}. "
+            f"The coefficients moved less than their sigma makes likely ({q}); {asks}. "
             "That is usual after a calibration or `rtcal apply`, and no evidence for the materials.",
         )
     if agreed == "too good":
         return CalibrationVerdict(
             "open",
-            "Too good to be true: the measurement is nearer to what was stated than its uncertainty",
-            "Over all bands the coefficients moved less than their stated uncertainty makes likely "
-            f"({q}); {asks}. Either a sigma or the uncertainty of T is stated too large, or T was "
+            "Too good to be true: T is nearer to that of the input coefficients than its uncertainty",
+            "Over all bands the coefficients moved less than their sigma makes likely "
+            f"({q}); {asks}. Either a sigma or the uncertainty of T is too large, or T was "
             "calculated from these coefficients.",
         )
     if agreed == "contradicts" or p < P_CONTRADICTION:
         against = agreed == "contradicts"
         said = (
-            f"The coefficients had to move further than their stated uncertainty explains ({q}); "
-            f"{asks}.",
+            f"They had to move further than their sigma explains ({q}); {asks}.",
             _longer(record) or (_SOMETHING if against else ""),
             together,
         )
@@ -449,22 +463,19 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
             _AGAINST if against else _ALIKE,
             " ".join(filter(None, said)),
         )
-    within = (
-        f"The coefficients moved no further than their stated uncertainty explains ({q}); {asks}."
-    )
+    within = f"They moved no further than their sigma explains ({q}); {asks}."
     gap = np.abs(numbers(record["gap_before_jnd"]))
     largest = float(np.max(gap, where=np.isfinite(gap), initial=0.0))
     if largest >= LARGE_GAP:
         return CalibrationVerdict(
             "open",
-            "The measurement does not contradict what was stated of the materials",
-            f"{within} The stated uncertainty allows even the gap of {largest:.1f} JND before, so this "
+            "The measurement does not contradict the input coefficients",
+            f"{within} That sigma allows even the deviation of {largest:.1f} JND before, so this "
             "does not confirm the model.",
         )
     return CalibrationVerdict(
         "open" if far else "agrees",
-        "The measurement agrees with what was stated of the materials"
-        + (", with exceptions" if far else ""),
+        "The measurement agrees with the input coefficients" + (", with exceptions" if far else ""),
         within,
     )
 
@@ -475,7 +486,7 @@ def numbers(values: Sequence[float | None] | Array) -> Array:
 
 
 def remaining_gap(record: Mapping[str, Any]) -> str:
-    """Return that the calibrated room lacks the measured T, where it does, and to what the gap belongs.
+    """Return that the calibrated room lacks the measured T, where it does, and why.
 
     "" where T is met in every band that has one, and where nothing asks for T. ``record`` is as for
     `rtcal.calibration.table.blocks_of`.
@@ -487,7 +498,7 @@ def remaining_gap(record: Mapping[str, Any]) -> str:
     n, count = int(left.sum()), int(np.isfinite(after).sum())
     said = (
         f"The calibrated room does not have the measured reverberation time in {n} of {count} bands: "
-        f"gaps of up to {after[left].max():.1f} JND remain"
+        f"deviations of up to {after[left].max():.1f} JND remain"
     )
     grown = left & (after >= before + MET)
     if grown.any():
@@ -496,5 +507,5 @@ def remaining_gap(record: Mapping[str, Any]) -> str:
         if record["unreachable"]:
             return f"{said}. No coefficients within their limits reach that time."
         return f"{said}. The uncertainty of the measured time allows them."
-    uncertain = f" (stated: {words})" if (words := record.get("room_uncertainty")) else ""
-    return f"{said}. What is stated as uncertain explains them{uncertain}. Check that first."
+    uncertain = f" ({words})" if (words := record.get("room_uncertainty")) else ""
+    return f"{said}. The uncertainty of the room explains them{uncertain}. Check that first."

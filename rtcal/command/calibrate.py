@@ -57,7 +57,7 @@ from rtcal.support.errors import DataError
 def calibrate(
     room: str, measured: str, modes: str | None, out: Path | None, equation: Any, **stated: Any
 ) -> None:
-    """Calibrate ROOM (TOML) to MEASURED (CSV, xlsx) and print T, gaps and coefficients per band.
+    """Calibrate ROOM (TOML) to MEASURED (CSV, xlsx) and print T, deviations and coefficients per band.
 
     Example: rtcal calibrate room.toml t20.csv --out calibrated
 
@@ -101,12 +101,12 @@ def calibrate(
 NOT_NEARER = 7
 """Exit code of a fit that returns its start."""
 _START = 0.1
-"""Scattering coefficient at which a fit starts where none is stated. No source says so: it is a choice,
-and it matters. In one simulated room, 4,000 paths, starts of 0.05, 0.1 and 0.2 ended at 0.28, 0.27 and
-0.54 in the mean. Against 0.1 alpha moved by up to 0.38 and 1.13 of the stated sigma."""
+"""Scattering coefficient at which a fit starts where the room has none: a choice, which matters. In a
+simulated room, 4,000 paths, starts of 0.05, 0.1 and 0.2 ended at 0.28, 0.27 and 0.54 in the mean. Alpha
+moved against that of 0.1 by up to 0.38 and 1.13 of the prior sigma."""
 
 
-@click.command(short_help="Calibrate to what every position heard, in the room's mesh.")
+@click.command(short_help="Calibrate to the measurement at every position, in the room's mesh.")
 @takes(
     "ROOM",
     "MEASURED",
@@ -119,7 +119,7 @@ and it matters. In one simulated room, 4,000 paths, starts of 0.05, 0.1 and 0.2 
         ["random", "vector"],
         "Meaning of the coefficients, if not the room's; fitted with random alone.",
     ),
-    flag("keep-scattering", "Keep the stated scattering; by default it is fitted too."),
+    flag("keep-scattering", "Keep the room's scattering; by default it is fitted too."),
     "seed",
     "modes",
     folder(
@@ -142,8 +142,8 @@ def fit(
 ) -> None:
     """Calibrate ROOM (TOML) to every pair of MEASURED (CSV) by path tracing.
 
-    ROOM states its mesh, sources and receivers (docs/files.md). Where neither it nor --scattering
-    states a scattering coefficient, the fit starts at 0.1.
+    ROOM names its mesh, sources and receivers (docs/files.md). Without a scattering coefficient of its
+    own or of --scattering, the fit starts at 0.1.
 
     No fit ends farther from MEASURED than it began. Where no step leads nearer, the start is returned,
     the exit code is 7, and nothing is written without --force.
@@ -168,8 +168,8 @@ def fit(
         scattering = _START
         if not is_quiet():
             warn(
-                f"{room} states no scattering: the fit starts at {_START:g} for every material and "
-                "band, and --scattering states another start"
+                f"{room} has no scattering: the fit starts at {_START:g} for every material and band; "
+                "--scattering gives another start"
             )
     with without_air_warning():
         prior = stated if modes is None else told_by_modes(stated, modes)
@@ -289,7 +289,7 @@ def learn(
     choice(
         "sampling",
         ("sigma_r", "sigma_n"),
-        "How far the stated coefficients keep from 0 and 1. sigma_r: twice the Rayleigh parameter, "
+        "How far the input coefficients keep from 0 and 1. sigma_r: twice the Rayleigh parameter, "
         "which gives the paper's Table 2. sigma_n: twice each surface's uncertainty, as its text "
         "reads.",
         default="sigma_r",

@@ -268,7 +268,7 @@ OPTIONS: dict[str, Decorator] = {
     "method": choice(
         "method",
         ("mle", "lse", "soft", "smooth", "robust"),
-        "mle: by the stated sigmas; lse: all sigmas alike; soft: T within its uncertainty; smooth: "
+        "mle: by the input sigmas; lse: all sigmas alike; soft: T within its uncertainty; smooth: "
         "soft, with neighbouring bands alike; robust: soft, and a single sigma may be wrong.",
         default="mle",
     ),
@@ -295,7 +295,7 @@ OPTIONS: dict[str, Decorator] = {
         click.IntRange(100, 10_000_000),
         f"Paths that are traced from each source; by default {PATHS}.",
     ),
-    "scattering": option("scattering", float, "Scattering coefficient where none is stated."),
+    "scattering": option("scattering", float, "Scattering coefficient where the room has none."),
     "bands": click.option(
         "--bands",
         metavar="octave|third-octave|HZ,HZ...",

@@ -247,7 +247,7 @@ def verified(finding: Any, cache: Path) -> Any:
     click.argument("case", metavar="CASE|ROOM", type=click.Path()),
     "MEASURED?",
     "before",
-    file("simulated", "What another program gave for the model as stated (CSV), with positions."),
+    file("simulated", "What another program gave for the model as it is (CSV), with positions."),
     "match",
     "exclude",
     "scattering",
@@ -324,7 +324,7 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     tell("\n".join(lines(blocks(finding, verification))), record)
 
 
-@click.command(short_help="Compare the gaps with and without what was found.")
+@click.command(short_help="Compare the deviations with and without what was found.")
 @takes(
     "FOUND",
     "before",
@@ -336,7 +336,7 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     writes=False,
 )
 def verify(found: str, before: str | None, after: str | None) -> None:
-    """Add the named effect, calibrate again, and compare the gaps that alpha cannot close.
+    """Add the named effect, calibrate again, and compare the deviations that alpha cannot remove.
 
     FOUND is what `rtcal find --out` wrote. The verification shows whether the model gets better, not
     whether the name is right, so the rivals are printed too. If there is nothing to add, the output
@@ -397,13 +397,13 @@ def apply(found: str, out: str, **options: Any) -> None:
     is nothing to add, nothing is written and the exit code is 6. Of a finding with --most 3, the most
     probable set is added.
 
-    room.toml is the room, for rtcal calibrate. It is not calibrated. Areas and volume stay as stated:
+    room.toml is the room, for rtcal calibrate. It is not calibrated. Areas and volume stay as they are:
     absorbers stand free in it. A volume is changed only where its error is claimed, at 0.9. case.json
     is the case with the effect, which can be used like any other; the calibration with it is printed.
 
     With a geometry, room.obj is the mesh, and catt.txt and odeon.txt are lists of materials. The
     patch stands in the middle of its surface unless --at states a place. Where the best family on one
-    surface has less than 0.3, --effect or --at must be stated.
+    surface has less than 0.3, --effect or --at must be given.
 
     Of two states, room.toml is the room of the second state: calibrated to what was measured before,
     with what changed.
@@ -429,7 +429,7 @@ def apply(found: str, out: str, **options: Any) -> None:
         raise click.exceptions.Exit(NOTHING_TO_ADD)
 
 
-@click.command(short_help="Which effects the data could tell apart; what to measure next.")
+@click.command(short_help="Which effects the data could distinguish; what to measure next.")
 @takes(
     click.argument("case", metavar="CASE|FOUND", type=click.Path()),
     click.option(
@@ -437,7 +437,7 @@ def apply(found: str, out: str, **options: Any) -> None:
         "change",
         type=float,
         help="Relative change of T by each effect, in the band that changes most; "
-        f"{CHANGE:g} unless stated.",
+        f"{CHANGE:g} by default.",
     ),
     click.option(
         "--case",

@@ -83,7 +83,7 @@ def predict(
     """Predict T of ROOM (TOML), MEASURED (CSV) as it is, after the changes of a file.
 
     The change is predicted: T before is given, that of the calibrated room, and nothing changed is T
-    before exactly. One JND is 5 % of T. Without MEASURED the stated coefficients alone predict.
+    before exactly. One JND is 5 % of T. Without MEASURED the input coefficients alone predict.
 
     ROOM may be the folder of an `rtcal calibrate` or of an `rtcal fit`, without MEASURED. A fit
     predicts every position: T20, EDT, C80, Ts, level, D50, STI.

@@ -13,7 +13,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from rtcal.acoustics.room import Room
 from rtcal.finder.case import LEVELS, Case
@@ -47,8 +47,8 @@ class Share:
         k, n = self.count, self.of
         if n == 0:
             return 0.0, 1.0
-        low = 0.0 if k == 0 else float(beta.ppf(0.025, k, n - k + 1))
-        high = 1.0 if k == n else float(beta.ppf(0.975, k + 1, n - k))
+        low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, 0.025))
+        high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 0.975))
         return low, high
 
 

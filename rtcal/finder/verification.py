@@ -24,7 +24,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import stdtrit
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
@@ -645,7 +645,7 @@ def at_pairs(finding: Finding, pairs: Sequence[Pair], gaps: Array, **said: Any) 
     error = gains.mean(axis=0).std(ddof=1) / np.sqrt(n_pairs)
     of_seeds = gains.mean(axis=1).std(ddof=1) / np.sqrt(n_seeds) if n_seeds > 1 else 0.0
     error = float(np.hypot(error, of_seeds))
-    needed = max(LEAST_SHRINKAGE, error * float(stats.t.ppf(_CONFIDENCE, n_pairs - 1)))
+    needed = max(LEAST_SHRINKAGE, error * float(stdtrit(n_pairs - 1, _CONFIDENCE)))
     return Verification(
         finding=finding,
         places=tuple(" to ".join(pair) for pair in pairs),

@@ -40,7 +40,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.signal import sosfilt
 
 from rtcal.acoustics import bands as _bands
 from rtcal.acoustics import observables
@@ -853,6 +852,8 @@ def _energy_ratios(curve: Array, rate: float) -> dict[str, float]:
 
 def _filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:
     """Square of the response in one band, filtered backwards in time."""
+    from scipy.signal import sosfilt
+
     pyfar, _ = _libraries()
     band = pyfar.dsp.filter.fractional_octave_bands(
         None,

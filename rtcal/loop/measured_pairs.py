@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from rtcal.acoustics import bands, observables
 from rtcal.acoustics.bands import label
@@ -542,7 +542,7 @@ def beyond_prior(model: Any, room: Room, prior: Array, error: Array) -> BeyondPr
     of_stated = np.sqrt(np.einsum("ku,uv,kv->k", slopes, prior, slopes))
     of_mean = np.sqrt(np.einsum("kr,rs,ks->k", weight, errors, weight))
     z = more / np.hypot(of_stated, (1 + more) * of_mean)
-    beyond = np.abs(z) > norm.isf(CONTRADICTION / 2 / max(len(bands), 1))
+    beyond = np.abs(z) > -ndtri(CONTRADICTION / 2 / max(len(bands), 1))
     if not beyond.any():
         return None
     worst = int(np.argmax(np.abs(z)))

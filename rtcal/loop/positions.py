@@ -24,8 +24,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from rtcal.acoustics.changes import Change, Variant
 from rtcal.acoustics.marks import gap_jnd, rms
@@ -148,6 +147,8 @@ def unexplained_errors(
     ----------
     Variance components by maximum likelihood (Harville 1977, JASA 72, 320-338).
     """
+    from scipy.optimize import minimize
+
     square = unit**2
     number = int(parameter.max()) + 1
 
@@ -1220,7 +1221,7 @@ class PositionsResult(Result):
     def contradictions(self) -> tuple[Pair, ...]:
         """Pairs that contradict all others. Check their positions and names, or ``exclude`` them."""
         degrees = self._chi_square[1]
-        chance = chi2.sf(self.misfit * degrees, degrees)
+        chance = chdtrc(degrees, self.misfit * degrees)
         worst_first = np.argsort(-self.misfit).tolist()
         return tuple(self.pairs[i] for i in worst_first if chance[i] < CONTRADICTION / len(chance))
 

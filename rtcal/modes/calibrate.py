@@ -494,9 +494,7 @@ class ModesResult(Result):
             f"degree{'s' * (q.degrees_of_freedom != 1)} of freedom, "
             f"p = {q.p_value:.2g}."
         )
-        lines = explained(self.trust_marks)
-        marks = [f"{a} {b.strip()}." for a, b in zip(lines[::2], lines[1::2], strict=True)]
-        return [first, misfit, *self.notes, *marks]
+        return [first, misfit, *self.notes, *explained(self.trust_marks)]
 
     @property
     def each(self) -> list[dict[str, Any]]:

@@ -13,7 +13,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from scipy.special import ndtri
-from scipy.stats import multivariate_normal
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.changes import Change, Target, Variant, placed
@@ -221,6 +220,8 @@ class Prediction(TimeChange, Result):
 
         Errors of neighbouring bands correlate: see `Assumptions.band_correlation`.
         """
+        from scipy.stats import multivariate_normal
+
         least, most = self._logs(low, high)
         open_ended = np.full_like(least, np.nan)
         below = 1 - probability_within(self.samples, least, open_ended)

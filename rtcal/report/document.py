@@ -6,9 +6,9 @@ No other module imports jinja2. Autoescaping makes every name plain text.
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -114,15 +114,22 @@ class Files:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A figure, which ``draw`` makes, and its caption; ``tall`` says that it may be high.
+    """A figure, which ``draw`` makes once, and its caption; ``tall`` says that it may be high.
 
-    ``alt`` stands in its place for who does not see it; without one the caption does.
+    ``alt`` stands in its place for who does not see it; without one the caption does. A figure with a
+    ``name`` is a file of its own, too.
     """
 
     draw: Callable[[], Any]
     caption: str
     alt: str = ""
     tall: bool = False
+    name: str = ""
+
+    @cached_property
+    def figure(self) -> Any:
+        """The figure of matplotlib."""
+        return self.draw()
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +194,7 @@ def render(
 
 def source(picture: Picture) -> str:
     """Return a figure as a data URI, a separate document whose ids do not clash with the page's."""
-    return data_of(figures.rendered(picture.draw(), "svg"), "image/svg+xml")
+    return data_of(figures.rendered(picture.figure, "svg"), "image/svg+xml")
 
 
 def data_of(content: bytes, kind: str = "text/plain") -> str:
@@ -247,6 +254,16 @@ def _in_style(text: str) -> str:
     return '"' + "".join(c if c.isalnum() or c in " .,-" else f"\\{ord(c):x} " for c in text) + '"'
 
 
+def flat(blocks: Iterable[Any]) -> Iterator[Any]:
+    """Yield blocks, and the parts of those that stand side by side."""
+    for block in blocks:
+        if isinstance(block, SideBySide):
+            for part in block.parts:
+                yield from flat(part)
+        else:
+            yield block
+
+
 def tables(blocks: Sequence[Block]) -> list[Table]:
     """Return the tables among blocks."""
     return [block for block in blocks if isinstance(block, Table)]
@@ -265,13 +282,13 @@ def coefficients(
     at_bound: NDArray[np.bool_] | None = None,
     most: Sequence[int] | None = None,
 ) -> Table:
-    """Return the table of coefficients by material and band: stated → calibrated, and the interval.
+    """Return the table of coefficients by material and band: input → calibrated, and the interval.
 
     Parameters
     ----------
     title : str
     room : Room
-        With the stated coefficients.
+        With the input coefficients.
     alpha : array (n_materials, n_bands)
     interval : (array, array), optional
         Ends of their 90 % intervals, each (n_materials, n_bands).
@@ -296,7 +313,7 @@ def coefficients(
                 f"{room.materials[i]}, {room.areas[i]:.4g} m²",
                 alpha[i],
                 shown=[cell(i, k) for k in range(room.n_bands)],
-                others={"stated": room.alpha[i], **{k: end[i] for k, end in others.items()}},
+                others={"input": room.alpha[i], **{k: end[i] for k, end in others.items()}},
             )
             for i in range(room.n_materials)
         ],
@@ -306,17 +323,16 @@ def coefficients(
     )
 
 
-def doubts(marks: Sequence[TrustMark]) -> list[Block]:
-    """Return the table of the trust marks, a row for each kind and fact, or that there are none."""
+def cautions(marks: Sequence[TrustMark]) -> list[Block]:
+    """Return the table of the cautions, a row for each kind, or that there are none."""
     if not marks:
         return [
             Note(
-                "No check of rtcal's found a reason for doubt. What no check looks at may still be "
-                "wrong."
+                "No check of rtcal found a reason for caution. What no check sees may still be wrong."
             )
         ]
     rows = [
         Row(f"{m.title} ({m.letter})" if m.letter else m.title, ["; ".join(facts), m.advice])
         for m, facts in grouped(marks)
     ]
-    return [Table(["Where and what", "What to do"], rows, corner="Reservation")]
+    return [Table(["Where and what", "What to do"], rows, corner="Caution")]

@@ -232,7 +232,7 @@ def reverberation_time(result: CalibrationResult) -> Any:
     _times_axes(axes, f, "Reverberation time T")
     band_axis(axes, f, [letters(result.trust_marks, v) for v in f])
     if marks := [f"{m.letter} {m.title}".strip() for m in result.trust_marks]:
-        key = f"\ndo not trust: {', '.join(dict.fromkeys(marks))}"
+        key = f"\ncautions: {', '.join(dict.fromkeys(marks))}"
         axes.set_xlabel(axes.get_xlabel() + key)
     axes.set_title(shown(f"{result.prior.name}: {result.method}, {result.equation.name}", 70))
     return figure
@@ -248,7 +248,7 @@ def gap(result: CalibrationResult) -> Any:
     axes.bar(at, result.gap_before, 0.5, **bars, label="model before calibration")
     dots = {"color": BLUE, "marker": "o", "linestyle": "none", "markersize": 8}
     axes.plot(at, result.gap_after, **dots, label="model after calibration")
-    axes.set_ylabel("Gap of T (model - measured) / JND")
+    axes.set_ylabel("Deviation of T (model - measured) / JND")
     axes.set_title(shown(result.prior.name, 70))
     axes.legend()
     return figure
@@ -270,7 +270,7 @@ def coefficients(result: CalibrationResult) -> Any:
         error = np.abs(np.clip([prior - spread, prior + spread], 0, 1) - prior)
         style = {"markersize": 4, "markerfacecolor": "white", "capsize": 2}
         style |= {**BEFORE, "linestyle": "none"}
-        axes.errorbar(f / apart, prior, yerr=error, **style, label="before (prior), 90 %")
+        axes.errorbar(f / apart, prior, yerr=error, **style, label="input, 90 %")
         error = np.maximum([after - low[i], high[i] - after], 0)
         style = {"color": BLUE, "marker": "o", "markersize": 5, "linestyle": "none"}
         style |= {"capsize": 3, "linewidth": 1.8}
@@ -327,7 +327,7 @@ def shares(result: CalibrationResult) -> Any:
     names, parts = absorption_shares(result, len(_STACK))
     every = zip(names, parts, strict=True)
     figure, axes = _stacked(result.prior.centre_frequencies, every, "Share of the absorption")
-    axes.set_title("Who absorbs, after calibration")
+    axes.set_title("Share of absorption by material, after calibration")
     return figure
 
 
@@ -460,7 +460,7 @@ def plane(
         "", xy=alpha, xytext=mu, arrowprops={"arrowstyle": "->", "color": BLUE, "linewidth": 1.5}
     )
     square = {**BEFORE, "linestyle": "none", "markersize": 8, "markerfacecolor": "white"}
-    axes.plot(*mu, **square, label="before (prior)")
+    axes.plot(*mu, **square, label="input")
     axes.plot(*alpha, color=BLUE, marker="o", markersize=8, linestyle="none", label="calibrated")
     if truth is not None:
         axes.plot(
@@ -540,8 +540,8 @@ def path(loop: Loop) -> Any:
     reach = 1.2 * max(1.5, float(np.nanmax(np.abs(gaps), initial=0.0)))
     below.set_ylim(-reach, reach)
     below.set_xlabel("Simulation number")
-    below.set_ylabel("Gap (simulated - measured) / JND")
-    below.set_title("Gap by simulation (grey: within 1 JND)")
+    below.set_ylabel("Deviation (simulated - measured) / JND")
+    below.set_title("Deviation by simulation (grey: within 1 JND)")
     below.legend(fontsize=9, ncols=2 if len(f) > 8 else 1)
     return figure
 
@@ -656,7 +656,7 @@ def corrected_times(verification: Verification) -> Any:
     axes.plot(f, times["measured"], **MEASURED, label="measured")
     for name, style, label in (
         ("prior", BEFORE, "prior"),
-        ("plain", {**_PLAIN, "linestyle": ":"}, "plainly calibrated"),
+        ("plain", {**_PLAIN, "linestyle": ":"}, "calibrated without it"),
         ("corrected", _CORRECTED, f"with {title(finding)}, calibrated"),
     ):
         axes.plot(f, times[name], **style, fillstyle="none", label=shown(label))
@@ -670,7 +670,7 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
     from rtcal.finder.verification import residual_map
     from rtcal.report.finding_words import title as title_of
 
-    maps = [("The model as stated", finding.residuals)]
+    maps = [("The model as it is", finding.residuals)]
     if verification is not None:
         _, corrected = verification.calibrations
         maps.append((f"The model with {title_of(finding)}", residual_map(finding, corrected)))
@@ -769,7 +769,7 @@ def corrected_shifts(verification: Verification) -> Any:
         axes.fill_between(f, *ends, color="0.88", label="prior, 90 %")
         axes.axhline(0, color=BLACK, linewidth=0.8)
         for by, x, style, label in (
-            (0.95, models[0], _PLAIN, "plainly calibrated, 90 %"),
+            (0.95, models[0], _PLAIN, "calibrated without it, 90 %"),
             (1.05, models[1], _CORRECTED, f"with {verification.finding.best_effect}, 90 %"),
         ):
             low, high = x.interval
@@ -829,7 +829,9 @@ def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
     letter = {n: c for c, group in zip(ascii_uppercase, groups, strict=False) for n in group}
     some = any(chance >= _SHOWN for chance in probability.values())
     above = ["%: probability that it is this surface"] * some
-    above += [f"({c}) not told apart by these positions" for c in sorted(set(letter.values()))]
+    above += [
+        f"({c}) cannot be distinguished by these positions" for c in sorted(set(letter.values()))
+    ]
     if axes is None:
         _, axes = new_figure(6.5, float(np.clip(6.0 * size[1] / size[0], 3.0, 6.5)) + 1.8)
     for name, faces in case.faces.items():
@@ -906,7 +908,7 @@ def disagreement(finding: Finding) -> Any:
 
 
 def bars(verification: Verification, axes: Any = None) -> Any:
-    """Return the three bars: the mean gap at held-out pairs as stated, calibrated, corrected.
+    """Return the three bars: the mean deviation at held-out pairs: input, calibrated, corrected.
 
     Whiskers are the range over the simulator's seeds.
     """
@@ -921,8 +923,8 @@ def bars(verification: Verification, axes: Any = None) -> Any:
         _note(axes, f"{mean:.2f}", (x, top), (0, 6), ha="center")
     axes.axhline(1.0, color=BLACK, linestyle=":", linewidth=1)
     _note(axes, "1 JND", (1.5, 1.0), (0, 3), ha="center")
-    axes.set_xticks(range(3), ("as stated", "calibrated", "corrected\nand calibrated"))
-    axes.set_ylabel("Mean gap at pairs not fitted / JND")
+    axes.set_xticks(range(3), ("input", "calibrated", "corrected\nand calibrated"))
+    axes.set_ylabel("Mean deviation at pairs not fitted / JND")
     axes.margins(y=0.15)
     return axes.figure
 
@@ -961,16 +963,16 @@ def position_gaps(
         for name, place in sources.items():
             panel.plot(*place[:2], "^", color=ORANGE, markersize=9, label="source")
             _note(panel, shown(name, 12), place[:2], (6, 6))
-        drawn = panel.scatter(*points.T[:2], c=gap, **style, label="receiver: its gap in JND")
+        drawn = panel.scatter(*points.T[:2], c=gap, **style, label="receiver: its deviation in JND")
         for name, place, value in zip(names, points, gap, strict=True):
             _note(panel, f"{shown(name, 12)}: {value:.1f}", place[:2], (6, 6))
         panel.set_aspect("equal")
-        panel.set_title(f"{when} calibration: gap {rms(gap):.1f} JND")
+        panel.set_title(f"{when} calibration: deviation {rms(gap):.1f} JND")
         panel.set_ylabel("y / m")
     axes[1].set_xlabel("x / m")
     markers = dict(zip(*reversed(axes[0].get_legend_handles_labels()), strict=True))
     figure.legend(markers.values(), markers, loc="outside lower center", ncols=2, fontsize=9)
-    figure.colorbar(drawn, ax=list(axes), label="Root mean square gap of a receiver / JND")
+    figure.colorbar(drawn, ax=list(axes), label="Root mean square deviation of a receiver / JND")
     return figure
 
 
@@ -1084,7 +1086,10 @@ def wireframe(mesh: Polyhedron | Faces, open_edges: Array | None = None) -> Any:
 
 
 def rendered(figure: Figure, kind: str) -> bytes:
-    """Return a figure as the bytes of a ``png``, ``svg`` or ``pdf`` file, the same each time."""
+    """Return a figure as the bytes of a ``png``, ``svg`` or ``pdf`` file, the same each time.
+
+    The first call places the parts of the figure, and all kinds of file have them there.
+    """
     import matplotlib
 
     _check_kind(kind, kind)
@@ -1093,6 +1098,9 @@ def rendered(figure: Figure, kind: str) -> bytes:
     with warnings.catch_warnings(), matplotlib.rc_context({"svg.hashsalt": "rtcal"}):
         # Characters that the font lacks appear as boxes, without a warning.
         warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
+        if (layout := figure.get_layout_engine()) is not None:
+            layout.execute(figure)
+            figure.set_layout_engine(None)
         figure.savefig(stream, format=kind, dpi=150, metadata=undated)
     return stream.getvalue()
 

@@ -1,4 +1,4 @@
-"""The page of a calibration, also to room modes: what its text has, for readers without Python."""
+"""The page of a calibration: what its text has, for readers without Python."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from rtcal.calibration import table
 from rtcal.calibration.methods import METHODS
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import CalibrationVerdict
-from rtcal.modes.calibrate import ModesResult
 from rtcal.report import figures, room_view
 from rtcal.report.document import (
     MOST_MATERIALS,
@@ -29,36 +28,32 @@ from rtcal.report.document import (
     Picture,
     Section,
     SideBySide,
+    cautions,
     coefficients,
-    doubts,
-    notes,
-    tables,
 )
-from rtcal.support import __version__
 from rtcal.support.blocks import Note, Row, Table
 
 _PRINTED = 0.05
-"""Gap in JND that is not 0.0 when it is printed."""
+"""Deviation in JND that is not 0.0 when it is printed."""
 _AGREEMENT = (
-    "That the model agrees with the measurement now proves nothing. It agrees by construction, and "
-    "would do so too if a wall, the air or an opening were missing from it. Whether to believe it "
-    "shows in how far the coefficients had to move."
+    "The calibrated model agrees with the measurement by construction, also if a wall, the air or an "
+    "opening were missing from it. How far the coefficients had to move shows whether to trust it."
 )
 _GAP_REMAINS = (
-    "A simulation with these coefficients keeps the gap that remains. What takes it up is checked "
-    "first, corrected in the room's file, and the calibration repeated."
+    "A simulation with these coefficients keeps the deviation that remains. Find its cause first, "
+    "correct the room's file, and calibrate again."
 )
-_SOLVED = "This says that the problem was solved, not that it was the right one."
+SOLVED = "These numbers show that the problem was solved, not that it was the right one."
 _METHODS = {
     "mle": "the likeliest coefficients that give the measured reverberation time exactly; "
-    "coefficients that were stated as uncertain move more (maximum likelihood).",
+    "coefficients with a larger sigma move more (maximum likelihood).",
     "lse": "the nearest coefficients that give the measured reverberation time exactly, however "
     "well each was known (least squares).",
     "soft": "the most probable coefficients when the measured reverberation time has its own "
-    "uncertainty; a gap may remain.",
+    "uncertainty; a deviation may remain.",
     "smooth": "as soft, and changes should vary slowly over frequency.",
-    "robust": "as soft, and a few coefficients may be far from what was stated.",
-    "joint": "one set of coefficients for several configurations of the room; a gap may remain.",
+    "robust": "as soft, and a few coefficients may be far from their input.",
+    "joint": "one set of coefficients for several configurations of the room; a deviation may remain.",
 }
 
 
@@ -79,7 +74,7 @@ def beside_a_finding(result: CalibrationResult, level: str, what: str) -> list[A
     if plain.level == "agrees" and level != "agrees":
         plain = CalibrationVerdict(
             "open",
-            "By T alone, nothing contradicts what was stated of the materials",
+            "By T alone, nothing contradicts the input coefficients",
             f"{plain.text} The finding above rests on more than this, and comes first.",
         )
     return [Box(plain.level, f"{plain.heading}.", [plain.text]), *blocks(result, 3, what)]
@@ -96,23 +91,23 @@ def blocks(result: CalibrationResult, level: int = 2, what: str = "") -> list[An
     rows = np.sort(np.argsort(-size, kind="stable")[:MOST_MATERIALS]).tolist()
     of_all = f"; the {len(rows)} of {len(size)} materials that absorb most"
     title = (
-        f"Absorption coefficients{what and f', {what}'}: stated → calibrated, below it the 90 % "
+        f"Absorption coefficients{what and f', {what}'}: input → calibrated, below it the 90 % "
         f"interval; * at a bound{of_all if len(rows) < len(size) else ''}"
     )
     left = np.abs(result.gap_after) >= MET
     marked = {m.frequency for m in result.trust_marks if m.frequency is not None}
     marked |= {*room.centre_frequencies[left].tolist()}
     clean = [f for f in room.centre_frequencies.tolist() if f not in marked]
-    reserved = f"Bands without a reservation: {bands.hertz(clean) or 'none'}."
+    reserved = f"Bands without a caution: {bands.hertz(clean) or 'none'}."
     sources = [(m, room.sources[m]) for m in room.materials if room.sources.get(m)]
     return [
         section("Summary", "summary"),
         SideBySide([[Note(s, kind="lead") for s in _summary(result)], [_gap(result)]], "summary"),
         *room_view.of_calibration(result, level),
-        section("What not to believe", "doubts"),
+        section("Cautions", "cautions"),
         Note(_GAP_REMAINS if left.any() else _AGREEMENT),
         Note(reserved),
-        *doubts(result.trust_marks),
+        *cautions(result.trust_marks),
         Items(table.remarks(record)),
         section("Tables", "tables"),
         coefficients(title, room, result.alpha, result.interval, result.active != 0, rows),
@@ -137,12 +132,12 @@ def blocks(result: CalibrationResult, level: int = 2, what: str = "") -> list[An
         Table(
             ["source"],
             [Row(m, [source]) for m, source in sources],
-            "Where the stated coefficients come from",
+            "Where the input coefficients come from",
         ),
         section("Certificate", "certificate"),
         Note(
-            f"{table.certificate(record)} They are computed from the problem's own numbers, and "
-            f"not taken from the solver ({result.solver}, status {result.raw.status}). {_SOLVED}"
+            f"{table.certificate(record)} Both are computed from the problem's own numbers, not taken "
+            f"from the solver (status {result.raw.status}). {SOLVED}"
         ),
         section("How to reproduce", "reproduce"),
         *_reproduced(result),
@@ -158,14 +153,14 @@ def _summary(result: CalibrationResult) -> list[str]:
     k, n, count = int(np.nanargmax(gap)), len(result.prior.materials), len(after)
     met = int(np.sum(after < MET))
     within = f", to within {after.max():.1f} JND" if after.max() >= _PRINTED else ""
-    remains = f"; the largest gap that remains is {after.max():.1f} JND"
+    remains = f"; the largest deviation that remains is {after.max():.1f} JND"
     return [
         "Before calibration the model's reverberation time was off by "
         f"{np.nanmean(gap):.1f} JND on average and by {gap[k]:.1f} JND at worst: at {f[k]:g} Hz it "
         f"had {result.reverberation_time_before[k]:.2f} s where {result.measured[k]:.2f} s were "
         "measured.",
         f"The absorption coefficients of {n} material{'s' * (n > 1)} were then changed as "
-        "little as what was known of them allows, and now the model has the measured T in "
+        "little as their sigma allows, and now the model has the measured T in "
         + (f"all {count} bands{within}." if met == count else f"{met} of {count} bands{remains}."),
     ]
 
@@ -188,20 +183,20 @@ def _pictures(result: CalibrationResult) -> list[Picture]:
         ),
         Picture(
             lambda: figures.shares(result),
-            "Who absorbs: each material's share of the room's whole absorption, after calibration.",
+            "Share of absorption by material after calibration.",
         ),
     ]
     if len(result.prior.materials) > 1 and result.matched.any():
         pictures.append(
             Picture(
                 lambda: figures.plane_of(result),
-                "The step that the calibration takes, shown for two materials: from what was stated "
-                "to what the method chose. On the line lie all coefficients that give the measured "
-                "reverberation time.",
+                "The step that the calibration takes, shown for two materials: from the "
+                "input to the calibrated coefficients. The line has all coefficients that give the "
+                "measured reverberation time.",
                 tall=True,
             )
         )
-    alike = "Where the two intervals are alike, the measurement taught nothing about the material."
+    alike = "Where the two intervals are alike, the measurement does not determine the material."
     return [
         *pictures,
         Picture(
@@ -237,18 +232,18 @@ def assumed(result: CalibrationResult) -> list[str]:
         f"have {100 * room.common_alpha_sigma:g} % in common" if room.common_alpha_sigma else "",
     ]
     errors = " and ".join(filter(None, correlated)) or "are independent of each other"
-    floors = ", or above the floors that the room states" if room.alpha_min is not None else ""
+    floors = ", or above the lower limits of the room's file" if room.alpha_min is not None else ""
     sentences = [
         f"Volume {room.volume:g} m³ and areas of {room.areas.sum():g} m² in all.",
-        "Air: none stated, so the surfaces are made to absorb what the air does."
+        "No air, so the surfaces are made to absorb what the air does."
         if air is None
         else f"Air of {air.temperature:g} °C, {air.humidity:g} % relative humidity and "
         f"{air.pressure:g} kPa (absorption after ISO 9613-1).",
         f"{result.equation.name}'s reverberation equation{parameters and f' with {parameters}'}: a "
         "diffuse sound field.",
         _method(result),
-        f"The stated coefficients and their standard deviations, and that these errors {errors}. One "
-        "measured T per band tells one number, the sum of all absorption: how it is shared among the "
+        f"The input coefficients and their standard deviations, whose errors {errors}. One measured T "
+        "per band determines one number, the sum of all absorption: how it is shared among the "
         "materials follows from these standard deviations alone.",
         _measured(result),
         f"Coefficients lie between 0 and 1{floors}.",
@@ -264,9 +259,8 @@ def _method(result: CalibrationResult) -> str:
         u = result.measured_uncertainty[result.matched]
         own = "T has its own uncertainty" if np.isfinite(u).any() else "T is exact"
         return (
-            f"mle: the likeliest coefficients when {own} and the room has the stated errors; what "
-            "these "
-            "explain of the measured T remains as a gap (maximum likelihood)."
+            f"mle: the likeliest coefficients when {own} and the room is uncertain; what this "
+            "uncertainty explains of the measured T remains as a deviation (maximum likelihood)."
         )
     if result.method in _METHODS:
         return f"{result.method}: {_METHODS[result.method]}"
@@ -329,58 +323,3 @@ def _reproduced(result: CalibrationResult) -> Sequence[Any]:
         *said,
         Note(f"{versions}. Fingerprint of the measured T: {result.measured_data.fingerprint}."),
     ]
-
-
-def page_of_modes(result: ModesResult) -> Page:
-    """Return the page of a calibration to room modes."""
-    room = result.prior
-    measured = np.isfinite(result.data.reverberation_time)
-    carries = np.where(result.below, np.where(result.carried, "modes", "–"), "T")
-    carried = Row("carried by", np.where(result.below | measured, carries, "–").tolist())
-    blocks = result.blocks()
-    cells = "Absorption coefficients: stated → calibrated, with the 90 % interval"
-    at_bound = np.isin(result.alpha, (0.0, 1.0))
-    command = "rtcal.calibrate_modes(room, modes)"
-    if measured.any():
-        command = "rtcal calibrate room.toml t.csv --modes modes.csv --out calibrated"
-    return Page(
-        room.name,
-        room.author,
-        "absorption coefficients that match room modes",
-        [
-            Section("Summary", "summary"),
-            Note(
-                f"{len(result.used)} of {len(result.modes.frequencies)} measured modes were used.",
-                kind="lead",
-            ),
-            Picture(
-                lambda: figures.decays_of_modes(result),
-                "Decay time of each mode used: measured, with the stated coefficients, and after the "
-                "calibration.",
-            ),
-            Items(notes(blocks)),
-            Section("By band", "bands"),
-            Note(
-                "Below the Schroeder frequency no field is diffuse, and T is not used. "
-                "Coefficients hold there where at least three modes carry the band."
-            ),
-            Table(bands.labels(room.centre_frequencies), [carried], "What carries each band"),
-            coefficients(cells, room, result.alpha, result.interval, at_bound),
-            *(doubts(result.trust_marks) if result.trust_marks else ()),
-            Section("Modes", "modes"),
-            *tables(blocks),
-            Note(
-                "“Tells most of” names the walls whose stated uncertainty moves the mode's decay most. "
-                "Opposite walls of a box are alike to every mode: the decays say what both absorb "
-                "together, and the stated coefficients share it between them."
-            ),
-            Section("Certificate", "certificate"),
-            Note(
-                "Each step is a convex problem. The largest error bound of the last one, computed from "
-                f"its own numbers, is {result.certificate.worst:.1e}. {_SOLVED}"
-            ),
-            Section("How to reproduce", "reproduce"),
-            Code(command),
-            Note(f"rtcal {__version__}."),
-        ],
-    )

@@ -34,6 +34,7 @@ from rtcal.report.document import (
     Section,
     SideBySide,
     coefficients,
+    flat,
     render,
 )
 from rtcal.report.finding_words import odds, percent
@@ -58,22 +59,29 @@ _SUBJECTS = {
 
 
 def page(
-    finding: Finding,
+    result: Finding | Verification,
     verification: Verification | None = None,
     command: str = "",
     place: Place | None = None,
 ) -> Page:
     """Return the page of a finding: the answer, what it rests on, what to do, and the numbers.
 
-    ``verification`` is the finding's, or None. ``command`` reproduces it, and is printed. ``place`` is
-    a further receiver that would distinguish the surfaces.
+    ``verification`` is the finding's, or None; its page is that of the finding, too. ``command``
+    reproduces it, and is printed. ``place`` is a further receiver that would distinguish the surfaces.
     """
-    room, drawn = finding.case.room, pictures(finding, verification, place)
+    if isinstance(result, Verification):
+        return page(result.finding, result, command, place)
+    finding = result
+    room, (first, *drawn) = finding.case.room, pictures(finding, verification, place)
     level = {"none": "agrees", "hint": "open"}.get(finding.verdict, "contradicts")
     answer, *more = words.headline(finding)
-    first = ("reverberation_time", "probabilities", "residuals", "gap", "plan", "change")
-    beside = [name for name in first if name in drawn][:1]
-    made = {"means": _of_means, "positions": _at_positions, "states": _of_states}[finding.kind]
+    of_kind: list[Any]
+    if finding.kind == "means":
+        of_kind = _of_means(finding, verification, drawn)
+    elif finding.kind == "positions":
+        of_kind = _at_positions(finding, verification, drawn, place)
+    else:
+        of_kind = _of_states(finding, drawn)
     blocks = [
         Section("The finding", "finding"),
         Box(level, answer, more),
@@ -81,19 +89,13 @@ def page(
         Items(rests_on(finding, verification)),
         SideBySide(
             [
-                [
-                    Section("What to do", "to-do", 3),
-                    Items(to_do(finding, verification, place)),
-                ],
-                [drawn[name] for name in beside],
+                [Section("What to do", "to-do", 3), Items(to_do(finding, verification, place))],
+                [first],
             ]
         ),
-        *made(finding, verification, {n: p for n, p in drawn.items() if n not in beside}, place),
-        *(
-            [Section("Notes", "notes", 3), Items([*map(str, finding.notes)])]
-            if finding.notes
-            else []
-        ),
+        *of_kind,
+        *([Section("Notes", "notes", 3)] if finding.notes else []),
+        Items([*map(str, finding.notes)]),
         *_reproduced(finding, command),
         *(_calibrated(finding, verification, level) if finding.kind == "means" else []),
     ]
@@ -158,19 +160,19 @@ def to_do(
 
 
 def _of_means(
-    finding: Finding,
-    verification: Verification | None,
-    drawn: dict[str, Picture],
-    place: Place | None = None,
+    finding: Finding, verification: Verification | None, drawn: list[Picture]
 ) -> list[Any]:
     """Return the corrected calibration, probabilities and odds."""
+    corrected = _corrected(finding, verification)
+    shifts = [picture for picture in drawn if corrected and picture.name == "shifts"]
     sets = [Row(names, [100 * p], ".0f") for names, p in finding.likely_sets.items()]
     rows = [
         Row(words.called(name), [f"{100 * p:.0f}", odds(finding.evidence.get(name, 0.0))])
         for name, p in finding.probabilities.items()
     ]
     return [
-        *_corrected(finding, verification, drawn),
+        *corrected,
+        *shifts,
         Section("The evidence in numbers", "evidence"),
         Table(["Probability / %"], sets, "Sets of effects, the most probable first", "Set"),
         Note(
@@ -180,15 +182,15 @@ def _of_means(
             kind="keep",
         ),
         Table(["Probability / %", "Odds"], rows, "Every effect that was tried", "Effect"),
-        SideBySide([[drawn[name]] for name in ("evidence", "residuals") if name in drawn]),
+        SideBySide([[picture] for picture in drawn if picture not in shifts]),
     ]
 
 
 def _at_positions(
     finding: Finding,
     verification: Verification | None,
-    drawn: dict[str, Picture],
-    place: Place | None = None,
+    drawn: list[Picture],
+    place: Place | None,
 ) -> list[Any]:
     """Return the room, the candidates, where the model disagrees, and the gaps."""
     probable = words.candidates(finding)
@@ -204,17 +206,12 @@ def _at_positions(
         *room_view.of_finding(finding, verification, place),
         *([] if probable is None else [replace(probable, title="Candidates")]),
         Section("Where the model disagrees", "map"),
-        SideBySide([[drawn[name]] for name in ("plan", "map") if name in drawn]),
+        SideBySide([[picture] for picture in drawn]),
         *by_model,
     ]
 
 
-def _of_states(
-    finding: Finding,
-    verification: Verification | None,
-    drawn: dict[str, Picture],
-    place: Place | None = None,
-) -> list[Any]:
+def _of_states(finding: Finding, drawn: list[Picture]) -> list[Any]:
     """Return what it may be, on which surface, and both states by band."""
     kinds, n = words.candidates(finding), len(finding.case.pairs)
     rows = [
@@ -225,7 +222,7 @@ def _of_states(
         *([] if kinds is None else [replace(kinds, title="What it may be")]),
         Table(["Probability that it changed / %", ""], rows, "On which surface", "Surface"),
         Section("By band", "bands"),
-        drawn["states"],
+        *drawn,
         *(replace(table, title="Both states") for table in words.numbers(finding)),
         Note(
             f"{finding.case.equation.name}'s equation; {n} pair{'s' * (n != 1)}. Both states are taken "
@@ -262,9 +259,7 @@ def _time(finding: Finding) -> str:
     return str(finding.case.configurations[0].measured.time_label)
 
 
-def _corrected(
-    finding: Finding, verification: Verification | None, drawn: dict[str, Picture]
-) -> list[Any]:
+def _corrected(finding: Finding, verification: Verification | None) -> list[Any]:
     """Return the coefficients with the effect or the set in the model; nothing where none is added."""
     if not finding.can_be_added or finding.undecided is not None:
         return []
@@ -282,28 +277,122 @@ def _corrected(
             corrected.alpha,
             corrected.interval,
         ),
-        *[drawn[name] for name in ("shifts",) if name in drawn],
     ]
 
 
 def pictures(
     finding: Finding, verification: Verification | None = None, place: Place | None = None
-) -> dict[str, Picture]:
-    """Return the figures of a finding by the names of their files."""
+) -> list[Picture]:
+    """Return the figures of a finding, the one that stands beside the answer first."""
     if finding.kind == "means":
         return _pictures_of_means(finding, verification)
     if finding.kind == "positions":
         return _pictures_at_positions(finding, verification, place)
-    return {
-        "change": Picture(
+    return [
+        Picture(
             lambda: figures.change(finding),
             "Change of the absorption area with its 90 % interval, if it changed.",
+            name="change",
         ),
-        "states": Picture(
+        Picture(
             lambda: figures.states(finding),
             "T by band, mean over the pairs that both states have.",
+            name="states",
         ),
-    }
+    ]
+
+
+def _pictures_of_means(finding: Finding, verified: Verification | None) -> list[Picture]:
+    """Return the figures; those of shifts and T need a verification."""
+    before = "Model less measured, in standard deviations"
+    shown = [
+        Picture(
+            lambda: figures.residuals(finding, verified),
+            f"{before}." if verified is None else f"{before}: before and after.",
+            tall=True,
+            name="residuals",
+        ),
+        Picture(
+            lambda: figures.evidence(finding),
+            "Odds of every effect against the model as it is; an effect must exceed the dashed line. "
+            "An arrow marks a bar that is cut: its number is printed.",
+            tall=True,
+            name="evidence",
+        ),
+    ]
+    if finding.more_than_one:
+        shown.insert(
+            0,
+            Picture(
+                lambda: figures.probabilities(finding),
+                "Probability of each effect that it is there at all, alone or with others. "
+                "They do not sum to 100 %.",
+                name="probabilities",
+            ),
+        )
+    if verified is None:
+        return shown
+    return [
+        Picture(
+            lambda: figures.corrected_times(verified),
+            "T(f). A calibration without the effect meets T whatever is missing: that proves nothing.",
+            name="reverberation_time",
+        ),
+        *shown,
+        Picture(
+            lambda: figures.corrected_shifts(verified),
+            "How far the coefficients had to move, with and without the effect in the model, and "
+            "their 90 % intervals: those without it hold only if the model lacks nothing.",
+            tall=True,
+            name="shifts",
+        ),
+    ]
+
+
+def _pictures_at_positions(
+    finding: Finding, verification: Verification | None, place: Place | None
+) -> list[Picture]:
+    """Return the figures with what they show in words and numbers."""
+    strongest = int(np.nanargmax(np.abs(finding.map)))
+    p, i, k = np.unravel_index(strongest, finding.map.shape)
+    likely = "; ".join(f"{n} {percent(finding.surfaces[n])}" for n in finding.likely_surfaces)
+    coloured = (
+        f"coloured are {likely}"
+        if finding.verdict != "none" and likely
+        else "no surface is coloured"
+    )
+    drawn = [
+        Picture(
+            lambda: figures.plan(finding, place),
+            "The plan. A line joins source (triangle) and receiver (circle); it is as dark as the pair "
+            "disagrees. Walls are as orange as they are probable.",
+            f"The plan of the room with sources and receivers; {coloured}.",
+            name="plan",
+        ),
+        Picture(
+            lambda: figures.disagreement(finding),
+            "Deviations in standard deviations of what prior, simulator and measurement leave open: "
+            "root mean squares by pair and parameter, and by parameter and band. About 1 is what is "
+            "expected.",
+            "Two tables of the deviations in standard deviations. The largest single one is "
+            f"{abs(finding.map[p, i, k]):.1f}: {parameter_label(finding.parameters[p])} from "
+            f"{' to '.join(finding.pairs[i])} at {finding.case.room.centre_frequencies[k]:g} Hz.",
+            tall=len(finding.pairs) > 8,
+            name="map",
+        ),
+    ]
+    if verification is None:
+        return drawn
+    before, plain, after = (f"{gap:.2f}" for gap in verification.by_seed.mean(axis=1))
+    bars = Picture(
+        lambda: figures.bars(verification),
+        "Mean deviation at pairs that were not fitted; whiskers are the range over the simulator's "
+        "seeds. The dotted line is 1 JND.",
+        f"Three bars of the mean deviation at pairs that were not fitted: {before} JND with the input "
+        f"coefficients, {plain} calibrated, {after} corrected and calibrated.",
+        name="gap",
+    )
+    return [bars, *drawn]
 
 
 def write(
@@ -323,92 +412,17 @@ def write(
     DataError
         If the folder cannot be made, or a file cannot be written.
     """
-    text = render(page(finding, verification, command, place), heading)
+    made = page(finding, verification, command, place)
     saved = finding if verification is None else verification
-    contents = {folder / PAGE: text.encode(), folder / NUMBERS: saved.to_json(folder).encode()}
-    for name, picture in pictures(finding, verification, place).items():
-        contents[folder / f"{name}.png"] = figures.rendered(picture.draw(), "png")
+    contents = {
+        folder / PAGE: render(made, heading).encode(),
+        folder / NUMBERS: saved.to_json(folder).encode(),
+    }
+    for block in flat(made.blocks):
+        if isinstance(block, Picture) and block.name:
+            contents[folder / f"{block.name}.png"] = figures.rendered(block.figure, "png")
     make_folder(folder)
     write_all(contents)
-
-
-def _pictures_of_means(finding: Finding, verified: Verification | None) -> dict[str, Picture]:
-    """Return the figures by name; those of shifts and T need a verification."""
-    shown = {
-        "evidence": Picture(
-            lambda: figures.evidence(finding),
-            "Evidence of every effect over the model; a finding must exceed the threshold. "
-            "An arrow marks a bar that is cut: its number is printed.",
-            tall=True,
-        ),
-        "residuals": Picture(
-            lambda: figures.residuals(finding, verified),
-            "Model less measured, in standard deviations"
-            + ("." if verified is None else ": before and after."),
-            tall=True,
-        ),
-    }
-    if finding.more_than_one:
-        shown["probabilities"] = Picture(
-            lambda: figures.probabilities(finding),
-            "Probability of each effect that it is there at all, alone or with others. "
-            "They do not sum to 100 %.",
-        )
-    if verified is None:
-        return shown
-    shown["reverberation_time"] = Picture(
-        lambda: figures.corrected_times(verified),
-        "T(f). Plain calibration meets T whatever is missing: that proves nothing.",
-    )
-    shown["shifts"] = Picture(
-        lambda: figures.corrected_shifts(verified),
-        "How far the coefficients had to move, with and without the effect in the model, and "
-        "their 90 % intervals: a plain calibration's count on a model that lacks nothing.",
-        tall=True,
-    )
-    return shown
-
-
-def _pictures_at_positions(
-    finding: Finding, verification: Verification | None, place: Place | None
-) -> dict[str, Picture]:
-    """Return the figures with what they show in words and numbers."""
-    strongest = int(np.nanargmax(np.abs(finding.map)))
-    p, i, k = np.unravel_index(strongest, finding.map.shape)
-    likely = "; ".join(f"{n} {percent(finding.surfaces[n])}" for n in finding.likely_surfaces)
-    coloured = (
-        f"coloured are {likely}"
-        if finding.verdict != "none" and likely
-        else "no surface is coloured"
-    )
-    drawn = {
-        "plan": Picture(
-            lambda: figures.plan(finding, place),
-            "The plan. A line joins source (triangle) and receiver (circle); it is as dark as the pair "
-            "disagrees. Walls are as orange as they are probable.",
-            f"The plan of the room with sources and receivers; {coloured}.",
-        ),
-        "map": Picture(
-            lambda: figures.disagreement(finding),
-            "Residuals in standard deviations of what prior, simulator and measurement leave open: "
-            "root mean squares by pair and parameter, and by parameter and band. About 1 is what is "
-            "expected.",
-            "Two tables of the disagreement in standard deviations. The largest single one is "
-            f"{abs(finding.map[p, i, k]):.1f}: {parameter_label(finding.parameters[p])} from "
-            f"{' to '.join(finding.pairs[i])} at {finding.case.room.centre_frequencies[k]:g} Hz.",
-            tall=len(finding.pairs) > 8,
-        ),
-    }
-    if verification is not None:
-        before, plain, after = (f"{gap:.2f}" for gap in verification.by_seed.mean(axis=1))
-        drawn["gap"] = Picture(
-            lambda: figures.bars(verification),
-            "Mean gap at pairs that were not fitted; whiskers are the range over the simulator's "
-            "seeds. The dotted line is 1 JND.",
-            f"Three bars of the mean gap at pairs that were not fitted: {before} JND as stated, "
-            f"{plain} calibrated, {after} corrected and calibrated.",
-        )
-    return drawn
 
 
 def _reproduced(finding: Finding, command: str) -> list[Any]:

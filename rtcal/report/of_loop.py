@@ -12,7 +12,16 @@ from rtcal.acoustics.marks import gap_jnd
 from rtcal.loop.closed import Loop
 from rtcal.loop.measured_pairs import sentences
 from rtcal.report import figures
-from rtcal.report.document import Code, Items, Page, Picture, Section, coefficients, doubts, tables
+from rtcal.report.document import (
+    Code,
+    Items,
+    Page,
+    Picture,
+    Section,
+    cautions,
+    coefficients,
+    tables,
+)
 from rtcal.support import __version__
 from rtcal.support.blocks import Note
 
@@ -21,7 +30,7 @@ _STATUS_IN_WORDS = {
     "unreachable": "cannot come nearer: no coefficients within the equation's range do better",
     "not converging": "did not come within the goal",
     "not yet": "did not come within the goal yet",
-    "no measured T": "had no measured T and keeps the stated coefficients",
+    "no measured T": "had no measured T and keeps the input coefficients",
     "by modes": "lay below the Schroeder frequency: room modes stand there in place of T",
     "too few modes": "lay below the Schroeder frequency, where fewer than three room modes were used",
     "not confirmed": "came within the goal, but not with fresh random numbers, or the simulator's "
@@ -51,9 +60,9 @@ def page(loop: Loop) -> Page:
                 "band's nearest coefficients."
             ),
             *tables(loop.blocks()),
-            coefficients("Absorption coefficients: stated → calibrated", room, loop.alpha),
-            Section("What not to believe", "doubts"),
-            *doubts(loop.trust_marks),
+            coefficients("Absorption coefficients: input → calibrated", room, loop.alpha),
+            Section("Cautions", "cautions"),
+            *cautions(loop.trust_marks),
             Section("What was assumed", "assumed"),
             Items(_assumed(loop)),
             Section("How to reproduce", "reproduce"),
@@ -106,11 +115,11 @@ def _assumed(loop: Loop) -> list[str]:
     return [
         "The coefficients belong to the simulator that they were calibrated with, to its geometry, its "
         "positions and its meaning of scattering, and to no other.",
-        "How the absorption is shared among the materials follows from the stated coefficients and "
+        "How the absorption is shared among the materials follows from the input coefficients and "
         f"their standard deviations, by the calibration of {loop.equation.name}'s equation (method "
         f"{loop.method}); the loop moves only how much there is in all.",
         f"Rule {loop.rule}; a band is done within {loop.tolerance:g} JND less the simulator's noise.",
-        "Coefficients as stated to full precision."
+        "Coefficients in full precision."
         if loop.decimals is None
         else f"Coefficients rounded to {loop.decimals} decimals, as the program reads them.",
         f"Only {loop.matched.label} was fitted. That it agrees proves nothing of other parameters or "
@@ -130,7 +139,7 @@ def _reproduced(loop: Loop) -> list[Any]:
     if loop.decimals:
         options += ["--decimals", str(loop.decimals)]
     in_python = (
-        " (weights that differ between bands are stated in Python: rtcal.loop.start(…, weights=…))"
+        " (weights that differ between bands are given in Python: rtcal.loop.start(…, weights=…))"
     )
     files = "--state loop.json --out next.toml"
     return [

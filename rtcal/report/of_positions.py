@@ -33,7 +33,7 @@ from rtcal.support.types import Array
 _LEARNED = 0.9
 """Posterior over prior sigma up to which a material counts as learned in the summary."""
 _REMAINS = 1.0
-"""Root mean square gap in JND from which the page says first what remains: a difference is heard."""
+"""Root mean square deviation in JND, audible, from which the page begins with what remains."""
 
 
 def page(result: PositionsResult) -> Page:
@@ -49,7 +49,7 @@ def page(result: PositionsResult) -> Page:
     return Page(
         room.name,
         room.author,
-        "calibration of a simulator to what every position heard",
+        "calibration of a simulator to what was measured at every position",
         [
             *([Box("contradicts", result.warning)] if result.warning else []),
             *([Box("open", headline)] if headline else []),
@@ -61,9 +61,9 @@ def page(result: PositionsResult) -> Page:
                 "Decay times: means over the pairs that were fitted",
             ),
             *room_view.of_positions(result),
-            Section("What not to believe", "doubts"),
-            Table(["Where and what", "What to do"], result.doubts, corner="Reservation"),
-            *([] if result.doubts else [Note("No check of rtcal's found a reason for doubt.")]),
+            Section("Cautions", "cautions"),
+            Table(["Where and what", "What to do"], result.doubts, corner="Caution"),
+            *([] if result.doubts else [Note("No check of rtcal's found a reason for caution.")]),
             Section("What was learned", "learned"),
             Note(
                 "Sigma is the standard deviation of a coefficient, the root mean square over the "
@@ -72,12 +72,12 @@ def page(result: PositionsResult) -> Page:
             replace(materials, corner="Material", most=range(len(order))),
             Picture(
                 lambda: figures.shifts(result, order),
-                "How far each coefficient moved, in standard deviations of what was stated. "
-                "Above 2 either the stated deviation was too small, or something is missing.",
+                "How far each coefficient moved, in prior standard deviations. Above 2 either "
+                "the prior sigma was too small, or something is missing.",
                 tall=True,
             ),
             coefficients(
-                f"Absorption coefficients: stated → calibrated{intervals}",
+                f"Absorption coefficients: input → calibrated{intervals}",
                 room,
                 result.alpha,
                 interval,
@@ -89,10 +89,10 @@ def page(result: PositionsResult) -> Page:
                 if left
                 else []
             ),
-            Section("Gaps by pair", "gaps"),
+            Section("Deviations by pair", "gaps"),
             Note(
-                "Root mean square gap over the bands, before to after; misfit with what all other "
-                "pairs tell: 1 is usual."
+                "Root mean square deviation over the bands, before to after; misfit with what is "
+                "expected from all other pairs: 1 is usual."
             ),
             *gaps,
             *_held_out(result),
@@ -144,12 +144,12 @@ def _summary(result: PositionsResult) -> list[str]:
         "The absorption coefficients were fitted to "
         f"{', '.join(map(parameter_label, result.parameters))} at {n} pair{'s' * (n > 1)} of a "
         "source and a receiver.",
-        f"The root mean square gap went from {rms(result.gap_before):.1f} to "
+        f"The root mean square deviation went from {rms(result.gap_before):.1f} to "
         f"{rms(result.gap_after):.1f} just noticeable differences (JND){tested}.",
-        f"The measurement tells of {len(learned)} of {result.prior.n_materials} materials, most of "
+        f"The measurement determines {len(learned)} of {result.prior.n_materials} materials, most of "
         f"{most}."
         if learned
-        else "The measurement tells hardly anything of any single material.",
+        else "The measurement determines hardly any single material.",
     ]
 
 
@@ -187,7 +187,7 @@ def _held_out(result: PositionsResult) -> list[Any]:
         Section("Positions that were held out", "held-out"),
         Note(
             "These pairs were measured and excluded from the fit, so they test it. Their root mean "
-            f"square gap went from {rms(left.gap_before):.1f} to {rms(left.gap_after):.1f} JND."
+            f"square deviation went from {rms(left.gap_before):.1f} to {rms(left.gap_after):.1f} JND."
         ),
         gap_table(left.parameters, left.measured.pairs, left.gap_before, left.gap_after),
         Table(

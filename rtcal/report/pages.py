@@ -5,50 +5,44 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from rtcal.calibration.result import CalibrationResult
 from rtcal.files.disk import write_bytes
-from rtcal.files.saved import load
-from rtcal.finder.finding import Finding
-from rtcal.finder.verification import Verification
+from rtcal.files.saved import Result, load
 from rtcal.io import workbook
-from rtcal.loop.closed import Loop
-from rtcal.loop.positions import PositionsResult
-from rtcal.loop.predicted import PositionsPrediction
-from rtcal.modes.calibrate import ModesResult
-from rtcal.prediction.designed import Design
-from rtcal.prediction.predicted import Prediction, Predictions
-from rtcal.report import of_calibration, of_finding, of_loop, of_positions, of_prediction
-from rtcal.report.document import Box, Heading, Items, Page, SideBySide, render
+from rtcal.report.document import Box, Heading, Items, Page, flat, render
 from rtcal.support.blocks import Note, Table
 from rtcal.support.errors import DataError
 
 __all__ = ["page", "page_of"]
 __dir__ = __all__.copy
 
-_PAGES: dict[type, Callable[[Any], Page]] = {
-    CalibrationResult: of_calibration.page,
-    ModesResult: of_calibration.page_of_modes,
-    Loop: of_loop.page,
-    PositionsResult: of_positions.page,
-    **dict.fromkeys((Prediction, PositionsPrediction, Predictions, Design), of_prediction.page),
-    Finding: of_finding.page,
-    Verification: lambda verified: of_finding.page(verified.finding, verified),
+_MODULES = {
+    "calibration": "of_calibration",
+    "modes": "of_modes",
+    "loop": "of_loop",
+    "positions": "of_positions",
+    **dict.fromkeys(
+        ("prediction", "prediction at positions", "predictions", "design"), "of_prediction"
+    ),
+    **dict.fromkeys(("finding", "verification"), "of_finding"),
 }
+"""The module with the page of each kind of result, which alone is imported."""
 
 
-def blocks_of(result: Any) -> Page:
+def blocks_of(result: Result) -> Page:
     """Return what the page of a result shows; DataError for a result that has no page."""
-    made = next((make for kind, make in _PAGES.items() if isinstance(result, kind)), None)
-    if made is None:
+    kind = result.record_kind.rstrip(" 0123456789")
+    if kind not in _MODULES:
         raise DataError(
-            f'a result of the kind "{result.record_kind.rstrip(" 0123456789")}" has no page. Pages '
+            f'a result of the kind "{kind}" has no page. Pages '
             "show a calibration, a loop, positions, modes, predictions, designs, findings and what "
             "changed; `rtcal learn` prints an archive"
         )
-    return made(result)
+    made: Page = import_module(f"rtcal.report.{_MODULES[kind]}").page(result)
+    return made
 
 
 def page(
@@ -124,7 +118,7 @@ def sheets(made: Page) -> dict[str, list[list[Any]]]:
     """
     summary: list[list[Any]] = [["text"]]
     made_of: dict[str, list[list[Any]]] = {"summary": summary}
-    for block in _flat(made.blocks):
+    for block in flat(made.blocks):
         if isinstance(block, Note):
             summary.append([block.text])
         elif isinstance(block, Box):
@@ -139,15 +133,6 @@ def sheets(made: Page) -> dict[str, list[list[Any]]]:
                 *([name, *map(_number, values)] for name, values in _rows(block)),
             ]
     return made_of
-
-
-def _flat(blocks: Iterable[Any]) -> Iterator[Any]:
-    for block in blocks:
-        if isinstance(block, SideBySide):
-            for part in block.parts:
-                yield from _flat(part)
-        else:
-            yield block
 
 
 def _rows(table: Table) -> Iterator[tuple[str, Iterable[Any]]]:

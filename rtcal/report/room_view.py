@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.acoustics.marks import rms
 from rtcal.acoustics.room import Room
-from rtcal.io import geometry_files
 from rtcal.report import figures
 from rtcal.report.document import Picture
 from rtcal.report.figures import likely_shares
@@ -146,7 +145,7 @@ class RoomSection:
         The first is shown at first.
     stands : sequence of Stand
     whens : sequence of str
-        What each gap of a stand is: as stated, calibrated.
+        What each gap of a stand is: input, calibrated.
     """
 
     geometry: Polyhedron
@@ -164,7 +163,7 @@ class RoomSection:
         gaps = np.array([s.gaps for s in self.stands], dtype=float)
         gaps = gaps.reshape(len(self.stands), len(self.whens))
         most = float(np.ceil(np.nanmax(gaps, initial=2.0)))
-        name, whens = "Gap / JND", tuple(self.whens)
+        name, whens = "Deviation / JND", tuple(self.whens)
         ends: dict[str, Any] = {"low": 0.0, "high": most, "colours": GAPS}
         return Quantity(name=name, head=name, columns=whens, values=gaps, digits=1, **ends)
 
@@ -298,7 +297,7 @@ def _of_materials(geometry: Polyhedron, room: Room, alpha: Array, shift: Array) 
 def absorption(
     frequencies: Array, stated: Array, calibrated: Array, shift: Array
 ) -> list[Quantity]:
-    """Return alpha as calibrated, its shift in standard deviations, and alpha as stated.
+    """Return alpha as calibrated, its shift in standard deviations, and alpha as input.
 
     All are (n_materials, n_bands).
     """
@@ -316,12 +315,12 @@ def absorption(
     return [
         quantity(f"{name}, calibrated", "α calibrated", calibrated, **alpha),
         quantity(
-            "Shift of the coefficient in standard deviations of what was stated",
+            "Shift of the coefficient in prior standard deviations",
             "shift / σ",
             shift,
             **moved,
         ),
-        quantity(f"{name}, stated", "α stated", stated, **alpha, still=False),
+        quantity(f"{name}, input", "α input", stated, **alpha, still=False),
     ]
 
 
@@ -346,13 +345,15 @@ def stands(
 
 
 def of_calibration(result: CalibrationResult, level: int = 2) -> list[Any]:
-    """Return the section of a calibration whose room states its geometry; else nothing.
+    """Return the section of a calibration whose room has a geometry; else nothing.
 
     A mesh that cannot be read is no error: the page says so, and goes without it.
     """
     room = result.prior
     if not room.scene:
         return []
+    from rtcal.io import geometry_files
+
     try:
         geometry = geometry_files.read(room)
     except DataError as error:
@@ -419,6 +420,6 @@ def of_finding(
         areas=np.array([case.geometry.face_areas[f].sum() for f in case.faces.values()]),
         quantities=[likely, absorption(room.centre_frequencies, alpha, alpha, none)[-1]],
         stands=stands(sources, receivers, finding.pairs, gaps),
-        whens=["as stated", "corrected"] if gaps else [],
+        whens=["input", "corrected"] if gaps else [],
         level=None,
     )

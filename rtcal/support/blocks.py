@@ -94,6 +94,7 @@ class Table:
     """Rows by column, with a title above and a note below; ``corner`` is the head of the names.
 
     ``most`` are the numbers of the rows that are printed, where that is not all: a workbook has all.
+    A ``detail`` is for notebooks and pages, and not for a terminal.
     """
 
     columns: Sequence[str]
@@ -102,6 +103,7 @@ class Table:
     corner: str = ""
     note: str = ""
     most: Sequence[int] | None = None
+    detail: bool = False
 
     @property
     def printed(self) -> Sequence[Row]:
@@ -154,6 +156,8 @@ def lines(blocks: Sequence[Block]) -> list[str]:
     before: Block | None = None
     for block in blocks:
         if isinstance(block, Table):
+            if block.detail:
+                continue
             out += [""] if out else []
             out += text.wrapped(block.title)
             rows = [(row.name, row.cells) for row in block.printed]

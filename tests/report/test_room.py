@@ -113,7 +113,7 @@ def test_a_still_shows_three_walls_of_a_box_from_inside(result) -> None:
         assert len(inside) == 3
         assert (-np.array(seen) == inside).all(axis=1).any()
     picture = section.stills[0]
-    above, below, _ = picture.draw().axes
+    above, below, _ = picture.figure.axes
     for axes, wanted in ((above, room_view.ABOVE), (below, room_view.BELOW)):
         assert np.radians(axes.elev) == pytest.approx(wanted)
         (walls,) = axes.collections

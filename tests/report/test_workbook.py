@@ -23,13 +23,13 @@ def test_a_calibrations_numbers_have_cells(result, tmp_path) -> None:
     bands = rows_of(book, "By band")
     assert bands[None] == [f"{f:g} Hz" for f in result.prior.centre_frequencies]
     np.testing.assert_allclose(bands["measured T / s"], result.measured)
-    np.testing.assert_allclose(bands["gap before / JND"], result.gap_before)
+    np.testing.assert_allclose(bands["deviation before / JND"], result.gap_before)
     coefficients = rows_of(book, "Absorption coefficients")
     low, high = result.interval
     for i, material in enumerate(result.prior.materials):
         name = f"{material}, {result.prior.areas[i]:.4g} m²"
         np.testing.assert_allclose(coefficients[name], result.alpha[i])
-        np.testing.assert_allclose(coefficients[f"{name}, stated"], result.prior.alpha[i])
+        np.testing.assert_allclose(coefficients[f"{name}, input"], result.prior.alpha[i])
         np.testing.assert_allclose(coefficients[f"{name}, 90 %: from"], low[i])
         np.testing.assert_allclose(coefficients[f"{name}, to"], high[i])
     assert result.verdict.text in [row[0].value for row in book["summary"].iter_rows()]

@@ -123,7 +123,7 @@ def test_an_improbable_candidate_is_added_only_by_its_name(finding: Finding) -> 
 
 def test_no_page_advises_an_improbable_candidate(finding: Finding, tmp_path: Path) -> None:
     unsure = with_odds(finding, "ambiguous", first=0.29, second=0.2)
-    assert of_finding._corrected(unsure, None, {}) == []
+    assert of_finding._corrected(unsure, None) == []
     said = " ".join(of_finding.to_do(unsure, None))
     assert "Put none of the effects into the model" in said
     assert "Use the corrected" not in said
@@ -148,7 +148,7 @@ def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case, kept: P
     for stated in (None, "volume"):
         with pytest.raises(DataError, match="volume is changed only from 90 % on"):
             guess.apply(effect=stated)
-    assert of_finding._corrected(guess, None, {}) == []
+    assert of_finding._corrected(guess, None) == []
     claimed = replace(guess, verdict="named", named=("volume",), probabilities={"volume": 0.95})
     assert claimed.apply().room.volume == pytest.approx(1.3 * case.room.volume)
 

@@ -51,7 +51,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
@@ -874,6 +873,8 @@ def levels(traced: Array) -> ScatteringLevels:
     All pairs are taken to hear the mean change. ``traced`` (n_bands, n_parameters, n_pairs, n_traced)
     has the shifts at `TRACED`.
     """
+    from scipy.interpolate import CubicSpline
+
     alike = np.broadcast_to(traced.mean(axis=2, keepdims=True), traced.shape)
     middle = int(np.searchsorted(TRACED, 0.0))
     nodes, known = np.insert(TRACED, middle, 0.0), np.insert(alike, middle, 0.0, axis=-1)

@@ -50,7 +50,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import LEVEL, MATCH, TARGET, longest
@@ -133,6 +132,8 @@ class Aperture:
         array (n_pairs, n_bands, n_bins)
             With as many more bins as the slower decay needs.
         """
+        from scipy.signal import lfilter
+
         first = decay_rate(energy, bin_width) if rate is None else rate
         second = self.second_rate(room)
         c = room.speed_of_sound

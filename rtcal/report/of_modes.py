@@ -1,0 +1,78 @@
+"""The page of a calibration to room modes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.modes.calibrate import ModesResult
+from rtcal.report import figures
+from rtcal.report.document import (
+    Code,
+    Items,
+    Page,
+    Picture,
+    Section,
+    cautions,
+    coefficients,
+    notes,
+    tables,
+)
+from rtcal.report.of_calibration import SOLVED
+from rtcal.support import __version__
+from rtcal.support.blocks import Note, Row, Table
+
+
+def page(result: ModesResult) -> Page:
+    """Return the page of a calibration to room modes."""
+    room = result.prior
+    measured = np.isfinite(result.data.reverberation_time)
+    carries = np.where(result.below, np.where(result.carried, "modes", "–"), "T")
+    carried = Row("carried by", np.where(result.below | measured, carries, "–").tolist())
+    blocks = result.blocks()
+    cells = "Absorption coefficients: input → calibrated, with the 90 % interval"
+    at_bound = np.isin(result.alpha, (0.0, 1.0))
+    command = "rtcal.calibrate_modes(room, modes)"
+    if measured.any():
+        command = "rtcal calibrate room.toml t.csv --modes modes.csv --out calibrated"
+    return Page(
+        room.name,
+        room.author,
+        "absorption coefficients that match room modes",
+        [
+            Section("Summary", "summary"),
+            Note(
+                f"{len(result.used)} of {len(result.modes.frequencies)} measured modes were used.",
+                kind="lead",
+            ),
+            Picture(
+                lambda: figures.decays_of_modes(result),
+                "Decay time of each mode used: measured, with the input coefficients, and after the "
+                "calibration.",
+            ),
+            Items(notes(blocks)),
+            Section("By band", "bands"),
+            Note(
+                "Below the Schroeder frequency no field is diffuse, and T is not used. "
+                "Coefficients hold there where at least three modes carry the band."
+            ),
+            Table(bands.labels(room.centre_frequencies), [carried], "What carries each band"),
+            coefficients(cells, room, result.alpha, result.interval, at_bound),
+            *(cautions(result.trust_marks) if result.trust_marks else ()),
+            Section("Modes", "modes"),
+            *tables(blocks),
+            Note(
+                "“Tells most of” names the walls whose sigma moves the mode's decay most. "
+                "Opposite walls of a box are alike to every mode: the decays determine what both "
+                "absorb together, and the input coefficients share it between them."
+            ),
+            Section("Certificate", "certificate"),
+            Note(
+                "Each step is a convex problem. The largest error bound of the last one, computed from "
+                f"its own numbers, is {result.certificate.worst:.1e}. {SOLVED}"
+            ),
+            Section("How to reproduce", "reproduce"),
+            Code(command),
+            Note(f"rtcal {__version__}."),
+        ],
+    )
