@@ -15,6 +15,7 @@ from rtcal.command.main import main
 from rtcal.finder import StatesCase
 from rtcal.finder.finding import Finding
 from rtcal.report.finding_words import cautions, headline
+from rtcal.report.verification_words import of_miss
 from tests.two_states import BANDS, measured, room, times
 from tests.typed import wrongly_typed
 
@@ -235,7 +236,7 @@ def test_t_that_is_missed_is_never_supported(panels: Finding) -> None:
     (miss,) = verification.misses
     assert abs(miss.model / miss.measured - 1) > 0.05
     assert abs(miss.model - miss.measured) > miss.uncertainty
-    assert miss.in_words in verification.sentence
+    assert of_miss(miss) in verification.sentence
     assert f"± {verification.uncertainty:.2f} JND" in verification.sentence
 
 

@@ -21,7 +21,7 @@ from rtcal.finder.finding import Finding
 from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification
 from rtcal.loop.measured_pairs import ControlRuns
-from rtcal.report import figures, of_finding, room_view
+from rtcal.report import figures, of_finding, room_view, verification_words
 from rtcal.report.room_view import ABOVE, into_picture
 from tests.test_figures import texts
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
@@ -133,7 +133,7 @@ def test_a_gap_that_changes_by_less_than_its_uncertainty_is_unproven(
     assert result.sentence.lower().startswith(verdict)
     assert result.gain == pytest.approx(plain - corrected, abs=0.06)
     assert 0.005 < result.uncertainty < 0.05
-    assert " ± " in str(result.table.rows[0].values[0])
+    assert " ± " in str(verification_words.gaps(result).rows[0].values[0])
 
 
 @pytest.mark.parametrize("name", ["t20", "edt"])

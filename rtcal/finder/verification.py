@@ -20,13 +20,13 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import (
     LEVEL,
@@ -43,7 +43,7 @@ from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.case import LEVELS, Case, PositionsCase, StatesCase
 from rtcal.finder.claim import DISTINCT_NATS, Candidate, Reason
 from rtcal.finder.evidence import SCALES, probability_off
-from rtcal.finder.finding import DATA, LEAST_PAIRS, Finding, feature_names, rivals, support
+from rtcal.finder.finding import DATA, LEAST_PAIRS, Finding, feature_names
 from rtcal.finder.means.problem import (
     MeansProblem,
     ObservedFeatures,
@@ -64,10 +64,9 @@ from rtcal.simulators.base import Observations
 from rtcal.simulators.base import observe as observe_pairs
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
-from rtcal.support.blocks import Block, Note, Row, Table
+from rtcal.support.blocks import Block
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress, single_threaded_blas
-from rtcal.support.text import as_sentence, first_of, listed
 from rtcal.support.types import Array
 
 LEAST_SHRINKAGE = 0.2
@@ -79,16 +78,14 @@ _SURE = 1.645
 """Standard errors by which a gap of means must shrink: the same confidence, of a normal error."""
 _PREDICTED = 1.0
 """Mean gap in JND at what was held out, up to which the corrected model of means predicts it."""
-_WORDS_OF_MISSES = 3
-"""Bands that miss what was measured and are named in a sentence."""
-_EXACT = 0.005
-"""Gap in JND that is printed as 0.00."""
-_MET = 2.0
-"""Standard deviations of T within which a calibration has met it."""
 _LEAST_NEW = 2
 """Fewest pairs that a finding of two states had not: their scatter tells how sure the gain is."""
 _T20 = FEATURES.index(TARGET.key)
 _LEVEL_ROWS = [FEATURES.index(name) for name in LEVELS]
+WORDS = "rtcal.report.verification_words"
+"""The module that makes the words of a verification."""
+MISSES = "misses"
+"""Code of the reason that the corrected model misses what it was matched to."""
 
 
 @dataclass(frozen=True)
@@ -117,14 +114,6 @@ class Miss:
     jnd: float
     unit: str
 
-    @property
-    def in_words(self) -> str:
-        """Both values and the band: "T20 = 0.53 s at 500 Hz (measured 0.645 ± 0.013 s)"."""
-        unit = f" {self.unit}" if self.unit else ""
-        at = bands.label(self.frequency) + (f' of "{self.place}"' if self.place else "")
-        measured = f"{self.measured:.3g} ± {self.uncertainty:.2g}{unit}"
-        return f"{self.quantity} = {self.model:.3g}{unit} at {at} (measured {measured})"
-
 
 def _missed(
     quantity: str, place: str, unit: str, columns: Sequence[Array], jnd: Array, error: Array
@@ -139,7 +128,7 @@ def _missed(
         yield Miss(quantity, place, frequency, model, measured, u, by, unit)
 
 
-def _mean(values: Array, axis: int | tuple[int, ...]) -> Array:
+def mean_of_known(values: Array, axis: int | tuple[int, ...]) -> Array:
     """Return the mean of what is known; NaN where nothing is."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
@@ -172,20 +161,19 @@ class Verification(Result):
         Of means, the nats by which what was held out is more probable with what was found.
     misses : tuple of Miss
         What the model with what was found was matched to, and misses.
-    doubts : tuple of str
-        Why the finding is not supported, beside gap and misses, a clause each.
+    doubts : tuple of Reason
+        Why the finding is not supported, beside gap and misses.
+    halves : tuple of tuples of (source, receiver)
+        At positions, the pairs to which each model was fitted.
     added : tuple of Candidate or None
         At positions, what each half of the pairs added to its model, or None.
-    found_again : str
-        The things that parts of the data found, where these are others, in words.
-    but : str
-        What a support leaves open, in words.
     notes : tuple of str
+        Of two states, notes of the case that was held out.
     plain, corrected : Recalibrated or None
         Of means, the calibrations to all data without and with what was found.
     """
 
-    record_kind: ClassVar[str] = "verification 6"
+    record_kind: ClassVar[str] = "verification 7"
 
     finding: Finding
     models: tuple[str, ...]
@@ -199,10 +187,9 @@ class Verification(Result):
     endured: float
     predictive: float = float("nan")
     misses: tuple[Miss, ...] = ()
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[Reason, ...] = ()
+    halves: tuple[tuple[Pair, ...], ...] = ()
     added: tuple[Candidate | None, ...] = ()
-    found_again: str = ""
-    but: str = ""
     notes: tuple[str, ...] = ()
     plain: Recalibrated | None = None
     corrected: Recalibrated | None = None
@@ -210,12 +197,12 @@ class Verification(Result):
     @property
     def sizes(self) -> Array:
         """Mean absolute gap in JND over the bands, (n_models, n_seeds, n_quantities, n_places)."""
-        return _mean(np.abs(self.gaps), 4)
+        return mean_of_known(np.abs(self.gaps), 4)
 
     @property
     def by_seed(self) -> Array:
         """Mean absolute gap at what was held out, by model and seed, (n_models, n_seeds)."""
-        return _mean(np.where(self.counted, self.sizes, np.nan), (2, 3))
+        return mean_of_known(np.where(self.counted, self.sizes, np.nan), (2, 3))
 
     @property
     def before(self) -> float:
@@ -251,82 +238,46 @@ class Verification(Result):
         return "unproven" if self.objections else "supported"
 
     @property
-    def objections(self) -> tuple[str, ...]:
-        """Why the finding is not supported, a clause each; () where it is."""
+    def objections(self) -> tuple[Reason, ...]:
+        """Why the finding is not supported; () where it is."""
         little = self.gain <= self.needed
         return (
-            *([f"only a decrease by more than {self.needed:.2f} JND counts"] if little else ()),
+            *([Reason("gains little", {"least": self.needed})] if little else ()),
             *self.doubts,
-            *(["the corrected model misses what it was matched to"] if self.misses else ()),
+            *([Reason(MISSES)] if self.misses else ()),
         )
 
     @property
-    def misses_in_words(self) -> str:
-        """A sentence on what the model misses, with the consequence; "" where it meets all."""
-        if not self.misses:
-            return ""
-        worst = sorted(self.misses, key=lambda miss: -abs(miss.jnd))
-        said = first_of([miss.in_words for miss in worst], _WORDS_OF_MISSES)
-        return f"Do not simulate with the corrected model: it has {said}."
+    def found_elsewhere(self) -> tuple[list[Candidate | None], bool]:
+        """What halves of the pairs found that is other than what all found, and whether in kind.
+
+        The same thing is of the same family, all of added absorption as one; where a surface is
+        claimed, also on that surface, or on one that these positions do not tell from it.
+        """
+        found = self.finding.likeliest if self.added else None
+        if found is None:
+            return [], False
+        claimed = self.finding.surface
+        alike = {claimed}.union(*(g for g in self.finding.groups if claimed in g))
+        differing = [
+            c
+            for c in self.added
+            if c is None or c.kind != found.kind or not (claimed is None or c.surface in alike)
+        ]
+        if differing:
+            return differing, True
+        return [c for c in self.added if c is not None and c.surface != found.surface], False
 
     @property
     def sentence(self) -> str:
         """The verdict, the change of the gap with its standard error, and what speaks against it."""
-        if np.isnan(self.before):
-            said = [
-                "Not tested: nothing was measured that the finding was not fitted to. Measure C80 or "
-                "G, or a second configuration."
-            ]
-        else:
-            supported = self.verdict == "supported"
-            verb = "shrinks" if self.gain > 0 else "grows"
-            grounds = self.objections[: -1 if self.misses else None]
-            said = [
-                f"{self.verdict.capitalize()}{self.but if supported else ''}: {self.found_again}with "
-                f"what was found, the mean deviation at data that were not fitted "
-                f"({listed(self.held_out)}) {verb} from {self.before:.2f} to {self.after:.2f} JND (by "
-                f"{abs(self.gain):.2f} ± {self.uncertainty:.2f} JND, standard error"
-                f"{f'; more than {self.needed:.2f} JND counts' if supported else ''}).",
-                as_sentence(listed(grounds)) if grounds else "",
-                "The model is better; the name may still be wrong." if supported else "",
-            ]
-        return " ".join(filter(None, [*said, self.misses_in_words]))
-
-    @property
-    def table(self) -> Table:
-        """The mean gaps by model: of each quantity and of each place, and of all that was held out.
-
-        Where some of it was matched or fitted, of each quantity at each place, and which that is.
-        """
-        sizes, rows = self.sizes, list[Row]()
-
-        def row(name: str, by_seed: Array) -> None:
-            """Add a row: means over the seeds, and their standard deviation."""
-            spread = by_seed.std(axis=1, ddof=1) if by_seed.shape[1] > 1 else [None] * len(by_seed)
-            means = by_seed.mean(axis=1)
-            if np.isfinite(means).all():
-                both = zip(means, spread, strict=True)
-                cells = [f"{m:.2f}" + ("" if s is None else f" ± {s:.2f}") for m, s in both]
-                rows.append(Row(name, cells))
-
-        if self.counted.all():
-            for q, quantity in enumerate(self.quantities):
-                row(quantity, _mean(sizes[:, :, q], 2))
-        for p, place in enumerate(self.places):
-            if self.counted.all():
-                row(place, _mean(sizes[:, :, :, p], 2))
-                continue
-            for q, quantity in enumerate(self.quantities):
-                used = "matched" if p == q == 0 else ""
-                used = "held out" if self.counted[q, p] else used
-                row(f"{quantity} of {place}{f' ({used})' if used else ''}", sizes[:, :, q, p])
-        row("all that was held out", self.by_seed)
-        return Table(self.models, rows, corner="mean gap / JND")
+        words: str = import_module(WORDS).sentence(self)
+        return words
 
     def blocks(self) -> list[Block]:
         """Return what the result says."""
-        out: list[Block] = [Note(self.sentence), *map(Note, self.notes), self.table]
-        return out if self.corrected is None else [*out, *self.corrected.blocks(self.plain)]
+        made: list[Block] = import_module(WORDS).blocks(self)
+        return made
 
     def __repr__(self) -> str:
         return (
@@ -349,7 +300,7 @@ class Verification(Result):
             "gain_jnd": json_numbers(self.gain),
             "uncertainty_jnd": json_numbers(self.uncertainty),
             "predictive_nats": json_numbers(self.predictive),
-            "objections": [] if np.isnan(self.before) else list(self.objections),
+            "objections": [] if np.isnan(self.before) else [str(o) for o in self.objections],
             "models": list(self.models),
             "quantities": list(self.quantities),
             "places": list(self.places),
@@ -540,7 +491,6 @@ def of_means(
     """
     configurations = after.case.configurations
     names = zip(*(feature_names(c.measured) for c in configurations), strict=True)
-    others = [c.effect for c in rivals(finding)]
     found = Verification(
         finding=finding,
         models=("plain", "corrected"),
@@ -554,36 +504,21 @@ def of_means(
         endured=max(LITTLE, uncertainty),
         predictive=predictive,
         misses=tuple(misses),
-        but=f", but not told apart from {listed(others)}" if others else "",
         plain=before,
         corrected=after,
     )
     doubts = []
     if found.after > _PREDICTED:
-        doubts.append(f"with it these data are still missed by {found.after:.2f} JND on average")
-    by_quantity = _mean(np.where(counted, found.sizes[:, 0], np.nan), 2)
+        doubts.append(Reason("still missed", {"gap": found.after}))
+    by_quantity = mean_of_known(np.where(counted, found.sizes[:, 0], np.nan), 2)
     for quantity, (one, other) in zip(found.quantities, by_quantity.T, strict=True):
         if other - one > LEAST_SHRINKAGE:
-            doubts.append(f"the gap of {quantity} grows from {one:.2f} to {other:.2f} JND")
+            doubts.append(Reason("grows", {"quantity": quantity, "before": one, "after": other}))
     if predictive < DISTINCT_NATS:
-        needed = {"nats": predictive, "least": DISTINCT_NATS}
-        doubts.append(str(Reason("not predicted", needed)))
+        doubts.append(Reason("not predicted", {"nats": predictive, "least": DISTINCT_NATS}))
     if finding.verdict not in ("named", "family"):
-        doubts.append("no effect and no family of effects is claimed")
-    time, gap = found.quantities[0], found.sizes[0, 0, 0, 0]
-    how = "exactly" if gap < _EXACT else f"to {gap:.2f} JND"
-    met = (
-        f"Plain calibration meets the fitted {time} {how}. The corrected one meets it as closely as "
-        "the uncertainty of T allows."
-    )
-    if after.off > _MET:
-        met = (
-            f"The corrected model does not meet the fitted {time}: it is {after.off:.1f} times as far "
-            "off as the uncertainty of T allows. So no coefficients near the stated ones go with this "
-            "effect and size."
-        )
-    notes = (f"What was found: {support(finding, finding.candidates[0])}.", met)
-    return replace(found, doubts=tuple(doubts), notes=notes)
+        doubts.append(Reason("nothing claimed"))
+    return replace(found, doubts=tuple(doubts))
 
 
 def _misses_of_means(
@@ -639,7 +574,7 @@ def at_pairs(finding: Finding, pairs: Sequence[Pair], gaps: Array, **said: Any) 
     The standard error is over pairs and, of two seeds and more, over seeds. More than it is needed,
     one-sided, by Student's t over the pairs, and `LEAST_SHRINKAGE`.
     """
-    of_pairs = _mean(np.abs(gaps), (2, 4))
+    of_pairs = mean_of_known(np.abs(gaps), (2, 4))
     gains = of_pairs[-2] - of_pairs[-1]  # (n_seeds, n_pairs)
     n_seeds, n_pairs = gains.shape
     error = gains.mean(axis=0).std(ddof=1) / np.sqrt(n_pairs)
@@ -707,7 +642,7 @@ def _misses_over_pairs(
         Standard deviation in JND that the model states for itself; 0 of a calibrated one.
     """
     independent = max(len({s for s, _ in pairs}), len({r for _, r in pairs}))
-    of, mean = observable(name), _mean(gaps, 0)
+    of, mean = observable(name), mean_of_known(gaps, 0)
     step = of.jnd * measured if of.relative_jnd else np.full(len(measured), of.jnd)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a band without a value
@@ -778,9 +713,9 @@ def at_positions(
     pairs, parameters = finding.pairs, finding.parameters
     measured = Observations.of_measurement(finding.case.in_room, parameters, pairs)
     relative = LEVEL.key if LEVEL.key in finding.case.measured.values else ""
-    means = {n: _mean(measured.natural(n), 0) for n in parameters if n != relative}
+    means = {n: mean_of_known(measured.natural(n), 0) for n in parameters if n != relative}
     times = next((m for n, m in means.items() if isinstance(observable(n), DecaySlope)), None)
-    left, frequencies = _mean(gaps[-1], 0), finding.case.room.centre_frequencies
+    left, frequencies = mean_of_known(gaps[-1], 0), finding.case.room.centre_frequencies
     misses = [
         miss
         for n, mean in means.items()  # the mean of a relative level is taken off
@@ -788,22 +723,7 @@ def at_positions(
             n, mean, left[parameters.index(n)], pairs, frequencies, times
         )
     ]
-    doubts, but, again = _found_again(finding, added)
-    stated, plainly = _mean(np.abs(gaps[:2]), (1, 2, 3, 4)).tolist()
-    n_seeds = "1 seed" if gaps.shape[1] == 1 else f"{gaps.shape[1]} seeds"
-    notes = [
-        f"± is the standard error over {len(pairs)} pairs and {n_seeds} of the simulator. As stated, "
-        f"the gap is {stated:.2f} JND."
-    ]
-    if stated < plainly:
-        notes.append(
-            "Calibrated, the model is no better there than as stated: do not simulate with it."
-        )
-    for half, what in zip(halves, added, strict=True):
-        names = ", ".join(" to ".join(pair) for pair in half)
-        said = "nothing" if what is None else f"{what.title}, {what.in_words}"
-        notes.append(f"Fitted on {names}: added {said}.")
-    return at_pairs(
+    made = at_pairs(
         finding,
         pairs,
         gaps,
@@ -811,41 +731,11 @@ def at_positions(
         held_out=("pairs that were not fitted",),
         quantities=tuple(map(parameter_label, parameters)),
         misses=tuple(misses),
-        doubts=doubts,
-        but=but,
-        found_again=again,
-        notes=tuple(notes),
+        halves=tuple(map(tuple, halves)),
         added=tuple(added),
     )
-
-
-def _found_again(
-    finding: Finding, added: Sequence[Candidate | None]
-) -> tuple[tuple[str, ...], str, str]:
-    """Return doubts, what a support leaves open, and what halves found that is other, in words.
-
-    The same thing is of the same family, all of added absorption as one; where a surface is claimed,
-    also on that surface, or on one that these positions do not tell from it.
-    """
-    found, claimed = finding.likeliest, finding.surface
-    if found is None:
-        return (), "", ""
-    alike = {claimed}.union(*(g for g in finding.groups if claimed in g))
-    others = differing = [
-        c
-        for c in added
-        if c is None or c.kind != found.kind or not (claimed is None or c.surface in alike)
-    ]
-    if not differing:
-        others = [c for c in added if c is not None and c.surface != found.surface]
-    if not others:
-        return (), "", ""
-    each = listed([*dict.fromkeys("nothing" if c is None else c.title for c in others)])
-    which = "the halves of the pairs" if len(others) > 1 else "half of the pairs"
-    again = f"{which} found {each}, not {found.title} as all pairs did; "
-    if differing:
-        return ("the halves of the pairs found another thing than all pairs",), "", again
-    return (), f" for {found.kind}, not for its surface", again
+    _, in_kind = made.found_elsewhere
+    return replace(made, doubts=(Reason("halves differ"),)) if in_kind else made
 
 
 def _gaps_at_positions(

@@ -186,11 +186,21 @@ SENTENCES: dict[str, str] = {
     "no geometry": "T alone does not show on which surface something changed.",
     "no directivity": "The directivity of {sources:few} is not stated, so no surface is identified. "
     "Give every source a directivity, with index = 0 for an omnidirectional one.",
+    # Why a verification does not support a finding.
+    "gains little": "only a decrease by more than {least:.2f} JND counts",
+    "misses": "the corrected model misses what it was matched to",
+    "halves differ": "the halves of the pairs found another thing than all pairs",
+    "still missed": "with it these data are still missed by {gap:.2f} JND on average",
+    "grows": "the gap of {quantity} grows from {before:.2f} to {after:.2f} JND",
+    "nothing claimed": "no effect and no family of effects is claimed",
 }
 """The sentence of each code of a `rtcal.finder.claim.Reason`; `_Forms` has the forms of its values."""
 
 
-_CLAUSES = ("support", "sole", "not predicted")
+_CLAUSES = (
+    *("support", "sole", "not predicted", "gains little", "misses", "halves differ"),
+    *("still missed", "grows", "nothing claimed"),
+)
 """Codes whose words stand within another sentence."""
 
 

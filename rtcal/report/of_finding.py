@@ -21,7 +21,7 @@ from rtcal.finder.finding import Finding, rivals
 from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification
-from rtcal.report import figures, of_calibration, room_view
+from rtcal.report import figures, of_calibration, room_view, verification_words
 from rtcal.report import finding_words as words
 from rtcal.report.document import (
     Box,
@@ -140,7 +140,7 @@ def to_do(
         confirm = "Put none of the effects into the model before one is confirmed."
         return [*steps, confirm, str(finding.undecided)]
     if verification is not None:
-        steps += filter(None, [_USE[verification.verdict], verification.misses_in_words])
+        steps += filter(None, [_USE[verification.verdict], verification_words.misses(verification)])
     elif finding.can_be_added and finding.kind == "means":
         steps.append(
             "Do not use the corrected calibration yet: nothing has verified this set. See "
@@ -199,8 +199,8 @@ def _at_positions(
         heading = "Mean deviation in JND, ± its standard deviation over the simulator's seeds"
         by_model = [
             Section("The deviations by parameter and by pair", "gaps"),
-            replace(verification.table, title=heading, corner=""),
-            Items(list(verification.notes)),
+            replace(verification_words.gaps(verification), title=heading, corner=""),
+            Items(verification_words.notes(verification)),
         ]
     return [
         *room_view.of_finding(finding, verification, place),
@@ -486,7 +486,7 @@ def correct(
         return f"{nothing}\nNothing is written.", {**record, "sentence": nothing}, {}
     made = finding.apply(effect=effect, form=form, at=at)
     if verification is not None:
-        made = replace(made, caution=verification.misses_in_words)
+        made = replace(made, caution=verification_words.misses(verification))
     lines = [" ".join(words.headline(finding)), *made.in_words]
     record["corrected"] = made.to_dict()
     if made.model is not None:

@@ -380,7 +380,7 @@ def judged(finding: Finding) -> dict[str, Any]:
         "uncertainty": json_numbers(seen.uncertainty),
         "predictive": seen.predictive,
         "misses": len(seen.misses),
-        "objections": [] if seen.verdict == "not tested" else list(seen.objections),
+        "objections": [] if seen.verdict == "not tested" else [str(o) for o in seen.objections],
     }
 
 

@@ -1,0 +1,156 @@
+"""The words of a verification: the verdict with its reasons, notes, and the table of the gaps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.finder.claim import Candidate
+from rtcal.finder.finding import rivals, support
+from rtcal.finder.verification import MISSES, Miss, Verification, mean_of_known
+from rtcal.support.blocks import Block, Note, Row, Table
+from rtcal.support.text import as_sentence, first_of, listed
+from rtcal.support.types import Array
+
+_SHOWN_MISSES = 3
+"""Bands that miss what was measured and are named in a sentence."""
+_EXACT = 0.005
+"""Gap in JND that is printed as 0.00."""
+_MET = 2.0
+"""Standard deviations of T within which a calibration has met it."""
+
+
+def of_miss(miss: Miss) -> str:
+    """Return both values and the band: "T20 = 0.53 s at 500 Hz (measured 0.645 ± 0.013 s)"."""
+    unit = f" {miss.unit}" if miss.unit else ""
+    at = bands.label(miss.frequency) + (f' of "{miss.place}"' if miss.place else "")
+    measured = f"{miss.measured:.3g} ± {miss.uncertainty:.2g}{unit}"
+    return f"{miss.quantity} = {miss.model:.3g}{unit} at {at} (measured {measured})"
+
+
+def misses(v: Verification) -> str:
+    """Return what the corrected model misses, with the consequence; "" where it meets all."""
+    if not v.misses:
+        return ""
+    worst = sorted(v.misses, key=lambda miss: -abs(miss.jnd))
+    said = first_of([of_miss(miss) for miss in worst], _SHOWN_MISSES)
+    return f"Do not simulate with the corrected model: it has {said}."
+
+
+def sentence(v: Verification) -> str:
+    """Return the verdict, the change of the gap with its standard error, and what speaks against it."""
+    if np.isnan(v.before):
+        said = [
+            "Not tested: nothing was measured that the finding was not fitted to. Measure C80 or G, or "
+            "a second configuration."
+        ]
+    else:
+        supported = v.verdict == "supported"
+        verb = "shrinks" if v.gain > 0 else "grows"
+        grounds = [str(reason) for reason in v.objections if reason.code != MISSES]
+        again, but = _found_again(v)
+        said = [
+            f"{v.verdict.capitalize()}{but if supported else ''}: {again}with what was found, the mean "
+            f"deviation at data that were not fitted ({listed(v.held_out)}) {verb} from "
+            f"{v.before:.2f} to {v.after:.2f} JND (by {abs(v.gain):.2f} ± {v.uncertainty:.2f} JND, "
+            f"standard error{f'; more than {v.needed:.2f} JND counts' if supported else ''}).",
+            as_sentence(listed(grounds)) if grounds else "",
+            "The model is better; the name may still be wrong." if supported else "",
+        ]
+    return " ".join(filter(None, [*said, misses(v)]))
+
+
+def _found_again(v: Verification) -> tuple[str, str]:
+    """Return what halves of the pairs found that is other, and what a support leaves open."""
+    if v.plain is not None:
+        alike = [c.effect for c in rivals(v.finding)]
+        return "", f", but not told apart from {listed(alike)}" if alike else ""
+    found, (others, in_kind) = v.finding.likeliest, v.found_elsewhere
+    if not others or found is None:
+        return "", ""
+    each = listed([*dict.fromkeys("nothing" if c is None else c.title for c in others)])
+    which = "the halves of the pairs" if len(others) > 1 else "half of the pairs"
+    again = f"{which} found {each}, not {found.title} as all pairs did; "
+    return again, "" if in_kind else f" for {found.kind}, not for its surface"
+
+
+def notes(v: Verification) -> list[str]:
+    """Return what is to be known of the comparison."""
+    if v.plain is not None and v.corrected is not None:
+        return [f"What was found: {support(v.finding, v.finding.candidates[0])}.", _of_time(v)]
+    return [*v.notes, *(_of_pairs(v) if v.halves else ())]
+
+
+def _of_time(v: Verification) -> str:
+    """Return whether the calibrations meet the fitted T."""
+    time, gap = v.quantities[0], v.sizes[0, 0, 0, 0]
+    if v.corrected is not None and v.corrected.off > _MET:
+        return (
+            f"The corrected model does not meet the fitted {time}: it is {v.corrected.off:.1f} times "
+            "as far off as the uncertainty of T allows. So no coefficients near the stated ones go "
+            "with this effect and size."
+        )
+    how = "exactly" if gap < _EXACT else f"to {gap:.2f} JND"
+    return (
+        f"Plain calibration meets the fitted {time} {how}. The corrected one meets it as closely as "
+        "the uncertainty of T allows."
+    )
+
+
+def _of_pairs(v: Verification) -> list[str]:
+    """Return the gap as stated, and what each half of the pairs added."""
+    seeds = v.gaps.shape[1]
+    stated, plainly = mean_of_known(np.abs(v.gaps[:2]), (1, 2, 3, 4)).tolist()
+    out = [
+        f"± is the standard error over {len(v.places)} pairs and {seeds} seed{'s' * (seeds != 1)} of "
+        f"the simulator. As stated, the gap is {stated:.2f} JND."
+    ]
+    if stated < plainly:
+        out.append(
+            "Calibrated, the model is no better there than as stated: do not simulate with it."
+        )
+    for half, what in zip(v.halves, v.added, strict=True):
+        names = ", ".join(" to ".join(pair) for pair in half)
+        out.append(f"Fitted on {names}: added {_in_words(what)}.")
+    return out
+
+
+def _in_words(added: Candidate | None) -> str:
+    return "nothing" if added is None else f"{added.title}, {added.in_words}"
+
+
+def gaps(v: Verification) -> Table:
+    """Return the mean gaps by model: of each quantity and of each place, and of all that was held out.
+
+    Where some of it was matched or fitted, of each quantity at each place, and which that is.
+    """
+    sizes, rows = v.sizes, list[Row]()
+
+    def row(name: str, by_seed: Array) -> None:
+        """Add a row: means over the seeds, and their standard deviation."""
+        spread = by_seed.std(axis=1, ddof=1) if by_seed.shape[1] > 1 else [None] * len(by_seed)
+        means = by_seed.mean(axis=1)
+        if np.isfinite(means).all():
+            both = zip(means, spread, strict=True)
+            cells = [f"{m:.2f}" + ("" if s is None else f" ± {s:.2f}") for m, s in both]
+            rows.append(Row(name, cells))
+
+    if v.counted.all():
+        for q, quantity in enumerate(v.quantities):
+            row(quantity, mean_of_known(sizes[:, :, q], 2))
+    for p, place in enumerate(v.places):
+        if v.counted.all():
+            row(place, mean_of_known(sizes[:, :, :, p], 2))
+            continue
+        for q, quantity in enumerate(v.quantities):
+            used = "matched" if p == q == 0 else ""
+            used = "held out" if v.counted[q, p] else used
+            row(f"{quantity} of {place}{f' ({used})' if used else ''}", sizes[:, :, q, p])
+    row("all that was held out", v.by_seed)
+    return Table(v.models, rows, corner="mean gap / JND")
+
+
+def blocks(v: Verification) -> list[Block]:
+    """Return what is printed of a verification."""
+    out: list[Block] = [Note(sentence(v)), *map(Note, notes(v)), gaps(v)]
+    return out if v.corrected is None else [*out, *v.corrected.blocks(v.plain)]
