@@ -78,8 +78,8 @@ def scored(
     """The score where hypotheses have these log evidences, over that of nothing."""
     one = next(s for s in shifts(case, library()) if s.effect == "opening").some(slice(0, 1))
     every = PositionsHypotheses([one], [spread(NOISE), spread(POSITION)], off=0.0, unknown=False)
-    evidence = np.array([[0.0, -99.0, -99.0, of_noise, of_position, of_shift]]).T
-    return float(scores(weights(evidence, every, 1.0), every)[0][0])
+    evidence = np.array([0.0, -99.0, -99.0, of_noise, of_position, of_shift])
+    return scores(weights(evidence, every, 1.0), every)[0]
 
 
 def test_a_noisy_pair_is_no_evidence_that_the_room_is_other_than_stated(

@@ -139,9 +139,9 @@ def test_how_much_the_whole_room_scatters_is_no_evidence() -> None:
         levels=found,
     )
     row = 1
-    heard = found.shifts[:, [row]]
-    each = -0.5 * ((heard - found.shifts) ** 2).sum(axis=0) + found.log_weights
-    assert room.stated(room.of(heard))[0] == pytest.approx(np.logaddexp.reduce(each))
+    heard = found.shifts[:, row]
+    each = -0.5 * ((heard[:, np.newaxis] - found.shifts) ** 2).sum(axis=0) + found.log_weights
+    assert room.stated(room.of(heard)) == pytest.approx(np.logaddexp.reduce(each))
 
 
 def test_errors_that_are_all_noise_do_not_vanish() -> None:

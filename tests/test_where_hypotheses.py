@@ -143,8 +143,9 @@ def test_the_error_of_a_place_is_integrated_as_a_covariance(uneven: float) -> No
     square = off @ np.linalg.solve(full, off)
     assert square < n  # so that the density is normal
     expected = -square / 2 - np.linalg.slogdet(full)[1] / 2
-    got = likelihood.shifted(hypothesis, likelihood.of(residual[:, np.newaxis]))
-    assert got[0, 0] == pytest.approx(expected, abs=1e-4)
+    assert likelihood.shifted([hypothesis], likelihood.of(residual)) == pytest.approx(
+        [expected], abs=1e-4
+    )
     # Groups of surfaces that are not told apart know of it, too.
     with_place = np.linalg.inv(covariance + of_pairs @ of_pairs.T)
     assert likelihood.inverse_with_place(hypothesis, 0) == pytest.approx(with_place, abs=1e-6)

@@ -41,9 +41,9 @@ def test_the_families_of_the_means_are_multiplied_in(
     ]
     pair = [some[0], next(s for s in some if s.family != some[0].family)]
     every = PositionsHypotheses(pair, [], off=0.1)
-    before = weights(np.zeros((len(every.log_prior), 1)), every, TOLD_TEMPER)
+    before = weights(np.zeros(len(every.log_prior)), every, TOLD_TEMPER)
     after = with_families(before, every, {"none": 1e-9, pair[0].family: 0.64})
-    changed = np.exp(after - before)[:, 0]
+    changed = np.exp(after - before)
     for of_shifts in every.of_groups(changed)[1:]:
         assert np.concatenate(of_shifts) == pytest.approx(
             [0.64**MEANS_POWER, LEAST_BY_MEANS**MEANS_POWER]
@@ -90,11 +90,11 @@ def test_the_means_of_a_drawn_room_have_the_density_of_means(
     error = np.transpose(spectrum) @ shift.error @ np.array(spectrum)
     covariance = mean @ (whole.covariance + error + np.transpose(place) @ np.array(place)) @ mean.T
     # Within the normal part of the density: beyond it, the finder's tails are heavier.
-    random = np.random.default_rng(4).standard_normal((len(mean), 1))
-    residual = (mean @ exact.ravel())[:, np.newaxis] + 0.5 * np.linalg.cholesky(covariance) @ random
-    expected = multivariate_normal.logpdf(residual[:, 0], mean @ exact.ravel(), covariance)
+    random = np.random.default_rng(4).standard_normal(len(mean))
+    residual = mean @ exact.ravel() + 0.5 * np.linalg.cholesky(covariance) @ random
+    expected = multivariate_normal.logpdf(residual, mean @ exact.ravel(), covariance)
     constant = len(mean) / 2 * np.log(2 * np.pi)
-    said = averaged.shifted(shift, averaged.of(residual))[0, 0]
+    (said,) = averaged.shifted([shift], averaged.of(residual))
     assert said == pytest.approx(expected + constant, abs=1e-3)
 
 
@@ -107,6 +107,10 @@ def test_drawn_rooms_scatter_as_the_likelihood_says(
     squares = []
     for _ in range(20):
         hidden, residuals = where_ideal.drawn(numbers, likelihood, every, rng)
-        empty = [column for column, what in enumerate(hidden) if what is None]
-        squares += likelihood.with_one_level().of(residuals[:, empty])[1].tolist()
+        alone = likelihood.with_one_level()
+        squares += [
+            float(alone.of(residual)[1][0])
+            for what, residual in zip(hidden, residuals.T, strict=True)
+            if what is None
+        ]
     assert np.mean(squares) == pytest.approx(likelihood.number, rel=0.05)

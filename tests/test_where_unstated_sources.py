@@ -122,7 +122,7 @@ def test_lobes_are_tried_where_a_pair_seems_noisy(
     aimed_at = {n: rt.Directivity(index=INDEX, aim=tuple(middle - p)) for n, p in SOURCES.items()}
     made = heard(tracing(stated(), n_paths=4800, directivity=aimed_at), stated().alpha, "level")
     case = rt.finder.PositionsCase(simulator=tracing(stated(), n_paths=800), measured=made)
-    first = [(np.array([-24.0]), np.array([20.0]))]
+    first = [(-24.0, 20.0)]
     scores = search.scores
     monkeypatch.setattr(search, "scores", lambda *given: first.pop() if first else scores(*given))
     finding = rt.find(case, cache=kept)

@@ -58,9 +58,8 @@ EVERY = PositionsHypotheses(
 
 def score_of(**nats: float) -> tuple[float, float]:
     """Return the scores where these effects explain what was measured better than nothing does."""
-    evidence = np.array([[nats.get(effect, 0.0)] for effect in EVERY.by_row("effect")])
-    score, noisy = scores(weights(evidence, EVERY), EVERY)
-    return float(score[0]), float(noisy[0])
+    evidence = np.array([nats.get(effect, 0.0) for effect in EVERY.by_row("effect")])
+    return scores(weights(evidence, EVERY), EVERY)
 
 
 @pytest.mark.parametrize("more", [5.0, 40.0])

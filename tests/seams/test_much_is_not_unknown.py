@@ -58,11 +58,9 @@ def told(of: Searched, seed: int, hidden: bool) -> tuple[Summary, float]:
         np.zeros(len(error)), error, method="eigh"
     )
     residual = numbers.residual + drawn if hidden else drawn
-    evidence = evaluate(
-        numbers.likelihoods(), every, np.where(numbers.used, residual, 0.0)[:, np.newaxis]
-    )
+    evidence = evaluate(numbers.likelihoods(), every, np.where(numbers.used, residual, 0.0))
     said = summary_of(case, every, weights(evidence, every, TOLD_TEMPER))
-    return said, float(scores(weights(evidence, every), every)[0][0])
+    return said, scores(weights(evidence, every), every)[0]
 
 
 @pytest.mark.long
@@ -94,7 +92,7 @@ def test_what_no_effect_explains_is_as_probable_alone_as_beside_one() -> None:
     every = shifts(case, library())
     for some in (every, every[: len(every) // 2]):
         hypotheses = PositionsHypotheses(some, [], off=0.0)
-        evidence = np.full((len(hypotheses.log_prior), 1), -60.0)
+        evidence = np.full(len(hypotheses.log_prior), -60.0)
         evidence[2] = 0.0
         for beside in hypotheses.of_groups(evidence)[2]:
             beside[:] = 0.0

@@ -150,8 +150,8 @@ def said(
     n_surfaces: int,
 ) -> list[Row]:
     """Return what the observer says of each draw."""
-    posterior = weights(evaluate(likelihoods, every, residuals), every, temper=1.0)
-    score = scores(posterior, every)[0]
+    drawn = [weights(evaluate(likelihoods, every, r), every, temper=1.0) for r in residuals.T]
+    score, posterior = [scores(each, every)[0] for each in drawn], np.transpose(drawn)
     by_surface = log_sums(every.by_row("surface"), posterior)
     families = log_sums(every.by_row("family"), posterior)
     nowhere = np.full(residuals.shape[1], -np.inf)

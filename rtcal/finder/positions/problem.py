@@ -201,7 +201,7 @@ class SpreadHypothesis(Sizes):
 
 @dataclass(frozen=True, eq=False)
 class PositionsHypotheses:
-    """All hypotheses as one table; evidence and posterior weights are arrays (n, n_draws) of its rows.
+    """All hypotheses as one table; evidence and posterior weights are arrays (n,) of its rows.
 
     The rows are "none", coefficients that are off together, something that no effect explains, each
     spread and each shift with each of its sizes, and, where something may be ``unknown``, each shift
@@ -612,15 +612,12 @@ class ScatteringLevels(NamedTuple):
 
 
 Residuals = tuple[Array, Array]
-"""K⁻¹ r and r' K⁻¹ r of residuals r under a covariance K, at each level one after the other.
-
-(n, n_levels n_draws) and (n_levels n_draws,).
-"""
+"""K⁻¹ r and r' K⁻¹ r of the residual r at each level: (n, n_levels) and (n_levels,)."""
 
 
 @dataclass(eq=False)
 class Likelihood:
-    """The density of residuals (n,) under one covariance of everything but the hypothesis.
+    """The density of a residual (n,) under one covariance of everything but the hypothesis.
 
     Parameters
     ----------
@@ -659,10 +656,10 @@ class Likelihood:
         """Number of values that were measured."""
         return int(self.used.sum())
 
-    def of(self, residuals: Array) -> Residuals:
-        """Return residuals (n, n_draws) as the other methods take them."""
-        by_level = residuals[:, np.newaxis] - self.levels.shifts[..., np.newaxis]
-        measured = np.where(self.used[:, np.newaxis], by_level.reshape(len(residuals), -1), 0.0)
+    def of(self, residual: Array) -> Residuals:
+        """Return a residual (n,) as the other methods take it."""
+        by_level = residual[:, np.newaxis] - self.levels.shifts
+        measured = np.where(self.used[:, np.newaxis], by_level, 0.0)
         pull = np.asarray(self.inverse @ measured)
         return pull, np.asarray(np.einsum("nm,nm->m", measured, pull))
 
@@ -674,30 +671,26 @@ class Likelihood:
         one = ScatteringLevels(np.zeros((len(covariance), 1)), np.zeros(1))
         return replace(self, covariance=covariance, levels=one)
 
-    def stated(self, residuals: Residuals) -> Array:
-        """Return the log density if nothing is other than stated, (n_draws,)."""
-        return self._log(residuals[1], self.half)
+    def stated(self, residuals: Residuals) -> float:
+        """Return the log density if nothing is other than stated."""
+        return float(self._log(residuals[1], self.half))
 
     def spread(self, spread: SpreadHypothesis, residuals: Residuals) -> Array:
-        """Return the log density with some errors wider, (n_hypotheses, n_draws)."""
+        """Return the log density with some errors wider, (n_hypotheses,)."""
         kept, scales = self.used[spread.rows], spread.scales[:, np.newaxis, np.newaxis]
         rows, columns, (pull, square) = spread.rows[kept], spread.columns[kept], residuals
         across, inner = columns.T @ pull[rows], self.inverse[np.ix_(rows, rows)]
         inner = scales**2 * (columns.T @ inner @ columns)
         return self._log(*with_columns(square, self.half, scales * across, inner))
 
-    def shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
-        """Return the log density by hypothesis, (n_hypotheses, n_draws)."""
-        every = range(0, len(shift.weights), _AT_ONCE)
-        parts = [shift.some(slice(p, p + _AT_ONCE)) for p in every] if len(every) > 1 else [shift]
-        return np.concatenate([self._shifted(part, residuals) for part in parts])
-
-    def each_shifted(self, shifts: Sequence[ShiftHypothesis], residuals: Residuals) -> Array:
-        """Return `shifted` of each, one after the other."""
-        n_draws = len(residuals[1]) // len(self.levels.log_weights)
-        return np.concatenate(
-            [np.zeros((0, n_draws)), *(self.shifted(s, residuals) for s in shifts)]
-        )
+    def shifted(self, shifts: Sequence[ShiftHypothesis], residuals: Residuals) -> Array:
+        """Return the log densities of each shift's hypotheses one after the other, (n_hypotheses,)."""
+        few = [
+            self._shifted(shift.some(slice(first, first + _AT_ONCE)), residuals)
+            for shift in shifts
+            for first in range(0, len(shift.sizes), _AT_ONCE)
+        ]
+        return np.concatenate([np.zeros(0), *few])
 
     def changes(self, shift: ShiftHypothesis) -> Array:
         """Return the shift d of each hypothesis, (n_hypotheses, n_bands, n_values)."""
@@ -766,12 +759,10 @@ class Likelihood:
     def _log(self, square: Array, half: Array | float) -> Array:
         """Return the log density from chi-squares by level and ln sqrt|C|: the mean over the levels.
 
-        (..., n_levels n_draws) to (..., n_draws).
+        (..., n_levels) to (...).
         """
-        log = bounded(square, half, self.number)
-        weights = self.levels.log_weights[:, np.newaxis]
-        by_level = log.reshape(*log.shape[:-1], len(weights), -1) + weights
-        return np.asarray(np.logaddexp.reduce(by_level, axis=-2))
+        by_level = bounded(square, half, self.number) + self.levels.log_weights
+        return np.asarray(np.logaddexp.reduce(by_level, axis=-1))
 
 
 Likelihoods = tuple[Likelihood, list[Likelihood], list[Likelihood]]

@@ -21,14 +21,12 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
 from rtcal.acoustics.changes import facing
-from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, observable
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.finder.case import PARAMETERS, Case, Configuration, PositionsCase
@@ -120,66 +118,67 @@ _TINY = 1e-9
 """Prior probability below which nothing else than a noisy pair is tried."""
 
 
-def evaluate(likelihoods: Likelihoods, hypotheses: PositionsHypotheses, residuals: Array) -> Array:
-    """Return the log evidence of residuals (n_values, n_draws) by hypothesis, (n, n_draws)."""
+def evaluate(likelihoods: Likelihoods, hypotheses: PositionsHypotheses, residual: Array) -> Array:
+    """Return the log evidence of a residual (n_values,) by hypothesis, (n,)."""
     stated, off, unknown = likelihoods
-    as_stated = stated.of(residuals)
-    none, shifts = stated.stated(as_stated), stated.each_shifted(hypotheses.shifts, as_stated)
-    as_off = [(one, one.of(residuals)) for one in off]
-    as_unknown = [(one, one.of(residuals)) for one in unknown]
+    every = hypotheses.shifts
 
-    def over_scales(values: Sequence[Array], shares: Sequence[float]) -> Array:
-        every = np.array(values)
-        log = np.log(shares).reshape(-1, *[1] * (every.ndim - 1))
-        return np.asarray(logsumexp(log + every, axis=0))
+    def mean(
+        some: Sequence[Likelihood], shares: Sequence[float], shifts: Sequence[ShiftHypothesis]
+    ) -> tuple[Array, Array]:
+        """Return the log of the mean density if nothing is other, and with each of the shifts."""
+        under = [(one, one.of(residual)) for one in some]
+        both = ([one.stated(r) for one, r in under], [one.shifted(shifts, r) for one, r in under])
+        nothing, shifted = (logsumexp(np.log(shares) + np.transpose(of), axis=-1) for of in both)
+        return np.asarray(nothing), np.asarray(shifted)
 
-    of_off, of_unknown = [share for _, share in SCALES], [1 / len(unknown)] * len(unknown)
-    together = over_scales([one.stated(r) for one, r in as_off], of_off)
-    if len(shifts) and hypotheses.off > 0:
-        others = [one.each_shifted(hypotheses.shifts, r) for one, r in as_off]
-        shifts = log_mixture(shifts, over_scales(others, of_off), hypotheses.off)
-    alone = over_scales([one.stated(r) for one, r in as_unknown], of_unknown)
+    as_stated = stated.of(residual)
+    none, shifts = stated.stated(as_stated), stated.shifted(every, as_stated)
+    shares = [share for _, share in SCALES]
+    together, others = mean(off, shares, every if hypotheses.off > 0 else ())
+    if len(others):
+        shifts = log_mixture(shifts, others, hypotheses.off)
+    equal = [1 / len(unknown)] * len(unknown)
+    alone, _ = mean(unknown, equal, ())
     beside = np.full_like(shifts, -np.inf) if hypotheses.unknown else shifts[:0]
     # Errors that explain even less than what nothing explains do so beside an effect, too.
-    if len(beside) and not (alone < none - _NEGLIGIBLE).all():
-        every = [one.each_shifted(hypotheses.shifts, r) for one, r in as_unknown]
-        beside = over_scales(every, of_unknown)
+    if len(beside) and alone >= none - _NEGLIGIBLE:
+        _, beside = mean(unknown, equal, every)
     spreads = [stated.spread(spread, as_stated) for spread in hypotheses.spreads]
     return np.concatenate([[none, together, alone], *spreads, shifts, beside])
 
 
-def scores(posterior: Array, hypotheses: PositionsHypotheses) -> tuple[Array, Array]:
+def scores(posterior: Array, hypotheses: PositionsHypotheses) -> tuple[float, float]:
     """Return the evidence in nats that something is other than stated, and that a pair is noisy.
 
-    Both (n_draws,), from log posterior weights. A noisy pair is no evidence of the first, which is
-    against nothing or such a pair; that of the second is against nothing. Where nothing else is tried,
-    the first is 0.
+    Of log posterior weights. A noisy pair is no evidence of the first, which is against nothing or such
+    a pair; that of the second is against nothing. Where nothing else is tried, the first is 0.
     """
     none, noisy = posterior[0], np.array(hypotheses.by_row("effect")) == NOISE
     other = ~noisy
     other[0] = False
-    of_pair = np.logaddexp.reduce(posterior[noisy], axis=0, initial=-np.inf)
-    nothing = np.logaddexp(none, of_pair)
+    of_pair = np.logaddexp.reduce(posterior[noisy], initial=-np.inf)
     of_noise = np.logaddexp.reduce(hypotheses.log_prior[noisy], initial=-np.inf)
     prior = np.logaddexp(none, of_noise)  # of nothing
-    score = np.zeros_like(prior)
-    if (prior < -_TINY).all():
-        score = logsumexp(posterior[other], axis=0) - nothing - np.log1p(-np.exp(prior)) + prior
-    return np.asarray(score), np.asarray(of_pair - none)
+    score = 0.0
+    if prior < -_TINY:
+        nothing = np.logaddexp(none, of_pair)
+        score = logsumexp(posterior[other]) - nothing - np.log1p(-np.exp(prior)) + prior
+    return float(score), float(of_pair - none)
 
 
 def weights(evidence: Array, hypotheses: PositionsHypotheses, temper: float = TEMPER) -> Array:
-    """Return log posterior weights, the weight of "none" being its prior, (n, n_draws).
+    """Return log posterior weights, the weight of "none" being its prior, (n,).
 
     Log evidences are divided by ``temper``.
     """
-    return np.asarray(hypotheses.log_prior[:, np.newaxis] + (evidence - evidence[0]) / temper)
+    return np.asarray(hypotheses.log_prior + (evidence - evidence[0]) / temper)
 
 
-def gain(other: Array, evidence: Array, hypotheses: PositionsHypotheses) -> Array:
-    """Return the evidence in nats for another likelihood, whatever the room lacks, (n_draws,)."""
-    more = [logsumexp(weights(each, hypotheses), axis=0) for each in (other, evidence)]
-    return np.asarray(more[0] - more[1] + (other[0] - evidence[0]) / TEMPER)
+def gain(other: Array, evidence: Array, hypotheses: PositionsHypotheses) -> float:
+    """Return the evidence in nats for another likelihood, whatever the room lacks."""
+    more, less = (logsumexp(weights(each, hypotheses)) for each in (other, evidence))
+    return float(more - less + (other[0] - evidence[0]) / TEMPER)
 
 
 def with_families(
@@ -192,7 +191,7 @@ def with_families(
     least = [
         max(families.get(family, 0.0), LEAST_BY_MEANS) for family in hypotheses.by_row("family")
     ]
-    return np.asarray(posterior + MEANS_POWER * np.log(least)[:, np.newaxis])
+    return np.asarray(posterior + MEANS_POWER * np.log(least))
 
 
 THRESHOLD = 2.5
@@ -231,27 +230,18 @@ def unconfirmed(means: Finding) -> Reason | None:
 
 def of_means(case: PositionsCase) -> Case:
     """Return the case without its geometry; DataError where it has no T that can be trusted."""
-    measured, tracer = case.in_room.select(case.pairs), case.simulator
-    names = {observable(name).stand_in or name for name in case.match} & {*PARAMETERS}
-
-    def some(table: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: values for name, values in table.items() if name in names}
-
-    kept = Measurement(
-        centre_frequencies=measured.centre_frequencies,
-        values=some(measured.values),
-        pairs=measured.pairs,
-        uncertainty=some(measured.uncertainty),
-        common_uncertainty=some(measured.common_uncertainty),
+    tracer = case.simulator
+    measured = Configuration(
+        name="measured",
+        measured=case.in_room.select(case.pairs),
+        distances=np.array(
+            [math.dist(tracer.sources[s], tracer.receivers[r]) for s, r in case.pairs]
+        ),
     )
-    distances = [math.dist(tracer.sources[s], tracer.receivers[r]) for s, r in case.pairs]
-    return Case(
-        room=case.room,
-        configurations=[
-            Configuration(name="measured", measured=kept, distances=np.array(distances))
-        ],
-        facing=facing(case.room, case.geometry),
-    )
+    along = facing(case.room, case.geometry)
+    means = Case(room=case.room, configurations=[measured], facing=along)
+    names = {observable(name).stand_in or name for name in case.match}
+    return means.only(*names.intersection(PARAMETERS))
 
 
 _SPACING = 0.1
@@ -275,8 +265,8 @@ class Summary:
 
 
 def summary_of(case: PositionsCase, hypotheses: PositionsHypotheses, posterior: Array) -> Summary:
-    """Return what the weights of a single set of residuals say."""
-    chances = np.exp(posterior[:, 0] - logsumexp(posterior[:, 0]))
+    """Return what log posterior weights say."""
+    chances = np.exp(posterior - logsumexp(posterior))
     of_spreads, of_shifts, beside = hypotheses.of_groups(chances)
     unexplained = float(chances[2] + sum(some.sum() for some in beside))
     if hypotheses.unknown:
@@ -446,24 +436,15 @@ class _Search:
     hypotheses: PositionsHypotheses
 
     def evidence(self, sources: Array | float = 0.0) -> Array:
-        """Return the log evidence by hypothesis, (n, 1); ``sources`` as of `likelihoods`."""
-        residuals = self.numbers.residual[:, np.newaxis]
-        return evaluate(self.numbers.likelihoods(sources), self.hypotheses, residuals)
+        """Return the log evidence by hypothesis, (n,); ``sources`` as of `likelihoods`."""
+        likelihoods = self.numbers.likelihoods(sources)
+        return evaluate(likelihoods, self.hypotheses, self.numbers.residual)
 
     def with_gains(self, evidence: Array, sources: Array | float = 0.0) -> Array:
         """Return the evidence, where the sources may also have been calibrated wrongly."""
         for gains in self.numbers.gains:
             evidence = log_mixture(evidence, self.evidence(sources + gains), MISCALIBRATED)
         return evidence
-
-    def scores(self, evidence: Array) -> tuple[float, float]:
-        """Return `scores` of an evidence."""
-        score, noise = scores(weights(evidence, self.hypotheses), self.hypotheses)
-        return float(score[0]), float(noise[0])
-
-    def gain(self, other: Array, evidence: Array) -> float:
-        """Return the evidence in nats for another likelihood."""
-        return float(gain(other, evidence, self.hypotheses)[0])
 
 
 @single_threaded_blas()
@@ -489,20 +470,20 @@ def find_by_positions(
 
     search = searched(case)
     evidence = search.evidence()
-    score, noise = search.scores(evidence)
+    score, noise = scores(weights(evidence, search.hypotheses), search.hypotheses)
     # A gain or a lobe that is off may pass for the noise of a pair, which is no evidence by itself.
     disagree = max(score, noise) > threshold
     of_gain = -np.inf
     if disagree and len(search.numbers.gains):
         as_calibrated, evidence = evidence, search.with_gains(evidence)
-        of_gain = search.gain(evidence, as_calibrated)
+        of_gain = gain(evidence, as_calibrated, search.hypotheses)
     names = search.numbers.data.observations.parameters
     reverberation = any(observable(p).part == "late" for p in names)
     indexed = list(with_index(case.simulator))
     aimed, unexplained, doubted = 0.0, False, False
     if disagree and search.numbers.aimed is not None:
         lobes = search.with_gains(search.evidence(search.numbers.aimed), search.numbers.aimed)
-        aimed = search.gain(lobes, evidence)
+        aimed = gain(lobes, evidence, search.hypotheses)
         if indexed and reverberation:
             posterior = weights(evidence, search.hypotheses, TOLD_TEMPER)
             unexplained = summary_of(case, search.hypotheses, posterior).unexplained >= CLAIMED
@@ -515,7 +496,7 @@ def find_by_positions(
             evidence = lobes
         else:
             evidence = log_mixture(evidence, lobes, AIMED)
-    score, noise = search.scores(evidence)
+    score, noise = scores(weights(evidence, search.hypotheses), search.hypotheses)
     detected = Detection(
         score=score,
         threshold=threshold,
