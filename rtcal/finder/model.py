@@ -363,10 +363,6 @@ def _times(weights: Array, rates: Array, floor_db: Array, record: Array) -> Arra
     return np.stack([t20, edt - t20, t30 - t20], axis=1)
 
 
-_TERMS = 12
-"""Number of terms of the decay; a dozen give it to seven digits."""
-
-
 _ORDER = 5
 """Number of polar angles, and of azimuths, of the directions."""
 
@@ -406,30 +402,12 @@ class DirectionalDecay:
         nothing = np.zeros_like(states[0].air)
         everywhere = c * np.array([s.air + (s.objects + nothing) / (4 * s.volume) for s in states])
         nu = np.array([[s.scattering] for s in shapes]) * c * area / (4 * volume)
-        terms, share = _terms(rate + nu[:, :, None], nu, np.sqrt(weight))
+        # E' = -(diag(r + nu) - nu root root') E, where each direction counts by the root of its weight.
+        root = np.sqrt(weight)
+        decaying = (rate + nu[:, :, None])[..., None] * np.eye(len(root))
+        terms, vectors = np.linalg.eigh(decaying - nu[:, :, None, None] * np.outer(root, root))
+        share = (root @ vectors) ** 2
         return Decay(share / volume[:, :, None], np.maximum(terms + everywhere[..., None], 1e-3))
-
-
-def _terms(diagonal: Array, nu: Array, root: Array) -> tuple[Array, Array]:
-    """Rates and shares of root' exp(-M t) root, M = diag(``diagonal``) - ``nu`` root root'.
-
-    As many as Lanczos' steps from ``root``: a dozen give the decay to seven digits.
-    """
-    basis = np.zeros((*diagonal.shape[:-1], _TERMS, len(root)))
-    small = np.zeros((*diagonal.shape[:-1], _TERMS, _TERMS))
-    q = np.broadcast_to(root, diagonal.shape)
-    for j in range(_TERMS):
-        basis[..., j, :] = q
-        w = diagonal * q - nu[..., None] * (q @ root)[..., None] * root
-        small[..., j, j] = (w * q).sum(-1)
-        for _ in range(2):  # once more, against rounding
-            w = w - (np.swapaxes(basis, -1, -2) @ (basis @ w[..., None]))[..., 0]
-        length = np.linalg.norm(w, axis=-1)
-        if j + 1 < _TERMS:
-            small[..., j, j + 1] = small[..., j + 1, j] = length
-            q = w / np.maximum(length, 1e-300)[..., None]
-    values, vectors = np.linalg.eigh(small)
-    return values, vectors[..., 0, :] ** 2
 
 
 @cache

@@ -69,7 +69,7 @@ from rtcal.finder.finding import Finding
 from rtcal.finder.model import RoomState
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Faces
-from rtcal.finder.positions.weighing import Weighing
+from rtcal.finder.positions.weighing import Weighing, interpolation
 from rtcal.simulators import base
 from rtcal.simulators.base import Observations
 from rtcal.simulators.path_tracing import PathTracing
@@ -816,7 +816,7 @@ def _located(
     base = _observed(energy, tracer, match)
     shifts = np.array(
         [
-            [np.zeros_like(base), *(_observed(decay, tracer, match) - base for decay in decays)]
+            [_observed(decay, tracer, match) - base for decay in decays]
             for decays in weighing.of_groups(groups, NODES)
         ]
     )[:, :, :, rows]
@@ -947,14 +947,12 @@ def _evidence(
     ----------
     change : array (n_parameters, n_pairs, n_bands)
     shifts : array (n_nodes, n_parameters, n_pairs, n_bands)
-        At a share of 0 and those of `NODES`.
+        At the shares `NODES`.
     noise : array (n_pairs, n_bands, n_parameters, n_parameters)
     common : array (n_pairs, n_bands, n_parameters, n_errors), array (n_errors,)
         What pairs err by together, and its variance where nothing changes.
     """
-    nodes = np.array([0.0, *NODES])
-    to = np.array([np.interp(SHARES, nodes, row) for row in np.eye(len(nodes))]).T
-    predicted = np.einsum("jn,nprk->jrkp", to, shifts)
+    predicted = np.einsum("jn,nprk->jrkp", interpolation(NODES, SHARES), shifts)
     mean = predicted.mean(axis=1)  # over the pairs: (n_shares, n_bands, n_parameters)
     observed = np.moveaxis(change, 0, -1)
     known = np.isfinite(observed)

@@ -96,6 +96,7 @@ from rtcal.finder.positions.weighing import (
     VOLUME,
     PairShifts,
     covariances_of_gains,
+    interpolation,
 )
 from rtcal.loop.measured_pairs import COMMON as OF_ROOM
 from rtcal.loop.measured_pairs import OWN as OF_MATERIAL
@@ -251,21 +252,6 @@ class PositionsHypotheses:
         nothing = NO_EFFECT * np.array([1 - off, off])
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(np.concatenate([nothing, (1 - NO_EFFECT) * odds / total])))
-
-
-def interpolation(nodes: Sequence[float], at: Array) -> Array:
-    """Return the nodes' weights (..., n_nodes) in a linear interpolation that is 0 at 0.
-
-    Beyond the nodes the value at the last one is taken.
-    """
-    every = np.array(sorted([*nodes, 0.0]))
-    position = np.clip(at, every[0], every[-1])
-    right = np.clip(np.searchsorted(every, position), 1, len(every) - 1)
-    share = (position - every[right - 1]) / (every[right] - every[right - 1])
-    out = np.zeros((*np.shape(at), len(every)))
-    np.put_along_axis(out, right[..., np.newaxis], share[..., np.newaxis], -1)
-    np.put_along_axis(out, right[..., np.newaxis] - 1, (1 - share)[..., np.newaxis], -1)
-    return np.asarray(out[..., np.searchsorted(every, nodes)])
 
 
 def towards(moved: Array, stated: Array) -> Array:
@@ -597,10 +583,6 @@ def spreads(
     return out
 
 
-_AT_ONCE = 256
-"""Hypotheses in one product: their matrices fill some 10 MB."""
-
-
 class ScatteringLevels(NamedTuple):
     """Shifts of the whole room if it scatters more or less than is assumed, (n, n_levels).
 
@@ -685,12 +667,7 @@ class Likelihood:
 
     def shifted(self, shifts: Sequence[ShiftHypothesis], residuals: Residuals) -> Array:
         """Return the log densities of each shift's hypotheses one after the other, (n_hypotheses,)."""
-        few = [
-            self._shifted(shift.some(slice(first, first + _AT_ONCE)), residuals)
-            for shift in shifts
-            for first in range(0, len(shift.sizes), _AT_ONCE)
-        ]
-        return np.concatenate([np.zeros(0), *few])
+        return np.concatenate([np.zeros(0), *(self._shifted(s, residuals) for s in shifts)])
 
     def changes(self, shift: ShiftHypothesis) -> Array:
         """Return the shift d of each hypothesis, (n_hypotheses, n_bands, n_values)."""
@@ -698,7 +675,7 @@ class Likelihood:
         return np.moveaxis(every, -1, 0)
 
     def _shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
-        """Return `shifted` of few.
+        """Return `shifted` of one.
 
         The errors' columns are d in one band with the factor of `ShiftHypothesis.error`, and W in a
         band by its change, W being `uneven`.

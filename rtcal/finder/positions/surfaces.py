@@ -20,6 +20,7 @@ from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from rtcal.acoustics.room import Surface
 from rtcal.simulators import geometry as facets
@@ -278,8 +279,6 @@ LARGEST_PATCH = 0.95
 2.5 % of the surface's width."""
 NEAR = 0.1
 """Largest distance in m of a stated place from its surface: how well places are measured."""
-_HALVINGS = 60
-"""Of the interval that holds the patch's scale: to the last digit."""
 
 Polygon = tuple[str, str, Array]
 """Name, material and corners of a face."""
@@ -371,15 +370,13 @@ def _in_one_plane(geometry: Polyhedron, faces: list[int], at: Array | None) -> l
 
 def _scale(plane: Plane, centre: Array, parts: Sequence[Array], area: float) -> float:
     """Return the scale at which the rectangle about a point holds an area of the surface."""
-    low, high = 0.0, 2.0  # twice the bounding rectangle about any of its points covers it
-    for _ in range(_HALVINGS):
-        scale = (low + high) / 2
+
+    def excess(scale: float) -> float:
         sides = plane.half_planes(centre, scale)
-        if sum(facets.area(facets.inside(part, sides)) for part in parts) < area:
-            low = scale
-        else:
-            high = scale
-    return (low + high) / 2
+        return sum(facets.area(facets.inside(part, sides)) for part in parts) - area
+
+    # Twice the bounding rectangle about any of its points covers it.
+    return float(brentq(excess, 0.0, 2.0))
 
 
 def _on(point: Array, normal: Array, parts: Sequence[Array]) -> Array:

@@ -379,6 +379,16 @@ OPEN = tuple(share for share in SHARES if share > 0)
 """Nodes of an aperture: shares of its surface."""
 
 
+def interpolation(nodes: Sequence[float], at: Array) -> Array:
+    """Return the nodes' weights (..., n_nodes) in a linear interpolation that is 0 at 0.
+
+    Beyond the nodes the value at the last one is taken.
+    """
+    every = np.array(sorted([*nodes, 0.0]))
+    alone = np.eye(len(every))[np.searchsorted(every, nodes)]
+    return np.stack([np.interp(at, every, row) for row in alone], axis=-1)
+
+
 TRACED = (-2.0, -1.0, 1.5)
 """Changes of the log odds at which the whole room is traced, from what is stated or assumed. From 0.4
 they lead to 0.08, 0.2 and 0.75."""
