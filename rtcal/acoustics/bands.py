@@ -215,7 +215,7 @@ def index(frequencies: Array, frequency: float) -> int | None:
 
 
 def is_middle(frequencies: Array) -> NDArray[np.bool_]:
-    """Return which bands are octaves or thirds from 500 Hz to 2 kHz, (n_bands,).
+    """Return which bands are octaves or thirds from 500 Hz to 2 kHz, (n_bands,); all if none is.
 
     Examples
     --------
@@ -223,7 +223,8 @@ def is_middle(frequencies: Array) -> NDArray[np.bool_]:
     [False  True  True False]
     """
     low, high = _MIDDLE
-    return np.asarray((frequencies > low) & (frequencies < high))
+    middle = (frequencies > low) & (frequencies < high)
+    return np.asarray(middle if middle.any() else ~middle)
 
 
 def correlation(frequencies: Array, per_octave: float) -> Array:

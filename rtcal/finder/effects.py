@@ -352,8 +352,7 @@ def all_surfaces(room: Room | None) -> float:
 def middle_absorption(state: RoomState) -> float:
     """Return S'alpha at 500 to 2000 Hz in m², averaged over bands; over all bands if it has none."""
     area = state.areas @ state.alpha
-    middle = bands.is_middle(state.frequencies)
-    return float(area[middle].mean() if middle.any() else area.mean())
+    return float(area[bands.is_middle(state.frequencies)].mean())
 
 
 def interpolate_octaves(frequencies: Array, octaves: Sequence[float]) -> Array:

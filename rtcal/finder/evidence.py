@@ -25,6 +25,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.special import gammaln
 
@@ -211,6 +212,17 @@ def sharpness(room: Room) -> float:
     return 1.0 + SHARPER * (1.0 - relative_sigma(room))
 
 
+def log_priors(odds: ArrayLike, off: float, no_effect: float = NO_EFFECT) -> Array:
+    """Return log prior probabilities, (2 + n,), which sum to 1, of any kind of data.
+
+    The first two are those of a model that lacks nothing, with coefficients as stated and with
+    coefficients that are ``off`` together; the others those of effects with these prior odds, (n,).
+    """
+    of_effects = (1 - no_effect) * np.asarray(odds) / np.sum(odds)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log([no_effect * (1 - off), no_effect * off, *of_effects]))
+
+
 def prior_of(
     room: Room, effects: Sequence[Effect], stated: Mapping[str, float], without: Sequence[str] = ()
 ) -> Prior:
@@ -225,12 +237,8 @@ def prior_of(
         no_effect = stated[NONE] / (1 + stated[NONE])
     odds = {e.name: stated.get(e.name, e.prior_odds(room)) for e in effects}
     odds[UNKNOWN] = 0.0 if UNKNOWN in without else stated.get(UNKNOWN, UNKNOWN_ODDS)
-    total = sum(odds.values())
-    with np.errstate(divide="ignore"):
-        table = {NONE: float(np.log(no_effect * (1 - off)))}
-        table[COEFFICIENTS] = float(np.log(no_effect * off))
-        table |= {k: float(np.log((1 - no_effect) * v / total)) for k, v in odds.items()}
-    return Prior(table, off, sharpness(room))
+    log = log_priors([*odds.values()], off, no_effect).tolist()
+    return Prior(dict(zip((NONE, COEFFICIENTS, *odds), log, strict=True)), off, sharpness(room))
 
 
 def left_out_of(

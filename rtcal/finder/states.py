@@ -63,6 +63,7 @@ from rtcal.finder.evidence import (
     UNKNOWN,
     UNKNOWN_ODDS,
     left_out_of,
+    log_priors,
     with_columns,
 )
 from rtcal.finder.finding import Finding
@@ -145,8 +146,7 @@ class Hypotheses:
         more : {"added", "removed"}
             The name of a size above 0.
         """
-        middle = bands.is_middle(room.centre_frequencies[where])
-        area = float(before[middle if middle.any() else slice(None)].mean())
+        area = float(before[bands.is_middle(room.centre_frequencies[where])].mean())
         levels, n = area * np.geomspace(LEAST, MOST, SIZES), int(where.sum())
         climates = (
             {False: 1.0} if AIR in without else {False: 1 - ANOTHER_CLIMATE, True: ANOTHER_CLIMATE}
@@ -168,11 +168,11 @@ class Hypotheses:
         ]
         if AIR not in without:
             rows.append((AIR, "climate", 2 * AIR_ODDS, np.zeros(n), np.eye(n), True))
-        odds = sum(row[2] for row in rows) * NO_EFFECT / (1 - NO_EFFECT)
-        rows.insert(0, (NONE, NONE, odds, np.zeros(n), np.eye(n), False))
-        names, families, weights, sizes, covariances, of_air = zip(*rows, strict=True)
-        log_weight = np.log(np.array(weights) / np.sum(weights))
-        arrays = log_weight, np.array(sizes), np.array(covariances), np.array(of_air)
+        none, _, *log_weight = log_priors([row[2] for row in rows], off=0.0).tolist()
+        rows.insert(0, (NONE, NONE, 0.0, np.zeros(n), np.eye(n), False))
+        names, families, _, sizes, covariances, of_air = zip(*rows, strict=True)
+        weights = np.array([none, *log_weight])
+        arrays = weights, np.array(sizes), np.array(covariances), np.array(of_air)
         return cls(names, families, *arrays)
 
 
@@ -603,7 +603,6 @@ def find(
     changes, shift = np.full((3, room.n_bands), np.nan), np.full(room.n_bands, np.nan)
     middle, of_sample, climate = np.zeros(0), np.zeros(0, dtype=str), 0.0
     inside = bands.is_middle(frequencies)
-    inside = inside if inside.any() else np.ones_like(inside)
     if of_surfaces.any():
         drawn, rows = _samples(found, every, baseline, of_surfaces, seed)
         # Of one state twice, each beside its mirror image: their mean is 0 to the last digit.

@@ -74,12 +74,12 @@ from rtcal.finder.effects import (
 )
 from rtcal.finder.evidence import (
     COEFFICIENTS,
-    NO_EFFECT,
     NONE,
     SCALES,
     UNKNOWN,
     bounded,
     grid_weights,
+    log_priors,
     relative_sigma,
     with_columns,
 )
@@ -233,25 +233,18 @@ class PositionsHypotheses:
 
     @cached_property
     def log_prior(self) -> Array:
-        """Log prior probability of each row, (n,); those of all rows but the first two sum to 1 - p.
-
-        p is that of no effect. "none" has the rest of it beside coefficients that are off together.
-        """
+        """Log prior probability of each row, (n,)."""
         of_shifts, of_spreads = (
             np.concatenate([np.zeros(0), *(group.odds for group in groups)])
             for groups in (self.shifts, self.spreads)
         )
         unknown = ODDS[UNKNOWN] if self.unknown else 0.0
-        total, of_effects = unknown + of_spreads.sum() + of_shifts.sum(), of_shifts.sum()
+        of_effects = of_shifts.sum()
         # Over all effects that nothing explains everything is as probable as something unknown alone,
         # but no more than a half.
         beside = min(unknown / of_effects, 0.5) if of_effects > 0 else 0.0
         both = [(1 - beside) * of_shifts, *([beside * of_shifts] if self.unknown else [])]
-        odds = np.concatenate([[unknown], of_spreads, *both])
-        off = max(self.off, 1e-300)
-        nothing = NO_EFFECT * np.array([1 - off, off])
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log(np.concatenate([nothing, (1 - NO_EFFECT) * odds / total])))
+        return log_priors(np.concatenate([[unknown], of_spreads, *both]), self.off)
 
 
 def towards(moved: Array, stated: Array) -> Array:

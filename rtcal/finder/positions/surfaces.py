@@ -20,7 +20,6 @@ from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from rtcal.acoustics.room import Surface
 from rtcal.simulators import geometry as facets
@@ -370,6 +369,7 @@ def _in_one_plane(geometry: Polyhedron, faces: list[int], at: Array | None) -> l
 
 def _scale(plane: Plane, centre: Array, parts: Sequence[Array], area: float) -> float:
     """Return the scale at which the rectangle about a point holds an area of the surface."""
+    from scipy.optimize import brentq
 
     def excess(scale: float) -> float:
         sides = plane.half_planes(centre, scale)
