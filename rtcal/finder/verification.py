@@ -161,8 +161,6 @@ class Verification(Result):
         Of means, the nats by which what was held out is more probable with what was found.
     misses : tuple of Miss
         What the model with what was found was matched to, and misses.
-    doubts : tuple of Reason
-        Why the finding is not supported, beside gap and misses.
     halves : tuple of tuples of (source, receiver)
         At positions, the pairs to which each model was fitted.
     added : tuple of Candidate or None
@@ -187,7 +185,6 @@ class Verification(Result):
     endured: float
     predictive: float = float("nan")
     misses: tuple[Miss, ...] = ()
-    doubts: tuple[Reason, ...] = ()
     halves: tuple[tuple[Pair, ...], ...] = ()
     added: tuple[Candidate | None, ...] = ()
     notes: tuple[str, ...] = ()
@@ -240,12 +237,28 @@ class Verification(Result):
     @property
     def objections(self) -> tuple[Reason, ...]:
         """Why the finding is not supported; () where it is."""
-        little = self.gain <= self.needed
-        return (
-            *([Reason("gains little", {"least": self.needed})] if little else ()),
-            *self.doubts,
-            *([Reason(MISSES)] if self.misses else ()),
-        )
+        out = [] if self.gain > self.needed else [Reason("gains little", {"least": self.needed})]
+        out += self._doubts_of_means() if self.plain is not None else ()
+        out += [Reason("halves differ")] if self.found_elsewhere[1] else ()
+        return (*out, *([Reason(MISSES)] if self.misses else ()))
+
+    def _doubts_of_means(self) -> list[Reason]:
+        """Return why a gap of means that shrinks does not support the finding."""
+        doubts = []
+        if self.after > _PREDICTED:
+            doubts.append(Reason("still missed", {"gap": self.after}))
+        held_out = mean_of_known(np.where(self.counted, self.sizes[:, 0], np.nan), 2)
+        for quantity, (one, other) in zip(self.quantities, held_out.T, strict=True):
+            if other - one > LEAST_SHRINKAGE:
+                doubts.append(
+                    Reason("grows", {"quantity": quantity, "before": one, "after": other})
+                )
+        if self.predictive < DISTINCT_NATS:
+            needed = {"nats": self.predictive, "least": DISTINCT_NATS}
+            doubts.append(Reason("not predicted", needed))
+        if self.finding.verdict not in ("named", "family"):
+            doubts.append(Reason("nothing claimed"))
+        return doubts
 
     @property
     def found_elsewhere(self) -> tuple[list[Candidate | None], bool]:
@@ -491,7 +504,7 @@ def of_means(
     """
     configurations = after.case.configurations
     names = zip(*(feature_names(c.measured) for c in configurations), strict=True)
-    found = Verification(
+    return Verification(
         finding=finding,
         models=("plain", "corrected"),
         held_out=tuple(held_out),
@@ -507,18 +520,6 @@ def of_means(
         plain=before,
         corrected=after,
     )
-    doubts = []
-    if found.after > _PREDICTED:
-        doubts.append(Reason("still missed", {"gap": found.after}))
-    by_quantity = mean_of_known(np.where(counted, found.sizes[:, 0], np.nan), 2)
-    for quantity, (one, other) in zip(found.quantities, by_quantity.T, strict=True):
-        if other - one > LEAST_SHRINKAGE:
-            doubts.append(Reason("grows", {"quantity": quantity, "before": one, "after": other}))
-    if predictive < DISTINCT_NATS:
-        doubts.append(Reason("not predicted", {"nats": predictive, "least": DISTINCT_NATS}))
-    if finding.verdict not in ("named", "family"):
-        doubts.append(Reason("nothing claimed"))
-    return replace(found, doubts=tuple(doubts))
 
 
 def _misses_of_means(
@@ -723,7 +724,7 @@ def at_positions(
             n, mean, left[parameters.index(n)], pairs, frequencies, times
         )
     ]
-    made = at_pairs(
+    return at_pairs(
         finding,
         pairs,
         gaps,
@@ -734,8 +735,6 @@ def at_positions(
         halves=tuple(map(tuple, halves)),
         added=tuple(added),
     )
-    _, in_kind = made.found_elsewhere
-    return replace(made, doubts=(Reason("halves differ"),)) if in_kind else made
 
 
 def _gaps_at_positions(
