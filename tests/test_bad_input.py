@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -213,6 +214,34 @@ def test_command_writes_room_json_and_figure(run, tmp_path: Path) -> None:
     assert again.calibration.method == "mle"
     for shown in ("measured T / s", "deviation after / JND", "(Q = ", "Solved by"):
         assert shown in done.stdout
+
+
+MISTAKES = [  # of a user of the command: what is wrong, and the command that is right
+    ("calibrate t.csv room.toml", "Exchange them: rtcal calibrate room.toml t.csv"),
+    ("find t.csv room.toml", "Exchange them: rtcal find room.toml t.csv"),
+    ("find case.json t.csv", "case.json is a case, which names its measurements. Leave t.csv out"),
+    ("report room.toml", "room.toml is a room or a case, not a result. Make one first"),
+    ("apply made --out x", "another command (calibration), not of `rtcal find`"),
+    ("calibrate tiny.toml t.csv", 'sigma["carpet", 500 Hz] = 1e-160 is too small for any solver'),
+    ("calibrate none.toml t.csv", 'material["carpet"].area = -1 m² is not finite and above 0'),
+]
+
+
+def test_a_mistake_is_answered_with_the_command_that_is_right(run, capsys) -> None:
+    run(ROOM, TIMES, "--out", "made")
+    Path("case.json").write_text('{"configuration": []}')
+    Path("tiny.toml").write_text(ROOM.replace("[0.1, 0.1]", "[1e-160, 0.1]"))
+    wall = '[[surface]]\nname = "A"\nmaterial = "wall"\narea = 1\n'
+    Path("none.toml").write_text(
+        ROOM.replace("area = 20", "area = -1").replace("area = 80\n", "") + wall
+    )
+    for arguments, message in MISTAKES:
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(arguments.split())
+        said = capsys.readouterr().err
+        assert stopped.value.code == 2, said
+        assert message in said
+        assert not re.search(r"\.from_file|rtcal\.[A-Za-z]|[a-z]\(", said)
 
 
 def test_an_empty_value_is_missing(run) -> None:

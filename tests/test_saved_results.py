@@ -151,8 +151,9 @@ OTHER_FILES = [
     (NUMBERS, "[1]", "not a JSON object"),
     (NUMBERS, '{"rtcal": "finding 1", "object": {"sha256": "0"}}', "finding 1.*calculate"),
     (NUMBERS, '{"rtcal": "x", "object": {"version": "0.0.7", "objects": []}}', "0.0.7.*calculate"),
-    ("a.csv", "", "Measurement.from_file"),
-    ("a.toml", "", "Room.from_file"),
+    ("x.json", "[" * 100_000, "not JSON"),
+    ("a.csv", "", "a measurement, not a result. Make one first, such as `rtcal calibrate"),
+    ("a.toml", "", "a room or a case, not a result"),
 ]
 
 
@@ -170,7 +171,7 @@ def test_a_case_a_folder_without_a_result_and_another_kind_are_refused(tmp_path:
     with pytest.raises(DataError, match=f"has no {NUMBERS}"):
         rt.load(tmp_path)
     rt.datasets.hidden_room()[0].save(str(tmp_path / NUMBERS))
-    with pytest.raises(DataError, match=r"but a case: rtcal\.finder\.Case"):
+    with pytest.raises(DataError, match="this is a case, not a result"):
         rt.load(tmp_path)
     room = {"version": __version__, "objects": plain(rt.datasets.bras_cr2()[0])}
     (tmp_path / NUMBERS).write_text(json.dumps({"rtcal": "calibration 1", "object": room}))

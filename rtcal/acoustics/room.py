@@ -543,6 +543,8 @@ LEAST, LARGEST = 1e-9, 1e9
 """Of volumes in m³, the largest of areas in m², too. Nothing that is built comes near either."""
 LARGEST_LABORATORY_ALPHA = 2.0
 """ISO 354 gives up to some 1.3 for thick absorbers of 10 m² (edge effect); small objects give more."""
+LEAST_SIGMA = 1e-150
+"""Smallest sigma above 0: the square of a smaller one is 0 for a computer."""
 RELATIVE = ("volume_sigma", "common_area_sigma", "common_alpha_sigma")
 
 
@@ -768,6 +770,12 @@ class Room:
             elif name == "alpha":
                 rule += above_one_hint(array[i, k])
             raise DataError(f"{self.place(name, i, k)} = {array[i, k]:g} is not {rule}")
+        if name == "sigma" and (bad := (array > 0) & (array < LEAST_SIGMA)).any():
+            i, k = np.argwhere(bad)[0].tolist()
+            raise DataError(
+                f"{self.place(name, i, k)} = {array[i, k]:g} is too small for any solver: give 0 for a "
+                f"coefficient that is known exactly, or {LEAST_SIGMA:g} or more"
+            )
         return array
 
     def _check_surfaces(self) -> None:
@@ -1050,7 +1058,7 @@ class Room:
                 continue
             if areas[m.name]:
                 raise DataError(f'area["{m.name}"] is given, and its surfaces too; give one')
-            areas[m.name].append(m.area)
+            areas[m.name].append(checks.positive(f'material["{m.name}"].area', m.area, "m²"))
             if drawn:
                 drawn.append(Surface(m.name, m.name, m.area))
         used = [m for m in listed if areas[m.name]]

@@ -251,6 +251,8 @@ def whole(name: str, least: int, help: str, **more: Any) -> Decorator:
     return option(name, click.IntRange(least), help, **more)
 
 
+_MOST_OF_CASE = 2**20  # bytes that are searched for the word that a case has and a room lacks
+
 OPTIONS: dict[str, Decorator] = {
     "quiet": flag(
         "quiet", "Print nothing but errors, and the JSON.", "-q", expose_value=False, callback=_kept
@@ -328,6 +330,26 @@ OPTIONS: dict[str, Decorator] = {
 """The options that several commands have."""
 
 
+def _in_order(context: click.Context, parameter: click.Parameter, measured: Any) -> Any:
+    """Refuse a room and a measurement that are exchanged, and a case with a measurement beside it."""
+    room = context.params.get("room") or context.params.get("case")
+    if measured is None or room is None or Path(room).is_dir():
+        return measured
+    if Path(measured).suffix == ".toml" != Path(room).suffix:
+        raise DataError(
+            f"{room} stands in the place of the room, and {measured} in that of the measurement. "
+            f"Exchange them: rtcal {context.info_name} {measured} {room}"
+        )
+    with suppress(OSError), open(room, "rb") as file:
+        begin = file.read(_MOST_OF_CASE)
+        if b"[[configuration]]" in begin or b'"configuration"' in begin:
+            raise DataError(
+                f"{room} is a case, which names its measurements. Leave {measured} out: rtcal find "
+                f"{room}"
+            )
+    return measured
+
+
 def takes(*given: str | Decorator, writes: bool = True, shared: bool = True) -> Decorator:
     """Add arguments and options to a command, in this order.
 
@@ -343,7 +365,8 @@ def takes(*given: str | Decorator, writes: bool = True, shared: bool = True) -> 
         if not one.isupper():
             return OPTIONS[one]
         name = one.rstrip("?")
-        return click.argument(name.lower(), type=click.Path(), required=name == one)
+        check = _in_order if name == "MEASURED" else None
+        return click.argument(name.lower(), type=click.Path(), required=name == one, callback=check)
 
     def decorated(command: Callable[..., Any]) -> Callable[..., Any]:
         for one in reversed((*given, *last)):

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rtcal.command.console import (
-    as_options,
     bar_wanted,
     choice,
     errors_name_options,
@@ -212,7 +211,11 @@ def saved(path: str) -> tuple[Any, Any]:
         return result.finding, result
     if isinstance(result, Finding):
         return result, None
-    raise DataError(f'{path} holds no finding but a result of the kind "{result.record_kind}"')
+    kind = result.record_kind.rstrip(" 0123456789")
+    raise DataError(
+        f"{path} holds the result of another command ({kind}), not of `rtcal find`: `rtcal find "
+        f"room.toml t.csv --out {one}` writes a finding"
+    )
 
 
 def _is_saved(path: Path) -> bool:
@@ -346,6 +349,7 @@ def verify(found: str, before: str | None, after: str | None) -> None:
     Example: rtcal verify found
     """
     from rtcal import finder
+    from rtcal.report import of_finding
 
     finding, verification = saved(found)
     if before is not None or after is not None:
@@ -359,7 +363,7 @@ def verify(found: str, before: str | None, after: str | None) -> None:
         why, nothing = finding.refusal, ""
         if why is None and finding.kind == "means" and not finding.can_be_verified:
             together = "Several effects were found together; search with --most 1."
-            nothing = f"Not verified. {as_options(str(finding.undecided or together), ['effect'])}"
+            nothing = f"Not verified. {of_finding.chosen(finding, found) or together}"
         if why is not None or nothing:
             nothing = nothing or str(why)
             tell(nothing, {"verdict": None, "sentence": nothing, "finding": finding.to_dict()})

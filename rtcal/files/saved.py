@@ -36,10 +36,11 @@ MAX_BYTES = 2**28
 NOT_SAVED = {"saved": False}
 """Metadata of a dataclass field that is not stored, such as what was compiled."""
 _OBJECT = "object"
-_READERS = {
-    ".csv": "a table: rtcal.Measurement.from_file reads it",
-    ".toml": "a room or a case: rtcal.Room.from_file or rtcal.finder.Case.from_file reads it",
-}
+_OTHERS = {".csv": "a measurement", ".toml": "a room or a case"}
+_MADE = (
+    "not a result. Make one first, such as `rtcal calibrate room.toml t.csv --out calibrated` or "
+    "`rtcal find room.toml t.csv --out found`"
+)
 _KINDS = "bifcU"  # of arrays: truth values, integers, floats, complex numbers, texts
 
 
@@ -145,8 +146,8 @@ def load(path: str | os.PathLike[str]) -> Any:
         place /= NUMBERS
         if not place.exists():
             raise DataError(f"folder {Path(path).resolve()} has no {NUMBERS}; `save` writes one")
-    if place.suffix in _READERS:
-        raise DataError(f"{place}: no saved result but {_READERS[place.suffix]}")
+    if place.suffix in _OTHERS:
+        raise DataError(f"{place} is {_OTHERS[place.suffix]}, {_MADE}")
     text = read_text(place, MAX_BYTES)
     try:
         return _result(json_object(text), place.parent)
@@ -158,7 +159,7 @@ def _result(record: Mapping[str, Any], folder: Path) -> Result:
     """Return the result of a file's content, in ``folder``."""
     kind, itself = record.get("rtcal"), record.get(_OBJECT)
     if "configuration" in record and itself is None:
-        raise DataError("no saved result but a case: rtcal.finder.Case.from_file reads it")
+        raise DataError(f"this is a case, {_MADE}")
     if not isinstance(kind, str) or not isinstance(itself, dict):
         raise DataError(f'no saved result: it has no "rtcal" and "{_OBJECT}"; calculate it again')
     if "not_saved" in itself:

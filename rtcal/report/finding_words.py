@@ -626,11 +626,12 @@ def evidence(f: Finding) -> str:
         score, threshold, of = (
             part.score,
             part.threshold,
-            f" from {words} alone (all data give less)",
+            f", those of {words} (all data give less)",
         )
     said = (
-        f'Verdict "{f.verdict}": the odds that something {what} are {odds(score)}{of}; required: '
-        f"{odds(threshold)}. Probability that nothing {what}: {nothing}."
+        f'Verdict "{f.verdict}": by the data alone{of}, the odds that something {what} are '
+        f"{odds(score)}; required: {odds(threshold)}. With the prior odds of each effect, the "
+        f"probability that nothing {what} is {nothing}."
     )
     found = f.detection
     if found.verdict is not None and found.noise is not None and found.noise > 0:

@@ -138,7 +138,7 @@ def to_do(
         )
     if finding.undecided is not None:
         confirm = "Put none of the effects into the model before one is confirmed."
-        return [*steps, confirm, str(finding.undecided)]
+        return [*steps, confirm, chosen(finding)]
     if verification is not None:
         steps += filter(None, [_USE[verification.verdict], verification_words.misses(verification)])
     elif finding.can_be_added and finding.kind == "means":
@@ -157,6 +157,16 @@ def to_do(
             "it can be used: nothing missing was found, but T may still be missed or mistyped."
         )
     return steps
+
+
+def chosen(finding: Finding, found: str = "FOUND") -> str:
+    """Return what must be chosen before `apply`, with the command that takes it; "" if nothing."""
+    if finding.undecided is None:
+        return ""
+    what, _, _ = str(finding.undecided).partition(" State one: ")
+    place = " or --at X,Y,Z" if finding.kind == "positions" else ""
+    add = f" To add one: rtcal apply {found} --effect NAME{place} --out corrected."
+    return what + add
 
 
 def _of_means(
