@@ -34,7 +34,9 @@ Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Point = tuple[Number, Number, Number]
 
 
-_REFUSED = msgspec.ValidationError, UnicodeEncodeError  # of a text with half of a UTF-16 pair
+# A text with half of a UTF-16 pair is a UnicodeEncodeError. From Python 3.13 on, msgspec takes an array
+# or a range for a table, and asks it for its keys.
+_REFUSED = msgspec.ValidationError, UnicodeEncodeError, IndexError, TypeError
 
 
 class FileTable(msgspec.Struct, forbid_unknown_fields=True):

@@ -132,30 +132,35 @@ class Choice:
 
         n = len(scale)
         best = np.zeros(n), float(self.at(np.zeros(n)).min())
+
+        def kept(share: Array) -> Array:
+            """Margins of shares; the best so far stays, wherever a search ends."""
+            nonlocal best
+            v = within(share)
+            at = self.at(v)
+            best = max(best, (v, float(at.min())), key=lambda each: each[1])
+            return at
+
         alike = np.array([0.5, 0.75, 0.25, 0.9, 0.1, 1.0])[:, np.newaxis] * np.ones(n)
         for share in (*alike, *_even(16, n)):
             if best[1] >= enough:
                 return best
-            v = within(share)
-            best = max(best, (v, float(self.at(v).min())), key=lambda each: each[1])
+            kept(share)
         if best[1] >= enough:
             return best
-        start = best[0] / scale
-        found = minimize(
+        minimize(
             lambda s: -s[-1],
-            np.append(start, best[1]),
+            np.append(best[0] / scale, best[1]),
             jac=lambda s: np.append(np.zeros(n), -1.0),
             bounds=[*[(0.0, 1.0)] * n, (None, None)],
             constraints=[
-                {"type": "ineq", "fun": lambda s: self.at(within(s[:-1])) - s[-1]},
+                {"type": "ineq", "fun": lambda s: kept(s[:-1]) - s[-1]},
                 {"type": "ineq", "fun": lambda s: 1 - self._rows @ (s[:-1] * scale)},
             ],
             method="SLSQP",
             options={"maxiter": 40, "ftol": 1e-5, "eps": _STEP},
         )
-        v = within(found.x[:-1])
-        margin = float(self.at(v).min())
-        return (v, margin) if margin > best[1] else best
+        return best
 
     def cheapest(self) -> Array | None:
         """Return the cheapest areas in m², (n_treatments,), that keep all margins; None if none do."""
