@@ -213,7 +213,7 @@ def _ranked(
 def reverberation_time(result: CalibrationResult) -> Any:
     """Return the figure of T(f): measured with its band of one JND, before and after.
 
-    Letters below the bands are those of the trust marks.
+    Letters below the bands are those of the cautions.
     """
     figure, axes = new_figure()
     f, measured = result.prior.centre_frequencies, result.measured
