@@ -66,7 +66,7 @@ from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Divided, Faces
 from rtcal.io import geometry_files
 from rtcal.loop.measured_pairs import Pair, history, refuse_unknown, with_t30
-from rtcal.simulators.base import at_places, checked_parameters
+from rtcal.simulators.base import at_places
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
@@ -841,10 +841,8 @@ class StatesCase:
         Turns T into an absorption area; Eyring's unless given. Sabine's overstates the change of a
         room that absorbs much.
     simulator : PathTracing, optional
-        Of the same room, with every source's directivity: then surfaces are told apart.
-    match : sequence of str
-        Parameters that tell surfaces apart, where both states have them. Of the level, both states have
-        one reference. Without a simulator T alone is compared.
+        Of the same room, with every source's directivity: then surfaces are told apart, by the
+        parameters of `MATCH` that both states have. Both levels have one reference.
     climate_uncertainty : (float, float)
         Standard uncertainties of a stated climate in K and in percent of relative humidity, in each of
         the two states. A room whose air is not stated may have any indoor climate in either.
@@ -870,8 +868,8 @@ class StatesCase:
     ------
     DataError
         If no pair, or no T20 or T30 in a band of the room, is in both; if the simulator is of another
-        room, or lacks a measured pair; for a ``match`` without a simulator, and an uncertainty of a
-        climate that is not stated, which would have no effect.
+        room, or lacks a measured pair; for an uncertainty of a climate that is not stated, which would
+        have no effect.
 
     Examples
     --------
@@ -892,7 +890,6 @@ class StatesCase:
     after: Measurement
     equation: LinearEquation = field(default_factory=Eyring)
     simulator: PathTracing | None = None
-    match: Sequence[str] = MATCH
     climate_uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
     states: tuple[Measurement, Measurement] = field(init=False)
     times: Array = field(init=False)
@@ -906,9 +903,6 @@ class StatesCase:
         checks.instance("before", self.before, Measurement).refuse_large_uncertainty()
         checks.instance("after", self.after, Measurement).refuse_large_uncertainty()
         checks.instance("equation", self.equation, LinearEquation)
-        put("match", checked_parameters(self.match))
-        if self.simulator is None and self.match != checked_parameters(MATCH):
-            raise DataError("match needs a simulator: without one T alone is compared")
         put("climate_uncertainty", checked_climate_uncertainty(self.climate_uncertainty))
         if self.room.air is None and self.climate_uncertainty != CLIMATE_UNCERTAINTY:
             raise DataError(

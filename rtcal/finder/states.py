@@ -42,7 +42,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import DB, EARLY, LEVEL, OBSERVABLES, TARGET, gradients
+from rtcal.acoustics.observables import DB, EARLY, LEVEL, MATCH, OBSERVABLES, TARGET, gradients
 from rtcal.acoustics.room import Room
 from rtcal.finder.case import CLIMATE_UNCERTAINTY, StatesCase
 from rtcal.finder.claim import (
@@ -780,7 +780,7 @@ def _located(
     forth = families[f"{ADDED} absorption"] > families[f"{REMOVED} absorption"]
     if not (forth if absorption else case.falls):
         states, sign = (states[1], states[0]), -1.0
-    wanted = dict.fromkeys((TARGET.key, *tracer.trusted(case.match)))
+    wanted = dict.fromkeys((TARGET.key, *tracer.trusted(MATCH)))
     match = [n for n in wanted if all(OBSERVABLES[n].key_in(m.values) in m.values for m in states)]
     level = match.index(LEVEL.key) if LEVEL.key in match else None
     if not absorption and level is None:

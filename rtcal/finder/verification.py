@@ -30,7 +30,6 @@ from scipy.special import stdtrit
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import (
     LEVEL,
-    MATCH,
     TARGET,
     DecaySlope,
     observable,
@@ -848,7 +847,7 @@ def _of_states(
 def _of_pairs(case: StatesCase, pairs: Sequence[Pair]) -> StatesCase:
     """Return the case of some pairs, of which T alone is compared."""
     before, after = case.before.select(pairs), case.after.select(pairs)
-    return replace(case, before=before, after=after, simulator=None, match=MATCH)
+    return replace(case, before=before, after=after, simulator=None)
 
 
 def _at_new_pairs(case: StatesCase, before: Measurement, after: Measurement) -> StatesCase:
