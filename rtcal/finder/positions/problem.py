@@ -145,7 +145,7 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ShiftHypothesis(Sizes):
-    """Hypotheses that the room is other than stated, which shifts what is heard.
+    """Hypotheses that the room is other than stated, which shifts the simulated values.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ class ShiftHypothesis(Sizes):
     spectra : array (n_hypotheses, n_bands)
         Alpha of what stands on the surface; empty for the whole room.
     uneven : array (n_hypotheses,)
-        How far pairs may hear more or less of it than if it were spread evenly.
+        How far it may shift one pair more than another, over an absorber that is spread evenly.
     size_error : float
         Standard deviation of ln size that the effect's description leaves open.
     part : int or None
@@ -319,7 +319,7 @@ def _anywhere(effect: str, family: str, nodes: Array, **of: Any) -> ShiftHypothe
 def materials(case: PositionsCase) -> list[ShiftHypothesis]:
     """Return each material's coefficients off by a factor.
 
-    Its surfaces then hear what an absorber on all of them would do, with the material's own spectrum.
+    It is an absorber on all of its surfaces, with the material's own spectrum.
     """
     room = case.room
     over_bands = bands.correlation(room.centre_frequencies, 0.7)
@@ -825,13 +825,13 @@ def simulator_error(
 
 
 _LEVELS = np.linspace(-2.4, 2.4, 9)
-"""Changes that are integrated over, what is heard interpolated by a cubic spline."""
+"""Changes that are integrated over, the simulated values interpolated by a cubic spline."""
 
 
 def levels(traced: Array) -> ScatteringLevels:
     """Return what scattering changes, at levels with the prior of a calibration to every position.
 
-    All pairs are taken to hear the mean change. ``traced`` (n_bands, n_parameters, n_pairs, n_traced)
+    All pairs have the mean change. ``traced`` (n_bands, n_parameters, n_pairs, n_traced)
     has the shifts at `TRACED`.
     """
     from scipy.interpolate import CubicSpline
@@ -912,20 +912,20 @@ class PositionsProblem:
                 case.simulated, made.parameters, tracer.pairs
             ).values
             base = np.where(np.isfinite(given), given, base)  # the case has all that was measured
-        heard = Observations(
+        simulated = Observations(
             parameters=made.parameters,
             pairs=tracer.pairs,
             centre_frequencies=frequencies,
             values=base,
         )
-        self.data = pairs_to_match(room, case.measured, case.match, heard, case.exclude)
+        self.data = pairs_to_match(room, case.measured, case.match, simulated, case.exclude)
         self.controls, wanted = controls, self.data.observations
         names, pairs = wanted.parameters, wanted.pairs
         if len(pairs) < 2:
             raise DataError(
                 f"{' to '.join(pairs[0])} is the only pair; to say where, it needs at least two"
             )
-        stated, shifts = heard.at(wanted).values, made.at(wanted).columns
+        stated, shifts = simulated.at(wanted).values, made.at(wanted).columns
         self.shape = stated.shape
         self.used = flat(np.isfinite(wanted.values - stated)).astype(bool)
         if not self.used.any():
@@ -951,8 +951,8 @@ class PositionsProblem:
 
         self.residual = np.where(self.used, flat(linear(measured)), 0.0)
         kind_of = {name: name.split()[0] for name in shifts}
-        heard_as = ("surface", "part", "aperture", "air", "volume")
-        self.nodes = {name: shifted(name) for name, kind in kind_of.items() if kind in heard_as}
+        responses = ("surface", "part", "aperture", "air", "volume")
+        self.nodes = {name: shifted(name) for name, kind in kind_of.items() if kind in responses}
         for row, members in case.surfaces_of_materials.items():
             every = [self.nodes[f"surface {j}"] for j in members]
             self.nodes[f"material {row}"] = np.concatenate(every, axis=2)

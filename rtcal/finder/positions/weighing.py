@@ -11,7 +11,7 @@ of it back, late and everywhere: two energy balances (Kuttruff 2016, Sect. 5.8; 
 
     dE1/dt = -k1 E1 + b1 E2,   dE2/dt = -k2 E2 + b2 E1,   b = c S / 4V.
 
-The paths, weighed with the opening, give what is heard without a return. Its mean over the receivers of
+The paths, weighed with the opening, give the decays without a return. Its mean over the receivers of
 a source, convolved with h(t), is what comes back to all of them:
 
     h(t) = b1 b2 (exp(s1 t) - exp(s2 t)) / (s1 - s2),   s = -(k1 + k2)/2 ± sqrt((k1 - k2)²/4 + b1 b2).
@@ -114,7 +114,7 @@ class Aperture:
         n_sources: int,
         rate: Array | None = None,
     ) -> Array:
-        """Return what is heard with the second room.
+        """Return the decays with the second room.
 
         Parameters
         ----------
@@ -143,10 +143,10 @@ class Aperture:
         root = np.sqrt((first - second) ** 2 / 4 + exchange)
         slow, fast = (first + second) / 2 - root, (first + second) / 2 + root
         seconds = min(_FOLLOWED * _NEPERS / float(slow.min()), LONGEST)
-        heard = _followed(energy, first, int(seconds / bin_width), bin_width)
-        heard = heard.reshape(n_sources, -1, *heard.shape[1:])
-        reverberant = heard.copy()
-        reverberant[..., 0] = 0.0  # the direct sound is not what the whole room hears
+        decays = _followed(energy, first, int(seconds / bin_width), bin_width)
+        decays = decays.reshape(n_sources, -1, *decays.shape[1:])
+        reverberant = decays.copy()
+        reverberant[..., 0] = 0.0  # the second room takes no direct sound
         mean = reverberant.mean(axis=1)
         back = np.empty_like(mean)
         for k, (of_slow, of_fast) in enumerate(zip(slow, fast, strict=True)):
@@ -155,7 +155,7 @@ class Aperture:
                 for rate in (of_slow, of_fast)
             ]
             back[:, k] = exchange[k] * bin_width * (both[0] - both[1]) / (of_fast - of_slow)
-        return np.asarray((heard + back[:, np.newaxis]).reshape(-1, *heard.shape[2:]))
+        return np.asarray((decays + back[:, np.newaxis]).reshape(-1, *decays.shape[2:]))
 
 
 def decay_rate(energy: Array, bin_width: float) -> Array:
@@ -307,7 +307,7 @@ _SOURCE_PATHS = 4000
 """Paths from each displaced source."""
 
 _MORE_PATHS = 8
-"""Factor of the paths to displaced places where one hears too few of them. In a judged room the
+"""Factor of the paths to displaced places where too few of them arrive at one. In a judged room the
 search ended in an error."""
 
 
@@ -337,15 +337,15 @@ def displaced(
             }
         changed = replace(tracer.denser(), n_paths=fewer, **changes)
         try:
-            heard = observe(changed, case.room.alpha, match, seed=seed)
+            simulated = observe(changed, case.room.alpha, match, seed=seed)
         except TooShortError:  # more paths would be as short
             raise
         except DataError:  # a decay with too few paths for its T20
             changed = replace(changed, n_paths=_MORE_PATHS * fewer)
-            heard = observe(changed, case.room.alpha, match, seed=seed)
+            simulated = observe(changed, case.room.alpha, match, seed=seed)
         by_step = list(stated.shape)
         by_step[axis : axis + 1] = [len(points), len(steps)]
-        values = np.moveaxis(heard.values.reshape(by_step), axis + 1, -1)
+        values = np.moveaxis(simulated.values.reshape(by_step), axis + 1, -1)
         for i, name in enumerate(points):
             shift, rows = np.zeros_like(values), (slice(None),) * axis + (i,)
             shift[rows] = values[rows] - stated[rows][..., np.newaxis]
@@ -419,7 +419,7 @@ class PairShifts:
     ----------
     parameters, pairs : tuple
     columns : mapping of str to array (n_parameters, n_pairs, n_bands, n_columns)
-        - "base": what the simulator hears as stated, with `TRACINGS` times `BASE` times its paths;
+        - "base": what is simulated as stated, with `TRACINGS` times `BASE` times its paths;
         - "surface 0", ..., "part 0", ...: shifts at the nodes `SHARES` of each surface, and of each of
           the case's ``divided.parts``;
         - "aperture 0", ...: at the nodes `OPEN` of each surface for each of `SECOND_ROOMS`; 0 for a
@@ -430,7 +430,7 @@ class PairShifts:
         - "aimed": where the sources have other lobes (`rtcal.finder.positions.weighing.lobes`);
         - "materials": where a material's alpha is larger by `STEP` of the way to 1;
         - "scattering": derivatives by the log odds of each material's scattering coefficient;
-        - "noise": deviations of what groups of paths hear from the mean of their tracing. Each group
+        - "noise": deviations of groups of paths from the mean of their tracing. Each group
           has as many paths as the simulator in the control runs;
         - "noise of scattering": the same of the derivatives, group by group.
     """
@@ -441,7 +441,7 @@ class PairShifts:
 
     @property
     def base(self) -> Array:
-        """What is heard as stated, (n_parameters, n_pairs, n_bands)."""
+        """What is simulated as stated, (n_parameters, n_pairs, n_bands)."""
         return np.asarray(self.columns["base"][..., 0])
 
     def at(self, like: Observations) -> PairShifts:
@@ -632,17 +632,17 @@ def _at_shares(weighing: Weighing, decays: Array) -> Array:
         return np.moveaxis(weighing.parameters(decays), 1, -1)
     except DataError:
         pass  # one by one
-    heard: list[Array] = []
+    each: list[Array] = []
     for energy in decays:
         try:
-            heard.append(weighing.parameters(energy))
+            each.append(weighing.parameters(energy))
         except TooShortError:
             raise
         except DataError:
-            if not heard:
+            if not each:
                 raise
-            heard.append(heard[-1])
-    return np.stack(heard, axis=-1)
+            each.append(each[-1])
+    return np.stack(each, axis=-1)
 
 
 def _apertures(
