@@ -158,7 +158,7 @@ def decay_times(t: np.ndarray, left: np.ndarray) -> list[float]:
 
 def test_coupled_rooms_follow_their_energy_balance() -> None:
     one = made()
-    decay = CoupledDecay(10.0, 500.0, 0.05)(one)
+    decay = CoupledDecay.together([one], [CoupledDecay(10.0, 500.0, 0.05)])
     c, s1 = 343.2, one.covered(10.0, np.ones(7)).rate
     band = 2
     a2 = -np.log1p(-0.05) * 6 * 500 ** (2 / 3) + 4 * 1e-3 * 500 + 10
@@ -172,7 +172,7 @@ def test_coupled_rooms_follow_their_energy_balance() -> None:
 
     t = np.linspace(0, 2, 50)
     solved = solve_ivp(balance, (0, 2), [1 / 300, 0], t_eval=t, rtol=1e-9, atol=1e-14).y[0]
-    weights, rates = decay.weights[band], decay.rates[band]
+    weights, rates = decay.weights[0, band], decay.rates[0, band]
     np.testing.assert_allclose((weights * np.exp(-np.outer(t, rates))).sum(1), solved, rtol=1e-5)
 
 
@@ -568,7 +568,8 @@ def test_surprise_is_chi_square_s() -> None:
 
 
 def test_a_field_of_walls_that_absorb_nothing_decays() -> None:
-    decay = DirectionalDecay(0.1)(made(alpha=np.zeros_like(ALPHA)))
+    hard = made(alpha=np.zeros_like(ALPHA))
+    decay = DirectionalDecay.together([hard], [DirectionalDecay(0.1)])
     assert np.isfinite(decay.weights).all()
     assert (decay.rates > 0).all()
 

@@ -31,7 +31,6 @@ from rtcal.finder.model import (
     DirectionalDecay,
     RoomState,
     covered,
-    first_decay,
     rates,
     speeds,
 )
@@ -1003,10 +1002,6 @@ class CoupledDecay:
     volume: float
     alpha: float
 
-    def __call__(self, state: RoomState) -> Decay:
-        """Return the state's decay, of two terms."""
-        return first_decay(self.together([state], [self]))
-
     @staticmethod
     def together(states: Sequence[RoomState], shapes: Sequence[CoupledDecay]) -> Decay:
         """Return the decays of many states, each with its shape: (n, n_bands, 2)."""
@@ -1290,13 +1285,12 @@ def _check_shape(name: str, made: RoomState) -> None:
     weights = checks.array(f"{where}: weights", decay.weights)
     rates = checks.array(f"{where}: rates", decay.rates)
     n_bands = len(made.frequencies)
-    if weights.ndim != 2 or len(weights) != n_bands or rates.shape != weights.shape:
+    fits = weights.ndim == 2 and len(weights) == n_bands and rates.shape == weights.shape
+    if not (fits and np.isfinite([weights, rates]).all() and (rates > 0).all()):
         raise DataError(
-            f"{where}: weights and rates have shapes {weights.shape} and {rates.shape}; both are "
-            f"(n_bands = {n_bands}, n_terms)"
+            f"{where}: weights and rates of shapes {weights.shape} and {rates.shape} are not both "
+            f"(n_bands = {n_bands}, n_terms) and finite, the rates above 0"
         )
-    if not (np.isfinite(weights).all() and np.isfinite(rates).all() and (rates > 0).all()):
-        raise DataError(f"{where}: weights and rates are not finite, the rates above 0")
 
 
 def _run(where: str, call: Callable[[], T], parameters: Parameters | None = None) -> T:

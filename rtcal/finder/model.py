@@ -7,7 +7,7 @@ that is not diffuse (`DirectionalDecay`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any
@@ -64,6 +64,8 @@ class RoomState:
     level relative to the start of the decay, over a record of ``record`` reverberation times.
     ``direct_db`` is the level of the direct sound relative to an omnidirectional source.
     ``volume_sigma`` is the relative standard deviation of the stated volume (`volume_sigma_of`).
+    ``shape`` turns a state into its `Decay`, or its ``together`` turns states and their shapes into a
+    decay of many; None is one exponential.
     """
 
     volume: float
@@ -76,7 +78,7 @@ class RoomState:
     equation: str = "eyring"
     covering: Array | float = 0.0
     objects: Array | float = 0.0
-    shape: Callable[[RoomState], Decay] | None = None
+    shape: Any = None
     floor_db: float | None = None
     record: float = 2.0
     direct_db: float = 0.0
@@ -131,13 +133,6 @@ class RoomState:
     def wall(self) -> Array:
         """Mean alpha of the materials; cached, since every grid point covers part of one state."""
         return np.asarray(self.areas @ self.alpha / self.total_area)
-
-    def decay(self) -> Decay:
-        """Return the decay: that of the state's ``shape``, else one exponential."""
-        if self.shape is not None:
-            return self.shape(self.locked())
-        rate = self.rate[:, None]
-        return Decay(np.full_like(rate, 1 / self.volume), rate)
 
     def covered(self, area: float, spectrum: Array) -> RoomState:
         """Return the state with ``area`` m² of wall replaced by a covering with these coefficients."""
@@ -378,13 +373,9 @@ class DirectionalDecay:
 
     scattering: float
 
-    def __call__(self, state: RoomState) -> Decay:
-        """Return the state's decay, a term for each direction."""
-        return first_decay(self.together([state], [self]))
-
     @staticmethod
     def together(states: Sequence[RoomState], shapes: Sequence[DirectionalDecay]) -> Decay:
-        """Return the decays of many states, each with its shape: (n, n_bands, n_directions)."""
+        """Return the decays of many states, each with its shape and a term for each direction."""
         u, weight = _directions()
         c = speeds(states)[:, None]
         volume = np.array([[s.volume] for s in states])
@@ -425,8 +416,3 @@ def _directions() -> tuple[Array, Array]:
         ]
     ).reshape(3, -1)
     return u, np.outer(gauss / 2, np.full(_ORDER, 1 / _ORDER)).ravel()
-
-
-def first_decay(decays: Decay) -> Decay:
-    """Return the first of many decays."""
-    return Decay(decays.weights[0], decays.rates[0])
