@@ -15,7 +15,6 @@ from rtcal.command.main import main
 from rtcal.finder import StatesCase
 from rtcal.finder.finding import Finding
 from rtcal.report.finding_words import cautions, headline
-from rtcal.report.verification_words import of_miss
 from tests.two_states import BANDS, measured, room, times
 from tests.typed import wrongly_typed
 
@@ -236,7 +235,7 @@ def test_t_that_is_missed_is_never_supported(panels: Finding) -> None:
     (miss,) = verification.misses
     assert abs(miss.model / miss.measured - 1) > 0.05
     assert abs(miss.model - miss.measured) > miss.uncertainty
-    assert of_miss(miss) in verification.sentence
+    assert str(miss) in verification.sentence
     assert f"± {verification.uncertainty:.2f} JND" in verification.sentence
 
 

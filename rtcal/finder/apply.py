@@ -129,16 +129,6 @@ class Corrected:
         """The simulator of the case as it was."""
         return None if isinstance(self.case, Case) else self.case.simulator
 
-    @property
-    def in_words(self) -> list[str]:
-        """The caution, what was added at positions, and what the room does not hold."""
-        rows = [self.caution] if self.caution else []
-        if self.added is not None:
-            sure = f" ({self.support})" if self.support else ""
-            said = f"Added: {self.added.title}, {self.added.in_words}, as {self.form}"
-            rows.append(f'{said}, material "{self.material}"{sure}.')
-        return [*rows, *self.notes]
-
     def to_dict(self) -> dict[str, Any]:
         """Return what was added or changed as plain values."""
         case = self.case

@@ -113,6 +113,11 @@ class Miss:
     jnd: float
     unit: str
 
+    def __str__(self) -> str:
+        # `report` stands above this package, so its words are looked up when they are printed.
+        words: str = import_module(WORDS).of_miss(self)
+        return words
+
 
 def _missed(
     quantity: str, place: str, unit: str, columns: Sequence[Array], jnd: Array, error: Array

@@ -497,7 +497,11 @@ def correct(
     made = finding.apply(effect=effect, form=form, at=at)
     if verification is not None:
         made = replace(made, caution=verification_words.misses(verification))
-    lines = [" ".join(words.headline(finding)), *made.in_words]
+    lines = [" ".join(words.headline(finding)), *([made.caution] if made.caution else [])]
+    if made.added is not None:
+        what = f"{made.added.title}, {made.added.in_words}, as {made.form}"
+        lines.append(f'Added: {what}, material "{made.material}" ({made.support}).')
+    lines += made.notes
     record["corrected"] = made.to_dict()
     if made.model is not None:
         members = finding.chosen(effect)

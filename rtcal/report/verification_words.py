@@ -33,7 +33,7 @@ def misses(v: Verification) -> str:
     if not v.misses:
         return ""
     worst = sorted(v.misses, key=lambda miss: -abs(miss.jnd))
-    said = first_of([of_miss(miss) for miss in worst], _SHOWN_MISSES)
+    said = first_of([*map(str, worst)], _SHOWN_MISSES)
     return f"Do not simulate with the corrected model: it has {said}."
 
 
