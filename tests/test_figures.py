@@ -14,7 +14,6 @@ import pytest
 import rtcal as rt
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from tests.test_docs import blocks
-from tests.test_several_effects import BOTH, case_with, sought
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 from matplotlib.text import Text
@@ -37,11 +36,8 @@ def drawn(kept: Path) -> dict[str, Any]:
     case, _ = rt.datasets.hidden_room()
     finding = rt.find(case, cache=kept)
     verification = rt.finder.verify(finding)
-    found["evidence"] = figures.evidence(finding)
-    found["residuals"] = figures.residuals(finding)
     for draw in (figures.corrected_times, figures.corrected_shifts):
         found[f"of a finding: {draw.__name__}"] = draw(verification)
-    found["probabilities"] = figures.probabilities(sought(case_with(*BOTH)))
     fitted = SimpleNamespace(
         pairs=[("S1", "R1"), ("S1", "R2")],
         gap_before=np.full((2, 2, 3), 3.0),
@@ -55,7 +51,6 @@ def drawn(kept: Path) -> dict[str, Any]:
     box = Polyhedron.shoebox((5, 4, 3), dict.fromkeys(SHOEBOX_WALLS, "a"))
     receivers = {"R1": (1, 1, 1), "R2": (4, 3, 1)}
     found["plan of gaps"] = figures.position_gaps(fitted, box, {"S1": (2, 2, 1)}, receivers)
-    found["shifts of positions"] = figures.shifts(fitted)
     found["priors of six"] = study_report.priors([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [0.05] * 6, "")
     return found
 

@@ -109,8 +109,6 @@ def test_the_report_is_written_whole(folder: Path) -> None:
     assert {
         "result.json",
         "report.html",
-        "evidence.png",
-        "residuals.png",
         "reverberation_time.png",
         "shifts.png",
     } == names

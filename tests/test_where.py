@@ -379,7 +379,7 @@ def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
     run("apply", page, "--out", str(tmp_path / "wall"), "--form", "material", "--quiet")
     assert len(rt.io.obj.read(tmp_path / "wall" / "room.obj").faces) == 6
     run("verify", page)
-    names = {"report.html", "result.json", "map.png", "plan.png", "gap.png"}
+    names = {"report.html", "result.json", "plan.png", "gap.png"}
     assert {
         p.name for p in (tmp_path / "page").iterdir() if not p.name.startswith(".rtcal_files")
     } == names

@@ -123,8 +123,8 @@ moved against that of 0.1 by up to 0.38 and 1.13 of the prior sigma."""
     "seed",
     "modes",
     folder(
-        "Folder for the calibrated room (room.toml), all numbers (result.json), a plan (plan.png) and "
-        "the coefficients' shifts (shifts.png). Nothing is written without it."
+        "Folder for the calibrated room (room.toml), all numbers (result.json) and a plan (plan.png). "
+        "Nothing is written without it."
     ),
 )
 def fit(
@@ -195,10 +195,7 @@ def fit(
                 )
     if out is not None and (is_forced() or not result.refused):
         at = tracer.geometry, tracer.sources, tracer.receivers
-        pictures = {
-            figures.PLAN: lambda: figures.position_gaps(result, *at),
-            figures.SHIFTS: lambda: figures.shifts(result),
-        }
+        pictures = {figures.PLAN: lambda: figures.position_gaps(result, *at)}
         figures.write_folder(result, out, pictures)
     tell(str(result), result.to_dict())
     if result.refused:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import functools
 import os
 import re
@@ -403,24 +402,9 @@ def heading_options(command: Callable[..., None]) -> Callable[..., None]:
         from rtcal.report.document import Heading
 
         today = time.strftime("%Y-%m-%d")
-        if date is not None and not _may_be_a_day(date):
-            raise DataError(f'--date: "{date}" is no day of the calendar; today is {today}')
         command(heading=Heading(title, author, today if date is None else date), **others)
 
     return with_heading
-
-
-def _may_be_a_day(text: str) -> bool:
-    """Return whether a date in numbers is in the calendar, in any order; True of one with words."""
-    numbers = re.fullmatch(r"\s*(\d+)([-./])(\d+)\2(\d+)\s*", text)
-    if numbers is None:
-        return True
-    first, middle, last = (int(numbers[i]) for i in (1, 3, 4))
-    for year, month, day in ((first, middle, last), (last, middle, first), (last, first, middle)):
-        with suppress(ValueError):
-            datetime.date(year, month, day)
-            return True
-    return False
 
 
 _STANDARD_OUTPUT = 1  # POSIX's number of the stream

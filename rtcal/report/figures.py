@@ -19,14 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.marks import gap_jnd, letters, rms
-from rtcal.acoustics.observables import TARGET, parameter_label
+from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.files.disk import make_folder, write_all, write_bytes
 from rtcal.files.saved import NUMBERS
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.errors import DataError, MissingDependencyError
-from rtcal.support.text import number
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:
@@ -56,10 +55,10 @@ MOST_PANELS = 12
 """Largest number of materials of which a figure draws one each; the table of a page lists more."""
 _FEW = 6
 _MOST_AXES = 10_000  # a panel takes 0.1 MB
-ROOM, FIGURE, PLAN, SHIFTS = "room.toml", "reverberation_time.png", "plan.png", "shifts.png"
+ROOM, FIGURE, PLAN = "room.toml", "reverberation_time.png", "plan.png"
 FILES = (ROOM, NUMBERS, FIGURE)
 """Files of a calibration's folder."""
-POSITION_FILES = (ROOM, NUMBERS, PLAN, SHIFTS)
+POSITION_FILES = (ROOM, NUMBERS, PLAN)
 """Files of the folder of a calibration to every position."""
 
 
@@ -155,28 +154,6 @@ def band_places(axes: Axes, frequencies: Array) -> NDArray[np.int64]:
     return places
 
 
-def number_map(
-    axes: Axes,
-    table: Array,
-    rows: Sequence[str],
-    ends: tuple[float, float],
-    colours: str,
-    form: str,
-) -> Any:
-    """Draw numbers (n_rows, n_columns), each on a ground of its colour, and return the image.
-
-    Rows have names. The colours saturate at the ``ends``. An empty ``form`` prints no number.
-    """
-    image = axes.imshow(table, cmap=colours, vmin=ends[0], vmax=ends[1], aspect="auto")
-    axes.set_yticks(range(len(rows)), rows, fontsize=9)
-    for (i, k), value in np.ndenumerate(table):
-        if form and np.isfinite(value):
-            colour = "white" if abs(value) > 0.6 * ends[1] else BLACK
-            style: dict[str, Any] = {"ha": "center", "va": "center", "color": colour, "fontsize": 9}
-            axes.text(k, i, number(value, form), **style)
-    return image
-
-
 def jnd_band(axes: Axes, frequencies: Array, measured: Array) -> None:
     """Draw T ± one JND in grey; bands without T interrupt it."""
     low, high = (1 - TARGET.jnd) * measured, (1 + TARGET.jnd) * measured
@@ -195,19 +172,6 @@ def _times_axes(axes: Axes, frequencies: Array, label: str, top: float | None = 
 def _note(axes: Axes, text: str, at: Any, offset: tuple[float, float], **style: Any) -> None:
     """Write a text in points beside a place."""
     axes.annotate(text, at, xytext=offset, textcoords="offset points", fontsize=9, **style)
-
-
-def _ranked(
-    names: Sequence[str], values: Array, ends: Array, hatched: Sequence[bool], height: float
-) -> Any:
-    """Return figure, axes and places of named bars of ``ends``, the first above; some are hatched."""
-    figure, axes = new_figure(6.4, height)
-    at = np.arange(len(names))[::-1]
-    colours = ["#9DC6E0" if h else "0.85" for h in hatched]
-    hatches = ["//" if h else "" for h in hatched]
-    axes.barh(at, ends, color=colours, edgecolor=BLACK, hatch=hatches)
-    axes.set_yticks(at, [shown(n) for n in names])
-    return figure, axes, at
 
 
 def reverberation_time(result: CalibrationResult) -> Any:
@@ -594,23 +558,6 @@ def parts(frequencies: Array, of_variance: Mapping[str, Array]) -> Any:
     return _stacked(frequencies, named[:_MOST_PARTS] + others, "Share of the variance")[0]
 
 
-def frontier(costs: Mapping[float, float], promised: float, cost: float) -> Any:
-    """Return cost against probability; the design's point is filled."""
-    figure, axes = new_figure(width=5.0, height=3.2)
-    known = {p: c for p, c in costs.items() if np.isfinite(c)}
-    axes.plot(list(known), list(known.values()), color=BLUE, marker="o", fillstyle="none")
-    axes.plot([promised], [cost], color=ORANGE, marker="o", linestyle="", label="this design")
-    for p in costs:
-        if p not in known:
-            axes.axvline(p, color="0.6", linestyle=":")
-            _note(axes, "none", (p, 0), (-3, 4), xycoords=("data", "axes fraction"), ha="right")
-    axes.set_xlabel("probability of each band")
-    axes.set_ylabel("cost")
-    axes.set_ylim(0, 1.08 * max(known.values(), default=1.0) or 1.0)
-    axes.legend(fontsize="small")
-    return figure
-
-
 def states(finding: Finding) -> Any:
     """Return T(f) before and after a change."""
     k = finding.case.known
@@ -636,8 +583,6 @@ def change(finding: Finding) -> Any:
     return figure
 
 
-_STRONG = 4.0
-"""Residual in standard deviations at which the colours of the map saturate."""
 _PLAIN: dict[str, Any] = {"color": GREEN, "marker": "^"}
 _CORRECTED: dict[str, Any] = {"color": BLUE, "marker": "D"}
 """Marks of a plain calibration, and of the one with the effect that was found."""
@@ -661,95 +606,6 @@ def corrected_times(verification: Verification) -> Any:
     ):
         axes.plot(f, times[name], **style, fillstyle="none", label=shown(label))
     _times_axes(axes, f, "Reverberation time T")
-    return figure
-
-
-def residuals(finding: Finding, verification: Verification | None = None) -> Any:
-    """Return the residual map: feature by band and configuration; before, and after the effect."""
-    from rtcal.finder.finding import feature_names
-    from rtcal.finder.verification import residual_map
-    from rtcal.report.finding_words import title as title_of
-
-    maps = [("The model as it is", finding.residuals)]
-    if verification is not None:
-        _, corrected = verification.calibrations
-        maps.append((f"The model with {title_of(finding)}", residual_map(finding, corrected)))
-    known = np.argwhere(np.isfinite(finding.residuals).any(axis=2)).tolist()
-    configurations = finding.case.configurations
-    labels = [
-        feature_names(configurations[c].measured)[k]
-        + (f" of {shown(configurations[c].name, 20)}" if len(configurations) > 1 else "")
-        for c, k in known
-    ]
-    figure, axes = new_figure(6.4, 1.9 + 0.36 * len(known) * len(maps), rows=len(maps))
-    cells = np.array([[table[c, k] for c, k in known] for _, table in maps])
-    for axis, (title, _), table in zip(np.atleast_1d(axes), maps, cells, strict=True):
-        image = number_map(axis, table, labels, (-_STRONG, _STRONG), "PuOr", "+.1f")
-        band_places(axis, finding.case.room.centre_frequencies)
-        axis.set_xlabel("")  # it stands below the last map alone
-        axis.set_title(shown(title), fontsize=9)
-    # One colour bar for all maps, below them, since its label does not fit beside a flat map.
-    beyond = np.array([np.nanmin(cells) < -_STRONG, np.nanmax(cells) > _STRONG])
-    figure.colorbar(
-        image,
-        ax=[*np.atleast_1d(axes)],
-        label="(model - measured) / standard deviation",
-        extend={(1, 1): "both", (1, 0): "min", (0, 1): "max"}.get(tuple(beyond), "neither"),
-        location="bottom",
-        aspect=40,
-    )
-    axis.set_xlabel("Band centre frequency / Hz")
-    return figure
-
-
-def evidence(finding: Finding) -> Any:
-    """Return the evidence of every effect as bars, with the threshold."""
-    from rtcal.report.finding_words import MOST_ODDS, odds
-
-    names = list(finding.evidence)
-    values = np.array([finding.evidence[n] for n in names])
-    top = max(float(values.max()), finding.threshold, np.log(10))  # an axis though nothing speaks
-    # Bars of large negative evidence are cut, and marked by an arrow.
-    low = -0.15 * top
-    drawn, cut = np.maximum(values, low), values < low
-    candidates = [n in finding.names for n in names]
-    figure, axes, at = _ranked(names, values, drawn, candidates, 0.8 + 0.28 * len(names))
-    behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}  # the threshold's line is cut
-    for y, value, end in zip(at, values, drawn, strict=True):
-        printed = odds(float(value)) if value < np.log(MOST_ODDS) else "> 10⁶ to 1"
-        _note(axes, printed, (max(end, 0.0), y), (4, 0), va="center", bbox=behind)
-    if cut.any():
-        arrow = {"color": BLACK, "marker": "<", "linestyle": "none", "markersize": 5}
-        label = "cut: the number is beyond the axis"
-        axes.plot(np.full(cut.sum(), 0.85 * low), at[cut], **arrow, label=label)
-    label = f"required: {odds(finding.threshold)}"
-    axes.axvline(finding.threshold, color=ORANGE, linestyle="--", label=label)
-    axes.axvline(0, color=BLACK, linewidth=0.8)
-    axes.set_xlim(low, 1.15 * top)
-    powers = np.arange(0, max(1, int(1.15 * top / np.log(10))) + 1)
-    powers = powers[:: 1 + len(powers) // 8]
-    axes.set_xticks(np.log(10) * powers, [f"$10^{{{k}}}$" if k > 1 else str(10**k) for k in powers])
-    axes.set_xlabel("Odds to one against “nothing is missing”; hatched: candidates")
-    axes.legend(loc="lower right")
-    return figure
-
-
-def probabilities(finding: Finding) -> Any:
-    """Return the figure of the probability of each effect that it is there at all."""
-    from rtcal.finder.claim import CLAIMED, SAID
-    from rtcal.finder.evidence import NONE
-    from rtcal.report.finding_words import percent
-
-    names = [n for n, p in finding.probabilities.items() if p >= SAID and n != NONE]
-    values = 100 * np.array([finding.probabilities[n] for n in names])
-    members = [n in finding.members for n in names]
-    figure, axes, at = _ranked(names, values, values, members, 1.2 + 0.32 * max(len(names), 1))
-    for y, value in zip(at, values, strict=True):
-        axes.text(value, y, f" {percent(value / 100)}", va="center", fontsize=9)
-    axes.axvline(100 * CLAIMED, color=ORANGE, linestyle="--", label="identified from here on")
-    axes.set_xlim(0, 115)
-    axes.set_xlabel("Probability that it is there / %; hatched: the most probable set")
-    axes.legend(loc="lower right")
     return figure
 
 
@@ -784,10 +640,6 @@ def corrected_shifts(verification: Verification) -> Any:
 
 _SHOWN = 0.02
 """Smallest probability of a surface that is written beside it."""
-_MOST_ROWS = 24
-"""Most pairs that have a row of their own in the map."""
-_MOST_NUMBERS = 200
-"""Largest number of coefficients whose shifts are printed in their cells."""
 _BOX = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.75}
 _KINDS = {
     "^": "source",
@@ -886,27 +738,6 @@ def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
     return axes.figure
 
 
-def disagreement(finding: Finding) -> Any:
-    """Return the map as tables, in standard deviations: pairs by parameters, parameters by bands."""
-    names = [parameter_label(p) for p in finding.parameters]
-    of_pairs, of_bands = rms(finding.map, (2,)).T, rms(finding.map, (1,))
-    most = max(2.0, float(np.nanmax(of_pairs)), float(np.nanmax(of_bands)))
-    rows = len(of_pairs) if len(of_pairs) <= _MOST_ROWS else 0
-    figure, panels = new_figure(6.0, 2.2 + 0.3 * len(names) + 0.3 * rows, 2 if rows else 1)
-    below = panels[1] if rows else panels
-    image = number_map(below, of_bands, names, (0, most), "cividis_r", ".1f")
-    band_places(below, finding.case.room.centre_frequencies)
-    if rows:
-        pairs = [shown(" to ".join(pair), 20) for pair in finding.pairs]
-        number_map(panels[0], of_pairs, pairs, (0, most), "cividis_r", ".1f")
-        panels[0].set_xticks(range(len(names)), names, fontsize=9)
-        panels[0].xaxis.tick_top()
-    bar = figure.colorbar(image, ax=panels, location="bottom", aspect=40)
-    bar.set_label("Disagreement / standard deviations", fontsize=9)
-    bar.ax.tick_params(labelsize=9)
-    return figure
-
-
 def bars(verification: Verification, axes: Any = None) -> Any:
     """Return the three bars: the mean deviation at held-out pairs: input, calibrated, corrected.
 
@@ -973,21 +804,6 @@ def position_gaps(
     markers = dict(zip(*reversed(axes[0].get_legend_handles_labels()), strict=True))
     figure.legend(markers.values(), markers, loc="outside lower center", ncols=2, fontsize=9)
     figure.colorbar(drawn, ax=list(axes), label="Root mean square deviation of a receiver / JND")
-    return figure
-
-
-def shifts(result: PositionsResult, order: Sequence[int] | None = None) -> Any:
-    """Return how far each coefficient moved, in prior sigmas, by material (some, in order) and band."""
-    chosen = list(range(len(result.prior.materials)) if order is None else order)
-    moved = result.shift[chosen]
-    n_materials, n_bands = moved.shape
-    figure, axes = new_figure(2.4 + 0.55 * n_bands, 1.6 + 0.32 * n_materials)
-    reach = max(2.0, float(np.max(np.abs(moved))))
-    form = "+.1f" if moved.size <= _MOST_NUMBERS else ""
-    names = [shown(result.prior.materials[i], 30) for i in chosen]
-    image = number_map(axes, moved, names, (-reach, reach), "RdBu_r", form)
-    band_places(axes, result.prior.centre_frequencies)
-    figure.colorbar(image, ax=axes, label="Shift of α / prior σ")
     return figure
 
 

@@ -57,6 +57,8 @@ _NOTHING = 0.1
 """Probability that nothing is missing from which the answer states it."""
 _NEAR = 0.5
 """Probability over the first candidate's from which another one fits nearly as well."""
+_STRONG = 4.0
+"""Deviation in standard deviations at which the ground of a number saturates."""
 _FEW = 3
 """Most effects or sources that a sentence lists."""
 NAMES = {
@@ -736,13 +738,18 @@ def numbers(f: Finding) -> list[Table]:
     """Return what was measured by band: of means the deviations, of two states T and the change."""
     if f.kind == "states":
         return [_by_band(f)]
+    return [] if f.kind == "positions" else deviations(f, f.residuals)
+
+
+def deviations(f: Finding, residuals: Array, of: str = "") -> list[Table]:
+    """Return the deviations by configuration; ``of`` says what is in the model."""
     made, labels = list[Table](), bands.labels(f.case.room.centre_frequencies)
-    if f.kind == "positions":
-        return made
-    for c, residuals in zip(f.case.configurations, f.residuals, strict=True):
-        named = zip(feature_names(c.measured), residuals, strict=True)
-        rows = [Row(name, row, "+z.1f") for name, row in named if np.isfinite(row).any()]
-        heading = f'Deviation of "{c.name}" in standard deviations (model - measured)'
+    for c, by_feature in zip(f.case.configurations, residuals, strict=True):
+        named = zip(feature_names(c.measured), by_feature, strict=True)
+        rows = [
+            Row(name, row, "+z.1f", row / _STRONG) for name, row in named if np.isfinite(row).any()
+        ]
+        heading = f'Deviation of "{c.name}"{of} in standard deviations (model - measured)'
         made.append(Table(labels, rows, heading))
     return made
 

@@ -16,7 +16,6 @@ from rtcal.acoustics.room import MAX_BYTES
 from rtcal.calibration import table
 from rtcal.calibration.methods import METHODS
 from rtcal.calibration.result import CalibrationResult
-from rtcal.calibration.table import CalibrationVerdict
 from rtcal.report import figures, room_view
 from rtcal.report.document import (
     MOST_MATERIALS,
@@ -65,33 +64,14 @@ def page(result: CalibrationResult) -> Page:
     return Page(room.name, room.author, subject, [first, *blocks(result)])
 
 
-def beside_a_finding(result: CalibrationResult, level: str, what: str) -> list[Any]:
-    """Return the blocks of the plain calibration on the page of a finding of this ``level``.
-
-    Where the finding contradicts the model, it says more than T alone.
-    """
-    plain = result.verdict
-    if plain.level == "agrees" and level != "agrees":
-        plain = CalibrationVerdict(
-            "open",
-            "By T alone, nothing contradicts the input coefficients",
-            f"{plain.text} The finding above rests on more than this, and comes first.",
-        )
-    return [Box(plain.level, f"{plain.heading}.", [plain.text]), *blocks(result, 3, what)]
-
-
-def blocks(result: CalibrationResult, level: int = 2, what: str = "") -> list[Any]:
-    """Return what stands below the verdict, in sections of a ``level``; ``what`` is in its tables."""
-
-    def section(title: str, name: str) -> Section:
-        return Section(title, name, level)
-
+def blocks(result: CalibrationResult) -> list[Any]:
+    """Return what stands below the verdict."""
     room, record = result.prior, result.to_dict()
     size = np.max(room.areas[:, np.newaxis] * result.alpha, axis=1)
     rows = np.sort(np.argsort(-size, kind="stable")[:MOST_MATERIALS]).tolist()
     of_all = f"; the {len(rows)} of {len(size)} materials that absorb most"
     title = (
-        f"Absorption coefficients{what and f', {what}'}: input → calibrated, below it the 90 % "
+        f"Absorption coefficients: input → calibrated, below it the 90 % "
         f"interval; * at a bound{of_all if len(rows) < len(size) else ''}"
     )
     left = np.abs(result.gap_after) >= MET
@@ -101,15 +81,15 @@ def blocks(result: CalibrationResult, level: int = 2, what: str = "") -> list[An
     reserved = f"Bands without a caution: {bands.hertz(clean) or 'none'}."
     sources = [(m, room.sources[m]) for m in room.materials if room.sources.get(m)]
     return [
-        section("Summary", "summary"),
+        Section("Summary", "summary"),
         SideBySide([[Note(s, kind="lead") for s in _summary(result)], [_gap(result)]], "summary"),
-        *room_view.of_calibration(result, level),
-        section("Cautions", "cautions"),
+        *room_view.of_calibration(result),
+        Section("Cautions", "cautions"),
         Note(_GAP_REMAINS if left.any() else _AGREEMENT),
         Note(reserved),
         *cautions(result.trust_marks),
         Items(table.remarks(record)),
-        section("Tables", "tables"),
+        Section("Tables", "tables"),
         coefficients(title, room, result.alpha, result.interval, result.active != 0, rows),
         Note(_of_intervals(result), kind="note"),
         Table(
@@ -125,21 +105,21 @@ def blocks(result: CalibrationResult, level: int = 2, what: str = "") -> list[An
             "By band",
             note=table.SIGNS,
         ),
-        section("Pictures", "pictures"),
+        Section("Pictures", "pictures"),
         SideBySide([[p] for p in _pictures(result)], "pictures"),
-        section("What was assumed", "assumed"),
+        Section("What was assumed", "assumed"),
         Items(assumed(result)),
         Table(
             ["source"],
             [Row(m, [source]) for m, source in sources],
             "Where the input coefficients come from",
         ),
-        section("Certificate", "certificate"),
+        Section("Certificate", "certificate"),
         Note(
             f"{table.certificate(record)} Both are computed from the problem's own numbers, not taken "
             f"from the solver (status {result.raw.status}). {SOLVED}"
         ),
-        section("How to reproduce", "reproduce"),
+        Section("How to reproduce", "reproduce"),
         *_reproduced(result),
     ]
 

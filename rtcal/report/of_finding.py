@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics.equations import mean_equation
+from rtcal.acoustics import bands
+from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import parameter_label
 from rtcal.acoustics.room import MAX_BYTES
-from rtcal.calibration.methods import calibrate
 from rtcal.files.disk import make_folder, write_all
 from rtcal.files.saved import NUMBERS
 from rtcal.finder.evidence import NONE
-from rtcal.finder.finding import Finding, rivals
+from rtcal.finder.finding import Finding
 from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.positions.places import Place
-from rtcal.finder.verification import Verification
-from rtcal.report import figures, of_calibration, room_view, verification_words
+from rtcal.finder.verification import Verification, residual_map
+from rtcal.report import figures, room_view, verification_words
 from rtcal.report import finding_words as words
 from rtcal.report.document import (
     Box,
@@ -40,13 +39,13 @@ from rtcal.report.document import (
 from rtcal.report.finding_words import odds, percent
 from rtcal.support.blocks import Note, Row, Table
 from rtcal.support.blocks import lines as lines_of
-from rtcal.support.errors import MissingAirWarning
 from rtcal.support.text import as_sentence, listed
+from rtcal.support.types import Array
 
 PAGE = "report.html"
 _FIGURES = {
-    "means": ("evidence", "probabilities", "residuals", "reverberation_time", "shifts"),
-    "positions": ("map", "plan", "gap"),
+    "means": ("reverberation_time", "shifts"),
+    "positions": ("plan", "gap"),
     "states": ("change", "states"),
 }
 WRITTEN = (NUMBERS, PAGE, *(f"{name}.png" for names in _FIGURES.values() for name in names))
@@ -72,16 +71,16 @@ def page(
     if isinstance(result, Verification):
         return page(result.finding, result, command, place)
     finding = result
-    room, (first, *drawn) = finding.case.room, pictures(finding, verification, place)
+    room, drawn = finding.case.room, pictures(finding, verification, place)
     level = {"none": "agrees", "hint": "open"}.get(finding.verdict, "contradicts")
     answer, *more = words.headline(finding)
     of_kind: list[Any]
     if finding.kind == "means":
-        of_kind = _of_means(finding, verification, drawn)
+        of_kind = _of_means(finding, verification, drawn[1:])
     elif finding.kind == "positions":
-        of_kind = _at_positions(finding, verification, drawn, place)
+        of_kind = _at_positions(finding, verification, drawn[1:], place)
     else:
-        of_kind = _of_states(finding, drawn)
+        of_kind = _of_states(finding, drawn[1:])
     blocks = [
         Section("The finding", "finding"),
         Box(level, answer, more),
@@ -90,14 +89,13 @@ def page(
         SideBySide(
             [
                 [Section("What to do", "to-do", 3), Items(to_do(finding, verification, place))],
-                [first],
+                drawn[:1],
             ]
         ),
         *of_kind,
         *([Section("Notes", "notes", 3)] if finding.notes else []),
         Items([*map(str, finding.notes)]),
         *_reproduced(finding, command),
-        *(_calibrated(finding, verification, level) if finding.kind == "means" else []),
     ]
     return Page(room.name, room.author, _SUBJECTS[finding.kind], blocks)
 
@@ -114,8 +112,8 @@ def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
 
 
 _USE = {
-    "supported": "Use the corrected model for T and level, not the plain calibration. Do not quote its "
-    "coefficients before the effect is confirmed.",
+    "supported": "Use the corrected model for T and level, not the calibration without it. Do not "
+    "quote its coefficients before the effect is confirmed.",
     "not tested": "Measure C80 or G, or a second configuration, before the corrected model is used: "
     "nothing was measured that the finding was not fitted to.",
     "unproven": "Confirm the effect before the corrected model is used: the measurements do not "
@@ -151,10 +149,10 @@ def to_do(
         steps.append(f"rtcal apply FOUND --out FOLDER writes {made}.")
     if finding.kind == "means" and not finding.can_be_added:
         steps.append(
-            "Do not use the calibration below: its coefficients make up for what is missing."
+            "Do not use a calibration of this model: its coefficients make up for what is missing."
             if finding.verdict == "unknown"
-            else "Calibrate as usual. The calibration below has cautions of its own, which say whether "
-            "it can be used: nothing missing was found, but T may still be missed or mistyped."
+            else "Calibrate as usual (rtcal calibrate). Its cautions show whether the result can be "
+            "used: nothing missing was found, but T may still be missed or mistyped."
         )
     return steps
 
@@ -173,16 +171,19 @@ def _of_means(
     finding: Finding, verification: Verification | None, drawn: list[Picture]
 ) -> list[Any]:
     """Return the corrected calibration, probabilities and odds."""
-    corrected = _corrected(finding, verification)
-    shifts = [picture for picture in drawn if corrected and picture.name == "shifts"]
-    sets = [Row(names, [100 * p], ".0f") for names, p in finding.likely_sets.items()]
+    sets = [Row(names, [100 * p], ".0f", [p]) for names, p in finding.likely_sets.items()]
     rows = [
-        Row(words.called(name), [f"{100 * p:.0f}", odds(finding.evidence.get(name, 0.0))])
+        Row(
+            words.called(name),
+            [f"{100 * p:.0f}", odds(finding.evidence.get(name, 0.0))],
+            shade=[p, 0.0],
+        )
         for name, p in finding.probabilities.items()
     ]
+    after = None if verification is None else residual_map(finding, verification.calibrations[1])
     return [
-        *corrected,
-        *shifts,
+        *_corrected(finding, verification),
+        SideBySide([[picture] for picture in drawn]),
         Section("The evidence in numbers", "evidence"),
         Table(["Probability / %"], sets, "Sets of effects, the most probable first", "Set"),
         Note(
@@ -192,7 +193,12 @@ def _of_means(
             kind="keep",
         ),
         Table(["Probability / %", "Odds"], rows, "Every effect that was tried", "Effect"),
-        SideBySide([[picture] for picture in drawn if picture not in shifts]),
+        *words.deviations(finding, finding.residuals),
+        *(
+            []
+            if after is None
+            else words.deviations(finding, after, f" with {words.title(finding)}")
+        ),
     ]
 
 
@@ -216,8 +222,27 @@ def _at_positions(
         *room_view.of_finding(finding, verification, place),
         *([] if probable is None else [replace(probable, title="Candidates")]),
         Section("Where the model disagrees", "map"),
-        SideBySide([[picture] for picture in drawn]),
+        *drawn,
+        *_disagreement(finding),
         *by_model,
+    ]
+
+
+def _disagreement(finding: Finding) -> list[Table]:
+    """Return the deviations as tables: pairs by parameters, and parameters by bands."""
+    names = [parameter_label(p) for p in finding.parameters]
+    of_pairs, of_bands = rms(finding.map, (2,)).T, rms(finding.map, (1,))
+    most = max(2.0, float(np.nanmax(of_pairs)), float(np.nanmax(of_bands)))
+
+    def table(columns: Sequence[str], rows: Sequence[str], values: Array, what: str) -> Table:
+        title = f"Root mean square deviation by {what}, in standard deviations: about 1 is expected"
+        made = [Row(n, row, ".1f", row / most) for n, row in zip(rows, values, strict=True)]
+        return Table(columns, made, title, what.partition(" ")[0].capitalize())
+
+    labels = bands.labels(finding.case.room.centre_frequencies)
+    return [
+        table(names, [" to ".join(pair) for pair in finding.pairs], of_pairs, "pair and parameter"),
+        table(labels, names, of_bands, "parameter and band"),
     ]
 
 
@@ -239,29 +264,6 @@ def _of_states(finding: Finding, drawn: list[Picture]) -> list[Any]:
             "as measured at the same positions with the same equipment. The first state calibrates, so "
             "the input coefficients do not count."
         ),
-    ]
-
-
-def _calibrated(finding: Finding, verification: Verification | None, level: str) -> list[Any]:
-    """Return the calibration of the first configuration without the effect, as blocks."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", MissingAirWarning)  # among the finding's notes
-        result = calibrate(
-            finding.case.room,
-            finding.case.configurations[0].measured,
-            unreachable="nearest",
-            equation=mean_equation(finding.case.equation).linear(),
-        )
-    plain = f'plain calibration to {_time(finding)} of "{finding.case.configurations[0].name}"'
-    if verification is not None and verification.verdict == "supported":
-        lacking = [words.title(finding), *(words.called(c.effect) for c in rivals(finding))]
-        plain += f": not to be used, the model lacks something ({listed(lacking, last='or')})"
-    usable = finding.verdict in ("none", "hint")
-    title = "The calibration" if usable else "The plain calibration: the model lacks something"
-    return [
-        Section(title, "plain"),
-        Note(f"From here on, text, tables and pictures are of the {plain}."),
-        *of_calibration.beside_a_finding(result, level, plain),
     ]
 
 
@@ -314,41 +316,14 @@ def pictures(
 
 def _pictures_of_means(finding: Finding, verified: Verification | None) -> list[Picture]:
     """Return the figures; those of shifts and T need a verification."""
-    before = "Model less measured, in standard deviations"
-    shown = [
-        Picture(
-            lambda: figures.residuals(finding, verified),
-            f"{before}." if verified is None else f"{before}: before and after.",
-            tall=True,
-            name="residuals",
-        ),
-        Picture(
-            lambda: figures.evidence(finding),
-            "Odds of every effect against the model as it is; an effect must exceed the dashed line. "
-            "An arrow marks a bar that is cut: its number is printed.",
-            tall=True,
-            name="evidence",
-        ),
-    ]
-    if finding.more_than_one:
-        shown.insert(
-            0,
-            Picture(
-                lambda: figures.probabilities(finding),
-                "Probability of each effect that it is there at all, alone or with others. "
-                "They do not sum to 100 %.",
-                name="probabilities",
-            ),
-        )
     if verified is None:
-        return shown
+        return []
     return [
         Picture(
             lambda: figures.corrected_times(verified),
             "T(f). A calibration without the effect meets T whatever is missing: that proves nothing.",
             name="reverberation_time",
         ),
-        *shown,
         Picture(
             lambda: figures.corrected_shifts(verified),
             "How far the coefficients had to move, with and without the effect in the model, and "
@@ -363,8 +338,6 @@ def _pictures_at_positions(
     finding: Finding, verification: Verification | None, place: Place | None
 ) -> list[Picture]:
     """Return the figures with what they show in words and numbers."""
-    strongest = int(np.nanargmax(np.abs(finding.map)))
-    p, i, k = np.unravel_index(strongest, finding.map.shape)
     likely = "; ".join(f"{n} {percent(finding.surfaces[n])}" for n in finding.likely_surfaces)
     coloured = (
         f"coloured are {likely}"
@@ -378,17 +351,6 @@ def _pictures_at_positions(
             "disagrees. Walls are as orange as they are probable.",
             f"The plan of the room with sources and receivers; {coloured}.",
             name="plan",
-        ),
-        Picture(
-            lambda: figures.disagreement(finding),
-            "Deviations in standard deviations of what prior, simulator and measurement leave open: "
-            "root mean squares by pair and parameter, and by parameter and band. About 1 is what is "
-            "expected.",
-            "Two tables of the deviations in standard deviations. The largest single one is "
-            f"{abs(finding.map[p, i, k]):.1f}: {parameter_label(finding.parameters[p])} from "
-            f"{' to '.join(finding.pairs[i])} at {finding.case.room.centre_frequencies[k]:g} Hz.",
-            tall=len(finding.pairs) > 8,
-            name="map",
         ),
     ]
     if verification is None:

@@ -13,14 +13,13 @@ from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
 from rtcal.loop.measured_pairs import Compared
 from rtcal.loop.positions import PositionsResult, gap_table
-from rtcal.report import figures, room_view
+from rtcal.report import room_view
 from rtcal.report.document import (
     MOST_MATERIALS,
     Box,
     Code,
     Items,
     Page,
-    Picture,
     Section,
     coefficients,
     tables,
@@ -70,11 +69,15 @@ def page(result: PositionsResult) -> Page:
                 "bands. Most learned first."
             ),
             replace(materials, corner="Material", most=range(len(order))),
-            Picture(
-                lambda: figures.shifts(result, order),
-                "How far each coefficient moved, in prior standard deviations. Above 2 either "
-                "the prior sigma was too small, or something is missing.",
-                tall=True,
+            Table(
+                labels,
+                [
+                    Row(room.materials[i], result.shift[i], "+.1f", result.shift[i] / 2)
+                    for i in order
+                ],
+                "Shift of each coefficient in prior standard deviations",
+                "Material",
+                "Above 2 either the prior sigma was too small, or something is missing.",
             ),
             coefficients(
                 f"Absorption coefficients: input → calibrated{intervals}",

@@ -22,7 +22,7 @@ def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Pag
     if isinstance(result, Design):
         subject = "the cheapest treatments that meet a target"
         variants, target = (result.prediction,), result.model.target
-        summary, beside = [*result.blocks()], [_cheapest(result), _frontier(result)]
+        summary, beside = [*result.blocks()], [_cheapest(result)]
     elif isinstance(result, Predictions):
         variants, target, beside = result.predictions, result.target, [*result.side_by_side()]
     else:
@@ -89,12 +89,3 @@ def _cheapest(design: Design) -> Table:
         rows.append(Row(f"{p:g}{' (this design)' * (p == design.promised)}", cells))
     columns = [*(f"{name} / m²" for name in names), "cost", "least band", "all bands"]
     return Table(columns, rows, "Cost by probability, side by side", corner="asked")
-
-
-def _frontier(design: Design) -> Picture:
-    caption = "Cost against the probability that each band is in range"
-    return Picture(
-        lambda: figures.frontier(design.frontier, design.promised, design.cost),
-        f"{caption}. Where nothing is enough it says “none”.",
-        caption,
-    )

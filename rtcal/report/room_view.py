@@ -344,7 +344,7 @@ def stands(
     return made
 
 
-def of_calibration(result: CalibrationResult, level: int = 2) -> list[Any]:
+def of_calibration(result: CalibrationResult) -> list[Any]:
     """Return the section of a calibration whose room has a geometry; else nothing.
 
     A mesh that cannot be read is no error: the page says so, and goes without it.
@@ -364,7 +364,6 @@ def of_calibration(result: CalibrationResult, level: int = 2) -> list[Any]:
     return _section(
         **_of_materials(geometry, room, result.alpha, shift),
         stands=stands(room.scene.sources, room.scene.receivers),
-        level=level,
     )
 
 

@@ -130,20 +130,3 @@ def test_report_finds_the_mesh_from_any_folder(tmp_path: Path, monkeypatch, caps
     assert rt.Room.from_file("room.toml").scene.mesh.endswith("model/room.obj")
     again = rt.load(".")
     assert Path(again.prior.scene.mesh).resolve() == moved / "model" / "room.obj"
-
-
-@pytest.mark.parametrize("date", ["31.02.2026", "2026-02-31", "2026/13/01", "00.01.2026"])
-def test_a_day_that_no_calendar_has_is_refused(
-    date: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(document, "source", no_figure)
-    rt.calibrate(*rt.datasets.bras_cr2()).save(tmp_path)
-    for stated, code in ((date, 2), ("28.02.2026", 0), ("2026-02-28", 0), ("spring 2026", 0)):
-        page = tmp_path / "page.html"
-        assert run("report", tmp_path, "--out", page, "--date", stated) == code, stated
-        assert page.exists() == (code == 0)
-        if code:
-            assert f'--date: "{date}" is no day of the calendar' in capsys.readouterr().err
