@@ -534,7 +534,7 @@ def _differ(found: dict[Any, float], true: dict[Any, float]) -> str:
 
 
 def _of_materials(path: Path, drawn: Drawn) -> str:
-    listed = library.read(path).materials
+    listed = library.read(path, **drawn.options).materials
     found = {
         (m.name, f): a
         for m in listed

@@ -12,7 +12,7 @@ from tests.test_io_commands import run
 
 @pytest.mark.parametrize(
     "content",
-    ["RT60 500 Hz,1k\n1,2\n", "Position,RT60,\n,500,1000\nA,1,2\n", "parameter,500\nRT60,1\n"],
+    ["RT60 500 Hz,1k\n1,2\n", "parameter,500\nRT60,1\n"],
 )
 def test_a_decay_time_is_used_wherever_rt60_stands(tmp_path: Path, content: str) -> None:
     path = tmp_path / "in.csv"

@@ -1,4 +1,4 @@
-"""The text of Room EQ Wizard (REW), NTi Audio's XL2 and Aurora, which need more than their cells.
+"""The text of Room EQ Wizard (REW), NTi Audio's XL2, Dirac and Aurora: more than a header and cells.
 
 REW's (File, Export, RT60 data as text) is also of several measurements. Each is a block: "RT60 data
 saved by REW", lines such as "Measurement: S1R1", a line "Format is freq (Hz), BW (octaves), EDT (s), r,
@@ -13,6 +13,9 @@ reports of firmware 4.94 that were at hand, which their owner has published. No 
 
 Aurora's "ISO3382 Acoustical Parameter File" has a row per parameter, and tables of several channels
 below each other; or a row per file, in which D50 is in percent and Ts in ms without saying so.
+
+Dirac's has a table per parameter, whose first line is the parameter and the bands in Hz, with a row
+for each position and rows of statistics below.
 """
 
 from __future__ import annotations
@@ -36,8 +39,9 @@ _MOST_BENT = 6
 
 
 def claims(content: bytes) -> bool:
-    """Return whether a file is REW's text of decay times, the XL2's report of them, or Aurora's."""
-    return _is_of_rew(content) or _XL2 in content[:200] or _AURORA in content[:200]
+    """Return whether a file is the text of one of these programs."""
+    of_others = _XL2 in content[:200] or _AURORA in content[:200] or _is_of_dirac(content)
+    return _is_of_rew(content) or of_others
 
 
 def _is_of_rew(content: bytes) -> bool:
@@ -52,6 +56,8 @@ def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
     text = decode(content, path)
     if _AURORA in content[:200]:
         return [_of_aurora(sheets_of_text(text, path)[0])]
+    if _is_of_dirac(content):
+        return _of_dirac(sheets_of_text(text, path)[0])
     numbered = [(n, raw.strip()) for n, _, raw in lines(text.characters)]
     if not _is_of_rew(content):
         return [_averages(numbered, path, text)]
@@ -227,3 +233,29 @@ def _of_aurora(sheet: Sheet) -> Sheet:
         named_rows = zip(rows, ["channel number", *channels], strict=True)
         rows = [(line, [*cells, number]) for (line, cells), number in named_rows]
     return Sheet(sheet.place, tuple(rows), f"Aurora's parameters, {sheet.note}")
+
+
+def _is_of_dirac(content: bytes) -> bool:
+    first = content[:2000].decode("latin-1").lstrip("\ufeff\xef\xbb\xbf").splitlines()
+    return bool(first) and "\t" in first[0] and _is_head(first[0].split("\t"))
+
+
+def _is_head(cells: Sequence[str]) -> bool:
+    """Return whether a row is a parameter and the bands in Hz."""
+    column = column_of(cells[0].strip())
+    bands = [cell.strip() for cell in cells[1:] if cell.strip()]
+    named = column is not None and column.parameter and not column.has_band
+    return bool(named and len(bands) > 1 and all(re.fullmatch(r"[\d.,]+", b) for b in bands))
+
+
+def _of_dirac(sheet: Sheet) -> list[Sheet]:
+    """Return a sheet for each of Dirac's tables, with the parameter in the header of each band."""
+    tables: list[list[Row]] = []
+    for line, cells in sheet.rows:
+        if _is_head(cells):
+            tables.append(
+                [(line, ["position", *(f"{cells[0]} {b} Hz" if b else "" for b in cells[1:])])]
+            )
+        else:
+            tables[-1].append((line, cells))
+    return [Sheet(sheet.place, tuple(rows), f"Dirac's table, {sheet.note}") for rows in tables]

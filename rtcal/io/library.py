@@ -1,29 +1,30 @@
 """Product data (ISO 354) as a material list: a table (CSV, xlsx), or a folder of them.
 
-A table has one product per row, with bands across, or one per column, with bands down. Both are read
-alike: a sheet is turned so that each product is a column, its names are above and its bands below
-(`_Upright`). A single column takes the file's name, or the sheet's.
+A table has one product per row, its name in the first column and bands across; or one product per
+column and bands down. A single product column has the file's name, or the sheet's::
 
-A column or a title such as "mounting: E-400" or "source" goes into the material's source. A coefficient
-above 1, which ISO 354's edge effect gives, is taken as 1, and the source says so. Coefficients are in
-percent if their own cells or headers have the unit ("250 Hz [%]"), a row of units or a column "unit"
-has it, or a text names both ("alpha in %"). A % that stands elsewhere, such as "open area [%]", changes
-nothing, and the source says so. A product in m² per object has a doubt, and no room may use it.
+    product;mounting;250;500;1000        f [Hz];Baffle [%];Rug [-]
+    Baffle;E-400;0,45;0,90;1,10          250;45;0,10
 
-Of a protocol, with columns or rows such as T1, T2, alpha_s and U(k=2), the coefficients are read, and
-the source names what is left out; so it does with uncertainties and statistics beside products.
+The unit is % or -, behind a band ("250 Hz [%]") or a product's name, in a column "unit", or behind the
+numbers; without one the numbers are fractions. A table in which a title or another header has a unit
+is refused, since only the reader knows of what that is: ``columns`` states what every column holds.
+
+Other columns and titles go into the material's source. A coefficient above 1, which ISO 354's edge
+effect gives, is taken as 1, and the source says so. A product in m² per object has a doubt, and no room
+may use it. Times, uncertainties and statistics beside coefficients are left out, and named in the
+source.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.observables import DecaySlope, of_kind
 from rtcal.files.disk import read_bytes
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.table_columns import (
@@ -31,17 +32,18 @@ from rtcal.io.table_columns import (
     DOUBTFUL,
     LEAST_BAND,
     MAX_HEADER,
-    OPEN_DECAY_TIMES,
+    Column,
     frequency_of,
     is_missing,
     name_and_unit,
     nearest_band,
-    parameters,
+    parameter_of,
     plain,
+    stated,
     statistic_of,
 )
-from rtcal.io.tables import sheets_of
-from rtcal.io.text import MAX_TEXT, Sheet, Text, number, shown
+from rtcal.io.tables import columns_text, lines_and_texts, sheets_of
+from rtcal.io.text import MAX_TEXT, Row, Sheet, Text, number, shown
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
@@ -56,79 +58,52 @@ LARGEST = 1.5
 
 _LEAST_BANDS = 3
 _MOST_LEFT_OUT = 6
-_NAMES = re.compile(
-    r"(mat[eé]ria|produ[ck]?t|prodotto|name|nom|bezeichnung|artikel|d[eé]signation|denominaci|descri|"
-    r"typ[eo]?\b|tipo\b).*",
+_PERCENT = re.compile(r"%|percent|per ?cento?|prozent|pour ?cent|por ?ciento|por ?cento|pct", re.I)
+_IN_PERCENT = re.compile(
+    rf"(?:\b(?:in|en)\s*|/\s*)(?:{_PERCENT.pattern})|[\[(]\s*(?:{_PERCENT.pattern})\s*[\])]|"
+    rf"^(?:\[?Hz\]?\s*)?(?:(?:{_PERCENT.pattern})\s*)+$",
     re.I,
 )
-_QUANTITY = re.compile(
-    r"(quantit|grö|groe|kenngr|messgr|symbol|grand|magnitud|value|wert|val|kind)\w*", re.I
-)
-_PERCENT = r"(?:%|percent|per ?cento?|prozent|pour ?cent|por ?ciento|por ?cento|pct)"
-_M2 = r"(?:m\s*²|m\^?2|qm|sq\.?\s*m|square met(?:er|re)s?|ft\s*²|ft\^?2|sq\.?\s*ft|sabin[es]*)"
-_OTHER = r"(?:k?hz|m?s|sec|db|‰|per ?mille?|promille?|[x×·*]\s*100)"
-_PER = r"(?:/|\b(?:per|pro|je|par|por|a)\b)"
-_OBJECT = (
-    r"(?:A[_ ]?obj\w*|per object|pro (?:objekt|stück|platz|person|stuhl)|absorption areas?|"
-    r"(?:absorptions|absorber)fläche|areas? of absorption|aires? d.absorption|[aá]rea\w* de absor\w*|"
-    r"are[ae] di assorbimento)"
-)
-_UNITS = {
-    "%": re.compile(_PERCENT, re.I),
-    "-": re.compile(r"[-\u2013\u2014]|1|fraction|dimension\w+|sans dimension", re.I),
-    "m²": re.compile(rf"(?:A\s*(?:/|in)?\s*)?{_M2}\W*(?:{_PER}.*)?|{_OBJECT}.*", re.I),
-    "other": re.compile(_OTHER, re.I),
-}
-"""The units that a cell may be, and nothing else."""
-_PER_OBJECT = re.compile(rf"{_OBJECT}|(?<!\d)(?<!\d\s){_M2}\s*{_PER}\s*[^\W\d]", re.I)
-_BEFORE_UNIT = r"(?:\b(?:in|en)\s+|/\s*|[\[(]\s*)"
-_OF_COLUMN = re.compile(
-    rf"(?:{_BEFORE_UNIT}|(?<![\d\s])[\s,]*(?=%))([^\[\]()]+?)\s*[\])]?\s*$|(?<![\d\s])\s*([x×·*]\s*100)$",
+"""A title that has the coefficients' unit."""
+_ENDS_IN_PERCENT = re.compile(rf"(?<!\d)(?<!\d )(?:{_PERCENT.pattern})\s*[\])]?\s*$", re.I)
+_AREA = re.compile(
+    r"(?<!\d)(?<!\d )(?:m²|m\^?2|qm|sq\.?\s*m|ft²|sabins?)|A_?obj|\bper (?:object|chair|person)|"
+    r"absorption areas?|(?:absorptions|absorber)fläche|aires? d.absorption|[aá]rea\w* d[ei] as?[bs]sor",
     re.I,
 )
-"""A column's name with its unit behind it."""
-_OF_TABLE = re.compile(
-    r"(?:(?:alpha|α|absor|assorb|[ck]oef)[\w,.]*|\bA|\b(?:values|werte|angaben|valeurs|valores|valori))\s*[,:]?\s*"
-    rf"(?:(?:{_BEFORE_UNIT}|(?=%))({_PERCENT}|{_M2})|([x×·*]\s*100))(?!\w)(?!\s*[\])]?\s*[:=]\s*\d)",
-    re.I,
-)
-"""A text that has the coefficients' unit, among others."""
-_UNIT_BEHIND = re.compile(
-    rf"\s*(?:[\[(][^\])]*[\])]|(?:/|\b(?:in|en)\b)\s*(?:{_PERCENT}|\S+)|%)\s*$", re.I
-)
-_ALPHA = r"(?:alpha|α)(?:[_ ]?(?:sabine|[spi])\b|[sp])?"
 _COEFFICIENT = re.compile(
-    rf"(?=.*(?:alpha|α|absor|assorb|[ck]oef))(?:(?:{_ALPHA}|[sp]|of|de|di|do|d|l|sound|mean|"
-    r"ac[uúo]+stic\w*|(?:schall)?absor\w*|assorb\w*|[ck]oe?ff?i[zc]i\w*)(?:\W|_|$)+)+",
+    r"(?=.*(?:alpha|α|absor|assorb|[ck]oef))(?:(?:alpha|α|[sp]|of|de|di|do|d|l|sound|mean|sabine|"
+    r"ac[uúo]+stic\w*|(?:schall)?absor\w*|assorb\w*|[ck]oe?ff?i[zc]i\w*)(?:[\W_]|$)*)+",
     re.I,
 )
 _BESIDE = re.compile(
-    r"(?:T|RT|TR)[_ ]?(?:\d{1,2}|m|s)?\W*(?:(?:empty|leer|ohne|mit|with|vide|avec|sans|sin|con|senza|"
-    r"vacía|vuot|sem|com)\w*\b.*)?|.*[\[(]\s*(?:m?s|sec|db|k?hz)\s*[\])]|"
-    r"U(?:_?(?:α\w?|alpha\w*|95|\w))?\s*(?:[\[(,]?\s*k\s*=?.*)?|±.*|s_?R|"
-    r".*(?:uncertainty|unsicherheit|incert\w+)\b.*",
+    r"(?:T|RT|TR)[_ ]?(?:\d{1,2}|m|s)?|U(?:_?\w)?\s*(?:[\[(,]?\s*k\s*=.*)?|U_?95|±.*|s_?R|"
+    r".*(?:uncertainty|unsicherheit|incert\w+)",
     re.I,
 )
 """A time or an uncertainty."""
-_SYMBOL = re.compile(r"[AScVm]_?\w{0,3}", re.I)
-_ARE_NONE = {
-    "m²": "names absorption areas in m², and no coefficients: multiply one by the number of objects, "
-    "and divide by the area that is stated for them",
-    "other": "is no unit of coefficients; they have % or none",
-}
 
 
-def read(path: str | os.PathLike[str]) -> MaterialList:
+def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
     """Return the products of a file or of all files of a folder.
+
+    Parameters
+    ----------
+    path : path
+    columns : str, optional
+        What each column holds, in their order, with the first line of values and perhaps the last:
+        ``"from line 3: product; -; value [%] at 250 Hz; value [%] at 500 Hz"``, or ``"from line 3 to
+        9: band; value [-] of Rug"``. A refusal proposes it.
 
     Raises
     ------
     DataError
-        Naming file, sheet, line and rule: for a table without bands, a coefficient that is no number,
-        below 0 or above 1.5, and a product that is given twice.
+        Naming file, sheet, line and rule: for a table without bands, a unit that is open, a coefficient
+        that is no number, below 0 or above 1.5, and a product that is given twice.
     MissingDependencyError
         For a workbook without openpyxl.
     """
+    checks.text("columns", columns)
     files = [checks.path("path", path)]
     if files[0].is_dir():
         files = sorted(p for p in files[0].iterdir() if p.suffix.lower() in ENDINGS)
@@ -138,7 +113,7 @@ def read(path: str | os.PathLike[str]) -> MaterialList:
             raise DataError(f"{path}: {len(files)} files; at most {MAX_FILES}")
     materials: dict[str, tuple[Path, ListedMaterial]] = {}
     for file in files:
-        for material in _materials(file):
+        for material in _materials(file, columns):
             if material.name in materials:
                 raise DataError(
                     f'{file}, line {material.line}: "{shown(material.name)}" is given twice, also in '
@@ -149,11 +124,14 @@ def read(path: str | os.PathLike[str]) -> MaterialList:
     return MaterialList(path=os.fspath(path), text=Text(""), materials=listed)
 
 
-def _materials(file: Path) -> list[ListedMaterial]:
+def _materials(file: Path, columns: str) -> list[ListedMaterial]:
     sheets = sheets_of(read_bytes(file, MAX_TEXT * 16), os.fspath(file))
     found = []
     for sheet in sheets:
-        found += _of_sheet(_upright(sheet), file.stem if len(sheets) == 1 else sheet.name)
+        name = file.stem if len(sheets) == 1 else sheet.name
+        table = _stated_table(sheet, columns, name) if columns else _table(sheet, name)
+        if table is not None:
+            found += _of_table(table)
     if not found:
         raise DataError(
             f"{sheets[0].place}: no table of coefficients; a header with {_LEAST_BANDS} bands or more "
@@ -162,376 +140,348 @@ def _materials(file: Path) -> list[ListedMaterial]:
     return found
 
 
-@dataclass
-class _Upright:
-    """A sheet in which each product is a column and each band a row; the first column has labels.
+@dataclass(frozen=True)
+class _Table:
+    """The columns of a sheet, the rows with values, and the texts around them.
 
-    ``across`` is whether the file has them the other way round. ``rows`` are their place in the file
-    with their cells, ``at`` the bands in Hz of some rows by their number, ``lines`` the line of each
-    column's product, ``titles`` the texts around the table.
+    A column is of kind "product", "unit", "band", "value" or "". ``left_out`` are the names of what
+    stands beside products.
     """
 
     place: str
-    across: bool
-    rows: list[tuple[str, list[str]]]
-    at: dict[int, float]
-    lines: list[int]
+    columns: list[Column]
+    rows: list[Row]
     titles: list[str]
+    left_out: list[str]
+
+    @property
+    def first(self) -> int:
+        """The line of the first row."""
+        return self.rows[0][0]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Product:
-    """A product's name, its line, its cells by band in Hz, the texts with its unit, other texts."""
+def _stated_table(sheet: Sheet, columns: str, otherwise: str) -> _Table:
+    """Return the table whose columns are stated; ``otherwise`` is the name of a protocol's product."""
+    lines, texts = lines_and_texts(columns, sheet)
+    made = []
+    for k, text in enumerate(texts):
+        try:
+            is_product = text.strip() == "product"
+            made.append(Column("product", text) if is_product else stated(text))
+        except DataError as error:
+            raise DataError(f"{sheet.place}: columns, {k + 1}: {error}") from error
+    rows = [row for row in sheet.rows if row[0] in lines]
+    if short := [n for n, cells in rows if len(cells) != len(made)]:
+        raise DataError(f"{sheet.place}, line {short[0]}: not {len(made)} cells, as columns states")
+    if not rows:
+        raise DataError(f"{sheet.place}: no row with a value in the lines that are stated")
+    at, left_out = [k for k, column in enumerate(made) if column.kind == "product"], list[str]()
+    if at:
+        rows, left_out = _rows_of_products(sheet.place, rows, at[0], otherwise)
+    return _Table(sheet.place, made, rows, [], left_out)
 
-    name: str
-    line: int
-    values: Mapping[float, str]
-    units: Sequence[str]
-    stated: Sequence[str]
 
+def _table(sheet: Sheet, otherwise: str) -> _Table | None:
+    """Return the table of a sheet by its header; None without bands.
 
-def _upright(sheet: Sheet) -> _Upright:
+    ``otherwise`` is the name of a single product that has none.
+    """
     width = max(len(cells) for _, cells in sheet.rows)
-    rows = [(line, cells + [""] * (width - len(cells))) for line, cells in sheet.rows]
-    for k, (line, header) in enumerate(rows):
-        at = {i: f for i, cell in enumerate(header) if (f := _band(cell)) is not None}
-        if len(at) < _LEAST_BANDS or [*at.values()] != sorted(at.values()):
-            continue
-        around = [c for _, c in rows[:k] if not any(c[i] for i in at)]
-        products = [row for row in rows if row[1] is not header and row[1] not in around]
-        end = max(i for i, cell in enumerate(header) if cell) + 1
-        turned = [(f"column {i + 1}", [c[i] for _, c in [rows[k], *products]]) for i in range(end)]
-        _refuse_repeated_band(f"{sheet.place}, line {line}", turned, at)
-        lines = [line, *(n for n, _ in products)]
-        return _Upright(sheet.place, True, turned, at, lines, [*map(_joined, around)])
-    named = [(f"line {line}", cells) for line, cells in rows]
-    in_khz = any(
-        "khz" in (name_and_unit(c[0])[1].lower(), c[0].strip(" []()").lower())
-        for _, c in rows
-        if frequency_of(c[0]) is None
-    )
-    factor = 1000.0 if in_khz else 1.0
-    at = {i: f for i, (_, c) in enumerate(rows) if (f := _band(c[0], factor)) is not None}
-    _refuse_repeated_band(sheet.place, named, at)
-    first = min(at, default=0)
-    titles = [_joined(c) for _, c in rows[:first] if not any(c[1:])]
-    return _Upright(sheet.place, False, named, at, [rows[first][0]] * width, titles)
+    rows = [(line, [*cells, *[""] * width][:width]) for line, cells in sheet.rows]
+    for i, (_, header) in enumerate(rows):
+        found = [_band(cell) for cell in header]
+        of_bands = [band for band in found if band]
+        if len(of_bands) >= _LEAST_BANDS and of_bands == sorted(of_bands):
+            return _across(sheet.place, rows, i, found, otherwise)
+    in_khz = any("khz" in cells[0].lower() for _, cells in rows if not frequency_of(cells[0]))
+    at = [i for i, (_, cells) in enumerate(rows) if _band(cells[0], 1000 if in_khz else 1)]
+    if len(at) < _LEAST_BANDS:
+        return None
+    return _down(sheet.place, rows, at[0], otherwise, "kHz" if in_khz else "")
 
 
-def _joined(cells: Sequence[str]) -> str:
-    return " ".join(filter(None, cells))
+def _across(
+    place: str, rows: Sequence[Row], at: int, found: Sequence[float | None], otherwise: str
+) -> _Table:
+    """Return a table with a product in each row, whose header is the row ``at``."""
+    line, header = rows[at]
+    if found[0]:
+        raise DataError(f"{place}, line {line}: no column has the product's name")
+    columns = [Column("product", header[0])]
+    for name, band in zip(header[1:], found[1:], strict=True):
+        kind = "unit" if COLUMNS.get(plain(name)) == "unit" else ""
+        unit = _own_unit(name) if band else ""
+        columns.append(Column("value" if band else kind, name, band=band or 0.0, unit=unit))
+    of_values = [k for k, column in enumerate(columns) if column.has_values]
+    body = [row for row in rows[at + 1 :] if any(row[1][k] for k in of_values)]
+    units = [
+        row for row in body if not row[1][0] and not any(_is_number(row[1][k]) for k in of_values)
+    ]
+    body = [row for row in body if row not in units]
+    products, left_out = _rows_of_products(place, body, 0, otherwise)
+    units += [row for row in rows[:at] if all(row[1][k] for k in of_values)]
+    table = _Table(place, columns, products, _texts([*rows[:at], *units]), left_out)
+    if units:
+        raise _open_unit(table, _texts(units)[0])
+    return _checked(table)
+
+
+def _down(place: str, rows: Sequence[Row], at: int, otherwise: str, unit: str) -> _Table:
+    """Return a table with a product in each column, whose first band is in the row ``at``."""
+    heads = [cells for _, cells in rows[max(at - 2, 0) : at] if sum(map(bool, cells)) > 1]
+    heads.sort(key=lambda cells: all(map(_is_unit, filter(None, cells[1:]))))
+    header = heads[0] if heads else rows[max(at - 1, 0)][1] if at else [""] * len(rows[0][1])
+    used = {k: header[k] for k in range(1, len(header)) if any(cells[k] for _, cells in rows[at:])}
+    if len(used) == 1 and _role(*used.values()) != "beside":
+        names, left_out = dict.fromkeys(used, otherwise), list[str]()
+    else:
+        names, left_out = _products(f"{place}, line {rows[at][0]}", used, otherwise)
+    columns = [Column("band", header[0], unit=unit)]
+    below = heads[1] if len(heads) > 1 else [""] * len(header)
+    for k in range(1, len(header)):
+        own = _own_unit(header[k]) or ("%" if _IN_PERCENT.search(below[k]) else below[k])
+        kind = "value" if k in names else ""
+        columns.append(Column(kind, header[k], receiver=names.get(k, ""), unit=own))
+    body = []
+    for line, cells in rows[at:]:
+        if _band(cells[0], 1000 if unit else 1):
+            body.append((line, cells))
+        elif any(map(_is_number, cells[1:])) and _role(cells[0]) != "beside":
+            raise DataError(
+                f'{place}, line {line}: "{shown(cells[0])}" is no band: write the centre frequency of '
+                "an octave or a third in Hz, or delete the row"
+            )
+        else:
+            left_out += cells[:1]
+    titles = _texts([row for row in rows[:at] if row[1] is not header])
+    table = _Table(place, columns, body, titles, left_out)
+    if len(heads) > 1:
+        raise DataError(
+            f"{place}, line {rows[at][0]}: two rows of names stand above the bands; keep one, or state "
+            f"{_proposal(table, titles[-1])}"
+        )
+    return _checked(table)
+
+
+def _products(
+    place: str, named: Mapping[int, str], otherwise: str
+) -> tuple[dict[int, str], list[str]]:
+    """Return the products' names, of rows or columns, and the names of what stands beside them.
+
+    A single coefficient, as in a protocol, is of the product called ``otherwise``.
+    """
+    roles = {k: _role(name) for k, name in named.items()}
+    roles |= {
+        k: "beside" for k, n in named.items() if n.removeprefix("U ") in {*named.values()} - {n}
+    }
+    left_out = [name for k, name in named.items() if roles[k] == "beside"]
+    coefficients = [k for k in named if roles[k] == "coefficient"]
+    products = {k: name for k, name in named.items() if not roles[k]}
+    if len(coefficients) == 1 and not products:
+        return {coefficients[0]: otherwise}, left_out
+    wrong = [named[k] for k in coefficients] or left_out
+    if wrong and (coefficients or not products):
+        raise DataError(
+            f'{place}: "{shown(wrong[0])}" names a coefficient, a time or a statistic and no product; '
+            "write the product's name, or delete what is no coefficient"
+        )
+    return products, left_out
+
+
+def _rows_of_products(
+    place: str, rows: Sequence[Row], at: int, otherwise: str
+) -> tuple[list[Row], list[str]]:
+    """Return the rows of products, whose names stand in column ``at``, and the names of the others."""
+    names, left_out = _products(place, {line: cells[at] for line, cells in rows}, otherwise)
+    return [
+        (line, [*cells[:at], names[line], *cells[at + 1 :]])
+        for line, cells in rows
+        if line in names
+    ], left_out
+
+
+def _is_unit(cell: str) -> bool:
+    return bool(_IN_PERCENT.search(cell) or _AREA.search(cell) or cell.strip("[]()") == "-")
+
+
+def _texts(rows: Sequence[Row]) -> list[str]:
+    return [" ".join(filter(None, cells)) for _, cells in rows]
+
+
+def _is_number(cell: str) -> bool:
+    return bool(re.fullmatch(r"\d*[.,]?\d+\s*%?", cell))
 
 
 def _band(cell: str, factor: float = 1.0) -> float | None:
-    """Return the band that a cell names, with a ``factor`` to Hz where it has no unit."""
-    cell = re.sub(rf"\s*[\[(]\s*(?:{_PERCENT}|-)\s*[\])]$", "", cell.strip(), flags=re.I)
-    value = frequency_of(re.sub(r"^(alpha|α)\w*\s*", "", cell))
-    if value is not None and not cell.lower().endswith(("k", "hz")):
+    """Return the band that a cell names, perhaps with a unit of its values; ``factor`` is to Hz."""
+    name, unit = name_and_unit(re.sub(r"^(alpha|α)\w*\s*", "", cell.strip()))
+    value = frequency_of(f"{name} {unit}" if unit.lower() in ("hz", "khz") else name)
+    if value is not None and not re.search(r"k|hz", cell, re.I):
         value *= factor
     return nearest_band(value) if value is not None and value >= LEAST_BAND else None
 
 
-def _refuse_repeated_band(
-    place: str, rows: Sequence[tuple[str, list[str]]], at: Mapping[int, float]
-) -> None:
-    first: dict[float, str] = {}
-    for i, frequency in at.items():
-        if first.setdefault(frequency, rows[i][0]) != rows[i][0]:
-            raise DataError(
-                f"{place}: {first[frequency]} and {rows[i][0]} are both {bands.label(frequency)}; "
-                "a band has one coefficient per product"
-            )
-
-
-def _of_sheet(table: _Upright, otherwise: str) -> list[ListedMaterial]:
-    """Return the materials of a sheet; ``otherwise`` is the name of one that has none."""
-    if len(table.at) < _LEAST_BANDS:
-        return []
-    band_rows = [table.rows[i][1] for i in table.at]
-    columns = [k for k in range(1, len(table.lines)) if any(row[k] for row in band_rows)]
-    heads = {
-        i: cells
-        for i, (_, cells) in enumerate(table.rows)
-        if i not in table.at and (table.across or any(cells[k] for k in columns))
-    }
-    left_out = [] if table.across else _below(table, heads, columns)
-    unit_rows = [i for i, cells in heads.items() if _are_units(cells[0], _of(cells, columns))]
-    names = _row_of_names(table, heads, unit_rows, columns)
-    header = [""] * len(table.lines) if names is None else heads.pop(names)
-    units = [heads.pop(i) for i in unit_rows if i in heads]
-    of_units = [
-        k
-        for k in columns
-        if (table.across or COLUMNS.get(plain(header[k])) == "unit")
-        and _are_units(header[k], [row[k] for row in band_rows])
-    ]
-    shared = [row[k] for row in band_rows for k in of_units]
-    shared += [row[0] for row in band_rows if re.search(_PERCENT, row[0])]
-    columns = [k for k in columns if k not in of_units]
-    titles = table.titles + [_joined(h) for h in heads.values() if not table.across]
-    labels = [h[0] for h in [header, *heads.values()]] if table.across else header
-    products = []
-    for k in columns:
-        cells = {f: row[k] for f, row in zip(table.at.values(), band_rows, strict=True)}
-        values = {f: cell for f, cell in cells.items() if not is_missing(cell)}
-        own = [(h[0], h[k]) for h in heads.values() if table.across and h[k]]
-        quantities = [cell for label, cell in own if _is_quantity(label)]
-        if not values or "beside" in map(_role, quantities):
-            left_out += [", ".join([header[k], *quantities[:1]])] * bool(values or not table.across)
-            continue
-        is_only = not table.across and len(columns) == 1 and _role(header[k]) != "beside"
-        name = otherwise if is_only else header[k]
-        if not name or (not table.across and _unit(name) and not _role(name)):
-            raise DataError(
-                f"{table.place}, line {table.lines[k]}: coefficients without a product's name, or a "
-                f'unit that is not known ("{shown(next(iter(values.values())))}"); known are % and -'
-            )
-        missing = [bands.label(f) for f in cells if f not in values]
-        per_object = [cell for _, cell in own if _PER_OBJECT.search(_ends(cell))]
-        notes = [f"no coefficient at {', '.join(missing)}"] if missing else []
-        products.append(
-            _Product(
-                name=name,
-                line=table.lines[k],
-                values=values,
-                units=[
-                    header[k],
-                    *quantities,
-                    *per_object,
-                    *filter(None, (u[k] for u in units)),
-                    *shared,
-                ],
-                stated=[*titles, *(f"{label}: {cell}" for label, cell in own), *notes],
-            )
-        )
-    products, others = _coefficients(table.place, products, otherwise)
-    beside = [*labels, *titles]
-    in_percent = any(
-        _stated_unit(table.place, p, beside)[0] == "%" or "%" in "".join(p.values.values())
-        for p in products
-    )
-    more = left_out + others
-    materials = [_material(table.place, p, beside, more, in_percent) for p in products]
-    if materials and all(material.doubt for material in materials):
-        raise DataError(materials[0].doubt)
-    return materials
-
-
-def _of(cells: Sequence[str], columns: Iterable[int]) -> list[str]:
-    return [cells[k] for k in columns if cells[k]]
-
-
-def _are_units(label: str, cells: Sequence[str]) -> bool:
-    """Return whether some cells are units of what ``label`` names, and nothing else."""
-    cells = [*filter(None, cells)]
-    if not cells or any(_unit(c) is None for c in cells) or all(map(str.isdecimal, cells)):
-        return False
-    # Dashes may be missing values, unless the label is no name.
-    named = label and _unit(label) is None and COLUMNS.get(plain(label)) != "unit"
-    return not (named and all(map(is_missing, cells)))
-
-
-def _row_of_names(
-    table: _Upright, heads: Mapping[int, list[str]], unit_rows: list[int], columns: Sequence[int]
-) -> int | None:
-    """Return the row with the products' names; DataError where it is open which that is."""
-    if table.across:
-        known = [i for i, cells in heads.items() if _NAMES.fullmatch(cells[0])]
-        if not (rows := known or [*heads]):
-            raise DataError(f"{table.place}: no column has the product's name")
-        return rows[0]
-    rows = []
-    for i, cells in heads.items():
-        name = name_and_unit(cells[0])[0]
-        if not name or COLUMNS.get(plain(name)) == "band" or _NAMES.fullmatch(name):
-            rows.append(i)
-    named = [i for i in rows if i not in unit_rows]
-    if not named and rows:  # as in "Frequency;αs (%)"
-        of_symbols = all(_COEFFICIENT.fullmatch(c) for c in _of(heads[rows[0]], columns))
-        named = rows[:1] if of_symbols or len(columns) == 1 else []
-    if len(named) > 1 and len(_of(heads[named[0]], columns)) == len(columns) > 1:
-        raise DataError(
-            f'{table.place}, {table.rows[named[0]][0]}: "{shown(_of(heads[named[0]], columns)[0])}" '
-            "stands in a second row of names; keep one, with units such as % or - in a row below it"
-        )
-    return named[-1] if named else None
-
-
-def _below(table: _Upright, heads: dict[int, list[str]], columns: Sequence[int]) -> list[str]:
-    """Take the rows below the first band that are of none from the heads, and return their labels.
-
-    Raises DataError for a band that is typed wrong.
-    """
-    left_out = []
-    for i, cells in [*heads.items()]:
-        numbers = all(re.fullmatch(r"\d*[.,]?\d+\s*%?", c) for c in _of(cells, columns))
-        digits = cells[0][:1].isdecimal()
-        if i < min(table.at) and not (digits and numbers):
-            continue
-        if digits or not cells[0]:
-            wrong = (
-                f'"{shown(cells[0])}" is no band' if digits else "no band stands before the values"
-            )
-            raise DataError(
-                f"{table.place}, {table.rows[i][0]}: {wrong}: write the centre frequency of an octave "
-                "or a third in Hz, or delete the row"
-            )
-        left_out.append(heads.pop(i)[0])
-    return left_out
-
-
-def _is_quantity(header: str) -> bool:
-    """Return whether a column says what a row's numbers are: their unit, or their symbol."""
-    kinds = ("unit", "parameter", "statistic")
-    return COLUMNS.get(plain(header), "") in kinds or bool(_QUANTITY.fullmatch(header.strip()))
+def _own_unit(name: str) -> str:
+    """Return the unit behind a product's or a band's name, "" without one."""
+    name = name[-MAX_HEADER:].rstrip()
+    if _ENDS_IN_PERCENT.search(name):
+        return "%"
+    unit = name_and_unit(name)[1] if name.endswith(("]", ")")) else ""
+    return "" if unit.lower() in ("hz", "khz") else unit
 
 
 def _role(name: str) -> str:
     """Return "coefficient", "beside" (a time, an uncertainty, a statistic), or "" for a product."""
-    name = name.strip()
-    if not name or len(name) > MAX_HEADER:
-        return ""
-    bare = _UNIT_BEHIND.sub("", name).strip()
-    if _COEFFICIENT.fullmatch(bare):
-        return "coefficient"
-    is_time = plain(bare) in OPEN_DECAY_TIMES or parameters().get(plain(bare)) in of_kind(
-        DecaySlope
+    name = name_and_unit(name.strip())[0] if len(name) <= MAX_HEADER else ""
+    name = re.sub(r"\s*(?:/|\bin|\ben|[\[(])?\s*$", "", _ENDS_IN_PERCENT.sub("", name))
+    if not name or _COEFFICIENT.fullmatch(name):
+        return "coefficient" if name else ""
+    is_beside = parameter_of(name) or _BESIDE.fullmatch(name)
+    return "beside" if is_beside or statistic_of(name) not in (None, DOUBTFUL) else ""
+
+
+def _checked(table: _Table) -> _Table:
+    """Return a table whose units are stated, or not spoken of; DataError with a proposal for others."""
+    if not table.rows:
+        raise DataError(f"{table.place}: no row with a product's coefficients")
+    of_values = [k for k, column in enumerate(table.columns) if column.has_values]
+    of_cells = any(column.kind == "unit" for column in table.columns) or any(
+        "%" in cells[k] for _, cells in table.rows for k in of_values
     )
-    if is_time or _BESIDE.fullmatch(name) or _BESIDE.fullmatch(bare):
-        return "beside"
-    return "" if statistic_of(bare) in (None, DOUBTFUL) else "beside"
+    others = [*table.titles, *(c.header for c in table.columns if not c.has_values)]
+    said = [text for text in others if _PERCENT.search(text) or _AREA.search(text)]
+    text = next(filter(_IN_PERCENT.search, said), next(iter(said), ""))
+    if not text or of_cells or all(c.unit for c in table.columns if c.has_values):
+        return table
+    raise _open_unit(table, text)
 
 
-def _coefficients(
-    place: str, products: Sequence[_Product], otherwise: str
-) -> tuple[list[_Product], list[str]]:
-    """Return the products alone, and the names of what stands beside them.
+def _open_unit(table: _Table, text: str) -> DataError:
+    """Return the error of a table of which a text may be the unit, with a proposal."""
+    may_be = "may be the unit of the coefficients: write [%] or [-] behind each band or product, or"
+    if _AREA.search(text):
+        may_be = "names absorption areas in m², which are no coefficients; if these are,"
+    return DataError(
+        f'{table.place}, line {table.first}: "{shown(text, 60)}" {may_be} state '
+        f"{_proposal(table, text if text in table.titles else '')}"
+    )
 
-    Raises DataError where it is open which rows or columns are coefficients.
-    """
-    of: dict[str, list[_Product]] = {"": [], "coefficient": [], "beside": []}
-    behind = re.compile(rf"[\s_,:-]+{_ALPHA}\s*(?:[\[(].*)?$", re.I)
-    names = {behind.sub("", p.name[:MAX_HEADER]).strip() for p in products}
-    for product in products:
-        role = _role(product.name)
-        for name in (
-            names - {product.name} if not role else ()
-        ):  # as in "carpet U" beside "carpet αs"
-            rest = product.name.replace(name, "", 1).strip(" _,:-") if name else ""
-            role = "beside" if rest != product.name and _role(rest) == "beside" else role
-        of[role].append(product)
-    named, coefficients, others = of.values()
-    if len(coefficients) == 1 and all(_SYMBOL.fullmatch(p.name) for p in named):
-        (only,), others = coefficients, [*named, *others]
-        named = [replace(only, name=otherwise, units=[*only.units, only.name])]
-    elif coefficients or (others and not named):
-        wrong = (coefficients[-1:] if not named else coefficients) or others
+
+def _proposal(table: _Table, title: str) -> str:
+    """Return ``columns`` for a table: in percent if a title says so, or a number is as large."""
+    of_values = [k for k, column in enumerate(table.columns) if column.has_values]
+    cells = [cells[k].replace(",", ".") for _, cells in table.rows for k in of_values]
+    large = any(_is_number(cell) and float(cell.rstrip("% ")) > LARGEST for cell in cells)
+    unit = "%" if large or _IN_PERCENT.search(title) else "?"
+    columns = [replace(c, unit=c.unit or unit) if c.has_values else c for c in table.columns]
+    lines = f"{table.first} to {table.rows[-1][0]}"
+    return columns_text(lines, [c.meaning if c.kind else "-" for c in columns])
+
+
+@dataclass(frozen=True)
+class _Value:
+    """A cell of a product at a band: its text and unit."""
+
+    text: str
+    unit: str
+    line: int
+
+
+def _values(table: _Table) -> Iterator[tuple[str, float, _Value, list[str]]]:
+    """Yield product, band in Hz, value, and what else its row states."""
+    for line, cells in table.rows:
+        entries = {c.kind: cell for c, cell in zip(table.columns, cells, strict=True) if c.kind}
+        pairs = [*zip(table.columns, cells, strict=True)]
+        beside = [f"{c.header}: {cell}" for c, cell in pairs if c.kind in ("", "unit") and cell]
+        of_column = next((c.unit for c in table.columns if c.kind == "band"), "")
+        of_row = _band(entries.get("band", ""), 1000 if of_column.lower() == "khz" else 1)
+        for column, cell in pairs:
+            name, band = column.receiver or entries.get("product", ""), column.band
+            band = of_row if of_row else band
+            if not column.has_values:
+                continue
+            if not name and cell:
+                raise DataError(
+                    f"{table.place}, line {line}: coefficients without a product's name"
+                )
+            unit = column.unit or entries.get("unit", "") or _own_unit(name)
+            yield name, band, _Value(cell, unit, line), beside
+
+
+def _of_table(table: _Table) -> list[ListedMaterial]:
+    """Return the materials of a table."""
+    products: dict[str, dict[float, _Value]] = {}
+    texts: dict[str, dict[str, None]] = {}
+    first: dict[str, int] = {}
+    for name, band, value, beside in _values(table):
+        of_product = products.setdefault(name, {})
+        line = first.setdefault(name, value.line)
+        if band in of_product or (
+            "product" in {c.kind for c in table.columns} and line != value.line
+        ):
+            raise DataError(
+                f'{table.place}, line {value.line}: "{shown(name)}" is given twice at '
+                f"{bands.label(band)}; a band has one coefficient per product"
+            )
+        of_product[band] = value
+        texts.setdefault(name, dict.fromkeys(table.titles)).update(dict.fromkeys(beside))
+    units = {bool(v.unit or "%" in v.text) for p in products.values() for v in p.values()}
+    if len(units) > 1:
         raise DataError(
-            f'{place}, line {wrong[0].line}: "{shown(wrong[0].name)}" names a coefficient, a time or a '
-            "statistic and no product; write the product's name, or delete what is no coefficient"
+            f"{table.place}, line {table.first}: some coefficients have a unit and others none; write "
+            "it, as % or -, with all or with none"
         )
-    return named, [p.name for p in others]
-
-
-def _ends(text: str) -> str:
-    """Return a text, or of a long one its begin and end, where units stand; patterns are slow else."""
-    return text if len(text) <= 2 * MAX_HEADER else f"{text[:MAX_HEADER]} {text[-MAX_HEADER:]}"
-
-
-def _unit(cell: str) -> str | None:
-    """Return the unit that a cell is, of `_UNITS`; "" for αs alone, None for other text."""
-    if len(cell) > MAX_HEADER:
-        return None
-    base, only = _UNIT_BEHIND.sub("", cell).strip(), cell.strip()
-    only = only[len(base) :] if _COEFFICIENT.fullmatch(base) else only
-    only = re.sub(r"^(in|en)\s+", "", only.strip().strip("[](){}/, "), flags=re.I)
-    if not only and cell.strip():
-        return ""
-    return next((unit for unit, pattern in _UNITS.items() if pattern.fullmatch(only)), None)
-
-
-def _unit_within(text: str, pattern: re.Pattern[str]) -> str:
-    """Return the unit that a text is, or states as the pattern says; "" without one."""
-    text = _ends(text)
-    if (unit := _unit(text)) is not None:
-        return unit
-    if _PER_OBJECT.search(text):
-        return "m²"
-    found = pattern.search(text)
-    return (_unit(found[1] or found[2]) or "") if found and found[0] != "(1)" else ""
-
-
-def _stated_unit(place: str, product: _Product, beside: Sequence[str]) -> tuple[str, str]:
-    """Return the unit of a product's numbers, "%" or "-", and why they are none; empty if not stated.
-
-    ``beside`` are the texts of the whole table. Raises DataError for units that contradict each other.
-    """
-    place = f"{place}, line {product.line}: {shown(product.name)}"
-    found = {_unit_within(text, _OF_COLUMN): text for text in reversed(product.units)}
-    of_table = {_unit_within(text, _OF_TABLE): text for text in reversed(beside)}
-    for unit, why in _ARE_NONE.items():
-        if text := found.get(unit) or (of_table.get(unit) if unit != "other" else ""):
-            return "", f'{place}: "{shown(text)}" {why}'
-    both = found | {"%": of_table["%"]} if "%" in of_table else found
-    if "-" in found and "%" in both:
-        raise DataError(
-            f'{place}: the unit is "{shown(found["-"])}" and also "{shown(both["%"])}"; state one'
-        )
-    return next((unit for unit in "%-" if unit in both), ""), ""
+    materials = [_material(table, name, products[name], [*texts[name]]) for name in products]
+    if all(material.doubt for material in materials):
+        raise DataError(materials[0].doubt)
+    return materials
 
 
 def _material(
-    of_table: str,
-    product: _Product,
-    beside: Sequence[str],
-    left_out: Sequence[str],
-    in_percent: bool,
+    table: _Table, name: str, values: Mapping[float, _Value], texts: Sequence[str]
 ) -> ListedMaterial:
-    """Return a product as a material; it has a doubt if its numbers are no coefficients.
-
-    ``in_percent`` is whether others of the table are.
-    """
-    place = f"{of_table}, line {product.line}"
-    unit, doubt = _stated_unit(of_table, product, beside)
-    of_cells = ["%" in cell for cell in product.values.values()]
-    if any(of_cells) and not all(of_cells) and unit != "%":
-        raise DataError(
-            f'{place}: "{shown(product.name)}" has cells with % and others without; write it '
-            "in all or in none"
-        )
-    alpha, above = [], []
-    for frequency, cell in product.values.items():
-        where = f"{place}: {shown(product.name)} at {bands.label(frequency)}"
-        text = cell.rstrip("% ")
-        scale = 0.01 if unit == "%" or cell != text else 1.0
-        value = scale * number(text.replace(",", ".") if text.count(",") == 1 else text, where)
-        if not 0 <= value <= LARGEST and not doubt:
-            raise DataError(
-                f"{where}: {value:g} is not from 0 to {LARGEST:g}; name % with the coefficient if in "
-                'percent, as in a line "alpha in %" above the header'
-            )
-        if value >= 1 and in_percent and not (unit or any(of_cells) or doubt):
+    """Return a product as a material; it has a doubt if its numbers are no coefficients."""
+    place = f"{table.place}, line {next(iter(values.values())).line}"
+    doubt, alpha, above = "", [], []
+    known = {f: value for f, value in values.items() if not is_missing(value.text)}
+    for frequency, value in known.items():
+        where = f"{place}: {shown(name)} at {bands.label(frequency)}"
+        text = value.text.rstrip("% ")
+        unit = "%" if value.text != text else value.unit
+        if _AREA.search(unit) or _AREA.search(name[:MAX_HEADER]):
             doubt = (
-                f"{where}: {value:g} has no unit beside others in %; state it, as % or -, in the name "
-                "of the product or in a column of units"
+                f'{place}: {shown(name)}: "{shown(unit or name)}" names absorption areas in m², and no '
+                "coefficients: multiply one by the number of objects, and divide by the area that is "
+                "stated for them"
             )
-        if value > 1:
-            above.append(f"{value:.2f} at {bands.label(frequency)}")
-        alpha.append(min(value, 1.0))
-    source = "; ".join([place, *filter(None, product.stated)])
-    elsewhere = next((t for t in beside if re.search(_PERCENT, t, re.I)), "")
-    if elsewhere and not unit and not all(of_cells):
-        source += f'; taken as fractions: "{shown(elsewhere, 60)}" is no unit of the coefficients'
+        elif unit not in ("", "-", "1") and not _PERCENT.fullmatch(unit.strip()):
+            raise DataError(
+                f'{where}: "{shown(unit)}" is no unit of coefficients; they have % or -'
+            )
+        scale = 0.01 if _PERCENT.fullmatch(unit.strip()) else 1.0
+        share = scale * number(text.replace(",", ".") if text.count(",") == 1 else text, where)
+        if not 0 <= share <= LARGEST and not doubt:
+            raise DataError(
+                f"{where}: {share:g} is not from 0 to {LARGEST:g}; name % with the coefficient if in "
+                'percent, as in "250 Hz [%]"'
+            )
+        if share > 1:
+            above.append(f"{share:.2f} at {bands.label(frequency)}")
+        alpha.append(min(share, 1.0))
+    missing = [bands.label(f) for f in values if f not in known]
+    source = "; ".join(
+        [place, *texts, *[f"no coefficient at {', '.join(missing)}"] * bool(missing)]
+    )
     if above:
         source += f"; above 1 (edge effect), taken as 1: {', '.join(above)}"
-    if left_out:
-        named = [f'"{shown(n)}"' for n in dict.fromkeys(left_out)]
+    if table.left_out:
+        named = [f'"{shown(n)}"' for n in dict.fromkeys(table.left_out)]
         source += f"; left out: {first_of(named, _MOST_LEFT_OUT)}"
     return ListedMaterial(
-        name=product.name,
-        line=product.line,
+        name=name,
+        line=next(iter(values.values())).line,
         alpha=tuple(alpha),
-        centre_frequencies=tuple(product.values),
+        centre_frequencies=tuple(known),
         spans=(),
         source=" ".join(source.split())[:1000],
         doubt=doubt,

@@ -151,60 +151,27 @@ def statistic_of(name: str) -> str | None:
     --------
     >>> [statistic_of(n) for n in ("Mean (n=2)", "T20 mean", "Mittel (alle)", "écart-type", "Max of 6")]
     ['value', 'value', 'value', 'standard_deviation', '']
-    >>> [statistic_of(n) for n in ("Mean stalls", "Mean 2", "Mittelgang", "R2", "MW 2")]
-    ['?', '?', None, None, None]
+    >>> [statistic_of(n) for n in ("Mean stalls", "Mean 2", "Soll", "Mittelgang", "R2")]
+    ['?', '?', '?', None, None]
     """
     name = name.strip().lower()
     if not name or len(name) > _LONGEST_STATISTIC:
         return None
     if _EXPANDED.fullmatch(name):
         return ""
-    of = _STATISTICS
-    beside, others = of["beside"] | of["before_count"], of["other"]
-    words = [w for token in _SEPARATORS.split(name) if token for w in _parts(token)]
-    if len(words) == 1 and is_count(words[0]):
-        return ""
-    if words and all(w in of["no_position"] or _is_parameter(w) for w in words):
-        return DOUBTFUL if of["no_position"] & {*words} else None
-    if {"number", "nombre", "anzahl"} & {*words[:1]} and {*words} <= beside | of["count"]:
-        return ""
-    named = {*words} & (of["mean"] | of["deviation"] | others)
+    of, words = _STATISTICS, [word for word in _SEPARATORS.split(name) if word]
+    named = {*words} & (of["mean"] | of["deviation"] | of["other"])
     if not named:
-        return DOUBTFUL if {*words} & of["all"] and {*words} <= beside else None
-    if any(not (w.isdecimal() or w in named or w in beside or _is_parameter(w)) for w in words):
-        return None if named <= others else DOUBTFUL
-    in_brackets = _IN_BRACKETS.findall(name)
+        others = {w for w in words if not _is_parameter(w)} - of["beside"] - of["no_position"]
+        return DOUBTFUL if {*words} & of["no_position"] and not others else None
+    known, in_brackets = named | of["beside"] | of["before_count"], _IN_BRACKETS.findall(name)
     for before, word, after in zip(["", *words], words, [*words[1:], ""], strict=False):
-        if word.isdecimal() and not (
-            word in in_brackets or before in of["before_count"] or after in of["beside"]
-        ):
-            return None if named <= of["short"] | others else DOUBTFUL
-    if named & others:
+        counts = word in in_brackets or before in of["before_count"] or after in of["beside"]
+        if not (word.isdecimal() and counts) and word not in known and not _is_parameter(word):
+            return None if named <= of["other"] else DOUBTFUL
+    if named & of["other"]:
         return ""
     return "standard_deviation" if named & of["deviation"] else "value"
-
-
-def is_count(name: str) -> bool:
-    """Return whether a row is called after the number of positions, as a place to the north may be."""
-    return name.strip().lower() in _STATISTICS["count"]
-
-
-def is_doubtful(name: str, values: Sequence[str]) -> bool:
-    """Return whether a row or column of these values may be of a statistic or of a place."""
-    counts = not is_count(name) or all(value.isdecimal() for value in values)
-    return statistic_of(name) == DOUBTFUL or not counts
-
-
-def _parts(token: str) -> list[str]:
-    """Return the words of one that is written together, as "T20mean" and "Mean6" are."""
-    if token in _STATISTICS["mean"] or _is_parameter(token):
-        return [token]
-    for word in sorted(_STATISTICS["mean"], key=len, reverse=True):
-        if len(word) > 2 and token != word and word in (token[: len(word)], token[-len(word) :]):
-            rest = token[len(word) :] if token.startswith(word) else token[: -len(word)]
-            if rest.isdecimal() or _is_parameter(rest):
-                return [word, rest] if token.startswith(word) else [rest, word]
-    return [token]
 
 
 def _is_parameter(word: str) -> bool:
@@ -264,28 +231,6 @@ class Column:
         return self.kind == "value"
 
     @property
-    def _stated(self) -> tuple[bool, bool, bool]:
-        """Whether the header names the parameter, the band and the position of values."""
-        return bool(self.parameter), self.has_band, bool(self.receiver)
-
-    def completed(self, below: Column) -> Column | None:
-        """Return the column of two headers above each other, of which one has what the other lacks.
-
-        None for headers that are no values, that state the same, or of which one states nothing.
-        """
-        both = self._stated, below._stated
-        if not all(map(any, both)) or any(a and b for a, b in zip(*both, strict=True)):
-            return None
-        named, placed = (self if self.parameter else below), (self if self.receiver else below)
-        return replace(
-            named,
-            header=f"{self.header}, {below.header}",
-            band=self.band if self.has_band else below.band,
-            source=placed.source,
-            receiver=placed.receiver,
-        )
-
-    @property
     def meaning(self) -> str:
         """The meaning in words, which `stated` reads: "T20 [ms] at 500 Hz of S1 to R1"."""
         if not self.kind:
@@ -314,7 +259,10 @@ def stated(text: str) -> Column:
         return Column("", text)
     of = _OF.fullmatch(text)
     name = (of[1] if of else text) or "value"
-    column = column_of(re.sub(r"^value at ", "", name))
+    value = _VALUE.fullmatch(name)
+    column = column_of(value[2] if value else name)
+    if value and column:
+        column = replace(column, unit=value[1] or "")
     if column is None or column.wrong or (of and not column.has_values):
         raise DataError(
             f'"{shown(text)}" is no meaning of a column{": " * bool(column and column.wrong)}'
@@ -324,6 +272,7 @@ def stated(text: str) -> Column:
 
 
 _OF = re.compile(r"(?:(.*?)\s+)?of\s+(?:(.+?)\s+to\s+)?(.+)")
+_VALUE = re.compile(r"value\s+(?:\[(.*?)\]\s+)?at\s+(.+)")
 _EXAMPLES = (
     '"band", "receiver", "T20 [s]", "T20 [ms] at 500 Hz of S1 to R1", or "-" if it is left out'
 )
@@ -343,40 +292,15 @@ def columns_of(header: Sequence[str], extra: Collection[str] = ()) -> list[Colum
             columns.append(Column("value", name, source=place[0], receiver=place[1]))
         elif i and any(places) and statistic_of(name) is not None:
             doubt = f'column "{shown(name)}" may be a statistic or a position'
-            columns.append(Column("", name, wrong=doubt if is_doubtful(name, ["?"]) else ""))
+            columns.append(Column("", name, wrong=doubt if statistic_of(name) == DOUBTFUL else ""))
         else:
             column = column_of(name) if name else None
             columns.append(column or (Column("", name) if name in extra else None))
+    if any(column and column.has_band for column in columns):
+        for i, name in enumerate(header):
+            if columns[i] is None and plain(name) in WHOLE_RANGES:
+                columns[i] = Column("", name)
     return columns
-
-
-def joined(top: Sequence[str], below: Sequence[str]) -> list[Column] | None:
-    """Return the columns of a header of two lines, None where they are not one header.
-
-    The lower line adds the unit, or what the upper one lacks: the band, the parameter, the position. A
-    cell of the upper line that is merged over several columns has its name in the first of them.
-    """
-    width = max((i + 1 for row in (top, below) for i, cell in enumerate(row) if cell), default=0)
-    top, below = ([*row, *[""] * width][:width] for row in (top, below))
-    if named := with_units(top, below):
-        found = columns_of(named)
-        return [c for c in found if c] if None not in found else None
-    first = next(i for i, cell in enumerate(top) if cell)
-    if all(top[i] or not below[i] for i in range(first, width)):
-        return None
-    for i in range(first + 1, width):
-        top[i] = top[i] or top[i - 1]
-    columns, completed = [], 0
-    for over, under in zip(columns_of(top), columns_of(below), strict=True):
-        both = over.completed(under) if over and under else None
-        column = both or (under if under or not over or over.has_values else over)
-        if over and not over.kind and over.header:
-            column = over  # such as the mean of the positions beside it
-        if column is None or column.wrong:
-            return None
-        completed += both is not None
-        columns.append(column)
-    return columns if completed > 1 else None
 
 
 def with_units(
@@ -415,7 +339,12 @@ def column_of(header: str) -> Column | None:
         return _of_values(header, band=in_hz * frequency)
     if plain(name) in COLUMNS:
         kind = COLUMNS[plain(name)]
-        units = {"band": ("", "hz", "khz"), "value": UNIT_WORDS | {""}, "": (unit.lower(),)}
+        units = {
+            "band": ("", "hz", "khz"),
+            "parameter": ("", "hz"),  # as in Aurora's "Frq.band [Hz]"
+            "value": UNIT_WORDS | {""},
+            "": (unit.lower(),),
+        }
         known = unit.lower() in units.get(kind, ("",))
         wrong = "" if known else f'column "{shown(header)}": the unit is not known'
         return Column(kind, header, unit=unit, wrong=wrong)

@@ -1,20 +1,17 @@
 """Tables of measured values, as measuring systems and spreadsheets write them.
 
 A format makes `rtcal.io.text.Sheet`s of cells of a file: text with separators (CSV), workbooks
-(`workbook`, xlsx), and the text of REW, the XL2 and Aurora (`instruments`). What the cells mean is
-decided here, in all formats alike, in three steps: cells, the columns of a header (`table_columns`),
-values. The header decides between five shapes:
+(`workbook`, xlsx), and the text of REW, the XL2, Dirac and Aurora (`instruments`). What the cells mean
+is decided here, in all formats alike. A header names every column, in one line: a parameter, a band, a
+position, or what stands beside the values of a row (`table_columns`). So tables may be
 
 - *long*: one value per row, in the columns of the native file or their usual spellings;
-- *bands across*: one row per parameter or position, one column per band;
-- *bands down*: one row per band, one column per parameter;
-- *positions across*: one row per band, one column per position (``S1R1``, ``S1R1#2`` for a repeat);
-- *corner*: as the last two, and the first header names the parameter of all values.
+- *wide*: bands, parameters or positions (``S1R1``, ``S1R1#2`` for a repeat) across.
 
-A parameter or a position that neither rows nor columns name may be the name of the sheet, or a title
-above the header. Columns of text are separated by ``;``, tab or ``,``. Decimals may have a comma if
-columns are not separated by commas, or if the cell is quoted. Any other header is refused: the message
-proposes ``columns``, the meaning of each column in their order, with which the file is read.
+A parameter or a position that neither rows nor columns name may be the name of the sheet. Columns of
+text are separated by ``;``, tab or ``,``. Decimals may have a comma if columns are not separated by
+commas, or if the cell is quoted. Any other table is refused: the message proposes ``columns``, the
+meaning of each column in their order, as far as headers and cells show it. With it the file is read.
 """
 
 from __future__ import annotations
@@ -53,15 +50,14 @@ from rtcal.io.table_columns import (
     FORMULA_ERRORS,
     LEAST_BAND,
     OPEN,
+    UNIT_WORDS,
     WHOLE_RANGES,
     Column,
     column_of,
     columns_of,
     frequency_of,
-    is_doubtful,
     is_missing,
     is_unused,
-    joined,
     name_and_unit,
     nearest_band,
     no_band,
@@ -100,11 +96,7 @@ _NUMBER = re.compile(
 )
 _UNUSED = "left out, since rtcal has no use for it"
 _BARE_NUMBER = re.compile(r"[\d.,]+")
-_DECIMAL = re.compile(r"\d+[.,]\d+")
-_WORD = re.compile(r"[A-Za-z]")
-_INDEX = re.compile(r"Unnamed: \d+")
-"""The header of a column of row numbers that pandas has written and read again."""
-_FROM_LINE = re.compile(r"\s*from line (\d+):(.*)", re.DOTALL)
+_LINES = re.compile(r"\s*from line (\d+)(?: to (\d+))?:(.*)", re.DOTALL)
 
 FORMATS: list[Any] = [workbook, instruments]
 """Formats beside text with separators. Each has ``claims(content)`` and
@@ -186,9 +178,9 @@ def read(
     where : mapping of str to str, optional
         Selects rows by the entry of a column: ``{"room": "CR2"}``.
     columns : str, optional
-        What each column holds, in their order, where no header says it, and the first line of values
-        (by default the second): ``"from line 3: receiver; T20 [ms] at 500 Hz; -"``. A refusal proposes
-        it.
+        What each column holds, in their order, where no header says it, with the first line of values
+        (by default the second) and perhaps the last: ``"from line 3 to 9: receiver; T20 [ms] at 500
+        Hz; -"``. A refusal proposes it.
     n_sources, n_receivers : int, optional
         Numbers of sources and receivers, if the values are means over several pairs.
     repeats : bool, optional
@@ -279,7 +271,7 @@ def sheets_of(
             sheets: list[Sheet] = module.sheets(content, path, where or {})
             return sheets
     likely = sheets_of_text(decode(content, path), path)
-    return [next((s for s in likely if _header(s.rows, extra)[1]), likely[0])]
+    return [next((s for s in likely if _header(s.rows, extra)[2]), likely[0])]
 
 
 # -- cells to columns
@@ -304,14 +296,12 @@ def _of_file(content: bytes, path: str, options: _Options) -> tuple[list[_Table]
         )
     chosen = [s for s in of_file if s.name in options.sheets]
     if not options.sheets:
-        several = len(of_file) > 1
-        chosen = [s for s in of_file if not several or _has_header(s)] or of_file
+        chosen = [s for s in of_file if _header(s.rows, ())[1] > 1] or of_file
     tables: list[_Table] = []
     errors = []
     for sheet in chosen:
         try:
-            table = _stated_table if options.columns else _table
-            tables.append(table(sheet, options))
+            tables.append((_stated_table if options.columns else _table)(sheet, options))
         except DataError as error:
             errors.append(error)
     if errors:
@@ -346,56 +336,25 @@ def _quoted(names: Sequence[str]) -> str:
     return first_of([f'"{shown(name)}"' for name in names], _MOST_NAMED)
 
 
-def _has_header(sheet: Sheet) -> bool:
-    """Return whether a row names a column by more than a number."""
-    return any(_named(cells)[0] > 1 for _, cells in sheet.rows[:MAX_LINES_BEFORE_HEADER])
+def _header(rows: Sequence[Row], extra: Collection[str]) -> tuple[int, int, bool]:
+    """Return the row that is the header, how many of its cells name columns, and whether all do.
 
-
-def _named(cells: Sequence[str], extra: Collection[str] = ()) -> tuple[int, bool]:
-    """Return the number of cells that name a column by more than a number, and whether all do."""
-    named = [pair for pair in zip(cells, columns_of(cells, extra), strict=True) if pair[0]]
-    count = sum(not _BARE_NUMBER.fullmatch(cell) for cell, column in named if column)
-    return count, all(column is not None and not column.wrong for _, column in named)
-
-
-def _header(rows: Sequence[Row], extra: Collection[str]) -> tuple[int, bool]:
-    """Return the header's row, and whether all of its cells name columns; else most do."""
-    counts: dict[int, int] = {}
-    several = []
-    complete = True
+    It is the first row whose cells all do, else the one with most that has no numbers but bands.
+    """
+    best = next((i for i, (_, cells) in enumerate(rows) if sum(map(bool, cells)) > 1), 0), 0
     for i, (_, cells) in enumerate(rows[:MAX_LINES_BEFORE_HEADER]):
-        filled = sum(map(bool, cells))
-        if filled > 1:
-            several.append(i)
-        if len(cells) > MAX_COLUMNS or filled + (not cells[0]) < 2:
-            continue
-        count, all_named = _named(cells, extra)
-        if complete and all_named and count:
-            return i, True
-        complete &= count < 2
-        decimals = (frequency_of(c) for c in cells[1:] if _DECIMAL.fullmatch(c))
-        of_values = frequency_of(cells[0]) or not all(f and nearest_band(f) for f in decimals)
-        if filled > 1 and not of_values:
-            counts[i] = count
-    most = max(counts, key=lambda i: counts[i], default=None)
-    return (most if most is not None and counts[most] else (several or [0])[0]), False
-
-
-def _has_corner(columns: Sequence[Column]) -> bool:
-    """Return whether the first column names the parameter of all others, which name none."""
-    first, others = columns[0], [c for c in columns[1:] if c.has_values]
-    return bool(
-        first.has_values
-        and first.parameter
-        and not first.has_band
-        and others
-        and not any(c.parameter for c in others)
-        and (all(c.has_band for c in others) or all(c.receiver for c in others))
-    )
+        filled = [pair for pair in zip(cells, columns_of(cells, extra), strict=True) if pair[0]]
+        unclear = [cell for cell, column in filled if column is None or column.wrong]
+        count = sum(c is not None and not _BARE_NUMBER.fullmatch(cell) for cell, c in filled)
+        if len(filled) > 1 and count and not unclear:
+            return i, count, True
+        if count > best[1] and not any(map(_BARE_NUMBER.fullmatch, unclear)):
+            best = i, count
+    return *best, False
 
 
 def _table(sheet: Sheet, options: _Options) -> _Table:
-    """Return a table with its header and what stands before it."""
+    """Return a table by its header; DataError proposes ``columns`` for one that says too little."""
     rows = list(sheet.rows)
     at = _header(rows, options.where)[0]
     (line, header), body, notes = rows[at], rows[at + 1 :], [sheet.note]
@@ -406,194 +365,252 @@ def _table(sheet: Sheet, options: _Options) -> _Table:
     if len(header) > MAX_COLUMNS:
         place = f"{sheet.place}, line {line}"
         raise DataError(f"{place}: {len(header)} columns; at most {MAX_COLUMNS}")
-    header = ["" if _INDEX.fullmatch(name) else name for name in header]
-    found: list[Column | None] = columns_of(header, options.where)
-    if body and (both := joined(header, body[0][1])):
-        notes.append(f"lines {line} and {body[0][0]} are one header")
-        found, body = [*both], body[1:]
-    if found[0] is None and not header[0]:
-        found[0] = _unnamed(found[1:], [r[0] for _, r in body if r[0]])
-    of_bands = any(c.has_band for c in found if c)
+    found = columns_of(header, options.where)
     for k, column in enumerate(found):
         cells = [row[k] for _, row in body if len(row) > k and row[k]]
-        name = column.header if column else header[k]
-        found[k] = _by_its_cells(column, name, cells, of_bands, options)
-    first = body[0][0] if body else line + 1
-    _refuse_header(header, found, body, rows[at - 1] if at else (0, []), (sheet.place, line, first))
-    columns = [c for c in found if c]
-    if _has_corner(columns):
-        corner, across = columns[0], next(c for c in columns[1:] if c.has_values)
-        columns = [
-            replace(c, parameter=corner.parameter, unit=corner.unit) if c.has_values else c
-            for c in columns
-        ]
-        columns[0] = Column("receiver" if across.has_band else "band", corner.header)
-    if columns[0] == _ROW_NUMBERS:
-        notes.append("the first column has the rows' numbers, and is left out")
-    if again := next((n for n, cells in body if cells[1:] == header[1:] and any(header[1:])), 0):
+        if not (column or header[k] or cells):
+            found[k] = Column("", header[k])
+        elif column and not column.kind and _selects_parameter(header[k], cells, options):
+            found[k] = replace(column, kind="parameter")
+    if problem := _problem(found, header, body):
         raise DataError(
-            f"{sheet.place}, line {again}: a second table begins here, with the header of line {line}: "
-            "keep each in a file or a sheet of its own"
+            f"{sheet.place}, line {line}: {problem}; or state what each column holds, - for none, with "
+            f"{_proposed(sheet, at, options)}"
         )
-    notes += sheet.notes
-    return _Table(sheet, columns, line, body, _titles(rows[:at]), notes, options)
+    columns = [column for column in found if column]
+    titles = [c for _, cells in rows[:at] for c in cells if c]
+    return _Table(sheet, columns, at, body, titles, [*notes, *sheet.notes], options)
 
 
-def _titles(rows: Sequence[Row]) -> list[str]:
-    """Return the cells that stand alone in their row."""
-    return [next(filter(None, cells)) for _, cells in rows if sum(map(bool, cells)) == 1]
+def _selects_parameter(name: str, cells: Sequence[str], options: _Options) -> bool:
+    """Return whether rows are selected by their parameter: one of several, or of all, in a column.
 
-
-def _by_its_cells(
-    column: Column | None, name: str, cells: Sequence[str], of_bands: bool, options: _Options
-) -> Column | None:
-    """Return a column's meaning, where its cells decide beside its header."""
-    whole = column is None and of_bands and plain(name) in WHOLE_RANGES
-    if whole or not (column or name or cells):
-        return Column("", name)
-    if column and cells:
-        # "Band (Hz)" is said of the header. Rows that are selected may be called D50, as a room.
-        entries = dict.fromkeys(cells)
-        named = [entry for entry in entries if _names_parameter(entry)]
-        are_named = len(named) > 1 or len(named) == len(entries)
-        selects = not column.kind and options.where.get(name) in named and are_named
-        if selects or (column.kind == "band" and of_bands and named):
-            return replace(column, kind="parameter")
-    return column
-
-
-def _stated_table(sheet: Sheet, options: _Options) -> _Table:
-    """Return the table whose columns are stated; its rows begin in the line that is stated."""
-    of_line = _FROM_LINE.fullmatch(options.columns)
-    texts = (of_line[2] if of_line else options.columns).split(";")
-    first = int(of_line[1]) if of_line else sheet.rows[min(1, len(sheet.rows) - 1)][0]
-    above = [row for row in sheet.rows if row[0] < first]
-    names = above[-1][1] if above else []
-    columns = []
-    for k, text in enumerate(texts):
-        try:
-            column = stated(text)
-        except DataError as error:
-            raise DataError(f"{sheet.place}: columns, {k + 1}: {error}") from error
-        name = names[k] if k < len(names) else ""
-        columns.append(replace(column, header=name or column.header))
-    body = [row for row in sheet.rows if row[0] >= first]
-    line = above[-1][0] if above else first
-    notes = [sheet.note, "columns are as stated", *sheet.notes]
-    return _Table(sheet, columns, line, body, _titles(above), notes, options)
-
-
-def _is_remark(cells: Sequence[str]) -> bool:
-    """Return whether a row is a text alone."""
-    only = [cell for cell in cells if cell]
-    return only == [cells[0]] and " " in cells[0] and not position_of(cells[0])
-
-
-_ROW_NUMBERS = Column("", "")
-
-
-def _unnamed(others: Sequence[Column | None], cells: list[str]) -> Column:
-    """Return the meaning of a first column without header, which follows from its cells."""
-    named = [c for c in others if c]
-    numbers = [str(n) for n in range(len(cells))]
-    beside = {"band", "receiver", "source"} & {c.kind for c in named}
-    if not cells or (cells == numbers and len(cells) > 1 and beside):
-        return _ROW_NUMBERS
-    if any(c.parameter or c.receiver for c in named) and all(map(frequency_of, cells)):
-        return Column("band")
-    if any(c.has_band for c in named) and all(map(_names_parameter, cells)):
-        return Column("parameter")
-    return Column("receiver")
+    Rows may be selected by a room that is called D50, too.
+    """
+    named = [entry for entry in dict.fromkeys(cells) if _names_parameter(entry)]
+    return options.where.get(name) in named and (len(named) > 1 or len({*cells}) == 1)
 
 
 def _names_parameter(cell: str) -> bool:
     return bool(parameter_of(name_and_unit(cell)[0])) or is_unused(cell)
 
 
-def _proposal(columns: Sequence[Column | None], first: int) -> str:
-    """Return ``columns`` for a table whose values begin in the line ``first``."""
-    known = any(c and c.has_values for c in columns)
-    meanings = [(c.meaning if c.kind else "-") if c else "-" if known else "?" for c in columns]
-    return f'columns="from line {first}: {"; ".join(meanings)}"'.replace('\\"', "'")
-
-
-def _guessed(name: str, cells: Sequence[str], columns: Sequence[Column | None]) -> Column | None:
-    """Return what an unknown column may hold, for a proposal; None if nothing speaks for it.
-
-    Where no column is known to hold values, those of numbers may be positions, or bands.
-    """
-    if not cells or statistic_of(name) is not None or any(c and c.has_values for c in columns):
-        return None
-    if not all(_NUMBER.fullmatch(cell.removesuffix(unit_of(cell)).strip()) for cell in cells):
-        return Column("receiver") if all(map(position_of, cells)) else None
-    words = name.split()
-    parameter = next((word for word in words if parameter_of(word)), "")
-    band = next((word for word in words if (frequency_of(word) or 0) >= LEAST_BAND), "")
-    of_band = column_of(band) if band else None
-    if of_band is None and not any(c and c.kind == "band" for c in columns):
-        return None
-    place = "" if of_band else " ".join(word for word in words if word != parameter)
-    column = of_band or Column("value")
-    return replace(column, header=name, parameter=parameter_of(parameter), receiver=place)
-
-
-def _refuse_header(
-    header: Sequence[str],
-    columns: Sequence[Column | None],
-    body: Sequence[Row],
-    above: Row,
-    at: tuple[str, int, int],
-) -> None:
-    """Raise DataError for a header that is not understood, with the columns that are.
-
-    ``above`` is the row above, ``at`` the sheet's place, the header's line and the first of values.
-    """
-    (path, line, first), proposed, over = at, [*columns], above[1]
-    unknown = [name for name, c in zip(header, columns, strict=False) if c is None and name]
-    placed = any(c.receiver or c.kind in ("source", "receiver") for c in columns if c)
-    position = next(filter(position_of, over), "")
-    alike = Counter(c.meaning for c in columns if c and c.has_values)
-    named = any(c and c.kind and not _BARE_NUMBER.fullmatch(c.header) for c in columns)
-    unread = any(c is None or c.wrong for c in columns)
-    if unread and not named and all(map(_BARE_NUMBER.fullmatch, unknown)):
-        problem = "no line names columns by a parameter, a band or a position"
-        first, proposed = line, [Column("band"), *[None] * (len(columns) - 1)]
-    elif wrong := next((c.wrong for c in columns if c and c.wrong), ""):
-        problem, proposed = wrong, [None if c and c.wrong else c for c in columns]
-    elif unknown:
+def _problem(columns: Sequence[Column | None], header: Sequence[str], body: Sequence[Row]) -> str:
+    """Return what a header leaves open; "" if it says what every column holds."""
+    unknown = [name for name, c in zip(header, columns, strict=True) if c is None and name]
+    if all(map(_BARE_NUMBER.fullmatch, unknown or header)):
+        return "no line names columns by a parameter, a band or a position"
+    if unknown:
         are = f"{_quoted(unknown)} {'is' if len(unknown) == 1 else 'are'}"
         problem = f"column{'s' * (len(unknown) > 1)} {are} no parameter, band, source or receiver; "
-        for k, name in enumerate(header):
-            cells = [row[k] for _, row in body if len(row) > k and not is_missing(row[k])]
-            proposed[k] = columns[k] or _guessed(name, cells, columns)
         if any(map(repeat_of, unknown)):
-            problem += "if they are repeats of one place, state repeats=True"
-        else:
-            selected = f'where={{"{shown(unknown[0])}": "..."}}'
-            problem += f"read the rows of one room or state only with {selected}"
-    elif None in columns:
-        problem = f"column {columns.index(None) + 1} has values and no name"
-    elif not placed and sum(map(bool, over[1:])) > 1 and (position or max(alike.values()) > 1):
-        line, over = above[0], [*over, *[""] * len(columns)][: len(columns)]
-        other = next((c for c in over if c and not position_of(c)), position)
-        problem = f'"{shown(other)}" stands above columns, and names no position'
-        if position:
-            problem = f'"{shown(position)}" is a position, and "{shown(other)}" none'
-        for k, column in enumerate(columns):
-            over[k] = over[k] or over[max(k - 1, 0)]
-            if column and column.has_values and over[k]:
-                source, receiver = position_of(over[k]) or ("", over[k])
-                of_place = replace(column, source=source, receiver=receiver)
-                proposed[k] = of_place if statistic_of(over[k]) is None else None
-    else:
-        return
-    raise DataError(
-        f"{path}, line {line}: {problem}; or state what each column holds, - for none, with "
-        f"{_proposal(proposed, first)}"
+            return problem + "if they are repeats of one place, state repeats=True"
+        return (
+            problem
+            + f'read the rows of one room or state only with where={{"{shown(unknown[0])}": "..."}}'
+        )
+    if wrong := next((c.wrong for c in columns if c and c.wrong), ""):
+        return wrong
+    known = [column for column in columns if column]
+    if len(known) < len(columns):
+        return f"column {columns.index(None) + 1} has values and no name"
+    values, kinds = [c for c in known if c.has_values], {c.kind for c in known}
+    if without := [c for c in values if c.has_band == ("band" in kinds)]:
+        which = "two headers say" if "band" in kinds else "no header says"
+        return f'{which} the band of "{shown(without[0].header)}"'
+    alike = Counter(c.meaning for c in values)
+    if twice := next((c for c in values if alike[c.meaning] > 1 and not c.receiver), None):
+        return f'{alike[twice.meaning]} columns are "{shown(twice.header)}"'
+    below = (
+        [cell for cell, c in zip(body[0][1], known, strict=False) if c.has_values] if body else []
     )
+    if below and all(cell.strip("[]()").lower() in {*UNIT_WORDS} - {"-", "1"} for cell in below):
+        return f"line {body[0][0]} has units, which belong into the header"
+    return ""
 
 
-# -- columns to values
+def lines_and_texts(columns: str, sheet: Sheet) -> tuple[range, list[str]]:
+    """Return the lines with values that ``columns`` states, and the meaning of each column."""
+    found, lines = _LINES.fullmatch(columns), [line for line, _ in sheet.rows]
+    texts = (found[3] if found else columns).split(";")
+    first = int(found[1]) if found else lines[min(1, len(lines) - 1)]
+    return range(first, int(found[2] or lines[-1]) + 1 if found else lines[-1] + 1), texts
+
+
+def _stated_table(sheet: Sheet, options: _Options) -> _Table:
+    """Return the table whose columns are stated; its rows stand in the lines that are stated."""
+    lines, texts = lines_and_texts(options.columns, sheet)
+    above = [cells for line, cells in sheet.rows if line < lines.start]
+    names = [*(above[-1] if above else []), *[""] * len(texts)]
+    columns = []
+    for k, (text, name) in enumerate(zip(texts, names, strict=False)):
+        try:
+            column = stated(text)
+        except DataError as error:
+            raise DataError(f"{sheet.place}: columns, {k + 1}: {error}") from error
+        columns.append(replace(column, header=name or column.header))
+    body = [row for row in sheet.rows if row[0] in lines]
+    notes = [sheet.note, "columns are as stated", *sheet.notes]
+    return _Table(sheet, columns, max(len(above) - 1, 0), body, [], notes, options)
+
+
+# -- a proposal of columns
+
+
+def _proposed(sheet: Sheet, at: int, options: _Options) -> str:
+    """Return ``columns`` for a table that row ``at`` names best, as far as its cells show them.
+
+    Headers above each other name a column together; an upper one may be merged over several columns.
+    """
+    rows = sheet.rows
+    first = at
+    while first < len(rows) - 1 and not _are_values(rows[first][1], [c for _, c in rows[at:first]]):
+        first += 1
+    top = at
+    while top and rows[top - 1][0] == rows[top][0] - 1 and _is_header(rows[top - 1][1]):
+        top -= 1
+    above, body = [cells for _, cells in rows[top:first]], rows[first:]
+    last = _last_of(body)
+    body = body[: last + 1]
+    width = max(len(cells) for cells in [*above, body[0][1]])
+    headers = [[*cells, *[""] * width][:width] for cells in above]
+    for upper in headers[:-1]:
+        start = next((k for k, cell in enumerate(upper) if cell), width)
+        for k in range(max(start, 1) + 1, width):
+            upper[k] = upper[k] or upper[k - 1]
+    several = [row for _, row in body if sum(map(bool, row)) > 1]
+    cells = [[row[k] for row in several if len(row) > k and row[k]] for k in range(width)]
+    found = [columns_of(texts) for texts in headers]
+    labels = [
+        [(row[k], c[k]) for row, c in zip(headers, found, strict=True) if row[k]]
+        for k in range(width)
+    ]
+    columns = [_named_together(of_column) for of_column in labels]
+    known = [column for column in columns if column]
+    for k in (k for k in range(width) if labels[k] and not columns[k]):
+        columns[k] = _of_unknown(labels[k][-1][0], cells[k], known)
+    if columns[0] or not labels[0]:
+        _complete_first(columns, cells[0])
+    title = next((c for t in (sheet.name, *_titles(rows[:top])) if (c := _name_of(t))), None)
+    if title and not any(c and (c.parameter or c.kind == "parameter") for c in columns):
+        columns = [
+            replace(c, parameter=title.parameter, unit=c.unit or title.unit)
+            if c and c.has_values
+            else c
+            for c in columns
+        ]
+    to = f" to {body[-1][0]}" if first + last + 1 < len(rows) else ""
+    unknown = "-" if any(c and c.has_values for c in columns) else "?"
+    meanings = [(c.meaning if c.kind else "-") if c else unknown for c in columns]
+    if options.parameter:  # which is stated beside
+        meanings = [m.replace(f"{parameter_label(options.parameter)} ", "value ") for m in meanings]
+    return columns_text(f"{body[0][0]}{to}", meanings)
+
+
+def columns_text(line: str, meanings: Sequence[str]) -> str:
+    """Return ``columns`` for a message, of these lines and meanings."""
+    return f'columns="from line {line}: {"; ".join(meanings)}"'.replace('\\"', "'")
+
+
+def _is_number(cell: str) -> bool:
+    return bool(_NUMBER.fullmatch(cell.removesuffix(unit_of(cell)).strip()))
+
+
+def _are_values(cells: Sequence[str], above: Sequence[Sequence[str]]) -> bool:
+    """Return whether a row has values below some headers: numbers that are no bands of theirs."""
+    if not above and any(column_of(cell) for cell in cells if not _BARE_NUMBER.fullmatch(cell)):
+        return False
+    numbers = [cell for cell in cells[1:] if _is_number(cell)]
+    known = [column for row in above for column in map(column_of, row) if column]
+    if any(column.kind == "band" or column.has_band for column in known):
+        return bool(numbers)
+    found = map(column_of, numbers)
+    are_bands = len(numbers) > 1 and all(c and c.has_band and not c.wrong for c in found)
+    return bool(numbers) and not are_bands
+
+
+def _is_header(cells: Sequence[str]) -> bool:
+    """Return whether a row above a header may be a part of it: it names more than the first column."""
+    others = [cell for cell in cells[1:] if cell]
+    return bool(others) and (not cells[0] or any(map(column_of, others)))
+
+
+def _last_of(body: Sequence[Row]) -> int:
+    """Return the number of the last row of a table: with as many cells, and a band, as its first."""
+    width, of_band = len(body[0][1]), frequency_of(body[0][1][0])
+    for i, (_, cells) in enumerate(body):
+        has_band = not of_band or frequency_of(cells[0]) or plain(cells[0]) in WHOLE_RANGES
+        if sum(map(bool, cells)) > 1 and not (has_band and len(cells) >= width):
+            return max(i - 1, 0)
+    return len(body) - 1
+
+
+def _named_together(labels: Sequence[tuple[str, Column | None]]) -> Column | None:
+    """Return the column that headers above each other name, each with its own column if it is known."""
+    texts = [text for text, _ in labels]
+    made, place, is_known = Column("value", " ".join(texts)), "", False
+    for text, column in labels:
+        bare = text.strip("[]() ")
+        if len(texts) > 1 and bare.lower() in UNIT_WORDS - {"-", "1"}:
+            made = replace(made, unit=bare)
+            continue
+        if column and not column.has_values:
+            return replace(column, unit="kHz" if "khz" in map(str.lower, texts) else column.unit)
+        words = [] if column else text.split()
+        parameter = next((w for w in words if parameter_of(w)), "")
+        band = next((w for w in words if (frequency_of(w) or 0) >= LEAST_BAND), "")
+        column = column or column_of(f"{parameter} {band}".strip())
+        if not band:
+            place = " ".join(word for word in words if word != parameter) or place
+        if statistic_of(place) is not None:
+            return Column("", text)
+        if column and not column.wrong:
+            is_known = True
+            made = replace(
+                made,
+                parameter=column.parameter or made.parameter,
+                band=column.band if column.has_band else made.band,
+                unit=column.unit or made.unit,
+                source=column.source or made.source,
+                receiver=column.receiver or made.receiver,
+            )
+    return replace(made, receiver=made.receiver or place) if is_known else None
+
+
+def _of_unknown(name: str, cells: Sequence[str], known: Sequence[Column]) -> Column | None:
+    """Return what an unknown column may hold beside the known ones: a position, or its values."""
+    kinds = {column.kind for column in known}
+    if cells and all(map(_is_number, cells)):
+        is_place = "band" in kinds and "value" not in kinds and statistic_of(name) is None
+        return Column("value", name, receiver=name) if is_place else None
+    is_receiver = bool(cells) and all(map(position_of, cells)) and "receiver" not in kinds
+    return Column("receiver", name) if is_receiver else None
+
+
+def _complete_first(columns: list[Column | None], cells: Sequence[str]) -> None:
+    """Set what the first column holds by its cells, where its header names none, or all others."""
+    first, others = columns[0], [c for c in columns[1:] if c and c.has_values]
+    over = first and first.has_values and not any(c.parameter for c in others)
+    if first and not over and not (first.kind == "band" and any(c.has_band for c in others)):
+        return
+    of_rows = {"band", "receiver", "source"} & {c.kind for c in columns[1:] if c}
+    if [*cells] == [str(n) for n in range(len(cells))] and of_rows:
+        columns[0] = Column("", "")
+    elif any(frequency_of(c) for c in cells) and not any(c.has_band for c in others):
+        columns[0] = Column("band", "")
+    else:
+        is_parameter = bool(cells) and all(map(_names_parameter, cells))
+        columns[0] = Column("parameter" if is_parameter else "receiver", "")
+    if first and over:
+        for k, column in enumerate(columns):
+            if column and column.has_values:
+                columns[k] = replace(
+                    column, parameter=first.parameter, unit=column.unit or first.unit
+                )
+
+
+def _titles(rows: Sequence[Row]) -> list[str]:
+    return [cell for _, cells in rows for cell in cells if cell]
 
 
 def _name_of(text: str) -> Column | None:
@@ -601,6 +618,9 @@ def _name_of(text: str) -> Column | None:
     column = column_of(text) if text else None
     alone = column is not None and column.parameter and not column.has_band and not column.wrong
     return column if alone else None
+
+
+# -- columns to values
 
 
 @dataclass
@@ -617,23 +637,23 @@ class _Table:
     """The columns of a header, and the values of the rows below it.
 
     A row has a value for each column of values. It may also have an uncertainty, a statistic (mean or
-    standard deviation), and the number of positions of a mean. ``line`` is that of the header, and
-    ``titles`` are alone in a row before it.
+    standard deviation), and the number of positions of a mean. ``at`` is the header's row, and
+    ``titles`` are the cells before it.
     """
 
     def __init__(
         self,
         sheet: Sheet,
         columns: Sequence[Column],
-        line: int,
+        at: int,
         body: Sequence[Row],
         titles: Sequence[str],
         notes: list[str],
         options: _Options,
     ) -> None:
         self.sheet, self.titles, self.notes, self.options = sheet, titles, notes, options
-        self.place = f"{sheet.place}, line {line}"
-        self.first = body[0][0] if body else line + 1
+        self.at = at
+        self.place = f"{sheet.place}, line {sheet.rows[at][0]}"
         self.was_open = False  # whether a name such as RT60 was found
         self.formula_errors: list[str] = []  # the places of values that are missing for it
         self.statistics: dict[str, None] = {}  # names of the rows of statistics over positions
@@ -651,6 +671,7 @@ class _Table:
             if kind not in ("value", "") and times > 1:
                 raise DataError(f"{self.place}: two columns are the {kind}")
         self.rows = self._rows(body)
+        self.first = self.rows[0][0] if self.rows else sheet.rows[at][0] + 1
         self.parameter = None if "parameter" in kinds else self._of_table()
         if self.parameter is not None:
             key, unit = self.parameter.parameter, self.parameter.unit
@@ -674,33 +695,34 @@ class _Table:
         )
 
     def _rows(self, body: Sequence[Row]) -> list[Row]:
-        """Return the rows with a cell per column, without what stands below a table.
+        """Return the rows with a cell per column; a text alone is left out.
 
-        Below bands down that is all from the first word after the last band on, else a text alone.
         Raises DataError for a row of another width.
         """
-        end, width = len(body), len(self.columns)
-        if self.columns[0].kind == "band":
-            of_bands = [bool(frequency_of(c[0])) or plain(c[0]) in WHOLE_RANGES for _, c in body]
-            last = max((i for i, is_band in enumerate(of_bands, 1) if is_band), default=end)
-            end = last if last < end and _WORD.match(body[last][1][0]) else end
-        while end and width > 2 and _is_remark(body[end - 1][1]):
-            end -= 1
-        if end < len(body):
-            line, cells = body[end]
-            remark = shown(next(filter(None, cells)), 60)
-            self.notes.append(f'from line {line} on it is no table: "{remark}"; left out')
-        rows = []
-        for line, cells in body[:end]:
+        width, rows = len(self.columns), []
+        for line, cells in body:
             while len(cells) > width and not cells[-1]:
                 cells = cells[:-1]
+            if width > 2 and [cell for cell in cells if cell] == cells[:1]:
+                self._note(f'left out, a text alone in its line: "{shown(cells[0], 60)}"')
+                continue
             if len(cells) != width:
                 raise DataError(
                     f"{self.sheet.place}, line {line}: {len(cells)} cells; the header has {width}; "
-                    "what stands below a table is to be deleted"
+                    f"{self._other_lines}"
                 )
             rows.append((line, cells))
         return rows
+
+    @property
+    def _other_lines(self) -> str:
+        """How to leave out lines that are no part of the table."""
+        cure = "what stands below a table is to be deleted"
+        return cure if self.options.columns else f"{cure}, or left out with {self._proposal}"
+
+    @property
+    def _proposal(self) -> str:
+        return _proposed(self.sheet, self.at, self.options)
 
     def _set_positions(self, kinds: set[str]) -> None:
         """Set the position of values whose rows name none, and the sentences on positions."""
@@ -757,31 +779,25 @@ class _Table:
         return self.options.decay_time
 
     def _of_table(self) -> Column | None:
-        """Return the parameter of values that name none: it is stated, or the sheet's name or a title.
+        """Return the parameter of values that name none: it is stated, or the sheet's name.
 
-        None if all name theirs; DataError where two contradict each other.
+        None if all name theirs; DataError where both contradict each other.
         """
         if all(c.parameter for c in self.columns if c.has_values):
             return None
         place, stated = self.sheet.place, self.options.parameter
-        named: dict[str, tuple[Column, str]] = {}
-        for text in (self.sheet.name, *self.titles):
-            column = _name_of(text)
-            if column is None:
-                continue
-            if column.parameter == OPEN and stated in DECAY_TIMES_OF_RT60:
-                column = replace(column, parameter=stated)
-            key = self._closed(column, place)
-            named[key] = replace(column, parameter=key), text
-        if stated is None:
-            return next(iter(named.values()))[0] if len(named) == 1 else None
-        for key, (_, text) in named.items():
-            if key != stated:
-                raise DataError(
-                    f'{place}: parameter="{stated}" is stated, and the table\'s name "{shown(text)}" '
-                    f"says {parameter_label(key)}; state only what is so"
-                )
-        return named[stated][0] if stated in named else Column("value", stated, stated)
+        named = _name_of(self.sheet.name)
+        if named is None:
+            return Column("value", stated, stated) if stated else None
+        if named.parameter == OPEN and stated in DECAY_TIMES_OF_RT60:
+            named = replace(named, parameter=stated)
+        key = self._closed(named, place)
+        if stated not in (None, key):
+            raise DataError(
+                f'{place}: parameter="{stated}" is stated, and the table\'s name '
+                f'"{shown(self.sheet.name)}" says {parameter_label(key)}; state only what is so'
+            )
+        return replace(named, parameter=key)
 
     def _cells_of_values(self, cells: Sequence[str]) -> list[str]:
         """Return the cells of a row that have values."""
@@ -914,7 +930,7 @@ class _Table:
         if not statistics:
             return None
         for name in statistics:
-            if values and is_doubtful(name, values):
+            if values and statistic_of(name) == DOUBTFUL:
                 raise DataError(
                     f'{place}: "{shown(name)}" may be a statistic or a remark, or a position: delete '
                     "the row; or, if it is a position, give it another name"
@@ -953,9 +969,10 @@ class _Table:
         """Raise DataError for a value of which nothing says the parameter."""
         if "parameter" in entries:
             raise DataError(f'{place}: parameter "{shown(entries["parameter"])}" is unknown')
+        likely = next((c.parameter for t in self.titles if (c := _name_of(t))), "t20")
         raise DataError(
             f'{place}: no heading says which parameter the value "{shown(cell)}" is; state it: '
-            'parameter="t20", for instance'
+            f'parameter="{likely}", for instance'
         )
 
     def _row_parameter(self, entries: Mapping[str, str], place: str) -> str:
@@ -979,7 +996,9 @@ class _Table:
             return None
         frequency = frequency_of(entries["band"])
         if frequency is None:
-            raise DataError(f'{place}: band "{shown(entries["band"])}" is no frequency in Hz')
+            raise DataError(
+                f'{place}: band "{shown(entries["band"])}" is no frequency in Hz; {self._other_lines}'
+            )
         column = next(c for c in self.columns if c.kind == "band")
         frequency *= 1000 if column.unit.lower() == "khz" else 1
         band = nearest_band(frequency)
@@ -1014,7 +1033,8 @@ class _Table:
                     for c in self.columns
                 ]
                 named = f'"{label} [{unit}]" as the name of the column, the row or the sheet'
-                cure = f" or state {_proposal(columns, self.first)}"
+                meanings = [c.meaning if c.kind else "-" for c in columns]
+                cure = f" or state {columns_text(str(self.first), meanings)}"
                 of_rows = any(c.kind == "parameter" for c in self.columns)
                 raise DataError(f"{text} If so, write {named}{'' if of_rows else cure}") from error
             raise DataError(f"{text} If it is no measurement, empty the cell") from error
