@@ -47,7 +47,7 @@ def test_each_file_gives_what_it_means(case: corpus.Case, tmp_path: Path) -> Non
             return
         proposed = re.search(r'columns="([^"]*)"', str(refusal.value))
         assert proposed
-        case.options["columns"] = proposed[1]
+        case.options["columns"] = proposed[1].replace("[?]", "[-]")
     result = read(path, **case.options)
     if case.volume is not None:
         assert result.volume == pytest.approx(case.volume, rel=1e-9)

@@ -125,7 +125,10 @@ def test_a_table_without_a_header_is_not_taken_for_one(tmp_path: Path, capsys) -
     assert run("table", path, "--parameter", "t20") == 2
     assert 'with --columns "from line 1: band; ?"' in capsys.readouterr().err
     path.write_text("12.5,16,20\n1.3,0.8,0.7\n")
-    assert run("table", path, "--parameter", "t20") == 0
+    assert run("table", path, "--parameter", "t20") == 2
+    columns = "from line 2: value at 12.5 Hz; value at 16 Hz; value at 20 Hz"
+    assert f'with --columns "{columns}"' in capsys.readouterr().err
+    assert run("table", path, "--parameter", "t20", "--columns", columns) == 0
 
 
 def test_a_measurement_without_any_value_is_not_written(tmp_path: Path, capsys) -> None:

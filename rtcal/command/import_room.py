@@ -169,6 +169,7 @@ def _imported(
     scattering: float | None,
     out: str,
     materials: str | None = None,
+    columns: str | None = None,
     **stated: Any,
 ) -> None:
     """Write a room of a program's materials; ``stated`` are how a mesh is read, and the sigma."""
@@ -183,9 +184,13 @@ def _imported(
     fit_ending("--out", out, ".toml")
     fit_ending("--mended", mended, ".obj")
     options = {key: stated.pop(key) for key in ("unit", "space", "weld", "largest_hole")}
-    listed: MaterialList = (
-        catalogue.material_list() if materials is None else getattr(io, program).read(materials)
-    )
+    of_library = {} if columns is None else {"columns": columns}
+    with errors_name_options("columns"):
+        listed: MaterialList = (
+            catalogue.material_list()
+            if materials is None
+            else getattr(io, program).read(materials, **of_library)
+        )
     model = None if mesh is None else _read(mesh, as_drawn, picture, options)
     volume, surfaces = _volume_and_surfaces(model, as_drawn, volume, areas, listed.names)
     used = list(dict.fromkeys(surface.material for surface in surfaces))
@@ -243,7 +248,7 @@ def _add_import(program: str) -> None:
     materials = () if program == "catalogue" else ("MATERIALS",)
     example = "" if program == "catalogue" else f" {_EXAMPLES.get(program, 'materials')}"
 
-    @takes(*materials, *_ROOM)
+    @takes(*materials, *((_COLUMNS,) if program == "library" else ()), *_ROOM)
     def command(**stated: Any) -> None:
         _imported(program, **stated)
 
@@ -267,6 +272,12 @@ def _add_import(program: str) -> None:
     import_room.command(program, short_help=f"A room of {source}.")(command)
 
 
+_COLUMNS = option(
+    "columns",
+    None,
+    "What each column of the table holds: 'from line 3: product; -; value [%] at 250 Hz'. A refusal "
+    "proposes it.",
+)
 _EXAMPLES = {"catt": "hall.geo", "odeon": "hall.Li8", "library": "products"}
 for _program in (*PROGRAMS, "library", "catalogue"):
     _add_import(_program)

@@ -32,6 +32,7 @@ from rtcal.io.table_columns import (
     DOUBTFUL,
     LEAST_BAND,
     MAX_HEADER,
+    UNIT_WORDS,
     Column,
     frequency_of,
     is_missing,
@@ -65,6 +66,8 @@ _IN_PERCENT = re.compile(
     re.I,
 )
 """A title that has the coefficients' unit."""
+_ALONE = re.compile(rf"(?<!\d)(?<!\d )(?:{_PERCENT.pattern})", re.I)
+"""A percent sign that is not behind a number, as in "50 % open"."""
 _ENDS_IN_PERCENT = re.compile(rf"(?<!\d)(?<!\d )(?:{_PERCENT.pattern})\s*[\])]?\s*$", re.I)
 _AREA = re.compile(
     r"(?<!\d)(?<!\d )(?:m²|m\^?2|qm|sq\.?\s*m|ft²|sabins?)|A_?obj|\bper (?:object|chair|person)|"
@@ -72,8 +75,9 @@ _AREA = re.compile(
     re.I,
 )
 _COEFFICIENT = re.compile(
-    r"(?=.*(?:alpha|α|absor|assorb|[ck]oef))(?:(?:alpha|α|[sp]|of|de|di|do|d|l|sound|mean|sabine|"
-    r"ac[uúo]+stic\w*|(?:schall)?absor\w*|assorb\w*|[ck]oe?ff?i[zc]i\w*)(?:[\W_]|$)*)+",
+    r"(?=.*(?:alpha|α|absor|assorb|[ck]oef))(?:(?:(?:alpha|α)(?:[_ ]?(?:sabine|[spi])\b|[sp])?|[sp]|of|"
+    r"de|di|do|d|l|sound|mean|ac[uúo]+stic\w*|(?:schall)?absor\w*|assorb\w*|[ck]oe?ff?i[zc]i\w*)"
+    r"(?:\W|_|$)+)+",
     re.I,
 )
 _BESIDE = re.compile(
@@ -239,7 +243,7 @@ def _down(place: str, rows: Sequence[Row], at: int, otherwise: str, unit: str) -
     columns = [Column("band", header[0], unit=unit)]
     below = heads[1] if len(heads) > 1 else [""] * len(header)
     for k in range(1, len(header)):
-        own = _own_unit(header[k]) or ("%" if _IN_PERCENT.search(below[k]) else below[k])
+        own = _own_unit(header[k]) or _own_unit(f"[{below[k].strip('[]()')}]")
         kind = "value" if k in names else ""
         columns.append(Column(kind, header[k], receiver=names.get(k, ""), unit=own))
     body = []
@@ -293,6 +297,11 @@ def _rows_of_products(
 ) -> tuple[list[Row], list[str]]:
     """Return the rows of products, whose names stand in column ``at``, and the names of the others."""
     names, left_out = _products(place, {line: cells[at] for line, cells in rows}, otherwise)
+    if [*names.values()] == [otherwise]:  # whose own name, with its unit, is that of a coefficient
+        rows = [
+            (n, [f"{c}%" if _is_number(c) and _own_unit(cells[at]) == "%" else c for c in cells])
+            for n, cells in rows
+        ]
     return [
         (line, [*cells[:at], names[line], *cells[at + 1 :]])
         for line, cells in rows
@@ -327,13 +336,16 @@ def _own_unit(name: str) -> str:
     if _ENDS_IN_PERCENT.search(name):
         return "%"
     unit = name_and_unit(name)[1] if name.endswith(("]", ")")) else ""
-    return "" if unit.lower() in ("hz", "khz") else unit
+    is_unit = unit.lower() in UNIT_WORDS - {"hz", "khz"} or _AREA.search(unit)
+    return unit if is_unit else ""
 
 
 def _role(name: str) -> str:
     """Return "coefficient", "beside" (a time, an uncertainty, a statistic), or "" for a product."""
     name = name_and_unit(name.strip())[0] if len(name) <= MAX_HEADER else ""
-    name = re.sub(r"\s*(?:/|\bin|\ben|[\[(])?\s*$", "", _ENDS_IN_PERCENT.sub("", name))
+    name = re.sub(
+        r"\s*(?:(?:/|\bin|\ben)\s*[-\u2013]?|[\[(])?\s*$", "", _ENDS_IN_PERCENT.sub("", name)
+    )
     if not name or _COEFFICIENT.fullmatch(name):
         return "coefficient" if name else ""
     is_beside = parameter_of(name) or _BESIDE.fullmatch(name)
@@ -349,7 +361,7 @@ def _checked(table: _Table) -> _Table:
         "%" in cells[k] for _, cells in table.rows for k in of_values
     )
     others = [*table.titles, *(c.header for c in table.columns if not c.has_values)]
-    said = [text for text in others if _PERCENT.search(text) or _AREA.search(text)]
+    said = [text for text in others if _ALONE.search(text) or _AREA.search(text)]
     text = next(filter(_IN_PERCENT.search, said), next(iter(said), ""))
     if not text or of_cells or all(c.unit for c in table.columns if c.has_values):
         return table
@@ -425,7 +437,12 @@ def _of_table(table: _Table) -> list[ListedMaterial]:
             )
         of_product[band] = value
         texts.setdefault(name, dict.fromkeys(table.titles)).update(dict.fromkeys(beside))
-    units = {bool(v.unit or "%" in v.text) for p in products.values() for v in p.values()}
+    units = {
+        bool(value.unit or "%" in value.text)
+        for of_product in products.values()
+        for value in of_product.values()
+        if not _AREA.search(value.unit)
+    }
     if len(units) > 1:
         raise DataError(
             f"{table.place}, line {table.first}: some coefficients have a unit and others none; write "

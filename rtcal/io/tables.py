@@ -590,7 +590,7 @@ def _of_unknown(name: str, cells: Sequence[str], known: Sequence[Column]) -> Col
 def _complete_first(columns: list[Column | None], cells: Sequence[str]) -> None:
     """Set what the first column holds by its cells, where its header names none, or all others."""
     first, others = columns[0], [c for c in columns[1:] if c and c.has_values]
-    over = first and first.has_values and not any(c.parameter for c in others)
+    over = first and first.parameter and not first.has_band and not any(c.parameter for c in others)
     if first and not over and not (first.kind == "band" and any(c.has_band for c in others)):
         return
     of_rows = {"band", "receiver", "source"} & {c.kind for c in columns[1:] if c}
