@@ -7,7 +7,7 @@ import io
 import json
 import sys
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -309,101 +309,6 @@ def test_what_a_sheet_hides_is_left_out_and_what_it_strikes_through_is_said() ->
     assert "left out, hidden: row 3" in str(table)
     assert "left out, hidden: column C" in str(table)
     assert "struck through, and read: B2; empty what is withdrawn" in str(table)
-
-
-BANDS_OF_AURORA = (63.0, 250.0, 1000.0, 4000.0)
-ROWS_OF_AURORA = {  # by name in the file: rtcal's key, the file's values, and the factor to rtcal's
-    "Signal [dB]": ("", (61.0, 62.5, 60.25, 58.125), 1.0),
-    "strenGth [dB]": ("", (7.5, 7.25, 6.125, 5.0), 1.0),
-    "C50 [dB]": ("c50", (-3.25, -1.5, 0.125, 1.75), 1.0),
-    "C80 [dB]": ("c80", (-0.5, 0.75, 2.375, 4.0), 1.0),
-    "D50 [%]": ("d50", (32.5, 41.25, 50.75, 59.875), 0.01),
-    "Ts [ms]": ("ts", (142.5, 121.25, 98.75, 71.125), 0.001),
-    "EDT [s]": ("edt", (1.875, 1.625, 1.5, 1.125), 1.0),
-    "Tuser [s]": ("", (1.8, 1.7, 1.55, 1.2), 1.0),
-    "T20 [s]": ("t20", (1.95, 1.7, 1.525, 1.25), 1.0),
-    "T30 [s]": ("t30", (2.05, 1.75, 1.55, 1.275), 1.0),
-    "Impulsivs [dB]": ("", (12.0, 13.0, 14.0, 15.0), 1.0),
-}
-
-
-def of_aurora(kind: str, n_channels: int = 1) -> str:
-    """A file as Aurora writes it; channel n has n - 1 hundredths more in every value."""
-    mark = "," if kind == "comma between columns" else "\t"
-    head = "Aurora 5.0 - ISO3382 Acoustical Parameter File\r\n"
-    names = ["63", "250", "1k", "4k"]
-
-    def cells(values: Sequence[float], channel: int) -> list[str]:
-        written = [f"{value + 0.01 * (channel - 1):.4f}" for value in values]
-        return [w.replace(".", ",") for w in written] if kind == "decimal comma" else written
-
-    if kind == "one row per file":
-        header = [f"{name}_{band}" for name in ROWS_OF_AURORA for band in [*names, "A", "Lin"]]
-        lines = [["Filename", *header]]
-        for channel in range(1, n_channels + 1):
-            row = [f"S2_R7 Ch {channel}"]
-            for _, values, _ in ROWS_OF_AURORA.values():
-                row += [*cells(values, channel), "--", " 1.0"]
-            lines.append(row)
-        return head + "\r\n" + "".join("\t".join(line) + "\r\n" for line in lines)
-    text = head + "ISO 3382  OCTAVE BAND ACOUSTICAL PARAMETERS\r\n\r\n"
-    for channel in range(1, n_channels + 1):
-        lines = [["Filename", "Frq.band [Hz]", *names, "A", "Lin"]]
-        lines += [
-            ["room_S2_R7", name, *cells(values, channel), "--", " 1.0"]
-            for name, (_, values, _) in ROWS_OF_AURORA.items()
-        ]
-        text += f"Channel {channel} Parameters\r\n\r\n"
-        text += "".join(mark.join(line) + "\r\n" for line in lines)
-        text += "\r\nRTU = RT User (-5.0 dB, -20.0 dB)\r\n\r\n"
-    return text
-
-
-@pytest.mark.parametrize(
-    "kind", ["tabs", "comma between columns", "decimal comma", "one row per file"]
-)
-@pytest.mark.parametrize("n_channels", [1, 2, 4])
-def test_aurora_is_read_by_channel(kind: str, n_channels: int) -> None:
-    """Every layout of it was refused: the column of parameters is called "Frq.band [Hz]"."""
-    table = tables.parse(of_aurora(kind, n_channels).encode(), "room.txt")
-    names = ["R7"] if n_channels == 1 else [f"R7-{n + 1}" for n in range(n_channels)]
-    measured = table.measurement
-    assert measured.pairs == tuple(("S2", name) for name in names)
-    assert measured.centre_frequencies.tolist() == list(BANDS_OF_AURORA)
-    held = {own for own, _, _ in ROWS_OF_AURORA.values() if own}
-    assert {*measured.values} == held == {"edt", "c50", "c80", "d50", "ts", "t20", "t30"}
-    for own, values, factor in ROWS_OF_AURORA.values():
-        for channel in range(n_channels if own else 0):
-            expected = factor * (np.array(values) + 0.01 * channel)
-            assert measured.values[own][channel] == pytest.approx(expected)
-    assert any("each is a receiver" in line for line in table.columns) == (n_channels > 1)
-
-
-def test_channels_that_are_repeats_are_averaged() -> None:
-    read = tables.parse(of_aurora("tabs", 3).encode(), "room.txt", repeats=True).measurement
-    expected = np.array(ROWS_OF_AURORA["T20 [s]"][1]) + 0.01
-    np.testing.assert_allclose(np.mean(read.values["t20"], axis=0), expected)
-    assert len(read.pairs) == 1
-
-
-COLUMN = "Frq.band [Hz]"
-
-
-@pytest.mark.parametrize("name", ROWS_OF_AURORA)
-@pytest.mark.parametrize("stated", ["t20", "edt", "c80", "ts", None])
-def test_rows_are_of_the_parameter_that_they_say(name: str, stated: str | None) -> None:
-    """EDT was read as T20: the selected rows say one parameter, the option another."""
-    content = of_aurora("tabs").encode()
-    own, values, factor = ROWS_OF_AURORA[name]
-    where = {COLUMN: name}
-    if own and stated in (own, None):
-        table = tables.parse(content, "room.txt", where=where, parameter=stated)
-        assert table.measurement.values[own][0] == pytest.approx(factor * np.array(values))
-        assert {*table.measurement.values} == {own}
-        return
-    rule = f'parameter="{stated}" is not used, since .* its own' if own else "has no use for"
-    with pytest.raises(DataError, match=rule):
-        tables.parse(content, "room.txt", where=where, parameter=stated)
 
 
 @pytest.mark.parametrize(
