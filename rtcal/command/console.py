@@ -314,6 +314,12 @@ OPTIONS: dict[str, Decorator] = {
         "Name of a material in the list or library, if another. The option may be repeated.",
         "entries",
     ),
+    "columns": option(
+        "columns",
+        None,
+        "What each column of a table holds, where its header does not say it, and its lines: 'from "
+        "line 3 to 9: band; T20 [ms] of R1; -'. A refusal proposes it.",
+    ),
     "repeats": flag("repeats", "Several values of one source and receiver are repeats: average."),
     "modes": file(
         "modes",

@@ -163,12 +163,7 @@ def _positions_text(responses: tuple[str, ...]) -> str:
         help="The parameter of the values, if the table does not name it.",
     ),
     several("where", "COLUMN=ENTRY", "Read only rows with this entry."),
-    click.option(
-        "--columns",
-        metavar="MEANINGS",
-        help="What each column holds, where no header says it: 'from line 3: receiver; T20 [ms] at 500 "
-        "Hz; -'. A refusal proposes it.",
-    ),
+    "columns",
     click.option(
         "--sources",
         "n_sources",

@@ -248,7 +248,7 @@ def _add_import(program: str) -> None:
     materials = () if program == "catalogue" else ("MATERIALS",)
     example = "" if program == "catalogue" else f" {_EXAMPLES.get(program, 'materials')}"
 
-    @takes(*materials, *((_COLUMNS,) if program == "library" else ()), *_ROOM)
+    @takes(*materials, *(("columns",) if program == "library" else ()), *_ROOM)
     def command(**stated: Any) -> None:
         _imported(program, **stated)
 
@@ -272,12 +272,6 @@ def _add_import(program: str) -> None:
     import_room.command(program, short_help=f"A room of {source}.")(command)
 
 
-_COLUMNS = option(
-    "columns",
-    None,
-    "What each column of the table holds: 'from line 3: product; -; value [%] at 250 Hz'. A refusal "
-    "proposes it.",
-)
 _EXAMPLES = {"catt": "hall.geo", "odeon": "hall.Li8", "library": "products"}
 for _program in (*PROGRAMS, "library", "catalogue"):
     _add_import(_program)
