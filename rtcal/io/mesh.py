@@ -273,13 +273,9 @@ def _by_trimesh(content: bytes, path: str, _unit: bool) -> _Drawn:
         budget.require(n, budget.MAX_FACES, "triangles", path, _SIMPLER)
     elif ending == ".off":
         counts = re.search(rb"^(?:OFF\s+)?(\d{1,18})\s+(\d{1,18})\s+\d", content, re.MULTILINE)
-        for n, most, of in zip(
-            counts.groups() if counts else (),
-            (budget.MAX_CORNERS, budget.MAX_FACES),
-            ("corners", "faces"),
-            strict=False,
-        ):
-            budget.require(int(n), most, of, path, _SIMPLER)
+        limits = (budget.MAX_CORNERS, "corners"), (budget.MAX_FACES, "faces")
+        for stated, (most, of) in zip(counts.groups() if counts else (), limits, strict=False):
+            budget.require(int(stated), most, of, path, _SIMPLER)
     else:
         source = io.BytesIO(_prepared_gltf(content, path, ending))
     with _parsing(path, ending[1:]):
