@@ -9,11 +9,8 @@ import rtcal as rt
 from rtcal.acoustics.room import Directivity
 from rtcal.datasets import halls
 from rtcal.io import balloon, geometry_files
-from rtcal.simulators import kernels
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.errors import DataError
-from tests.reference import in_place_of
-from tests.reference import paths as reference
 
 HALL = halls.lecture_hall()
 SOURCE, RECEIVER = HALL.sources["S1"], next(iter(HALL.receivers))
@@ -97,14 +94,6 @@ def test_derivatives_are_those_of_the_aimed_source():
         - aimed.observe(alpha, ["level"], seed=1).values
     )
     assert change[0] / step == pytest.approx(jacobian, rel=1e-2, abs=1e-3)
-
-
-def test_numpy_and_the_compiled_loops_trace_the_same_aimed_paths():
-    aimed = {"directivity": speaker([1.0, 2, 3, 4, 5, 6, 7]), "n_paths": 160}
-    compiled = tracer(**aimed).energy(HALL.room.alpha, 0.1, seed=1)
-    with in_place_of(kernels, reference):
-        twin = tracer(**aimed).energy(HALL.room.alpha, 0.1, seed=1)
-    assert twin == pytest.approx(compiled, rel=1e-5)
 
 
 def test_where_the_directivity_is_unknown_reverberation_times_alone_count():

@@ -11,7 +11,6 @@ from rtcal.simulators import base, kernels
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.shoebox import ImageSource, ScatteringDelayNetwork, lattice, mean_energy
 from rtcal.support.errors import DataError, TooShortError
-from tests.reference import in_place_of
 from tests.reference import shoebox as reference
 
 SOURCE, RECEIVER = {"S": (4.5, 3.5, 2.0)}, {"R": (2.0, 2.0, 1.5)}
@@ -191,15 +190,6 @@ def test_late_images_have_their_mean_over_positions() -> None:
         np.testing.assert_allclose(*both, rtol=0.03)
 
 
-def test_image_numba_and_numpy_weigh_alike() -> None:
-    images = ImageSource(room=box(rt.Air()), sources=SOURCE, receivers=RECEIVER, duration=0.2)
-    compiled = images.decays(ALPHA)[0]
-    assert compiled.min() >= 0
-    assert compiled.sum() > 0
-    with in_place_of(kernels, reference):
-        assert images.decays(ALPHA)[0] == pytest.approx(compiled, rel=1e-12, abs=0)
-
-
 def test_a_black_wall_reflects_nothing() -> None:
     alpha = ALPHA.copy()
     alpha[:, 1] = 1.0
@@ -219,20 +209,6 @@ def test_too_short_images_are_refused() -> None:
 def test_too_many_images_are_refused() -> None:
     with pytest.raises(DataError, match="million image sources"):
         ImageSource(room=box(), sources=SOURCE, receivers=RECEIVER, duration=8.0)
-
-
-def test_the_protocol() -> None:
-    for simulator in (
-        ScatteringDelayNetwork(room=box(), sources=SOURCE, receivers=RECEIVER),
-        ImageSource(room=box(), sources=SOURCE, receivers=RECEIVER, duration=0.5),
-    ):
-        assert isinstance(simulator, base.Simulator)
-        found = base.run(simulator, ALPHA)
-        assert found.pairs == (("S", "R"),)
-        again = base.run(simulator, ALPHA, seed=5)
-        for name, values in found.values.items():
-            assert np.array_equal(values, again.values[name], equal_nan=True)
-        assert set(found.values) >= {"t20", "edt", "c50", "c80"}
 
 
 def _triples(places: list[np.ndarray]) -> list[tuple]:

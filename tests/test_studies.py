@@ -13,12 +13,10 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal import studies
 from rtcal.command.main import cli
-from rtcal.studies import paper, trials_kernel
+from rtcal.studies import paper
 from rtcal.studies.study import SERIES, ScoreMoments
 from rtcal.support.errors import DataError
 from rtcal.support.normal import FINE, truncated_moments, truncated_normal
-from tests.reference import in_place_of
-from tests.reference import trials as reference
 
 SHOEBOX = np.array(studies.paper.SHOEBOX)
 HALL = np.array(list(studies.paper.LECTURE_HALL.values()))
@@ -83,15 +81,6 @@ def test_trials_are_truncated_normal() -> None:
     assert np.all(abs(alpha.mean(1) - mean) < 4 * standard_error)
     np.testing.assert_allclose(alpha.var(1), variance, rtol=0.015)  # about 4 standard errors
     assert np.all((abs(mean - mu) > 4 * standard_error)[1:])  # the bias is seen
-
-
-def test_the_compiled_loops_do_what_numpy_does() -> None:
-    compiled = studies.run(SHOEBOX, 0.1, 30, 700, seed=3)
-    with in_place_of(trials_kernel, reference):
-        plain = studies.run(SHOEBOX, 0.1, 30, 700, seed=3)
-    assert plain.moments.active.sum() > 100
-    assert np.array_equal(plain.moments.active, compiled.moments.active)
-    np.testing.assert_allclose(plain.moments.sums, compiled.moments.sums, rtol=1e-12)
 
 
 # Estimators ---------------------------------------------------------------------------------------

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.observables import TARGET
 from rtcal.datasets import halls
 from rtcal.simulators import base
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.path_tracing import PathTracing, jackknife, measurement
+from rtcal.simulators.path_tracing import PathTracing, measurement
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.support.errors import DataError, MissingDependencyError, TooShortError
 
@@ -115,17 +114,6 @@ def test_noise_that_cannot_be_told_is_nan():
         assert shared.uncertainty[name] == pytest.approx(0, abs=1e-9)
 
 
-def test_bands_that_scatter_differently_have_their_own_paths():
-    scattering = np.tile([0.05, 0.05, 0.3, 0.3, 0.3, 0.6, 0.6], (9, 1))
-    tracer = path_tracer(n_paths=64, scattering=scattering)
-    tracer.energy(HALL.room.alpha, 0.3, seed=1)
-    assert tracer.traced(0, 0.1, seed=1) is tracer.traced(1, 0.1, seed=1)
-    assert tracer.traced(0, 0.1, seed=1) is not tracer.traced(2, 0.1, seed=1)
-    energy = tracer.energy(HALL.room.alpha, 0.3, seed=1)
-    alone = path_tracer(n_paths=64, scattering=0.3).energy(HALL.room.alpha, 0.3, seed=1)
-    assert energy[..., 3, :] == pytest.approx(alone[..., 3, :], rel=1e-12)
-
-
 def test_ray_tracing_applies_iso_9613_air():
     # Room and seed are the same, so the rays are: the ratio of the decays is the air's alone.
     alpha = np.full_like(HALL.room.alpha, 0.2)
@@ -176,43 +164,6 @@ def test_the_direct_sound_of_both_is_the_inverse_square_law():
         assert heard == pytest.approx(1 / (4 * np.pi * distance**2), rel=tolerance)
 
 
-@pytest.mark.study
-@pytest.mark.parametrize(
-    ("name", "scattering", "seconds", "n_rays"),
-    [
-        ("lecture_hall", 1.0, 1.6, 16000),
-        ("lecture_hall", 0.3, 1.6, 40000),
-        ("corridor", 1.0, 2.5, 20000),
-        ("corridor", 0.1, 2.5, 60000),
-    ],
-)
-def test_both_engines_agree_where_their_scattering_model_does(name, scattering, seconds, n_rays):
-    # 3 %, and one standard error of the difference for the noise that is left (0.4 to 2 %).
-    hall = getattr(halls, name)()
-    points = {
-        "sources": {"S1": hall.sources["S1"]},
-        "receivers": {**hall.receivers, **hall.held_out},
-    }
-    common = {"geometry": hall.geometry, "room": hall.room, "scattering": scattering, **points}
-    times, errors = [], []
-    for tracer in (
-        PathTracing(**common, n_paths=4 * n_rays, scattering_model="vector"),
-        RayTracing(**common, n_rays=n_rays, n_batches=16),
-    ):
-        energy = tracer.energy(hall.room.alpha, seconds, seed=3)
-        times.append(mean_t20(energy.mean(axis=0)))
-        errors.append(jackknife(mean_t20, energy) / times[-1])
-    deviation = times[1] / times[0] - 1
-    noise = np.hypot(*errors)
-    print(name, scattering, "deviation", deviation.round(3), "noise", noise.round(3))
-    assert noise.max() < 0.03
-    assert (np.abs(deviation) < 0.03 + noise).all()
-
-
-def mean_t20(energy):
-    return TARGET.value(energy, 0.002).mean(axis=(0, 1))
-
-
 @pytest.mark.parametrize("make", [path_tracer, ray_tracer])
 @pytest.mark.parametrize(
     ("options", "message"),
@@ -233,19 +184,6 @@ def mean_t20(energy):
 def test_bad_input(make, options, message):
     with pytest.raises(DataError, match=message):
         make(**options)
-
-
-@pytest.mark.parametrize("make", [path_tracer, ray_tracer])
-def test_bad_alpha(make):
-    with pytest.raises(DataError, match="alpha has shape"):
-        make().simulate(np.zeros((2, 2)))
-    with pytest.raises(DataError, match=r"= nan is not in \[0, 1\]"):
-        make().simulate(np.full_like(HALL.room.alpha, np.nan))
-
-
-def test_scattering_models_are_two():
-    with pytest.raises(DataError, match="'diffuse' is not one of random, vector"):
-        path_tracer(scattering_model="diffuse")
 
 
 def test_without_pyroomacoustics_the_extra_is_named(monkeypatch):

@@ -1,7 +1,4 @@
-"""The compiled loop of `rtcal.calibration.exact`: it solves the rows one by one, in one thread.
-
-`tests/reference/exact.py` does the same arithmetic in NumPy.
-"""
+"""The compiled loop of `rtcal.calibration.exact`: it solves the rows one by one, in one thread."""
 
 from __future__ import annotations
 

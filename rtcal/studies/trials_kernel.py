@@ -1,4 +1,4 @@
-"""The compiled loops over trials; `tests/reference/trials.py` has the same in NumPy."""
+"""The compiled loops over the trials of a study."""
 
 from __future__ import annotations
 

@@ -157,39 +157,6 @@ def histogram_gradient(
         gradient[:, :, j] += _sums(flat, counted * energy, in_bins, shape)
 
 
-def most_hits(
-    events: NDArray[np.uint16], starts: NDArray[np.int64], held: NDArray[np.int64]
-) -> int:
-    """Return the most hits of a path on one group, as `rtcal.simulators.kernels.most_hits` does."""
-    every = _hits(events, held)
-    return int((every[starts[1:]] - every[starts[:-1]]).max(initial=0))
-
-
-def histogram_changed(
-    batch: Batch,
-    weighing: Weighing,
-    held: NDArray[np.int64],
-    powers: Array,
-    out: Array,
-) -> None:
-    """Add energies as `rtcal.simulators.kernels.histogram_changed` does."""
-    n_groups, n_receivers, n_bins = out.shape[:3]
-    n_hits = powers.shape[1]
-    heard, begin, energy, flat, in_bins = _heard(batch, weighing, (n_receivers, n_bins))
-    every = _hits(batch[0], held)
-    for j in range(n_groups):
-        at = flat * n_hits + every[heard, j] - every[begin, j]
-        sums = _sums(at, energy, in_bins, (n_receivers * n_bins, n_hits))
-        out[j] += np.einsum("xhk,hck->xck", sums, powers[j]).reshape(out.shape[1:])
-
-
-def _hits(events: NDArray[np.uint16], held: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the hits on each group before every event, over all paths, (n_events + 1, n_groups)."""
-    wall = events < len(held)
-    each = np.where(wall[:, np.newaxis], held[np.where(wall, events, 0)], 0)
-    return np.vstack([np.zeros((1, held.shape[1]), dtype=np.int64), np.cumsum(each, axis=0)])
-
-
 def _sums(
     flat: NDArray[np.int64], energy: Array, in_bins: NDArray[np.bool_], shape: tuple[int, int]
 ) -> Array:

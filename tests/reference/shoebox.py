@@ -1,4 +1,4 @@
-"""The loops of image sources and scattering delay networks in NumPy."""
+"""The loop of scattering delay networks in NumPy."""
 
 from __future__ import annotations
 
@@ -9,33 +9,6 @@ from numpy.typing import NDArray
 
 from rtcal.simulators.shoebox import _NEIGHBOUR, _NODES, _PORTS
 from rtcal.support.types import Array
-
-
-def weigh(
-    x: Array,
-    y: Array,
-    z: Array,
-    rows: NDArray[np.integer],
-    starts: NDArray[np.integer],
-    bins: NDArray[np.uint32],
-    weights: Array,
-    n_bins: int,
-) -> Array:
-    """Return the energy of each bin, (n_bands, n_bins).
-
-    ``x``, ``y`` and ``z``, (n_bands, n_lattice): product of (1 - alpha) over the hits along an axis.
-    """
-    rows, starts = rows.astype(np.int64), starts.astype(np.int64)
-    size = np.diff(starts)
-    row_of_z = np.arange(len(bins)) + np.repeat(rows[:, 2] - starts[:-1], size)
-    run = np.repeat(np.arange(len(rows)), size)
-    reflected_xy = x[:, rows[:, 0]] * y[:, rows[:, 1]]
-    return np.array(
-        [
-            np.bincount(bins, xy[run] * z_of_band[row_of_z] * weights, n_bins)
-            for xy, z_of_band in zip(reflected_xy, z, strict=True)
-        ]
-    )
 
 
 def blocks(
