@@ -102,20 +102,6 @@ def test_the_posterior_is_that_of_all_unknowns_by_dense_algebra() -> None:
 
 
 @pytest.mark.long
-def test_the_spread_of_a_drawn_firm_is_found() -> None:
-    firm = study.Firm(7)
-    archive = rt.learn([study.calibrated(room, t) for room, _, t in firm.rooms[:-1]])
-    spread = archive.spread
-    assert 0.4 < spread.table < 1.6  # 0.25 of alpha against a stated 0.3
-    assert 0.1 < spread.between < 0.9
-    assert spread.room < 0.15
-    assert len(archive.lessons) == 20
-    assert sum(lesson.p_value < 0.05 for lesson in archive.lessons) <= 4
-    assert all(lesson.taught > 0 for lesson in archive.lessons)
-    assert (archive.mean_sigma < archive.table_sigma).mean() > 0.9
-
-
-@pytest.mark.long
 def test_a_twenty_first_room_is_known_better_than_by_the_table() -> None:
     row = study.judge(3)
     assert row["archive"] < 0.8 * row["table"]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import subprocess
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,9 +21,8 @@ from rtcal.prediction import (
     din_18041,
     predict,
 )
-from rtcal.prediction.designed import Design, design, design_model
+from rtcal.prediction.designed import design, design_model
 from rtcal.support.errors import DataError, InfeasibleError
-from rtcal.support.types import Array
 
 BANDS = [250.0, 500.0, 1000.0]
 PANEL = rt.Material("panel", [0.5, 0.7, 0.8], [0.1] * 3)
@@ -57,40 +54,6 @@ TREATMENTS = (
 TARGET = Target([0.4] * 3, [0.8] * 3)
 
 
-def cheaper(found: Design, steps: Sequence[Array], share: float = 0.99) -> Array | None:
-    """Return areas of a grid that keep the promise at less than a share of the cost; None if none."""
-    for x in map(np.array, itertools.product(*steps)):
-        if found.model.prices @ x < share * found.cost and kept(found, x):
-            return x
-    return None
-
-
-def kept(found: Design, x: Array) -> bool:
-    """Return whether areas keep the promise, by the prediction of their changes."""
-    bounded = found.model.target.bounded
-    return bool((found.model.probability(x)[bounded] >= found.promised).all())
-
-
-@pytest.mark.long
-def test_the_cheapest_is_not_beaten_by_a_grid_and_keeps_its_promise() -> None:
-    found = design(known(), TREATMENTS, TARGET, 0.85)
-    assert 0.85 - 1e-4 <= found.probability.min() <= 0.86
-    assert cheaper(found, [np.arange(0, 55.1, 3.0), np.arange(0, 40.1, 3.0)], 1.0) is None
-
-
-@pytest.mark.long
-def test_whole_panels_are_whole_and_cost_least() -> None:
-    units = [2.5, 4.0]
-    whole = tuple(replace(t, unit=u) for t, u in zip(TREATMENTS, units, strict=True))
-    found = design(known(), whole, TARGET, 0.85)
-    panels = [each["panels"] for each in found.to_dict()["treatments"]]
-    assert found.areas == pytest.approx(np.multiply(panels, units), rel=1e-12)
-    assert found.probability.min() >= 0.85 - 1e-4
-    free = design(known(), TREATMENTS, TARGET, 0.85)
-    assert found.cost >= free.cost - 1e-6
-    assert cheaper(found, [np.arange(23) * 2.5, np.arange(11) * 4.0], 1 - 1e-9) is None
-
-
 def a_shop(one_sided: bool) -> tuple[rt.CalibrationResult, tuple[Treatment, ...], Target]:
     """A small room with panels on two surfaces and free pieces; Sabine's equation."""
     room = rt.Room(
@@ -116,19 +79,6 @@ def a_shop(one_sided: bool) -> tuple[rt.CalibrationResult, tuple[Treatment, ...]
     low = [np.nan] * 3 if one_sided else [0.2] * 3
     result = rt.calibrate(room, t, equation=rt.Sabine())
     return result, every, Target(low, [0.42] * 3)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("one_sided", [False, True])
-def test_panels_and_free_pieces_together_cost_least(one_sided: bool) -> None:
-    """The dearer of two orders cost 9 % more, and panels were parts of panels."""
-    shop, every, target = a_shop(one_sided)
-    found = design(shop, every, target, 0.85)
-    panels = found.areas[[0, 2]] / [1.9, 2.3]
-    assert panels == pytest.approx(np.round(panels), abs=1e-9)
-    assert found.probability.min() >= 0.85 - 1e-4
-    steps = [np.arange(8) * 1.9, np.linspace(0, 8, 9), np.arange(5) * 2.3]
-    assert cheaper(found, steps) is None
 
 
 @pytest.mark.parametrize(
@@ -175,33 +125,6 @@ def test_the_order_of_materials_changes_nothing() -> None:
     first, again = (design(known(each), TREATMENTS, TARGET, 0.85) for each in (room, turned))
     assert again.areas == pytest.approx(first.areas, rel=1e-6)
     assert again.probability == pytest.approx(first.probability, abs=1e-6)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("order", [(0, 2, 1), (2, 1, 0), (1, 0, 2)])
-def test_the_order_of_treatments_changes_nothing(order: tuple[int, ...]) -> None:
-    shop, every, target = a_shop(one_sided=True)
-    first = design(shop, every, target, 0.85)
-    turned = design(shop, [every[i] for i in order], target, 0.85)
-    assert turned.areas == pytest.approx(first.areas[list(order)], abs=1e-9)
-    assert turned.probability == pytest.approx(first.probability, abs=1e-12)
-
-
-@pytest.mark.long
-def test_doubled_costs_double_the_cost_and_move_no_area() -> None:
-    shop, every, target = a_shop(one_sided=True)
-    first = design(shop, every, target, 0.85)
-    dear = design(shop, [replace(t, cost=2 * t.cost) for t in every], target, 0.85)
-    assert dear.areas == pytest.approx(first.areas, abs=1e-9)
-    assert dear.cost == pytest.approx(2 * first.cost, rel=1e-9)
-
-
-@pytest.mark.long
-def test_a_treatment_under_two_names_costs_no_less() -> None:
-    shop, every, target = a_shop(one_sided=True)
-    first = design(shop, every, target, 0.85)
-    other_name = design(shop, [*every, replace(every[1], name="more screens")], target, 0.85)
-    assert other_name.cost == pytest.approx(first.cost, rel=1e-3)
 
 
 def test_nothing_is_placed_where_nothing_is_needed() -> None:

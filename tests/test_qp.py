@@ -30,39 +30,6 @@ def test_both_methods_equal_their_closed_form_where_no_bound_is_active(seed: int
         np.testing.assert_allclose(result.reverberation_time_after, t, rtol=1e-9)
 
 
-@given(seeds)
-def test_lse_is_mle_with_equal_sigma(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    room = random_room(rng, 6, 3)
-    room = room.replace(sigma=np.full_like(room.sigma, 0.07))
-    t = true_times(rng, room, EYRING)
-    first, second = (rt.calibrate(room, t, method=m) for m in ("lse", "mle"))
-    np.testing.assert_allclose(first.alpha, second.alpha, rtol=0, atol=1e-10)
-
-
-@pytest.mark.long
-@given(seeds)
-def test_order_of_materials_and_unit_of_area_change_nothing(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    room = random_room(rng, 6, 3)
-    t = true_times(rng, room, EYRING)
-    plain = rt.calibrate(room, t).alpha
-    order = rng.permutation(6)
-    permuted = room.replace(
-        materials=[room.materials[i] for i in order],
-        areas=room.areas[order],
-        alpha=room.alpha[order],
-        sigma=room.sigma[order],
-    )
-    np.testing.assert_allclose(rt.calibrate(permuted, t).alpha, plain[order], rtol=0, atol=1e-12)
-    # In feet, areas, volume and the speed of sound all change; T does not.
-    feet = 3.280839895
-    scaled = room.replace(areas=room.areas * feet**2, volume=room.volume * feet**3)
-    in_feet = rt.Eyring(speed_of_sound=room.speed_of_sound * feet)
-    found = rt.calibrate(scaled, t, equation=in_feet).alpha
-    np.testing.assert_allclose(found, plain, rtol=0, atol=1e-12)
-
-
 def test_drawing_a_wall_as_several_polygons_changes_nothing() -> None:
     materials = [
         rt.Material("plaster", [0.05, 0.06], [0.02, 0.02]),
@@ -83,51 +50,6 @@ def test_drawing_a_wall_as_several_polygons_changes_nothing() -> None:
     whole, parts = rt.calibrate(room(96.0), t), rt.calibrate(room(50.0, 40.0, 6.0), t)
     np.testing.assert_allclose(parts.alpha, whole.alpha, rtol=0, atol=1e-14)
     assert [s.area for s in parts.room.surfaces] == [50.0, 40.0, 6.0, 33.0]
-
-
-@given(seeds)
-def test_no_random_feasible_point_beats_the_optimum(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    room = random_room(rng, 6, 1)
-    b_end = room.areas.sum() * rng.uniform(0.02, 0.98)
-    t = EYRING.time(room, np.array([b_end]))
-    result = rt.calibrate(room, t)
-    best = np.sum(result.shift_in_sigmas**2)
-    for _ in range(30):
-        other = rng.uniform(0, 1, room.alpha.shape)
-        reached = room.areas @ other[:, 0]
-        end = np.ones(6) if reached < b_end else np.zeros(6)
-        share = (b_end - reached) / (room.areas @ end - reached)
-        other[:, 0] += share * (end - other[:, 0])  # on the segment to an end: S'alpha = b
-        assert room.areas @ other[:, 0] == pytest.approx(b_end)
-        assert np.sum(((other - room.alpha) / room.sigma) ** 2) >= best * (1 - 1e-9)
-
-
-def test_sigma_zero_leaves_a_coefficient_alone() -> None:
-    rng = np.random.default_rng(1)
-    room = random_room(rng, 6, 3)
-    sigma = room.sigma.copy()
-    sigma[2] = 0
-    sigma[4, 1] = 0
-    room = room.replace(sigma=sigma)
-    result = rt.calibrate(room, true_times(rng, room, EYRING))
-    np.testing.assert_array_equal(result.alpha[sigma == 0], room.alpha[sigma == 0])
-    assert np.all(np.abs(result.shift[sigma > 0]) > 1e-6)
-
-
-def test_missing_band_keeps_its_prior_and_says_so() -> None:
-    rng = np.random.default_rng(2)
-    room = random_room(rng, 6, 4)
-    t = true_times(rng, room, EYRING)
-    whole = rt.calibrate(room, t)
-    t[1] = np.nan
-    result = rt.calibrate(room, t)
-    np.testing.assert_array_equal(result.alpha[:, 1], room.alpha[:, 1])
-    np.testing.assert_allclose(result.alpha[:, [0, 2, 3]], whole.alpha[:, [0, 2, 3]], atol=1e-12)
-    assert np.isnan(result.multipliers[1])
-    assert result.plausibility.degrees_of_freedom == 3
-    assert "125 Hz: not calibrated, no T was measured" in str(result)
-    assert result.to_dict()["gap_after_jnd"][1] is None
 
 
 @pytest.mark.parametrize("solver", ["clarabel", "osqp"])
@@ -172,40 +94,6 @@ def test_a_target_at_an_end_is_that_end(end: str) -> None:
     force = result.shift / room.sigma**2 + result.multipliers * room.areas[:, np.newaxis]
     np.testing.assert_allclose(np.min(np.abs(force), axis=0), 0, atol=1e-9)
     assert np.all(force * sign <= 1e-9)
-
-
-def test_alpha_min_is_a_floor() -> None:
-    room = rt.Room(
-        name="church",
-        volume=5000,
-        materials=["stone", "rest"],
-        areas=[2000, 300],
-        alpha=[[0.03], [0.2]],
-        sigma=[[0.02], [0.05]],
-        alpha_min=[[0.02], [0.0]],
-        centre_frequencies=[1000],
-    )
-    t = EYRING.time(room, np.array([60.0]))
-    result = rt.calibrate(room, t)
-    assert result.alpha[0, 0] == 0.02
-    assert result.active[0, 0] == -1
-    assert result.reverberation_time_after[0] == pytest.approx(t[0], rel=1e-9)
-
-
-def test_posterior_sigma_is_the_linear_gaussian_one(cr2) -> None:
-    """Against 40,000 draws of the truth and of the noise of T."""
-    room, measured = cr2
-    result = rt.calibrate(room, measured)
-    rng = np.random.default_rng(0)
-    k = 3
-    sigma, areas = room.sigma[:, k], room.areas
-    truth = rng.normal(0, sigma, (40_000, 5))
-    b = truth @ areas + rng.normal(0, result.target_uncertainty[k], 40_000)
-    estimate = b[:, np.newaxis] * (areas * sigma**2) / (areas**2 @ sigma**2)
-    np.testing.assert_allclose(
-        result.posterior_sigma[:, k], np.std(estimate - truth, axis=0), rtol=0.02
-    )
-    assert np.all(result.posterior_sigma[:, k] < sigma)
 
 
 def cases(count: int) -> list[tuple[rt.Room, np.ndarray]]:
@@ -299,9 +187,13 @@ def test_what_a_solver_does_not_know_is_refused(cr2) -> None:
     for options, error, place in (
         ({"solver": "scs"}, rt.errors.ModelError, "solver = 'scs' is not"),
         ({"solver": 5}, rt.errors.ModelError, "solver = 5"),
-        ({"settings": {"no": 1}}, rt.errors.ModelError, "no=1"),
+        ({"settings": {"no": 1}}, rt.errors.ModelError, '^solver "clarabel" refuses .*no=1: '),
         ({"settings": {"max_iter": "many"}}, rt.errors.ModelError, "many"),
-        ({"solver": "osqp", "settings": {"no": 1}}, rt.errors.ModelError, "no=1"),
+        (
+            {"solver": "osqp", "settings": {"no": 1}},
+            rt.errors.ModelError,
+            '^solver "osqp" refuses .*no=1: ',
+        ),
         ({"solver": "osqp", "settings": 5}, rt.errors.ModelError, "settings = 5"),
         ({"warm_start": "closed"}, rt.errors.DataError, "warm_start"),
         ({"unreachable": "no"}, rt.errors.DataError, "unreachable"),

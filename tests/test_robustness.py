@@ -276,17 +276,6 @@ def test_a_room_of_one_surface_is_calibrated_exactly() -> None:
     assert (two["aace"] > 0.01).all()
 
 
-def test_bounds_that_contradict_name_the_terms_that_set_them() -> None:
-    first, second = rt.terms.Fixed("a", 0.1), rt.terms.Bounds(0.2, 0.9)
-    with pytest.raises(DataError) as raised:
-        solved(first, second, rt.terms.Fixed("b", 0.3))
-    message = str(raised.value)
-    assert "the bounds contradict each other" in message
-    assert repr(first) in message
-    assert repr(second) in message
-    assert "'b'" not in message
-
-
 def test_an_effect_of_weight_0_is_named() -> None:
     effect = rt.terms.AddedAbsorption("door", [1, 1], 1.0)
     with pytest.raises(rt.errors.ModelError, match=r"AddedAbsorption\(name='door'.* has weight 0"):

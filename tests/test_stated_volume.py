@@ -16,8 +16,6 @@ from rtcal.finder.evidence import grid_weights
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.problem import predict_hypotheses
 from rtcal.finder.model import RoomState, volume_sigma_of
-from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.path_tracing import PathTracing
 
 F = [125, 250, 500, 1000, 2000, 4000]
 SEATS, PLASTER = [0.28, 0.42, 0.58, 0.66, 0.7, 0.68], [0.1, 0.08, 0.06, 0.05, 0.05, 0.05]
@@ -93,62 +91,6 @@ def test_half_or_twice_the_volume_is_found(true: float, least: float, tmp_path: 
     assert size.low < true < size.high
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("scattering", [0.1, 0.3])
-@pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize("relative", [0.1, 0.2])
-@pytest.mark.parametrize(
-    ("sides", "floor", "ceiling", "walls"),
-    [
-        ((6.5, 8.4, 3.6), 0.5, 0.45, 0.03),
-        ((12.0, 9.0, 3.2), 0.05, 0.6, 0.06),
-        ((9.0, 15.0, 5.0), 0.55, 0.06, 0.05),
-        ((30.0, 18.0, 8.0), 0.05, 0.5, 0.05),
-        ((32.0, 20.0, 16.0), 0.6, 0.07, 0.08),
-    ],
-)
-def test_a_traced_room_has_its_stated_volume(
-    sides: tuple[float, float, float],
-    floor: float,
-    ceiling: float,
-    walls: float,
-    relative: float,
-    known: bool,
-    scattering: float,
-    tmp_path: Any,
-) -> None:
-    x, y, z = sides
-    alpha = np.repeat([[floor], [ceiling], [walls]], len(F), axis=1)
-    room = rt.Room(
-        name="box",
-        volume=x * y * z,
-        materials=["m1", "m2", "m3"],
-        areas=[x * y, x * y, 2 * (x + y) * z],
-        alpha=alpha,
-        sigma=np.maximum(relative * alpha, 0.01),
-        centre_frequencies=F,
-        air=rt.Air(20, 50),
-        scattering=np.full(alpha.shape, scattering),
-        dimensions=sides if known else None,
-    )
-    around = dict.fromkeys(("west", "east", "south", "north"), "m3")
-    tracer = PathTracing(
-        room=room,
-        geometry=Polyhedron.shoebox(sides, {**around, "floor": "m1", "ceiling": "m2"}),
-        sources={"S1": (0.3 * x, 0.28 * y, 1.5)},
-        receivers={"R1": (0.7 * x, 0.75 * y, 1.2), "R2": (0.52 * x, 0.6 * y, 1.3)},
-        n_paths=4000,
-    )
-    values = tracer.simulate(room.alpha, seed=1).values
-    measured = rt.Measurement(
-        centre_frequencies=F,
-        values={p: values[p].mean(axis=0, keepdims=True) for p in ("t20", "edt")},
-        n_sources=1,
-        n_receivers=2,
-    )
-    assert believed(found(room, measured, tmp_path))
-
-
 def test_a_volume_is_as_certain_as_it_is_stated() -> None:
     room = hall(0.1)
     mesh = room.replace(scene=rt.Scene(mesh="hall.obj"))
@@ -174,16 +116,6 @@ def test_a_volume_is_as_certain_as_it_is_stated() -> None:
         assert (
             grid_weights(effect, grid, uneven)[np.abs(logs - np.log(2)) < 0.16].sum() < twice / 50
         )
-
-
-def test_t_that_is_longer_in_every_band_is_said_as_what_it_most_often_is() -> None:
-    room = hall(0.1)
-    longer = rt.calibrate(room, heard(room, 1.4)).to_dict()["verdict"]
-    said = " ".join(map(str, longer.values())) if isinstance(longer, dict) else str(longer)
-    assert "T is longer in every band" in said
-    assert "the equation then gives too little T for this room" in said
-    shorter = str(rt.calibrate(room, heard(room, 0.7)).to_dict()["verdict"])
-    assert "T is longer in every band" not in shorter
 
 
 def test_a_volume_of_a_thousandth_is_tried_only_where_every_state_has_sound_for_it() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
-
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -12,7 +10,7 @@ import rtcal as rt
 from benchmarks.studies.calibrations import uncertain_room
 from rtcal.acoustics.room_errors import target_changes
 from rtcal.calibration.unknowns import Configurations
-from rtcal.prediction import Change, Target, Treatment, changed
+from rtcal.prediction import Change, changed
 from rtcal.report.of_calibration import assumed
 from rtcal.support.errors import DataError, ModelError
 from tests.conftest import also
@@ -75,47 +73,6 @@ def test_it_is_the_qp_with_areas_and_volume_among_the_unknowns(solver: str, seed
     assert np.abs(result.shift).max() > 0.01
 
 
-@pytest.mark.filterwarnings("ignore::rtcal.support.errors.MissingAirWarning")
-@pytest.mark.parametrize("seed", range(3))
-def test_against_rational_arithmetic(seed: int) -> None:
-    """On the active set the stationarity solved in fractions, and the KKT signs beside it."""
-    room = room_of(seed, small=True, **STATED)
-    t = times(room, seed, 0.4) * 4
-    result = rt.calibrate(room, t, equation=SABINE)
-    assert (result.active != 0).any()
-    of = np.vectorize(Fraction, otypes=[object])
-    changes = of(target_changes(SABINE, room, t))
-    b = of(SABINE.target(room, t))
-    noise = of(EXACT * SABINE.target(room, t))  # Sabine without air: b is proportional to 1/T
-    covariance = changes.T @ changes + np.diag(noise**2)
-    areas, mu, sigma = of(room.areas), of(room.alpha), of(room.sigma)
-    held = of(np.where(result.active < 0, 0.0, 1.0))
-    free = result.active == 0
-    # alpha = mu - sigma² S pull where free; pull = C⁻¹ (S'alpha - b): linear in the pull of each band.
-    fixed = np.where(free, mu, held)
-    softness = np.diag((areas[:, None] ** 2 * np.where(free, sigma, 0) ** 2).sum(axis=0))
-    pull = solve_fractions(covariance + softness, areas @ fixed - b)
-    wanted = np.where(free, mu - sigma**2 * areas[:, None] * pull, held)
-    force = (wanted - mu) / sigma**2 + areas[:, None] * pull
-    assert ((result.active >= 0) | (force > 0)).all()
-    assert ((result.active <= 0) | (force < 0)).all()
-    np.testing.assert_allclose(result.alpha, wanted.astype(float), rtol=0, atol=1e-9)
-
-
-def solve_fractions(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Gauss elimination in exact arithmetic."""
-    rows = [[*line, r] for line, r in zip(matrix.tolist(), right.tolist(), strict=True)]
-    n = len(rows)
-    for i in range(n):
-        pivot = next(r for r in range(i, n) if rows[r][i] != 0)
-        rows[i], rows[pivot] = rows[pivot], rows[i]
-        rows[i] = [x / rows[i][i] for x in rows[i]]
-        for r in range(n):
-            if r != i and rows[r][i] != 0:
-                rows[r] = [x - rows[r][i] * y for x, y in zip(rows[r], rows[i], strict=True)]
-    return np.array([row[-1] for row in rows], dtype=object)
-
-
 @pytest.mark.parametrize("equation", [SABINE, rt.Eyring(), rt.Kuttruff()])
 def test_changes_of_the_target_are_derivatives(equation: rt.acoustics.equations.Equation) -> None:
     """Each change against the difference between two rooms that are a little off."""
@@ -148,15 +105,6 @@ def test_an_ever_more_certain_room_gives_the_exact_match() -> None:
     np.testing.assert_allclose(nearly.alpha, exact.alpha, rtol=0, atol=1e-5)
     far = rt.calibrate(room.replace(volume_sigma=0.5), t)
     assert np.abs(far.shift).max() < 0.3 * np.abs(exact.shift).max()
-
-
-def test_what_all_bands_share_goes_to_the_volume_and_what_they_do_not_to_alpha() -> None:
-    room, _ = rt.datasets.bras_cr2()
-    stated, t0 = room.replace(volume_sigma=0.05), rt.Eyring().reverberation_time(room)
-    together = rt.calibrate(stated, 1.1 * t0)
-    apart = rt.calibrate(stated, t0 * np.where(np.arange(room.n_bands) % 2, 1.1, 1 / 1.1))
-    assert np.abs(together.shift_in_sigmas).max() < 0.75 * np.abs(apart.shift_in_sigmas).max()
-    assert together.plausibility.q < 0.7 * apart.plausibility.q
 
 
 def test_q_knows_the_room_and_the_common_factor() -> None:
@@ -351,21 +299,6 @@ def test_a_changed_room_keeps_what_was_stated_of_its_areas() -> None:
     assert errors(Change(remove="floor")) == {
         name: stated[name] for name in ("ceiling", "wall", "door")
     }
-
-
-def test_an_uncertain_room_is_predicted_and_designed_with() -> None:
-    room = room_of(1, area_sigma=0.03)
-    t = times(room, 1)
-    panel = rt.Material("panel", [0.5] * 4, [0.1] * 4)
-    for change in (
-        Change(cover="wall", by=panel, area=5),
-        Change(add=panel, area=5),
-        Change(open="wall", area=1),
-    ):
-        assert np.isfinite(rt.calibrate(room, t, "soft").predict(change).mean).all()
-    free = Treatment("panels", panel, 20, cost=1)
-    found = rt.design(rt.calibrate(room, t, "soft"), [free], Target(t / 9, t * 3))
-    assert found.cost == pytest.approx(0, abs=1e-3)
 
 
 def at_one_pair(t: np.ndarray, uncertainty: np.ndarray) -> rt.Measurement:

@@ -44,11 +44,6 @@ def test_an_array_in_place_of_an_option(option: str, array: np.ndarray) -> None:
         rt.calibrate(*rt.datasets.bras_cr2(), **{option: array})
 
 
-def test_an_unknown_option() -> None:
-    with pytest.raises(TypeError, match="solvr"):
-        rt.calibrate(*rt.datasets.bras_cr2(), solvr="osqp")
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("names", ["only", "without"])
 def test_arrays_and_generators_of_effects(names: str, kept: Path) -> None:
