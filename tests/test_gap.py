@@ -162,26 +162,19 @@ def finding(folder: Path, kept: Path) -> Finding:
 
 def unsure(finding: Finding) -> Finding:
     """The same, where a material's area explains the data best and the opening hardly less."""
-    first = next(iter(finding.fits.values()))
-    area = replace(
-        first,
-        name="area",
-        gap=replace(first.gap, uncertainty=0.01),
-        parameters={"material": 1.0, "ratio": 1.4},
-        size=Size(1.4, 1.2, 1.6, "of the stated area"),
-        coefficients=None,
-    )
+    area, opening = candidates_of("area", "opening")
+    size = Size(1.4, 1.2, 1.6, "of the stated area").fields
+    area = replace(area, parameters={"material": 1.0, "ratio": 1.4}, **size)
     return replace(
         finding,
         verdict="ambiguous",
         family=None,
         named=(),
         members=("area",),
-        candidates=candidates_of("area", "opening"),
+        candidates=(area, opening),
         detection=replace(finding.detection, score=6.5),
         evidence={"area": 6.5, "opening": 5.7},
         probabilities={"area": 0.6, "opening": 0.3, "none": 0.1},
-        fits={**finding.fits, "area": area},
     )
 
 

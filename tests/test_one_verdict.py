@@ -15,7 +15,7 @@ from benchmarks.studies.means.judged import read
 from rtcal.finder import Case, control_rooms
 from rtcal.finder.claim import too_weak
 from rtcal.finder.means.engines import draw_alpha
-from rtcal.finder.means.verdict import GapCheck, gap_against
+from rtcal.finder.means.search import GapCheck, gap_against
 
 SEEDS = range(8)
 POPULATION = 57

@@ -89,7 +89,9 @@ def test_coefficients_off_together_are_a_verdict_in_words_and_a_prior_to_go_on_f
     case = louder()
     finding = find(case, only=["coefficients", "volume", "air"], controls=controls(case))
     assert finding.probabilities["coefficients"] == max(finding.probabilities.values())
-    off = finding.fits["coefficients"].coefficients
+    found = finding.candidate("coefficients")
+    assert found is not None
+    off = found.coefficients
     assert off is not None
     assert (off.ratio > 1.3).all()
     name = ("coefficients",)

@@ -245,7 +245,7 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert sum(found.sets.values()) == pytest.approx(1)
     assert sum(found.family_sets.values()) == pytest.approx(1)
     assert sum(found.numbers) == pytest.approx(1)
-    together = found.fits["volume"].size
+    together = found.candidate("volume")
     assert together is not None
     assert together.low < 1.3 < together.high
     corrected = found.apply().case
@@ -394,7 +394,7 @@ def test_a_doubt_of_a_size_leaves_the_families_of_a_set_claimed(
     """As of one effect: a doubt of the size or the fit speaks against no family."""
     values = {"effect": "volume", "share": 1.0, "most": 0.5, "before": 1.0, "after": 2.0}
     doubt = Reason(code, values)
-    monkeypatch.setattr("rtcal.finder.means.verdict.doubts", lambda *_: (doubt,))
+    monkeypatch.setattr("rtcal.finder.means.search.doubts", lambda *_: (doubt,))
     found = sought(case_with(*BOTH))
     assert found.named == ()
     assert {f.split(",")[0] for f in found.named_families} == families

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.special import logsumexp
 
 from rtcal.files.disk import json_numbers
-from rtcal.finder.effects import CoupledRoom, Effect
-from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN, Prior
+from rtcal.finder.effects import AppliedEffect, CoupledRoom, Effect
+from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN, OffTogether, Prior
 from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
 
@@ -332,10 +332,8 @@ class Candidate:
     surface : str or None
         None for the whole room, the measurement, and of means over positions.
     place : str
-        The surface's name; of the measurement's errors "receiver R1", "source S1" or "S1 to R1"; "" for
-        the whole room.
-    called : str
-        What a sentence calls it, where that is not effect and place.
+        The surface's name; of means a material in quotes, where the effect is about one; of the
+        measurement's errors "receiver R1", "source S1" or "S1 to R1"; "" for the whole room.
     probability : float
     size, low, high : float
         Posterior mean and 90 % interval, in ``unit``; NaN for coefficients off together and for
@@ -348,6 +346,11 @@ class Candidate:
     parts : tuple of (middle, probability)
         Of a large surface: the middle (x, y, z) of each part in m, and the probability that it stands
         on this part alone. With the rest of its probability it is spread over the surface.
+    coefficients : OffTogether or None
+        Of means, coefficients that are off in common, where they are likely beside it.
+    absorption : array (3, n_bands) or None
+        Of means, what an effect of absorption adds over the room's mean absorption: of the size's mean
+        and of both ends of its interval.
     """
 
     effect: str
@@ -355,7 +358,6 @@ class Candidate:
     probability: float
     surface: str | None = None
     place: str = ""
-    called: str = ""
     size: float = math.nan
     low: float = math.nan
     high: float = math.nan
@@ -364,6 +366,30 @@ class Candidate:
     parameters: Mapping[str, float] = field(default_factory=dict)
     spectrum: Array = field(default_factory=lambda: np.zeros(0))
     parts: tuple[tuple[Point, float], ...] = ()
+    coefficients: OffTogether | None = None
+    absorption: Array | None = None
+
+    @property
+    def extent(self) -> Size | None:
+        """The size with its interval; None where there is none."""
+        if not np.isfinite(self.size):
+            return None
+        return Size(self.size, self.low, self.high, self.unit, self.end)
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether it has been fitted to means, so that it can be added to a case."""
+        return bool(self.parameters) or self.coefficients is not None
+
+    def applied(self, effect: Effect) -> AppliedEffect:
+        """Return the effect with its size and interval, to be put into a case."""
+        ends = None if self.extent is None else (self.low, self.high)
+        return AppliedEffect(effect, self.parameters, ends)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        left_out = ("coefficients", "absorption")
+        return {k: json_numbers(v) for k, v in vars(self).items() if k not in left_out}
 
     @property
     def middle(self) -> Point | None:
@@ -374,9 +400,14 @@ class Candidate:
     @property
     def title(self) -> str:
         """Effect and place, as a sentence names them."""
+        return f"{self.effect} {self.where}".rstrip()
+
+    @property
+    def where(self) -> str:
+        """Its place as a sentence has it; "" for the whole room."""
         if self.surface is not None:
-            return f'{self.effect} on "{self.surface}"'
-        return self.called or (f"{self.effect} of {self.place}" if self.place else self.effect)
+            return f'on "{self.surface}"'
+        return f"of {self.place}" if self.place else ""
 
     @property
     def kind(self) -> str:
@@ -391,9 +422,7 @@ class Candidate:
     @property
     def in_words(self) -> str:
         """Size with its interval; "" where there is none."""
-        if not np.isfinite(self.size):
-            return ""
-        return Size(self.size, self.low, self.high, self.unit, self.end).words
+        return "" if self.extent is None else self.extent.words
 
 
 @dataclass(frozen=True)

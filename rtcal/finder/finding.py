@@ -44,8 +44,7 @@ from rtcal.finder.claim import (
     over_frequency,
 )
 from rtcal.finder.effects import AppliedEffect, CoupledRoom, Effect, WrongVolume
-from rtcal.finder.evidence import NONE, UNKNOWN, OffTogether
-from rtcal.finder.means.verdict import Fit
+from rtcal.finder.evidence import UNKNOWN, OffTogether
 from rtcal.support import checks
 from rtcal.support.blocks import Block
 from rtcal.support.errors import DataError
@@ -116,7 +115,7 @@ class Finding(Result):
         of ``middle``.
     named_families, named_set, members : tuple of str
         Of means. The families that are claimed; those of two or three effects that are claimed together
-        (`rtcal.finder.means.verdict.TWO`); the effects of the most probable set, in the order in which
+        (`rtcal.finder.means.search.TWO`); the effects of the most probable set, in the order in which
         they act: what `apply` adds.
     stand_ins : mapping of str to tuple of str
         Of each of two or more members, the effects that explain the data as well in its place.
@@ -129,8 +128,6 @@ class Finding(Result):
         Posterior mean of the coefficients, averaged over all sets: what `apply` cannot give, since it
         adds one set.
     prior : Prior
-    fits : mapping of str to Fit
-        Parameters, size and gap of each candidate; of a member with the other members in the model.
     advice : Reason or None
         The next measurement that would decide; None where the data show nothing that is missing.
     residuals : array (n_configurations, n_features, n_bands)
@@ -175,7 +172,7 @@ class Finding(Result):
     likelihood ratio is then 1.
     """
 
-    record_kind: ClassVar[str] = "finding 4"
+    record_kind: ClassVar[str] = "finding 5"
 
     case: Any
     verdict: str
@@ -202,7 +199,6 @@ class Finding(Result):
     likely: Sequence[tuple[tuple[AppliedEffect, ...], float]] = ()
     alpha: Array = field(default_factory=partial(np.zeros, 0))
     prior: Any = None
-    fits: Mapping[str, Fit] = field(default_factory=dict)
     advice: Reason | None = None
     residuals: Array = field(default_factory=partial(np.zeros, 0))
     discrepancy: Any = None
@@ -276,11 +272,9 @@ class Finding(Result):
         return self.kind == "means" and len(self.numbers) > 2
 
     @property
-    def likely_sets(self) -> dict[str, float]:
+    def likely_sets(self) -> dict[Names, float]:
         """The sets that are probable enough to be printed; {} where each has one effect."""
-        if not self.more_than_one:
-            return {}
-        return {" + ".join(s) or NONE: p for s, p in self.sets.items() if p >= SAID}
+        return {s: p for s, p in self.sets.items() if p >= SAID} if self.more_than_one else {}
 
     @property
     def family_sets(self) -> dict[Names, float]:
@@ -290,7 +284,12 @@ class Finding(Result):
     @property
     def coefficients(self) -> OffTogether | None:
         """The common error of the coefficients, if one is likely beside the most probable set."""
-        return self.fits[self.members[-1]].coefficients if self.members else None
+        of = self.candidate(self.members[-1]) if self.members else None
+        return None if of is None else of.coefficients
+
+    def candidate(self, effect: str | None) -> Candidate | None:
+        """Return the most probable candidate of an effect; None where it is none."""
+        return next((c for c in self.candidates if c.effect == effect), None)
 
     @property
     def located(self) -> Candidate | None:
@@ -454,7 +453,8 @@ class Finding(Result):
         """Return the effects of means that `apply` adds; DataError as it does."""
         if not self.can_be_added:
             raise DataError(f'the verdict is "{self.verdict}"; there is no effect to add')
-        if effect is not None and effect not in self.fits:
+        found = self.candidate(effect)
+        if effect is not None and (found is None or not found.is_fitted):
             candidates = listed([n for n in self.names if n != UNKNOWN], last="or")
             raise DataError(f'effect = "{effect}" is no candidate. Candidates: {candidates}')
         why = self.undecided if effect is None else _unclaimed_volume(self, (effect,))
@@ -463,27 +463,24 @@ class Finding(Result):
         return self.members if effect is None else (effect,)
 
     def with_effects(
-        self,
-        case: Case | None = None,
-        members: Names | None = None,
-        fits: Mapping[str, Fit] | None = None,
+        self, case: Case | None = None, members: Names | None = None, fit: Candidate | None = None
     ) -> Case:
         """Return the case with effects in its model; by default those of the most probable set.
 
-        It is what a verification compares with the case, however probable the effects are. ``fits`` are
-        the effects' parameters and sizes, by default those that were found.
+        It is what a verification compares with the case, however probable the effects are. ``fit`` has
+        the parameters and size of one of them, in place of those that were found.
         """
         base: Case = self.case if case is None else case
         members = self.members if members is None else checks.texts("members", members)
         present = {a.name for a in base.applied}
         if present.issuperset(members):
             return base
-        fits = self.fits if fits is None else checks.mapped("fits", fits)
+        fits = {c.effect: c for c in (*self.candidates, fit) if c is not None and c.is_fitted}
         missing = [n for n in members if n in self.effects and n not in present]
         for name in (*missing, members[-1]):
             if name not in fits:
                 has = checks.shown([*fits])
-                raise DataError(f'members has "{name}", which is not in fits; there are {has}')
+                raise DataError(f'members has "{name}", which is no candidate; there are {has}')
         off = fits[members[-1]].coefficients
         if off is not None:
             base = off.apply(base)
@@ -562,9 +559,8 @@ def rivals(f: Finding, best: Candidate | None = None) -> tuple[Candidate, ...]:
 
 def support(f: Finding, best: Candidate) -> Reason:
     """Return verdict, what is best and what else explains the data."""
-    others = [(c.title, c.probability) for c in rivals(f, best)]
-    sure = (best.title, best.probability)
-    values = {"verdict": f.verdict, "best": sure, "others": others}
+    others = rivals(f, best)
+    values = {"verdict": f.verdict, "best": best, "others": others}
     return Reason("support" if others else "sole", values)
 
 
@@ -573,14 +569,13 @@ def _nothing_to_add(f: Finding) -> Reason:
     if f.kind == "states":
         return Reason("climate changed" if f.detected else "no change to add")
     best = f.likeliest if f.kind == "positions" else f.best
-    title = "" if best is None else best.title
     if f.verdict == "none":
         return Reason("nothing to add")
     if f.verdict == "hint":
-        return Reason("too weak to add", {"best": title})
+        return Reason("too weak to add", {"best": best})
     if best is not None and best.effect == CoupledRoom.name:
-        return Reason("second room", {"best": title, "why": CoupledRoom.not_in_simulator})
-    return Reason("none of the library" if f.verdict == UNKNOWN else "no surface", {"best": title})
+        return Reason("second room", {"best": best, "why": CoupledRoom.not_in_simulator})
+    return Reason("none of the library" if f.verdict == UNKNOWN else "no surface", {"best": best})
 
 
 def _undecided(f: Finding) -> Reason | None:
@@ -604,8 +599,7 @@ def _undecided(f: Finding) -> Reason | None:
     if share >= LEAST_ADDED:
         return None
     shown = [c for c in known if c.can_be_added and c.probability >= SAID][:_CHOICE] or [best]
-    some = [(c.title, c.probability) for c in shown]
-    return Reason("place undecided", {"least": LEAST_ADDED, "candidates": some})
+    return Reason("place undecided", {"least": LEAST_ADDED, "candidates": shown})
 
 
 def _unclaimed_volume(f: Finding, members: Names) -> Reason | None:

@@ -41,7 +41,7 @@ from rtcal.files.saved import Result
 from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.case import LEVELS, Case, PositionsCase, StatesCase
 from rtcal.finder.claim import DISTINCT_NATS, Candidate, Reason
-from rtcal.finder.evidence import SCALES, probability_off
+from rtcal.finder.evidence import probability_off
 from rtcal.finder.finding import DATA, LEAST_PAIRS, Finding, feature_names
 from rtcal.finder.means.problem import (
     MeansProblem,
@@ -53,7 +53,7 @@ from rtcal.finder.means.problem import (
     state,
 )
 from rtcal.finder.means.recalibration import Recalibrated, plain, recalibrate
-from rtcal.finder.means.verdict import LITTLE, fit, gap_check
+from rtcal.finder.means.search import LITTLE, fit, gap_check
 from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.finder.states import find as find_change
@@ -449,24 +449,20 @@ def _of_means(finding: Finding, case: Case | None = None) -> Verification:
     errors, predictive = [np.nan] if not parts else list[float](), 0.0
     name = str(finding.best_effect)
     effects = [finding.effects[name]] if name in finding.effects else []
+    problem = MeansProblem(case, observed, predict_hypotheses(case, effects), finding.discrepancy)
     for part in parts:
-        found = finding.fits[name]
+        found = finding.candidates[0]
         if (part.hidden & fitted).any():  # the best effect as the data without this part have it
-            rest: Any = used & ~part.hidden
-            kept = rest[used]
-            covariance = observed.covariance[np.ix_(kept, kept)]
-            of_rest = replace(observed, used=rest, covariance=covariance)
-            predicted = predict_hypotheses(case, effects)
-            problem = MeansProblem(case, of_rest, predicted, finding.discrepancy)
-            found = fit(evaluate(problem, probability_off(case.room)), name, precise=True)
-        with_it = finding.with_effects(case, fits={name: found})
-        again = recalibrate(with_it, finding.discrepancy, left_out=part.configurations)
+            rest = replace(problem, observed=observed.only(used & ~part.hidden))
+            found = fit(evaluate(rest, probability_off(case.room)), name, precise=True)
+        again = recalibrate(
+            finding.with_effects(case, fit=found),
+            finding.discrepancy,
+            left_out=part.configurations,
+        )
         gaps = np.where(part.counted, gaps_of(again), gaps)
         counted |= part.counted
-        predicted = predict_hypotheses(case, effects, [[found.parameters]] if effects else None)
-        problem = MeansProblem(case, observed, predicted, finding.discrepancy)
-        scale = SCALES[0][0] if found.coefficients is not None else 1.0
-        check = gap_check(problem, 1 if effects else 0, scale, part.counted[used])
+        check = gap_check(problem, found, part.counted[used])
         errors += [check.uncertainty] * int(part.counted.any(axis=2).sum())
         predictive += check.predictive
     return of_means(

@@ -13,7 +13,7 @@ import numpy as np
 
 from rtcal.acoustics import bands, marks
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import LEVEL
+from rtcal.acoustics.observables import LEVEL, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.finder.claim import (
     CLAIMED,
@@ -22,6 +22,7 @@ from rtcal.finder.claim import (
     MISTAKE,
     MOST,
     SAID,
+    Candidate,
     Reason,
     Size,
     amount,
@@ -31,6 +32,7 @@ from rtcal.finder.claim import (
 from rtcal.finder.effects import checked_effects
 from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN
 from rtcal.finder.finding import Finding, feature_names
+from rtcal.finder.means.planning import COSTS, Plan
 from rtcal.finder.records import (
     WITH_LEVEL,
     WITHOUT_LEVEL,
@@ -131,11 +133,11 @@ SENTENCES: dict[str, str] = {
     "parameter, and one of them can be seen, or measured with a rule.",
     # Why nothing is added to the model, or not without a choice.
     "nothing to add": "Nothing to add: the measurement agrees with the model.",
-    "too weak to add": "Nothing to add: {best} is only a weak indication (verdict hint).",
+    "too weak to add": "Nothing to add: {best:name} is only a weak indication (verdict hint).",
     "none of the library": "Nothing to add: what is missing is no effect of the library (verdict "
     "unknown).",
     "no surface": "Nothing to add: what was found stands on no surface.",
-    "second room": "{best}: {why}",
+    "second room": "{best:name}: {why}",
     "no change to add": "Nothing to add: no change was identified.",
     "climate changed": "Nothing to add: the climate of the air changed. State temperature and humidity "
     "in the room's file.",
@@ -186,6 +188,15 @@ SENTENCES: dict[str, str] = {
     "so the directivity index of {sources:few} is not relied on. State measured balloons to use all "
     "parameters.",
     "no geometry": "T alone does not show on which surface something changed.",
+    # What could be measured next.
+    "EDT and T30": "EDT and T30",
+    "C80": "C80",
+    "G": "G, with a calibrated source",
+    "more positions": "{positions} more positions",
+    "another climate": "another climate: {humidity:.0f} % of humidity at {temperature:.0f} °C",
+    "covered": '"{material}" covered with {thickness:.0f} mm of mineral wool of known coefficients',
+    "removed": "without all that can be taken out or closed: objects, people, openings",
+    "planned": 'configuration "{configuration}"',
     "no directivity": "The directivity of {sources:few} is not stated, so no surface is identified. "
     "Give every source a directivity, with index = 0 for an omnidirectional one.",
     # Why a verification does not support a finding.
@@ -202,6 +213,7 @@ SENTENCES: dict[str, str] = {
 _CLAUSES = (
     *("support", "sole", "not predicted", "gains little", "misses", "halves differ"),
     *("still missed", "grows", "nothing claimed"),
+    *COSTS,
 )
 """Codes whose words stand within another sentence."""
 
@@ -215,21 +227,22 @@ class _Forms(Formatter):
         if form == "odds":
             return odds(value)
         if form == "name":
-            return called(value)
+            return called(value) if isinstance(value, str) else named(value)
         if form == "few":
             return first_of(value, _FEW)
         if form in ("and", "or"):
-            return listed([v if isinstance(v, str) else likely(*v) for v in value], last=form)
+            return listed([v if isinstance(v, str) else likeliness(v) for v in value], last=form)
         if form == "options":  # with the names that an option takes
-            return listed([f"{name} ({percent(p)})" for name, p in value], last="or")
+            some = [(v.title, v.probability) if isinstance(v, Candidate) else v for v in value]
+            return listed([f"{name} ({percent(p)})" for name, p in some], last="or")
         if form == "unexplained":
             return unexplained(value)
         if form == "gains":
             return first_of([f"{source} (by {g:+z.1f} dB)" for source, g in value.items()], _FEW)
         if isinstance(value, Size):
             return value.words
-        if isinstance(value, tuple):
-            return likely(*value)
+        if isinstance(value, Candidate):
+            return likeliness(value)
         return str(super().format_field(value, form))
 
 
@@ -273,20 +286,32 @@ def percent(probability: float) -> str:
     return f"{100 * probability:.0f} %"
 
 
-def called(title: str) -> str:
-    """Return the name in print of an effect, or of an effect in a place.
+def called(effect: str) -> str:
+    """Return the name in print of an effect.
 
-    >>> called("porous"), called('membrane on "west"'), called("noise floor")
-    ('porous absorber', 'panel absorber on "west"', 'noise floor')
+    >>> called("porous"), called("noise floor")
+    ('porous absorber', 'noise floor')
     """
-    first, _, place = title.partition(" ")
-    in_place = not place or (place.split()[0] in ("on", "of", "at") and first != COEFFICIENTS)
-    return f"{NAMES.get(first, first)} {place}".rstrip() if in_place else title
+    return NAMES.get(effect, effect)
+
+
+def named(c: Candidate) -> str:
+    """Return the name in print of a candidate, with its place.
+
+    >>> named(Candidate(effect="membrane", family="", probability=0.5, surface="west"))
+    'panel absorber on "west"'
+    """
+    return f"{called(c.effect)} {c.where}".rstrip()
 
 
 def likely(name: str, probability: float) -> str:
     """Return a name with its probability."""
     return f"{called(name)} ({percent(probability)})"
+
+
+def likeliness(c: Candidate) -> str:
+    """Return the name of a candidate with its probability."""
+    return likely(named(c), c.probability)
 
 
 def choice(some: Sequence[tuple[str, float]]) -> str:
@@ -331,8 +356,13 @@ def headline(f: Finding) -> list[str]:
 
 def title(f: Finding) -> str:
     """Return the best effect, or the most probable set, as a sentence names it."""
-    titles = {c.effect: c.title for c in f.candidates}
-    return listed([called(titles.get(n, n)) for n in f.members or (str(f.best_effect),)])
+    return listed([name_of(f, n) for n in f.members or (str(f.best_effect),)])
+
+
+def name_of(f: Finding, effect: str) -> str:
+    """Return the name in print of an effect, with the place of its candidate."""
+    found = f.candidate(effect)
+    return called(effect) if found is None else named(found)
 
 
 def absorbs(change: Array, end: str = "") -> str:
@@ -367,12 +397,10 @@ def _of_means(f: Finding) -> list[str]:
         whole = library <= {*f.effects, *f.not_judged}
         which = "no effect of the library explains it" if whole else unexplained(tuple(f.effects))
         return [f"Something is missing from the model: {which}."]
-    fit = f.fits.get(str(f.best_effect))
     subject = _contradiction(f)
-    if f.verdict != "ambiguous" and fit is not None and fit.absorption is not None:
-        subject = absorbs(fit.absorption, "" if fit.size is None else fit.size.end)
-    titles = {c.effect: c.title for c in f.candidates}
-    some = [(titles[n], f.probabilities.get(n, 0.0)) for n in f.names]
+    if f.verdict != "ambiguous" and f.best is not None and f.best.absorption is not None:
+        subject = absorbs(f.best.absorption, f.best.end)
+    some = [(named(c), f.probabilities.get(c.effect, 0.0)) for c in f.candidates]
     if f.verdict == "ambiguous":
         return [f"{subject}, and the data do not show what; {choice(some)}."]
     if f.verdict == "family":
@@ -426,7 +454,7 @@ def _at_positions(f: Finding) -> list[str]:
             "values, measurement and simulator: nothing is found to be missing."
         ]
     if f.verdict == "hint":
-        best = likely(f.best.title, f.best.probability)
+        best = likeliness(f.best)
         return [f"Nothing is identified; {best} is only a weak indication."]
     known = [c for c in f.candidates if c.effect != UNKNOWN]
     if f.verdict == UNKNOWN:
@@ -467,7 +495,7 @@ def _place(f: Finding) -> str:
     if best is None or not best.place:
         return ""
     if best.surface is None:
-        return f"; most likely {likely(best.title, best.probability)}"
+        return f"; most likely {likeliness(best)}"
     if f.surface is not None:
         at = None if f.located is None else f.located.middle
         about = f", about ({', '.join(f'{x:.1f}' for x in at)}) m" if at is not None else ""
@@ -561,7 +589,8 @@ def _details_of_means(f: Finding) -> list[str]:
         ]
         words = zip(("no effect", "one", "two", "three"), f.numbers, strict=False)
         said.append(f"Number of effects: {', '.join(likely(*w) for w in words if w[1] >= 0.005)}.")
-        said.append(f"Sets: {', '.join(likely(*one) for one in f.likely_sets.items())}.")
+        sets = [likely(set_of(names), p) for names, p in f.likely_sets.items()]
+        said.append(f"Sets: {', '.join(sets)}.")
     library = {effect.name: effect for effect in checked_effects(None)}
     for name, reason in f.not_judged.items():
         family = library[name].family if name in library else None
@@ -571,17 +600,25 @@ def _details_of_means(f: Finding) -> list[str]:
     return said
 
 
+def set_of(names: Sequence[str]) -> str:
+    """Return the names in print of a set of effects, joined.
+
+    >>> set_of(("porous", "opening")), set_of(())
+    ('porous absorber + opening', 'nothing missing')
+    """
+    return " + ".join(map(called, names)) or called(NONE)
+
+
 def size_of(f: Finding, name: str) -> str:
     """Return a candidate's size with its interval, and its other parameters; "" without any."""
-    fit = f.fits.get(name)
-    if fit is None or not fit.parameters:
+    found = f.candidate(name)
+    if found is None or not found.parameters:
         return ""
     effect = f.effects[name]
-    what = called(next((c.title for c in f.candidates if c.effect == name), name))
-    if fit.size is None:
-        return f"{what}: {effect.describe(fit.parameters)}"
-    others = effect.describe(fit.parameters, without=effect.size)
-    return f"{what}: {fit.size.words}" + (f"; {others}" if others else "")
+    if found.extent is None:
+        return f"{named(found)}: {effect.describe(found.parameters)}"
+    others = effect.describe(found.parameters, without=effect.size)
+    return f"{named(found)}: {found.extent.words}" + (f"; {others}" if others else "")
 
 
 def _details_at_positions(f: Finding) -> list[str]:
@@ -729,7 +766,7 @@ def candidates(f: Finding) -> Table | None:
         ]
         return Table([there, "odds against the model"], rows, corner="effect")
     some = [c for c in f.candidates if c.probability >= SAID and f.verdict != NONE]
-    rows = [Row(called(c.title), [percent(c.probability), c.in_words]) for c in some[:8]]
+    rows = [Row(named(c), [percent(c.probability), c.in_words]) for c in some[:8]]
     corner = "change" if f.kind == "states" else "effect"
     return Table(["probability", "size"], rows, corner=corner) if rows else None
 
@@ -806,10 +843,77 @@ def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
 
 def added(f: Finding, members: tuple[str, ...]) -> str:
     """Return the effects that `Finding.apply` adds, and those that explain the data as well."""
-    titles = {c.effect: c.title for c in f.candidates}
-    some = listed([likely(titles.get(n, n), f.probabilities.get(n, 0.0)) for n in members])
+    some = listed([likely(name_of(f, n), f.probabilities.get(n, 0.0)) for n in members])
     if len(members) > 1:
         return f"Added: {some}, the most probable set ({percent(f.sets[members])})."
     others = listed([likely(n, f.probabilities.get(n, 0.0)) for n in f.names if n not in members])
     beside = f" Other candidates: {others}." if others else ""
     return f"Added{'' if members == f.members else ', as stated'}: {some}.{beside}"
+
+
+# A plan.
+
+
+_OPEN = 0.01
+"""Uncertainty of the effects in nats below which a further measurement has nothing to settle."""
+
+
+def of_plan(p: Plan) -> list[Block]:
+    """Return what each effect would show, what it may be taken for, and what to measure next."""
+    seen, taken = list[Row](), list[Block]()
+    for name, change in p.reached.items():
+        nats = p.separations[name, NONE]
+        enough = "yes" if nats >= DISTINCT_NATS else "no"
+        seen.append(Row(called(name), [f"{100 * change:.1f} %", odds(nats), enough]))
+        others = [other for other in p.reached if other != name]
+        alike = [called(n) for n in others if p.separations[name, n] < DISTINCT_NATS]
+        apart = [called(n) for n in others if p.separations[name, n] >= DISTINCT_NATS]
+        said = ", ".join(alike) or "no other"
+        if len(alike) > len(apart):
+            said = f"all but {', '.join(apart)}" if apart else "all"
+        taken.append(Note(f"{called(name)}: {said}", "  "))
+    measured, enough = listed([parameter_label(n) for n in p.parameters]), odds(DISTINCT_NATS)
+    out: list[Block] = [
+        Note(
+            f"What {measured} would show of each effect, if it alone were in the room. Each has the "
+            f"size whose change of T is nearest to {100 * p.change:g} %. Odds of {enough} are enough "
+            "to see it.",
+            hanging="",
+        ),
+        Table(["change of T", "odds against the model", "seen"], seen, corner="effect"),
+        Note(
+            "What each may be taken for: the odds of the effect against each of these are expected to "
+            f"be less than {enough}.",
+            hanging="",
+        ),
+        *taken,
+    ]
+    if not p.proposals:
+        return out
+    if p.uncertainty < _OPEN:
+        settled = "What to measure next: the data already settle which effects are there."
+        return [*out, Note(""), Note(settled, hanging="")]
+
+    def share(information: float) -> str:
+        return f"{100 * information / p.uncertainty:.0f} %"
+
+    rows = [
+        Row(str(m.measurement), [share(m.information), f"{m.cost:g} h", share(m.per_cost)])
+        for m in p.proposals
+    ]
+    return [
+        *out,
+        Note(""),
+        Note(
+            "What to measure next: how much of the question which effects are there each measurement "
+            "is expected to settle, and the hours that it takes. As much is open now as between "
+            f"{np.exp(p.uncertainty):.1f} effects of equal probability.",
+            hanging="",
+        ),
+        Table(["settled", "time", "settled per hour"], rows, corner="measurement"),
+        Note("Best one after the other:"),
+        *(
+            Note(f"{number}. {m.measurement} ({share(m.information)} more)", "  ", "     ")
+            for number, m in enumerate(p.sequence, 1)
+        ),
+    ]

@@ -171,7 +171,9 @@ def _of_means(
     finding: Finding, verification: Verification | None, drawn: list[Picture]
 ) -> list[Any]:
     """Return the corrected calibration, probabilities and odds."""
-    sets = [Row(names, [100 * p], ".0f", [p]) for names, p in finding.likely_sets.items()]
+    sets = [
+        Row(words.set_of(names), [100 * p], ".0f", [p]) for names, p in finding.likely_sets.items()
+    ]
     rows = [
         Row(
             words.called(name),

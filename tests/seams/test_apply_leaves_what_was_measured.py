@@ -7,6 +7,7 @@ added, the room absorbs more, in no band less.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -134,15 +135,14 @@ def test_no_page_advises_an_improbable_candidate(finding: Finding, tmp_path: Pat
 def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case, kept: Path) -> None:
     hidden: Any = AppliedEffect("volume", {"ratio": 1.3})
     found = rt.find(case, only=["volume", "opening"], cache=kept)
-    fit = next(iter(found.fits.values()))
-    candidate = replace(found.candidates[0], effect="volume", probability=0.6)
+    fit = {"effect": "volume", "parameters": hidden.parameters, "size": math.nan}
+    candidate = replace(found.candidates[0], probability=0.6, **fit)
     guess = replace(
         found,
         verdict="ambiguous",
         named=(),
         members=("volume",),
         candidates=(candidate,),
-        fits={"volume": replace(fit, name="volume", parameters=hidden.parameters, size=None)},
         probabilities={"volume": 0.6, "none": 0.4},
     )
     for stated in (None, "volume"):

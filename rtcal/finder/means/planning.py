@@ -14,20 +14,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.observables import parameter_label
 from rtcal.files.saved import Result
 from rtcal.finder.case import Case, ChangedMaterial, Configuration
-from rtcal.finder.claim import DISTINCT_NATS
+from rtcal.finder.claim import WORDS, Reason
 from rtcal.finder.effects import AppliedEffect, Effect, Porous, checked_effects, judged_effects
-from rtcal.finder.evidence import NONE, prior_of, student
+from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN, prior_of, student
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.problem import (
+    MeansEvidence,
     MeansHypotheses,
     MeansProblem,
     ModelDiscrepancy,
@@ -38,13 +39,11 @@ from rtcal.finder.means.problem import (
     observe,
     predict_hypotheses,
 )
-from rtcal.finder.means.verdict import FURTHER, USUAL, further_in_words, separations
 from rtcal.finder.model import FEATURES
 from rtcal.support import checks
-from rtcal.support.blocks import Block, Note, Row, Table
+from rtcal.support.blocks import Block
 from rtcal.support.errors import DataError
 from rtcal.support.speed import single_threaded_blas
-from rtcal.support.text import listed
 from rtcal.support.types import Array
 
 STEPS = 3
@@ -59,10 +58,8 @@ class Proposal:
 
     Attributes
     ----------
-    measurement : str
-        In words.
-    kind : str
-        Its name among the costs.
+    measurement : Reason
+        One of `COSTS`, with its values; ``str`` of it is its words.
     information : float
         Expected information about which effects are there, in nats. In a sequence: what it adds to the
         measurements before it.
@@ -70,10 +67,14 @@ class Proposal:
         Hours.
     """
 
-    measurement: str
-    kind: str
+    measurement: Reason
     information: float
     cost: float
+
+    @property
+    def kind(self) -> str:
+        """Its name among the costs."""
+        return self.measurement.code
 
     @property
     def per_cost(self) -> float:
@@ -82,7 +83,8 @@ class Proposal:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return vars(self) | {"per_cost": self.per_cost}
+        more = {"kind": self.kind, "measurement": str(self.measurement)}
+        return vars(self) | more | {"per_cost": self.per_cost}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -137,63 +139,10 @@ class Plan(Result):
 
     def blocks(self) -> list[Block]:
         """Return what each effect would show, what it may be taken for, and what to measure next."""
-        measured = listed([parameter_label(p) for p in self.parameters])
-        seen, taken = list[Row](), list[Block]()
-        for name, change in self.reached.items():
-            nats = self.separations[name, NONE]
-            shown = f"{nats:.1f}" if nats <= _MOST else f">{_MOST:.0f}"
-            seen.append(
-                Row(
-                    name, [f"{100 * change:.1f} %", shown, "yes" if nats >= DISTINCT_NATS else "no"]
-                )
-            )
-            others = [b for b in self.reached if b != name]
-            alike = [b for b in others if self.separations[name, b] < DISTINCT_NATS]
-            apart = [b for b in others if b not in alike]
-            said = ", ".join(alike) or "no other"
-            if len(alike) > len(apart):
-                said = f"all but {', '.join(apart)}" if apart else "all"
-            taken.append(Note(f"{name}: {said}", "  "))
-        out: list[Block] = [
-            Note(
-                f"What {measured} would show of each effect, if it alone were in the room. Each has "
-                f"the size whose change of T is nearest to {100 * self.change:g} %. Evidence of "
-                f"{DISTINCT_NATS} nats, odds of ten to one, is enough to see it.",
-                hanging="",
-            ),
-            Table(["change of T", "evidence / nats", "seen"], seen, corner="effect"),
-            Note(
-                "What each may be taken for: the data would tell it from these by less than "
-                f"{DISTINCT_NATS} nats.",
-                hanging="",
-            ),
-            *taken,
-        ]
-        if not self.proposals:
-            return out
-        rows = [
-            Row(p.measurement, [f"{p.information:.2f}", f"{p.cost:g}", f"{p.per_cost:.2f}"])
-            for p in self.proposals
-        ]
-        return [
-            *out,
-            Note(""),
-            Note(
-                "What to measure next: the information to expect about which effects are there, and "
-                f"the hours that it takes. Of {self.uncertainty:.2f} nats that are open:",
-                hanging="",
-            ),
-            Table(["nats", "hours", "nats/hour"], rows, corner="measurement"),
-            Note("Best one after the other:"),
-            *(
-                Note(f"{number}. {p.measurement} ({p.information:+.2f} nats)", "  ", "     ")
-                for number, p in enumerate(self.sequence, 1)
-            ),
-        ]
+        made: list[Block] = import_module(WORDS).of_plan(self)
+        return made
 
 
-_MOST = 99.0
-"""Evidence in nats above which the table shows no number: the distinction is certain."""
 GENERIC_UNCERTAINTY = (0.04, 0.04, 0.02, 0.7, 0.7)
 """Standard deviation of the model's error before any engine has run, by feature."""
 
@@ -255,19 +204,12 @@ def plan(
     observed, _ = observe(case)
     tried, _ = judged_effects(checked_effects(effects), case.directions_known)
     predicted = predict_hypotheses(case, tried)
-    spread = np.broadcast_to(
-        np.array(GENERIC_UNCERTAINTY)[:, None] ** 2, observed.used.shape
-    ).ravel()
-    discrepancy = ModelDiscrepancy(np.zeros(spread.size), np.diag(spread))
+    variances = np.broadcast_to(np.square(GENERIC_UNCERTAINTY)[:, None], observed.used.shape)
+    discrepancy = ModelDiscrepancy(np.zeros(variances.size), np.diag(variances.ravel()))
     if finding is not None:
         discrepancy = finding.discrepancy
     problem = MeansProblem(case, observed, predicted, discrepancy)
     reached, table = _told_apart(problem, change)
-    measured = tuple(
-        p
-        for p in ("t20", "edt", "t30", "c80", "g")
-        if any(p in c.measured.values for c in case.configurations)
-    )
     further = possible(case, planned)
     whole, there, masks = extended(problem, further)
     if finding is None:
@@ -276,25 +218,33 @@ def plan(
         every = [(effects_of, p) for effects_of, p in finding.likely if p > _NEGLIGIBLE]
     about = _information(whole, there, every, None if finding is None else observed)
 
-    def ranked(done: Mask) -> list[Proposal]:
+    def ranked(done: Mask) -> list[tuple[Proposal, Mask]]:
         """Return every measurement that adds something to ``done``, the most nats per hour first."""
         start = about.of(done) if done.any() else 0.0
         added = [
-            Proposal(f.words, f.kind, max(about.of(done | mask) - start, 0.0), hours[f.kind])
-            for f in further
-            if ((mask := masks[f.words]) & ~done).any()
+            (Proposal(f.measurement, max(about.of(done | mask) - start, 0.0), hours[f.kind]), mask)
+            for f, mask in zip(further, masks, strict=True)
+            if (mask & ~done).any()
         ]
-        return sorted(added, key=lambda p: -p.per_cost)
+        return sorted(added, key=lambda each: -each[0].per_cost)
 
     done: Mask = np.zeros(len(there), dtype=bool)
-    proposals, sequence = ranked(done), list[Proposal]()
-    best = proposals
+    best, sequence = ranked(done), list[Proposal]()
+    proposals = tuple(proposal for proposal, _ in best)
     while best and len(sequence) < STEPS:
-        sequence.append(best[0])
-        done = done | masks[best[0].measurement]
+        first, mask = best[0]
+        sequence.append(first)
+        done = done | mask
         best = ranked(done) if len(sequence) < STEPS else []
+    measured = {name for c in case.configurations for name in c.measured.values}
     return Plan(
-        measured, change, reached, table, tuple(proposals), tuple(sequence), about.entropy()
+        tuple(name for name in FEATURES if name in measured),
+        change,
+        reached,
+        table,
+        proposals,
+        tuple(sequence),
+        about.entropy(),
     )
 
 
@@ -464,6 +414,63 @@ def _told_apart(
     return reached, table
 
 
+USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
+"""Standard uncertainty of a mean over four positions that is not measured yet, by feature."""
+FURTHER = {"EDT and T30": ("edt", "t30"), "C80": ("c80",), "G": ("g",)}
+"""Parameters that may be measured further in the configurations that there are."""
+
+
+def separations(problem: MeansProblem, first: int, further: Sequence[str] = ()) -> dict[str, float]:
+    """Return the evidence in nats to be expected against each effect if hypothesis ``first`` is true.
+
+    It is ½ min d' C⁻¹ d over the effect's parameters, with the features in use and ``further`` ones.
+    """
+    predicted, observed = problem.predicted, problem.observed
+    used = observed.used.copy()
+    used[:, [FEATURES.index(f) for f in further]] = True
+    variances = np.broadcast_to(USUAL[None, :, None] ** 2, used.shape).copy()
+    variances[observed.used] = np.diag(observed.covariance)
+    mask = used.ravel()
+    whole = replace(problem, observed=replace(observed, used=used))
+    covariance = whole.of_alpha(slice(first, first + 1))[0][0] + np.diag(variances[used])
+    covariance += problem.discrepancy.covariance[np.ix_(mask, mask)]
+    d = (predicted.features - predicted.features[first]).reshape(len(predicted.names), -1)[:, mask]
+    nats = 0.5 * ((d @ np.linalg.inv(covariance)) * d).sum(1)
+    return {name: float(nats[rows].min()) for name, rows in predicted.rows.items()}
+
+
+def next_measurement(evidence: MeansEvidence, candidates: Sequence[str]) -> Reason:
+    """Return the measurement that would decide between the candidates."""
+    problem, predicted = evidence.problem, evidence.problem.predicted
+    named = [c for c in candidates if c not in (UNKNOWN, COEFFICIENTS)]
+    if candidates and candidates[0] == COEFFICIENTS:
+        return Reason("another source")
+    if not named:
+        return Reason("measure again" if candidates else "nothing to distinguish")
+    best, *others = named
+    removed = any(c.suspect_removed for c in problem.case.configurations)
+    if not others:
+        removable = predicted.effects[best].removable
+        kind = "look it up" if not removable else "confirmed" if removed else "measure without"
+        return Reason(kind, {"effect": best})
+    rival, rows = others[0], predicted.rows[best]
+    first = int(rows[np.argmax(evidence.by_hypothesis()[rows])])
+    now, complete = separations(problem, first)[rival], np.all(problem.observed.used, axis=(0, 2))
+    options = [
+        (separations(problem, first, features)[rival], kind)
+        for kind, features in FURTHER.items()
+        if not complete[[FEATURES.index(f) for f in features]].all()
+    ]
+    two = {"effect": best, "rival": rival}
+    removable_ones = [n for n in two.values() if predicted.effects[n].removable and not removed]
+    if len(removable_ones) == 1:
+        return Reason("with and without", {"effect": removable_ones[0]})
+    if options and max(options)[0] > now + 1:
+        gain, what = max(options)
+        return Reason("measure further", {**two, "what": Reason(what), "nats": gain, "now": now})
+    return Reason("each taken out" if removable_ones else "look at the room", two)
+
+
 COSTS: Mapping[str, float] = {
     "EDT and T30": 0.2,
     "C80": 0.2,
@@ -492,86 +499,70 @@ class FurtherMeasurement:
     measurement variance over the first one's.
     """
 
-    kind: str
-    words: str
+    measurement: Reason
     parameters: tuple[str, ...] = ()
     configuration: Configuration | None = None
     same_error: float = SAME_ERROR
     share: float = 1.0
 
+    @property
+    def kind(self) -> str:
+        """Its name among the costs."""
+        return self.measurement.code
+
 
 def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[FurtherMeasurement]:
     """Return the measurements that a user can make in a case's room."""
-    first = case.configurations[0]
-    out = []
-    for kind, parameters in FURTHER.items():
-        lacking = [c for c in case.configurations if not set(parameters) <= set(c.measured.values)]
-        if lacking:
-            out.append(FurtherMeasurement(kind, further_in_words(kind), parameters))
-    again = replace(first, name="further", planned=True)
-    pairs = max(len(next(iter(first.measured.values.values()))), 1)
-    out.append(
-        FurtherMeasurement(
-            "more positions",
-            f"{MORE_POSITIONS} more positions",
-            configuration=again,
-            same_error=1.0,
-            share=pairs / MORE_POSITIONS,
-        )
-    )
-    if (air := first.air or case.room.air) is not None:
-        humidity = 30.0 if air.humidity > 45 else 65.0
-        other = Air(air.temperature, humidity)
-        words = f"another climate: {humidity:.0f} % of humidity at {air.temperature:.0f} °C"
-        out.append(
-            FurtherMeasurement("another climate", words, configuration=replace(again, air=other))
-        )
-    out.append(_covered(case, again))
-    bare = replace(again, suspect_removed=True)
-    if not any(c.suspect_removed for c in case.configurations):
-        words = "without all that can be taken out or closed: objects, people, openings"
-        out.append(FurtherMeasurement("removed", words, configuration=bare))
-    out += [
-        FurtherMeasurement(
-            "planned", f'configuration "{c.name}"', configuration=replace(c, planned=True)
-        )
-        for c in planned
+    room, first = case.room, case.configurations[0]
+    out = [
+        FurtherMeasurement(Reason(kind), parameters)
+        for kind, parameters in FURTHER.items()
+        if any(not set(parameters) <= set(c.measured.values) for c in case.configurations)
     ]
+
+    def add(kind: str, values: Mapping[str, Any], of: Configuration, **more: Any) -> None:
+        made = Reason(kind, values)
+        out.append(FurtherMeasurement(made, configuration=replace(of, planned=True), **more))
+
+    pairs = max(len(next(iter(first.measured.values.values()))), 1)
+    share = pairs / MORE_POSITIONS
+    add("more positions", {"positions": MORE_POSITIONS}, first, same_error=1.0, share=share)
+    if (air := first.air or room.air) is not None:
+        other = Air(air.temperature, 30.0 if air.humidity > 45 else 65.0)
+        climate = {"humidity": other.humidity, "temperature": other.temperature}
+        add("another climate", climate, replace(first, air=other))
+    # The largest surface, covered with mineral wool of known coefficients.
+    material = room.materials[int(np.argmax(room.areas))]
+    alpha = np.clip(Porous().spectrum(room.centre_frequencies, _ABSORBER), 0.02, 0.98)
+    covered = {material: ChangedMaterial(alpha, 0.01 + 0.07 * alpha)}
+    values = {"material": material, "thickness": 1000 * _ABSORBER["thickness"]}
+    add("covered", values, replace(first, changes=covered))
+    if not any(c.suspect_removed for c in case.configurations):
+        add("removed", {}, replace(first, suspect_removed=True))
+    for c in planned:
+        add("planned", {"configuration": c.name}, c)
     return out
-
-
-def _covered(case: Case, again: Configuration) -> FurtherMeasurement:
-    """Return the largest surface covered with mineral wool of known coefficients."""
-    row = int(np.argmax(case.room.areas))
-    material = case.room.materials[row]
-    alpha = np.clip(Porous().spectrum(case.room.centre_frequencies, _ABSORBER), 0.02, 0.98)
-    change = ChangedMaterial(alpha, 0.01 + 0.07 * alpha)
-    words = f'"{material}" covered with 50 mm of mineral wool of known coefficients'
-    return FurtherMeasurement(
-        "covered", words, configuration=replace(again, changes={material: change})
-    )
 
 
 def extended(
     problem: MeansProblem, further: Sequence[FurtherMeasurement]
-) -> tuple[MeansProblem, Mask, dict[str, Mask]]:
+) -> tuple[MeansProblem, Mask, list[Mask]]:
     """Return the problem with every further configuration in its case.
 
     Its hypotheses are those of the case as it is. Of the features in use, (m,), follow which are
-    measured already, and which each further measurement adds, by its words.
+    measured already, and which each further measurement adds.
     """
     case, observed = problem.case, problem.observed
-    new = [(f, f.configuration) for f in further if f.configuration is not None]
-    added = [replace(c, name=f"further {i}") for i, (_, c) in enumerate(new)]
-    configurations = [*case.configurations, *added]
+    new = [f for f in further if f.configuration is not None]
+    added = [c for c in (f.configuration for f in new) if c is not None]
+    named = [replace(c, name=f"further {i}") for i, c in enumerate(added)]
+    configurations = [*case.configurations, *named]
     n, count = len(configurations), len(case.configurations)
-    bands = case.room.n_bands
-    used = np.zeros((n, len(FEATURES), bands), dtype=bool)
+    used = np.zeros((n, len(FEATURES), case.room.n_bands), dtype=bool)
     used[:count] = observed.used
     variance = np.broadcast_to(USUAL[:, None] ** 2, used.shape).copy()
     variance[:count][observed.used] = np.diag(observed.covariance)
-    masks: dict[str, Mask] = {}
-    place = {f.words: count + i for i, (f, _) in enumerate(new)}
+    masks = list[Mask]()
     for f in further:
         mask: Mask = np.zeros(used.shape, dtype=bool)
         if f.configuration is None:
@@ -579,11 +570,11 @@ def extended(
             without = np.logical_not(observed.used[:, rows])
             mask[:count, rows] = np.logical_and(observed.used[:, :1], without)
         else:
-            at = place[f.words]
+            at = count + new.index(f)
             mask[at] = observed.used[0]
             variance[at] = np.where(observed.used[0], f.share * variance[0], variance[0])
-        masks[f.words] = mask
-    every = used | np.any(list(masks.values()), axis=0)
+        masks.append(mask)
+    every = used | np.any(masks, axis=0)
     flat = every.ravel()
     full = np.diag(variance.ravel())
     places = np.flatnonzero(used.ravel())
@@ -592,9 +583,9 @@ def extended(
         problem,
         case=replace(case, configurations=configurations),
         observed=ObservedFeatures(np.zeros(every.shape), every, full[np.ix_(flat, flat)]),
-        discrepancy=_model_error(problem.discrepancy, count, [f.same_error for f, _ in new]),
+        discrepancy=_model_error(problem.discrepancy, count, [f.same_error for f in new]),
     )
-    return whole, used.ravel()[flat], {words: m.ravel()[flat] for words, m in masks.items()}
+    return whole, used.ravel()[flat], [mask.ravel()[flat] for mask in masks]
 
 
 def _model_error(

@@ -470,6 +470,11 @@ class ObservedFeatures:
         """The features in use, (n_used,)."""
         return np.asarray(self.features[self.used])
 
+    def only(self, used: Any) -> ObservedFeatures:
+        """Return the same of which fewer features are in use."""
+        kept = used[self.used]
+        return replace(self, used=used, covariance=self.covariance[np.ix_(kept, kept)])
+
 
 def steps(case: Case, used: Array) -> dict[int, str]:
     """Return numbers of leading features, T20 of the first configuration and all, and their names.
