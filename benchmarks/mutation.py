@@ -56,7 +56,7 @@ SURVIVORS: dict[tuple[str, str], str] = {
         "+ numbered = np.arange(n, )",
     ): "equivalent: cvxpy makes floats of them",
     (
-        "rtcal.finder.means.problem.x_evaluate_leading",
+        "rtcal.finder.means.problem.x_evaluate",
         "+ for stated, off, unknown in zip(*parts, strict=False)",
     ): "equivalent: the parts have one length",
     (

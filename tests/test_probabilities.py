@@ -30,7 +30,7 @@ from rtcal.finder.means.problem import (
 )
 from rtcal.finder.model import predict
 from rtcal.finder.search import find
-from rtcal.report.finding_words import headline, size_of
+from rtcal.report.finding_words import effects_of, headline, size_of
 from rtcal.support.errors import DataError
 from tests.conftest import candidates_of
 
@@ -246,7 +246,7 @@ def test_one_size_everywhere() -> None:
     result = rt.finder.verify(finding)
     assert result.corrected.sizes["opening"] == finding.size.mean
     words = f"{finding.size.mean:.3g} m² (90 %: {finding.size.low:.3g} to {finding.size.high:.3g})"
-    for text in (size_of(finding, str(finding.best_effect)), result.corrected.effects_in_words[0]):
+    for text in (size_of(finding, str(finding.best_effect)), effects_of(result.corrected)[0]):
         assert words in text
     assert f"{finding.size.mean:.3g} m²" in finding.apply().room.sources["opening"]
     assert distances(case, case.configurations[0]).shape == (1,)

@@ -186,7 +186,7 @@ def test_what_lies_between_the_points_of_a_grid_is_no_second_effect() -> None:
 def test_a_set_of_one_is_the_single_hypothesis(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(densities, "COARSENING", np.inf)
     c = at_the_points(compared(*BOTH))
-    single = evaluate(c, 0.1)
+    single = evaluate(c, 0.1)[-1]
     rows = [row(c, name) for name in ("opening", "air", "coupled room")]
     sets = evaluate_sets(c, [(i,) for i in rows], off=True)
     np.testing.assert_allclose(sets[:, 0], single.stated[rows], atol=1e-8)
@@ -205,7 +205,7 @@ def test_the_screen_is_the_density_where_effects_add(monkeypatch: pytest.MonkeyP
     )
     c = replace(c, predicted=predicted)
     i, k = row(c, "volume"), row(c, "opening")
-    none = evaluate(c, 0.0).stated[0]
+    none = evaluate(c, 0.0)[-1].stated[0]
     first = np.array([i, 0])
     table = Screen(c).pairs(first, np.array([k, 0]))
     assert table[1, 1] == pytest.approx(none, abs=1e-8)
@@ -364,9 +364,6 @@ def test_three_effects_are_tried_where_two_do_not_explain_the_measurement() -> N
 @pytest.mark.parametrize(
     ("argument", "value", "words"),
     [
-        ("expected", 0.0, "expected = 0"),
-        ("expected", 1e300, "expected = 1e\\+300 effects is not from 0.01 to 10"),
-        ("expected", float("nan"), "expected"),
         ("most", 4, "most = 4 is not from 1 to 3"),
         ("most", 0, "most = 0"),
     ],

@@ -51,7 +51,7 @@ PROPOSED = 3
 SEEDS = (0, 1, 2)
 """Seeds of the simulator over which a gap at positions is printed."""
 _OF_POSITIONS = ("simulated", "match", "exclude", "scattering", "paths")
-_OF_MEANS = ("prior", "most", "expected")
+_OF_MEANS = ("prior", "most")
 _NEEDS_POSITIONS = " needs a room that states its sources and receivers, measured pair by pair"
 _ENDINGS = (".csv", ".json", ".toml")
 """Endings of the files that rtcal reads, which no folder of `apply` has."""
@@ -125,7 +125,7 @@ def searched(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) -> 
     case = read_case(options, targets)
     chosen = {name: options[name] for name in ("seed", "without", "only")}
     if isinstance(case, Case):
-        chosen |= {name: options[name] for name in ("most", "expected")}
+        chosen["most"] = options["most"]
         chosen["prior"] = numbers("--prior", options["prior"], "EFFECT=ODDS, such as opening=2")
     cache = kept_beside(options["case"])
 
@@ -273,7 +273,6 @@ def verified(finding: Any, cache: Path) -> Any:
         show_default=True,
         help="Largest number of effects that may be missing at once, up to 3.",
     ),
-    click.option("--expected", type=float, help="Expected number of effects, with --most."),
     "seed",
     click.option(
         "--out",

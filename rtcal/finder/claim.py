@@ -7,7 +7,7 @@ Of all observation models; words are made of them in `rtcal.report.finding_words
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Literal, TypeVar
@@ -75,11 +75,7 @@ def by_family(
     "none", "coefficients" and "unknown" are families of their own. "added absorption" is the sum of the
     families whose names begin with it.
     """
-    out: dict[str, float] = {}
-    for name, probability in probabilities.items():
-        family = family_of(name, effects)
-        out[family] = out.get(family, 0.0) + probability
-    return with_added(out)
+    return with_added(summed((family_of(name, effects), p) for name, p in probabilities.items()))
 
 
 def with_added(families: Mapping[str, float]) -> dict[str, float]:
@@ -88,6 +84,20 @@ def with_added(families: Mapping[str, float]) -> dict[str, float]:
     absorption = [p for family, p in out.items() if family.startswith(f"{_ABSORPTION},")]
     if len(absorption) > 1:
         out[_ABSORPTION] = sum(absorption)
+    return most_probable_first(out)
+
+
+def summed(parts: Iterable[tuple[Key, float]]) -> dict[Key, float]:
+    """Return the sums of probabilities by key, the most probable first.
+
+    Examples
+    --------
+    >>> summed([("opening", 0.3), ("air", 0.4), ("opening", 0.2)])
+    {'opening': 0.5, 'air': 0.4}
+    """
+    out: dict[Key, float] = {}
+    for key, p in parts:
+        out[key] = out.get(key, 0.0) + p
     return most_probable_first(out)
 
 
@@ -101,32 +111,31 @@ def family_of(name: str, effects: Mapping[str, Effect]) -> str:
     return name if name in (NONE, COEFFICIENTS, UNKNOWN) else effects[name].family
 
 
+def wide(family: str) -> str:
+    """Return the family of a kind: "added absorption" of "added absorption, rising"."""
+    return family.split(",")[0]
+
+
 Names = tuple[str, ...]
 """A set of effects or of families."""
 
 
 def families_of(names: Names, effects: Mapping[str, Effect]) -> Names:
     """Return the families of a set, sorted; all of "added absorption" as one."""
-    return tuple(sorted(family_of(name, effects).split(",")[0] for name in names))
+    return tuple(sorted(wide(family_of(name, effects)) for name in names))
 
 
 def by_family_sets(
     sets: Mapping[Names, float], effects: Mapping[str, Effect]
 ) -> dict[Names, float]:
     """Return the probability of each set of families (`families_of`), the most probable first."""
-    out: dict[Names, float] = {}
-    for names, p in sets.items():
-        families = families_of(names, effects)
-        out[families] = out.get(families, 0.0) + p
-    return most_probable_first(out)
+    return summed((families_of(names, effects), p) for names, p in sets.items())
 
 
 def numbers_of(sets: Mapping[Names, float]) -> tuple[float, ...]:
     """Return the probabilities of 0, 1, 2, ... effects."""
-    out = [0.0] * (1 + max(map(len, sets), default=0))
-    for names, p in sets.items():
-        out[len(names)] += p
-    return tuple(out)
+    by_number = summed((len(names), p) for names, p in sets.items())
+    return tuple(by_number.get(n, 0.0) for n in range(1 + max(by_number, default=0)))
 
 
 def narrowest_family(families: Mapping[str, float], least: float) -> str | None:
@@ -412,7 +421,7 @@ class Candidate:
     @property
     def kind(self) -> str:
         """The family, all of added absorption as one."""
-        return self.family.split(",")[0]
+        return wide(self.family)
 
     @property
     def can_be_added(self) -> bool:

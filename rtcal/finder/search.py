@@ -71,8 +71,8 @@ def find(
           earlier search.
         - ``cache``: folder in which simulations are kept, by a hash of all that they depend on.
         - ``progress``: called with what is computed, the number of finished steps and their total.
-        - By means over positions ``prior``, ``most`` and ``expected``, as
-          `rtcal.finder.means.search.find` takes them.
+        - By means over positions ``prior`` and ``most``, as `rtcal.finder.means.search.find` takes
+          them.
 
     Returns
     -------

@@ -454,7 +454,8 @@ def _of_means(finding: Finding, case: Case | None = None) -> Verification:
         found = finding.candidates[0]
         if (part.hidden & fitted).any():  # the best effect as the data without this part have it
             rest = replace(problem, observed=observed.only(used & ~part.hidden))
-            found = fit(evaluate(rest, probability_off(case.room)), name, precise=True)
+            (evidence,) = evaluate(rest, probability_off(case.room))
+            found = fit(evidence, name, precise=True)
         again = recalibrate(
             finding.with_effects(case, fit=found),
             finding.discrepancy,

@@ -14,6 +14,7 @@ import numpy as np
 from rtcal.acoustics import bands, marks
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import LEVEL, parameter_label
+from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
 from rtcal.finder.claim import (
     CLAIMED,
@@ -33,6 +34,7 @@ from rtcal.finder.effects import checked_effects
 from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN
 from rtcal.finder.finding import Finding, feature_names
 from rtcal.finder.means.planning import COSTS, Plan
+from rtcal.finder.means.recalibration import Recalibrated
 from rtcal.finder.records import (
     WITH_LEVEL,
     WITHOUT_LEVEL,
@@ -158,6 +160,9 @@ SENTENCES: dict[str, str] = {
     # What to know of the data and of the search.
     "chosen": "Effects were left out or weighted by hand: the probabilities are among those that were "
     "tried, and how often such findings were right was measured with the whole library.",
+    "T uncertain": '"{configuration}": {band} dropped: T is known to {u:.0f} % only',
+    "no T": '"{configuration}": {band} dropped: no T20 and no T30',
+    "uncertainties": "Uncertainty of {origins:origins}",
     "level off": '{parameter} of "{configuration}" is {by:.1f} dB {side} what T and the room give, '
     "alike in all bands. Its calibration may be off as well as the room. If its reference is not sure, "
     'name it "level".',
@@ -218,6 +223,13 @@ _CLAUSES = (
 """Codes whose words stand within another sentence."""
 
 
+_ORIGINS = {
+    "stated": "as stated",
+    "made": "not stated; made from scatter over pairs, theory and reproducibility",
+}
+"""Where uncertainties come from."""
+
+
 class _Forms(Formatter):
     """The forms of values in `SENTENCES`: probabilities, odds, effects, sizes and lists."""
 
@@ -235,6 +247,9 @@ class _Forms(Formatter):
         if form == "options":  # with the names that an option takes
             some = [(v.title, v.probability) if isinstance(v, Candidate) else v for v in value]
             return listed([f"{name} ({percent(p)})" for name, p in some], last="or")
+        if form == "origins":
+            every = [(names, _ORIGINS[k]) for k, names in value.items() if names]
+            return "; ".join(f"{', '.join(names)}: {origin}" for names, origin in every)
         if form == "unexplained":
             return unexplained(value)
         if form == "gains":
@@ -314,7 +329,7 @@ def likeliness(c: Candidate) -> str:
     return likely(named(c), c.probability)
 
 
-def choice(some: Sequence[tuple[str, float]]) -> str:
+def choice(some: Sequence[tuple[str, float]], lead: str = "most likely") -> str:
     """Return candidates with their probabilities, the most probable first, in words.
 
     >>> choice([("furniture", 0.45), ("opening", 0.39), ("air", 0.06)])
@@ -323,7 +338,7 @@ def choice(some: Sequence[tuple[str, float]]) -> str:
     first, *others = some
     near = [likely(*one) for one in others if one[1] >= _NEAR * first[1]]
     far = [likely(*one) for one in others if one[1] < _NEAR * first[1]]
-    said = f"most likely {likely(*first)}"
+    said = f"{lead} {likely(*first)}"
     said += f", but {listed(near)} fit{'s' * (len(near) == 1)} nearly as well" if near else ""
     return said + (f"; less likely {listed(far)}" if far else "")
 
@@ -501,7 +516,7 @@ def _place(f: Finding) -> str:
         about = f", about ({', '.join(f'{x:.1f}' for x in at)}) m" if at is not None else ""
         return f', on "{f.surface}" ({percent(f.surfaces[f.surface])}){about}'
     some = [(f'"{name}"', f.surfaces[name]) for name in f.likely_surfaces]
-    return f"; {choice(some).replace('most likely ', 'most likely on ', 1)}" if some else ""
+    return f"; {choice(some, 'most likely on')}" if some else ""
 
 
 def _change(f: Finding) -> str:
@@ -917,3 +932,31 @@ def of_plan(p: Plan) -> list[Block]:
             for number, m in enumerate(p.sequence, 1)
         ),
     ]
+
+
+# A calibration with what was found.
+
+
+def effects_of(r: Recalibrated) -> list[str]:
+    """Return a line per effect in a calibrated model, with its size."""
+    out = []
+    for p in r.case.applied:
+        of = p.effect.describe(p.parameters)
+        if p.name in r.sizes:
+            of = amount(p.size, p.effect.unit, p.size_interval)
+        out.append(f"{p.effect.title(p.parameters, r.case.room)}: {of}")
+    return out
+
+
+def of_recalibration(r: Recalibrated, plain: Recalibrated | None = None) -> list[Block]:
+    """Return each material's alpha, as stated and as calibrated, and the effects."""
+    room, beside = (plain or r).case.room, {} if plain is None else {"plain": plain}
+    alphas = {"prior": (room.alpha, NORMAL_90 * room.sigma)}
+    for name, c in {**beside, "corrected": r}.items():
+        alphas[name] = (c.alpha, np.subtract(*c.interval[::-1]) / 2)
+    rows = [
+        Row(m, [f"{a[i].mean():.3f} ± {half[i].mean():.3f}" for a, half in alphas.values()])
+        for i, m in enumerate(room.materials)
+    ]
+    title = "alpha ± half its 90 % interval, means over bands"
+    return [Table([*alphas], rows, title), *(Note(line, "  ") for line in effects_of(r))]

@@ -284,7 +284,7 @@ def _corrected(finding: Finding, verification: Verification | None) -> list[Any]
     with_it = f"with {words.title(finding)} in the model, calibrated to {_time(finding)} of {of}"
     return [
         Section("The corrected calibration", "corrected", new_sheet=True),
-        Note(f"In the model: {'; '.join(corrected.effects_in_words)}.", kind="keep"),
+        Note(f"In the model: {'; '.join(words.effects_of(corrected))}.", kind="keep"),
         coefficients(
             f"Corrected coefficients, {with_it}: input → calibrated, below it the 90 % interval",
             finding.case.room,

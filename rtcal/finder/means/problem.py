@@ -1,8 +1,7 @@
 """The problem of a search by means, the evidence of every hypothesis and set of them, the threshold.
 
-A hypothesis is an effect with a set of its parameters, in each configuration of the room. The
-errors of what the model predicts are its own, as control rooms show them, and those of alpha. The
-evidence of an effect is how well it explains the measurement, in closed form.
+A hypothesis is an effect with a set of its parameters, in each configuration of the room. The evidence
+of an effect is how well it explains the measurement, in closed form.
 
     log E_k = log of the sum over theta of p(theta) N(y; y_k(theta) + bias, C)
     C = J Sigma J' + R + D + M + B
@@ -11,39 +10,28 @@ y are the features, J Sigma J' their covariance from the prior on alpha and R fr
 Bias and D are the model's error as control rooms showed it. M is the error of the effect's change, in
 proportion to it (after Kennedy & O'Hagan 2001): `misfit`. B is the change of the decay's
 shape that the effect's position causes (`SHAPE_CHANGE`). N is Student's t with covariance C
-(`rtcal.finder.evidence.student`).
+(`rtcal.finder.evidence.student`). Each hypothesis is evaluated twice: with the coefficients as stated,
+where C has the usual error F F' that they have in common, and off together, with s² F F' for each
+scale s (`rtcal.finder.evidence`).
 
-Each hypothesis is evaluated twice: with the coefficients as stated, and with coefficients that are off
-together (`rtcal.finder.evidence`). C has the usual error F F' that they have in common; off together,
-it has s² F F', for each scale s.
-
-The threshold is the evidence that rooms without a missing effect give by chance. What T20 of the first
-configuration detects, more data must not hide: one scale of all data dilutes what T20 says with values
-that say nothing of the effect. So T20 and all data have a threshold each (`steps`), the
-quantile of the null rooms' scores at one level: 5 % of these rooms exceed either (the smallest p-value,
-Westfall & Young 1993).
-
-A parametric bootstrap. Each draw takes alpha from the prior, the model's error from the engines'
-control rooms, and noise from the measurement and from distances that are not stated. The errors that
-coefficients have in common fall faster with the stated sigma than in the evidence
-(`rtcal.finder.evidence.NULL_POWER`). The model's bias and covariance are estimated from one half of the
-control rooms, and the draws use the other half. The few control rooms of the image sources are not
-divided.
+The threshold is the evidence that rooms without a missing effect give by chance, by a parametric
+bootstrap: each draw takes alpha from the prior, the model's error from the control rooms, and noise
+from the measurement. One half of the control rooms gives bias and covariance, and the draws use the
+other; the few of the image sources are not divided. T20 of the first configuration and all data have a
+threshold each (`steps`), since one scale of all data dilutes what T20 shows: 5 % of these rooms exceed
+either (the smallest p-value, Westfall & Young 1993).
 
 A set of effects, several in the model at once, has rows of `MeansHypotheses`, each of another effect.
-There are some 200,000 pairs, so all are screened in closed form, and the best of each two effects are
-evaluated with both in the state. The screen adds the changes that the effects cause alone. With
-C = L L' the covariance under "none", M = U U' the misfit of an effect's change and W = L⁻¹ U, a pair
-costs one system of a few rows (Woodbury) in place of a factorisation.
-
-The likelihood of sets has its full power, where the search for one effect coarsens it
-(`rtcal.finder.evidence.COARSENING`): that guards against what else the model lacks, which a set has in
-it. Chosen by raising the sets' probabilities of development rooms to powers, without a new search: of
-the families that reached 0.9, 42 of 45 were right at full power, 25 of 26 at the coarsened one. Both of
-two effects were claimed in 5 of 36 rooms, and in 1.
+There are some 200,000 pairs, so all are screened with the changes that the effects cause alone, and the
+best of each two effects are evaluated with both in the state. With C = L L' the covariance under
+"none", M = U U' the misfit of an effect's change and W = L⁻¹ U, a pair costs one system of a few rows
+(Woodbury) in place of a factorisation. The likelihood of sets has its full power, where the search for
+one effect coarsens it (`rtcal.finder.evidence.COARSENING`): that guards against what else the model
+lacks, which a set has in it.
 
 The number of effects is Poisson, cut at a largest number. Given the number, a set has the product of
 its effects' odds. Coefficients that are off together stand beside any set, with their own prior.
+docs/discrepancy_method.md has what these choices rest on.
 """
 
 from __future__ import annotations
@@ -66,7 +54,16 @@ from rtcal.acoustics.bands import correlation
 from rtcal.acoustics.measurement import MAX_POSITIONS, Measurement
 from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.finder.case import Case, Configuration
-from rtcal.finder.claim import Names, families_of, family_of, most_probable_first
+from rtcal.finder.claim import (
+    Key,
+    Names,
+    Reason,
+    families_of,
+    family_of,
+    most_probable_first,
+    summed,
+    wide,
+)
 from rtcal.finder.effects import (
     AppliedEffect,
     Effect,
@@ -103,7 +100,7 @@ Indices = slice | NDArray[np.intp]
 SHAPE_CHANGE = (("edt", 0.12), ("t30", 0.06))
 """Standard deviation of ln EDT/T20 and ln T30/T20 per unit of change of ln T20. An absorber stands
 somewhere, so that the field is less even than its formula assumes. Chosen on development rooms
-(docs/discrepancy.md): twice these values lose one of 12 detections, half of them change no count."""
+(docs/discrepancy.md)."""
 LARGEST_FEATURES = 1000
 """Values that can be compared. Time grows with their cube: 1000 take minutes (benchmarks/growth.py)."""
 LARGEST_HYPOTHESES = 5000
@@ -441,9 +438,6 @@ SHARED_BY_T20_AND_T30 = 0.75
 ONE_LEVEL = 1.0
 """Standard deviation of C80 and G in dB over the positions of a room, where a single value has none."""
 
-MADE = "not stated; made from scatter over pairs, theory and reproducibility"
-"""Origin of an uncertainty that is not stated."""
-
 
 @dataclass(frozen=True, eq=False)
 class ObservedFeatures:
@@ -456,14 +450,14 @@ class ObservedFeatures:
     used : bool array, same shape
     covariance : array (n_used, n_used)
         R, the measurement covariance of the features in use.
-    origin : str
-        Where the uncertainties come from, in words.
+    origin : Reason
+        Where the uncertainties come from.
     """
 
     features: Array
     used: Array
     covariance: Array
-    origin: str = ""
+    origin: Reason = Reason("uncertainties")
 
     @cached_property
     def values(self) -> Array:
@@ -488,30 +482,29 @@ def steps(case: Case, used: Array) -> dict[int, str]:
     return {int(used[first, 0].sum()): f"{time}{of}", int(used.sum()): "all data"}
 
 
-def observe(case: Case) -> tuple[ObservedFeatures, list[str]]:
-    """Return the measured features, and in words which bands were dropped.
+def observe(case: Case) -> tuple[ObservedFeatures, list[Reason]]:
+    """Return the measured features, and which bands were dropped.
 
     Raises
     ------
     DataError
         If no band is left.
     """
-    notes: list[str] = []
-    origins: dict[str, list[str]] = {}
+    notes: list[Reason] = []
+    origins: dict[str, list[str]] = {"stated": [], "made": []}
     n, k = len(case.configurations), case.room.n_bands
     table = np.full((n, len(FEATURES), k), np.nan)
     blocks = np.zeros((n, k, len(FEATURES), len(FEATURES)))
     for c, configuration in enumerate(case.configurations):
         table[c], blocks[c] = _features(configuration, origins)
         for b, f in enumerate(configuration.measured.centre_frequencies):
+            where = {"configuration": configuration.name, "band": bands.label(f)}
             if blocks[c, b, 0, 0] > LARGEST_UNCERTAINTY**2:
                 u = 100 * float(np.sqrt(blocks[c, b, 0, 0]))
-                notes.append(
-                    f'"{configuration.name}": {bands.label(f)} dropped: T is known to {u:.0f} % only'
-                )
+                notes.append(Reason("T uncertain", {**where, "u": u}))
                 table[c, :, b] = np.nan
             elif np.isnan(table[c, 0, b]):
-                notes.append(f'"{configuration.name}": {bands.label(f)} dropped: no T20 and no T30')
+                notes.append(Reason("no T", where))
                 table[c, :, b] = np.nan
     used = np.isfinite(table)
     full = np.zeros((n, len(FEATURES), k, n, len(FEATURES), k))
@@ -522,11 +515,12 @@ def observe(case: Case) -> tuple[ObservedFeatures, list[str]]:
     size = flat.size
     if not used.any():
         raise DataError(
-            "no band of any configuration has a T that can be trusted: " + "; ".join(notes)
+            "no band of any configuration has a T that can be trusted: "
+            + "; ".join(str(note).removesuffix(".") for note in notes)
         )
-    words = "; ".join(f"{', '.join(ps)}: {origin}" for origin, ps in origins.items())
     covariance = full.reshape(size, size)[np.ix_(flat, flat)]
-    return ObservedFeatures(table, used, covariance, f"uncertainty of {words}"), notes
+    origin = Reason("uncertainties", {"origins": origins})
+    return ObservedFeatures(table, used, covariance, origin), notes
 
 
 def _features(configuration: Configuration, origins: dict[str, list[str]]) -> tuple[Array, Array]:
@@ -554,9 +548,8 @@ def _features(configuration: Configuration, origins: dict[str, list[str]]) -> tu
             continue
         alone, common[p], origin = _uncertainty(m, p)
         block[:, row, row] = alone**2 + common[p] ** 2
-        names = origins.setdefault(origin, [])
-        if (label := parameter_label(p)) not in names:
-            names.append(label)
+        if (label := parameter_label(p)) not in origins[origin]:
+            origins[origin].append(label)
     if amount == "t20" and "t30" in m.values:
         both = SHARED_BY_T20_AND_T30 * common["t20"] * common["t30"]
         block[:, 0, 2] = block[:, 2, 0] = both
@@ -581,7 +574,7 @@ def _uncertainty(m: Measurement, p: str) -> tuple[Array, Array, str]:
     whole = m.mean_uncertainty(p) / scale
     alone = np.sqrt(np.maximum(np.nan_to_num(whole) ** 2 - np.nan_to_num(common) ** 2, 0.0))
     if stated.all():
-        return alone, np.nan_to_num(common), "as stated"
+        return alone, np.nan_to_num(common), "stated"
     n = np.maximum(present.sum(0), 1)
     if m.is_summary:
         n = np.full(len(mean), (m.n_sources or 1) * (m.n_receivers or 1))
@@ -591,7 +584,7 @@ def _uncertainty(m: Measurement, p: str) -> tuple[Array, Array, str]:
         one = np.full(len(mean), ONE_LEVEL)
     alone = np.where(stated, alone, np.fmax(alone, one / np.sqrt(np.minimum(n, MAX_POSITIONS))))
     shared = np.where(stated, 0.0, observable(p).between_teams(m.centre_frequencies))
-    return np.nan_to_num(alone), np.where(np.isfinite(common), common, shared), MADE
+    return np.nan_to_num(alone), np.where(np.isfinite(common), common, shared), "made"
 
 
 USUAL_DISTANCE = 0.66
@@ -655,11 +648,10 @@ of one engine does not show it; that between engines does."""
 COMMON_CORRELATION = 0.85
 """Its correlation from octave to octave."""
 SHRINKAGE = 0.4
-"""Weight of the diagonal in the model's covariance, which is estimated from few control rooms.
-0.2 and 0.8 change no count of the development rooms."""
+"""Weight of the diagonal in the model's covariance, which is estimated from few control rooms."""
 INFLATION = 1.2
 """Factor on the model's covariance. Chosen on development rooms, so that the threshold also holds on an
-engine that it was not estimated from (docs/discrepancy.md); 1.0 and 1.5 change no count there."""
+engine that it was not estimated from (docs/discrepancy.md)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -936,15 +928,8 @@ def log_density(residual: Array, covariance: Array) -> Array:
     return np.asarray(log[:, 0])
 
 
-# Numbers without a study of their own date from the first version of the finder. Others were tried
-# on every eighth development room of the first hidden world (population
-# 0: 10 rooms that lack nothing, 15 with an effect, 2 with an unknown one; T20, EDT and T30 in one
-# configuration). As chosen, 0 of 10 are flagged, 12 of 15 detected, 10 of these named rightly, and 2
-# of 2 unknown effects detected.
 UNKNOWN_SIZES = (0.03, 0.08, 0.2)
-"""Standard deviations of ln T20 that an unknown effect causes. Half and twice these, half and
-twice the ratios below, 0.3 and 0.9 for the smooth share, and 0.5 and 0.9 for the correlation change no
-count of the development rooms."""
+"""Standard deviations of ln T20 that an unknown effect causes."""
 UNKNOWN_FEATURES = (1.0, 0.4, 0.4, 8.0, 8.0)
 """Standard deviation of each feature that an unknown effect causes, per unit of that of ln T20."""
 UNKNOWN_SMOOTH, UNKNOWN_CORRELATION = 0.6, 0.75
@@ -1002,9 +987,8 @@ class MeansEvidence:
     def under(self, effect: Effect, grid: Sequence[Parameters]) -> Array:
         """Return the log likelihoods of an effect with these sets of parameters, (n,)."""
         predicted = predict_hypotheses(self.problem.case, [effect], [grid])
-        return evaluate(replace(self.problem, predicted=predicted), self.prior_off).by_hypothesis()[
-            1:
-        ]
+        of_grid = evaluate(replace(self.problem, predicted=predicted), self.prior_off)[-1]
+        return of_grid.by_hypothesis()[1:]
 
     def beside(self, name: str, others: Sequence[AppliedEffect] = ()) -> MeansEvidence:
         """Return the evidence of one effect, with others in the model."""
@@ -1015,19 +999,19 @@ class MeansEvidence:
         return evaluate_beyond(problem, self.prior_off)[-1]
 
 
-def evaluate(problem: MeansProblem, prior_off: float, values: Array | None = None) -> MeansEvidence:
+def evaluate(
+    problem: MeansProblem,
+    prior_off: float,
+    values: Array | None = None,
+    ends: Sequence[int] = (),
+) -> list[MeansEvidence]:
     """Return the evidence of every hypothesis and of an unknown effect.
 
-    ``values`` (n_draws, n_used) replace the observed features; ``prior_off`` is the prior probability
-    of coefficients that are off together.
+    It is that of the first so many features, for each of ``ends``, and last of all. ``values``
+    (n_draws, n_used) replace the observed features; ``prior_off`` is the prior probability of
+    coefficients that are off together.
     """
-    return evaluate_leading(problem, prior_off, [len(problem.observed.values)], values)[0]
-
-
-def evaluate_leading(
-    problem: MeansProblem, prior_off: float, ends: Sequence[int], values: Array | None = None
-) -> list[MeansEvidence]:
-    """Return the same of the first so many of the features in use, for each of ``ends``."""
+    ends = [*ends, len(problem.observed.values)]
     y = np.atleast_2d(problem.observed.values if values is None else values)
     alpha, other = problem.covariance_of(0)
     unknown = unknown_evidence(problem.residual(0, y), alpha + other, problem.observed.used, ends)
@@ -1050,17 +1034,14 @@ _IMPOSSIBLE = -1e4
 def evaluate_beyond(
     problem: MeansProblem, prior_off: float, ends: Sequence[int] = ()
 ) -> list[MeansEvidence]:
-    """Return the evidence of hypotheses whose grids go on until it falls.
-
-    It is that of the first so many features, for each of ``ends``, and then of all.
+    """Return the evidence (`evaluate`) of hypotheses whose grids go on until it falls.
 
     An effect whose likeliest size is the last of its grid gets further sizes, in the grid's own steps
     and away from the size that changes nothing. They end where physics does (`Effect.limits`), or where
     the evidence no longer changes. The prior's density goes on as the effect states it.
     """
     case = problem.case
-    ends = [*ends, len(problem.observed.values)]
-    evidence, reached = evaluate_leading(problem, prior_off, ends), dict[str, float]()
+    evidence, reached = evaluate(problem, prior_off, ends=ends), dict[str, float]()
     for _ in range(_ROUNDS):
         predicted, likelihood = problem.predicted, evidence[-1].by_hypothesis()
         least, grids = max(likelihood[0], likelihood.max() - NEGLIGIBLE), []
@@ -1076,7 +1057,7 @@ def evaluate_beyond(
             break
         predicted = predict_hypotheses(case, list(predicted.effects.values()), grids)
         problem = replace(problem, predicted=predicted)
-        evidence = evaluate_leading(problem, prior_off, ends)
+        evidence = evaluate(problem, prior_off, ends=ends)
     return evidence
 
 
@@ -1132,13 +1113,13 @@ def null_scores(
 ) -> Array:
     """Return the `score` of rooms that lack nothing, (n_draws, n_steps), by `steps` of the data."""
     rng = np.random.default_rng([0, 3])
-    ends, scores = list(steps(case, observed.used)), []
+    ends, scores = list(steps(case, observed.used))[:-1], []
     for fold in (0, 1):
         training = [_part(c, fold) for c in controls]
         test = [c.errors for c in recentred([_part(c, 1 - fold) for c in controls])]
         values = draw_null_features(case, observed, predicted.applied, test, rng, draws // 2)
         learnt = MeansProblem(case, observed, predicted, estimate_discrepancy(case, training))
-        parts = evaluate_leading(learnt, prior.off, ends, values)
+        parts = evaluate(learnt, prior.off, values, ends)
         scores.append(np.stack([score(part, prior) for part in parts], axis=1))
     return np.concatenate(scores)
 
@@ -1473,7 +1454,6 @@ class SetPosterior:
     sets: Mapping[Names, float]
     off: Mapping[Names, float]
     rows: Mapping[Names, Members]
-    order: Names
     likely: Sequence[tuple[Members, float]]
 
     def best(self, effects: Mapping[str, Effect], families: Names = ()) -> Names:
@@ -1489,25 +1469,22 @@ class SetPosterior:
 
         "none" is that of no effect, and coefficients as stated.
         """
-        out: dict[str, float] = {}
-        for names, p in self.sets.items():
-            for name in names:
-                out[name] = out.get(name, 0.0) + p
+        out = summed((name, p) for names, p in self.sets.items() for name in names)
         out[COEFFICIENTS] = sum(p * self.off[names] for names, p in self.sets.items())
         out[NONE] = self.sets[()] * (1 - self.off[()])
         return most_probable_first(out)
 
     def families(self, effects: Mapping[str, Effect]) -> dict[str, float]:
         """Return the probability of each family that one of it is there, the most probable first."""
-        out: dict[str, float] = {}
-        for names, p in self.sets.items():
-            of = {family_of(name, effects) for name in names}
-            of |= {f.split(",")[0] for f in of}
-            for family in of:
-                out[family] = out.get(family, 0.0) + p
         every = self.effects()
-        out |= {name: every[name] for name in (COEFFICIENTS, NONE)}
-        return most_probable_first(out)
+        out = {name: every[name] for name in (COEFFICIENTS, NONE)}
+        return most_probable_first(out | summed(self._by_family(effects)))
+
+    def _by_family(self, effects: Mapping[str, Effect]) -> Iterator[tuple[str, float]]:
+        """Yield the families of each set, narrow and wide, with its probability."""
+        for names, p in self.sets.items():
+            narrow = {family_of(name, effects) for name in names}
+            yield from ((family, p) for family in narrow | set(map(wide, narrow)))
 
     def stand_ins(self, best: Names) -> dict[str, tuple[str, ...]]:
         """Return, for each effect of a set, the effects that explain the data as well.
@@ -1551,10 +1528,7 @@ def single_posterior(evidence: MeansEvidence, probabilities: Mapping[str, float]
         likely += [((int(i),), float(w)) for i, w in zip(places, share, strict=True)]
     likely = sorted(likely, key=itemgetter(1), reverse=True)[:_LIKELY]
     total = sum(p for _, p in likely)
-    order = tuple(predicted.effects)
-    return SetPosterior(
-        most_probable_first(sets), off, rows, order, [(r, p / total) for r, p in likely]
-    )
+    return SetPosterior(most_probable_first(sets), off, rows, [(r, p / total) for r, p in likely])
 
 
 def posterior_of_sets(
@@ -1564,7 +1538,7 @@ def posterior_of_sets(
     expected: float = EXPECTED,
     most: int = MOST,
 ) -> SetPosterior:
-    """Return the probabilities of sets of up to ``most`` effects.
+    """Return the probabilities of sets of up to ``most`` effects, of which so many are ``expected``.
 
     Three effects are tried where the best two do not explain the measurement (`UNEXPLAINED`).
     """
@@ -1574,13 +1548,16 @@ def posterior_of_sets(
     if most > 2 and not tables.explained():
         tables.add_triples()
     weight = log_prior(prior, tables.order, expected, most)
-    total = {s: v + weight(s) for s, v in tables.log.items()}
-    norm = float(logsumexp(list(total.values())))
-    probability = {s: float(np.exp(v - norm)) for s, v in total.items()}
-    likely = tables.likely(weight)
+    probability = _normalised({s: v + weight(s) for s, v in tables.log.items()})
     return SetPosterior(
-        most_probable_first(probability), tables.off, tables.best, tuple(tables.order), likely
+        most_probable_first(probability), tables.off, tables.best, tables.likely(weight)
     )
+
+
+def _normalised(log: Mapping[Key, float]) -> dict[Key, float]:
+    """Return probabilities of their logs, but for a factor."""
+    norm = float(logsumexp(list(log.values())))
+    return {key: float(np.exp(v - norm)) for key, v in log.items()}
 
 
 class _Tables:
@@ -1613,8 +1590,7 @@ class _Tables:
         names = self._compared.predicted.names
         log = {rows: v + weight(tuple(names[i] for i in rows)) for rows, v in self._by_rows.items()}
         most = sorted(log, key=lambda rows: -log[rows])[:_LIKELY]
-        norm = float(logsumexp([log[rows] for rows in most]))
-        return [(rows, float(np.exp(log[rows] - norm))) for rows in most]
+        return [*_normalised({rows: log[rows] for rows in most}).items()]
 
     def add_pairs(self) -> None:
         """Add every two effects, and every effect with an unknown one beside it."""

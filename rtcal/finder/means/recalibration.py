@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
@@ -20,7 +21,6 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import LinearEquation, mean_equation
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.calibration.measured import data_history, times_in_room
 from rtcal.calibration.methods import calibrate
@@ -30,7 +30,7 @@ from rtcal.calibration.terms import LinearObservations, PriorDeviation
 from rtcal.files.saved import Result
 from rtcal.finder.apply import corrected_case
 from rtcal.finder.case import Case, Configuration
-from rtcal.finder.claim import amount
+from rtcal.finder.claim import WORDS
 from rtcal.finder.means.problem import (
     ModelDiscrepancy,
     checked_discrepancy,
@@ -41,7 +41,7 @@ from rtcal.finder.means.problem import (
 )
 from rtcal.finder.model import FEATURES, predict
 from rtcal.support import __version__, text
-from rtcal.support.blocks import Block, Note, Row, Table
+from rtcal.support.blocks import Block
 from rtcal.support.errors import MissingAirWarning
 from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
@@ -113,29 +113,10 @@ class Recalibrated(Result):
         """Sizes of the effects that have one, in the effect's unit."""
         return {p.name: p.size for p in self.case.applied if np.isfinite(p.effect.neutral)}
 
-    @property
-    def effects_in_words(self) -> list[str]:
-        """A line per effect, with its size."""
-        out = []
-        for p in self.case.applied:
-            of = p.effect.describe(p.parameters)
-            if p.name in self.sizes:
-                of = amount(p.size, p.effect.unit, p.size_interval)
-            out.append(f"{p.effect.title(p.parameters, self.case.room)}: {of}")
-        return out
-
     def blocks(self, plain: Recalibrated | None = None) -> list[Block]:
         """Return each material's alpha, as stated and as calibrated, and the effects."""
-        room, beside = (plain or self).case.room, {} if plain is None else {"plain": plain}
-        named = {"prior": (room.alpha, NORMAL_90 * room.sigma)}
-        for name, c in {**beside, "corrected": self}.items():
-            named[name] = (c.alpha, np.subtract(*c.interval[::-1]) / 2)
-        rows = [
-            Row(m, [f"{a[i].mean():.3f} ± {half[i].mean():.3f}" for a, half in named.values()])
-            for i, m in enumerate(room.materials)
-        ]
-        title = "alpha ± half its 90 % interval, means over bands"
-        return [Table([*named], rows, title), *(Note(w, "  ") for w in self.effects_in_words)]
+        made: list[Block] = import_module(WORDS).of_recalibration(self, plain)
+        return made
 
     def __repr__(self) -> str:
         """Return one line: the room, and the effects."""
@@ -145,26 +126,22 @@ class Recalibrated(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        low, high = self.interval
+        room = self.case.room
+        tables = {"alpha": self.alpha, "sigma": self.sigma}
+        tables |= dict(zip(("low", "high"), self.interval, strict=True))
         return {
             "effects": [
-                p.to_dict()
-                | {
+                {
+                    **p.to_dict(),
                     "size": self.sizes.get(p.name),
                     "unit": p.effect.unit,
-                    "material": p.effect.material(p.parameters, self.case.room),
+                    "material": p.effect.material(p.parameters, room),
                 }
                 for p in self.case.applied
             ],
             "materials": [
-                {
-                    "name": m,
-                    "alpha": self.alpha[i].tolist(),
-                    "sigma": self.sigma[i].tolist(),
-                    "low": low[i].tolist(),
-                    "high": high[i].tolist(),
-                }
-                for i, m in enumerate(self.case.room.materials)
+                {"name": name, **{key: values[i].tolist() for key, values in tables.items()}}
+                for i, name in enumerate(room.materials)
             ],
             "changed": [
                 {"configuration": c, "material": m, "alpha": v.tolist()}

@@ -38,7 +38,9 @@ from rtcal.finder.claim import (
     family_of,
     narrowest_family,
     posterior,
+    summed,
     too_weak,
+    wide,
 )
 from rtcal.finder.effects import (
     AppliedEffect,
@@ -103,7 +105,6 @@ def find(
     effects: Sequence[Effect] | None = None,
     *,
     most: int = 1,
-    expected: float | None = None,
     without: Sequence[str] = (),
     only: Sequence[str] = (),
     prior: Mapping[str, float] | None = None,
@@ -118,13 +119,11 @@ def find(
     case : Case
     most : int
         Largest number of effects that may be missing at once, from 1 to 3.
-    expected : float, optional
-        Expected number of effects where ``most`` is above 1: the mean of a Poisson distribution, 0.7
-        unless given.
     prior : mapping of str to float, optional
         Prior odds of effects against the others, in place of their own: ``{"opening": 2.0}``. Those
         of "none" are against anything missing, those of "coefficients" against coefficients as stated.
-        Where ``most`` is above 1, ``expected`` takes the place of those of "none".
+        Where ``most`` is above 1, the number of effects is Poisson, and those of "none" give its mean,
+        0.7 unless stated.
     effects, without, only, controls, cache, progress
         As `rtcal.find` takes them; ``without`` may have "coefficients" and "unknown".
 
@@ -133,7 +132,7 @@ def find(
     DataError
         For control rooms of one engine, or of another case; if the room was
         calibrated on one of the case's T already; for an effect that breaks a rule, which the message
-        names; if ``most`` or ``expected`` is out of its range.
+        names; if ``most`` is out of its range.
 
     Examples
     --------
@@ -146,7 +145,11 @@ def find(
     effects, left_out = chosen_effects(every, without, only)
     odds = checked_odds(effects, prior)
     effects, not_judged = judged_effects(effects, case.directions_known)
-    number = _checked_number(most, expected, effects, prior)
+    if checks.whole("most", most, 1) > MOST:
+        raise DataError(f"most = {most} is not from 1 to {MOST}")
+    if most > 1 and len(effects) < 2:
+        raise DataError(f"most = {most}, and {len(effects)} effect is tried: most is 1 then")
+    expected = float(np.log1p(1 / odds[NONE])) if NONE in odds else EXPECTED
     observed, dropped = observe(case)
     noted: list[Reason | str] = [*dropped]
     if len(without) or len(only) or prior:
@@ -159,39 +162,8 @@ def find(
         controls = checked_controls(case, controls)
     limits = thresholds(null_scores(case, observed, predicted, controls, before))
     problem = MeansProblem(case, observed, predicted, estimate_discrepancy(case, controls))
-    found = _conclude(problem, limits, before, noted, most, number)
+    found = _conclude(problem, limits, before, noted, most, expected)
     return replace(found, not_judged=not_judged) if not_judged else found
-
-
-LEAST_EXPECTED, MOST_EXPECTED = 0.01, 10.0
-"""Numbers of effects that may be expected: beyond, nothing measured would change the answer."""
-
-
-def _checked_number(
-    most: int,
-    expected: float | None,
-    effects: Sequence[Effect],
-    prior: Mapping[str, float] | None,
-) -> float:
-    """Return the expected number of effects; DataError where it does not go with the largest."""
-    if checks.whole("most", most, 1) > MOST:
-        raise DataError(f"most = {most} is not from 1 to {MOST}")
-    if most == 1:
-        if expected is not None:
-            raise DataError(f"expected = {expected} is of more than one effect: state most, 2 or 3")
-        return EXPECTED
-    number = EXPECTED if expected is None else checks.positive("expected", expected)
-    if not LEAST_EXPECTED <= number <= MOST_EXPECTED:
-        raise DataError(
-            f"expected = {number:g} effects is not from {LEAST_EXPECTED:g} to {MOST_EXPECTED:g}"
-        )
-    if prior is not None and NONE in prior:
-        raise DataError(
-            'prior has odds of "none": of more than one effect, expected says how many there are'
-        )
-    if len(effects) < 2:
-        raise DataError(f"most = {most}, and {len(effects)} effect is tried: most is 1 then")
-    return number
 
 
 def _conclude(
@@ -359,7 +331,7 @@ def _candidates(
 
 def _narrowest(found: Finding, family: str) -> str | None:
     """Return the narrowest of a family and the wide one around it that is probable enough."""
-    both = (family, family.split(",")[0])
+    both = (family, wide(family))
     return narrowest_family({f: found.families[f] for f in both}, CLAIMED)
 
 
@@ -466,12 +438,9 @@ def estimate_size(
     weights = np.exp(predicted.log_weights[rows] + likelihood - likelihood.max())
     weights = weights / weights.sum()
     others = [name for name in grid[0] if name != effect.size]
-    by_others: dict[tuple[float, ...], float] = {}
-    for theta, w in zip(grid, weights.tolist(), strict=True):
-        key = tuple(map(theta.__getitem__, others))
-        by_others[key] = by_others.get(key, 0.0) + w
-    most = sorted(by_others, key=by_others.__getitem__, reverse=True)[:3]
-    likely = list(dict.fromkeys([tuple(map(best.__getitem__, others)), *most]))
+    kinds = [tuple(theta[name] for name in others) for theta in grid]
+    most = [*summed(zip(kinds, weights.tolist(), strict=True))][:3]
+    likely = list(dict.fromkeys([tuple(best[name] for name in others), *most]))
     sizes = np.array([theta[effect.size] for theta in grid])
     logs = bool(sizes.min() > 0)
     low, high = float(sizes.min()), float(sizes.max())
@@ -636,7 +605,7 @@ def decided_below_schroeder(evidence: MeansEvidence, name: str) -> Reason | None
     effects = [e for n, e in problem.predicted.effects.items() if n == name]
     predicted = predict_hypotheses(case, effects)
     above = replace(problem, observed=observed.only(used), predicted=predicted)
-    rest = evaluate(above, evidence.prior_off).nats(name)
+    rest = evaluate(above, evidence.prior_off)[-1].nats(name)
     if rest >= 0.5 * nats or rest >= DISTINCT_NATS:
         return None
     places = bands.labels(case.room.centre_frequencies[low.any(0)])
