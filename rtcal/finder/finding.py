@@ -45,7 +45,6 @@ from rtcal.finder.claim import (
 )
 from rtcal.finder.effects import AppliedEffect, CoupledRoom, Effect, WrongVolume
 from rtcal.finder.evidence import UNKNOWN, OffTogether
-from rtcal.support import checks
 from rtcal.support.blocks import Block
 from rtcal.support.errors import DataError
 from rtcal.support.text import listed
@@ -439,7 +438,9 @@ class Finding(Result):
             if value is not None and name not in taken[self.kind]:
                 raise DataError(f"{name} is not of a finding of {DATA[self.kind]}")
         if self.kind == "means":
-            return corrected_case(self.with_effects(members=self.chosen(effect)))
+            chosen = self.chosen(effect)
+            added = [c for c in self.candidates if c.effect in chosen]
+            return corrected_case(self.with_effects(added=added))
         if self.refusal is not None:
             raise DataError(str(self.refusal))
         if self.kind == "states":
@@ -463,29 +464,24 @@ class Finding(Result):
         return self.members if effect is None else (effect,)
 
     def with_effects(
-        self, case: Case | None = None, members: Names | None = None, fit: Candidate | None = None
+        self, case: Case | None = None, added: Sequence[Candidate] | None = None
     ) -> Case:
-        """Return the case with effects in its model; by default those of the most probable set.
+        """Return the case with candidates in its model; by default those of the most probable set.
 
-        It is what a verification compares with the case, however probable the effects are. ``fit`` has
-        the parameters and size of one of them, in place of those that were found.
+        It is what a verification compares with the case, however probable the effects are.
         """
         base: Case = self.case if case is None else case
-        members = self.members if members is None else checks.texts("members", members)
         present = {a.name for a in base.applied}
-        if present.issuperset(members):
+        if added is None:
+            added = [c for c in self.candidates if c.effect in self.members]
+        if present.issuperset(c.effect for c in added):
             return base
-        fits = {c.effect: c for c in (*self.candidates, fit) if c is not None and c.is_fitted}
-        missing = [n for n in members if n in self.effects and n not in present]
-        for name in (*missing, members[-1]):
-            if name not in fits:
-                has = checks.shown([*fits])
-                raise DataError(f'members has "{name}", which is no candidate; there are {has}')
-        off = fits[members[-1]].coefficients
+        off = added[-1].coefficients
         if off is not None:
             base = off.apply(base)
-        added = [fits[name].applied(self.effects[name]) for name in missing]
-        return replace(base, applied=(*base.applied, *added)) if added else base
+        new = [c for c in added if c.effect in self.effects and c.effect not in present]
+        applied = [c.applied(self.effects[c.effect]) for c in new]
+        return replace(base, applied=(*base.applied, *applied)) if applied else base
 
     def _candidate(self, at: Sequence[float] | None, effect: str | None) -> Candidate:
         """Return the candidate to add to a surface: the most probable, at a place, of an effect."""

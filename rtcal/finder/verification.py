@@ -457,7 +457,7 @@ def _of_means(finding: Finding, case: Case | None = None) -> Verification:
             (evidence,) = evaluate(rest, probability_off(case.room))
             found = fit(evidence, name, precise=True)
         again = recalibrate(
-            finding.with_effects(case, fit=found),
+            finding.with_effects(case, [found]),
             finding.discrepancy,
             left_out=part.configurations,
         )

@@ -582,7 +582,12 @@ def extended(
     whole = replace(
         problem,
         case=replace(case, configurations=configurations),
-        observed=ObservedFeatures(np.zeros(every.shape), every, full[np.ix_(flat, flat)]),
+        observed=replace(
+            observed,
+            features=np.zeros(every.shape),
+            used=every,
+            covariance=full[np.ix_(flat, flat)],
+        ),
         discrepancy=_model_error(problem.discrepancy, count, [f.same_error for f in new]),
     )
     return whole, used.ravel()[flat], [mask.ravel()[flat] for mask in masks]

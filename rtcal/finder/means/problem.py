@@ -457,7 +457,7 @@ class ObservedFeatures:
     features: Array
     used: Array
     covariance: Array
-    origin: Reason = Reason("uncertainties")
+    origin: Reason
 
     @cached_property
     def values(self) -> Array:
