@@ -33,7 +33,7 @@ LIKELY = 0.7
 MOST = 0.5
 """Probability, or share of one, from which something holds most."""
 DISTINCT_NATS = 2.3
-"""Evidence in nats from which two effects, or two surfaces, are told apart: odds of ten to one."""
+"""Evidence in nats from which two effects, or two surfaces, are distinguished: odds of ten to one."""
 _ABSORPTION = "added absorption"
 _ALIKE = 1.25
 """Ratio of both ends of the line through the bands, below which these are alike."""
@@ -182,7 +182,7 @@ LEAVES: Mapping[str, str] = {
 the family as probable as it is; doubts about the effect leave nothing of it identified."""
 FAIR = 1 / 3
 """A fair part of the probability. Where nothing missing has it, as before the measurement
-(`rtcal.finder.evidence.NO_EFFECT`), or no effect and no family does, the data do not say enough to call
+(`rtcal.finder.evidence.NO_EFFECT`), or no effect and no family does, the data do not suffice to call
 something missing. Chosen on development rooms."""
 
 
@@ -215,9 +215,9 @@ def conclude(
     by_family_alone : collection of str
         The effects that are not identified by their own names (`Effect.alone`).
     reasons : sequence of Reason
-        Doubts about the most probable effect, of which `LEAVES` says what they leave.
+        Doubts about the most probable effect, of which `LEAVES` has what they leave.
     weak : Reason, optional
-        Why the data do not say enough (`too_weak`): nothing but a name or a family is more than a hint.
+        Why the data do not suffice (`too_weak`): nothing but a name or a family is more than a hint.
     """
     if detected is not None:
         return Claim(verdict=detected, reasons=tuple(reasons))
@@ -447,7 +447,7 @@ class Detection:
         Of positions, that a single pair is noisier than assumed and nothing else is other; None where
         that was not tried.
     means : float or None
-        Of means over positions, where positions decide; None where they were not asked.
+        Of means over positions, where positions decide; None where they were not compared.
     parts : mapping of str to Detection
         Of means over positions, the same from a part of the data, by what it is: what a part detects is
         detected. The score and threshold above are those of all data.

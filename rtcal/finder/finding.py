@@ -101,12 +101,12 @@ class Finding(Result):
     named : tuple of str
         The effects that are claimed.
     left_out : tuple of str
-        What was not tried, as asked; of means it is among the ``notes``.
+        What was left out on request; of means it is among the ``notes``.
     mistake : Reason or None
         The doubt that T is twice or half the model's, of means also among the ``reasons``.
     surfaces : mapping of str to float
         At positions, the probability of each surface, given that something stands on one. Of two
-        states, that something changed on it; empty where none is told.
+        states, that something changed on it; empty where none is identified.
     sets : mapping of (names) to float
         Of means, the sets of effects, () being none; of two states, the surfaces that changed together.
     size : Size or None
@@ -141,7 +141,7 @@ class Finding(Result):
         At positions, the surface that is claimed: something stands on it with a probability of at least
         0.9, and the checks agree.
     groups : tuple of tuples of str
-        Surfaces that these positions cannot tell apart.
+        Surfaces that these positions do not distinguish.
     map : array (n_parameters, n_pairs, n_bands)
         Simulated less measured in standard deviations of what prior, simulator and measurement leave
         open; NaN where nothing was measured. ``parameters`` and ``pairs`` are its axes.
@@ -381,7 +381,7 @@ class Finding(Result):
 
     @property
     def undecided(self) -> Reason | None:
-        """Why `apply` must be told what it is to add; None where it need not be."""
+        """Why `apply` needs the name of what it adds; None where it does not."""
         return _undecided(self) if self.can_be_added else None
 
     def apply(

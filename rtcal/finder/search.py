@@ -35,7 +35,7 @@ def find(
     seed: int = 0,
     **options: Any,
 ) -> Finding:
-    """Find what the model of a room lacks, and where the positions tell on which surface.
+    """Find what the model of a room lacks and, where the positions show it, on which surface.
 
     Two models of what is observed, one library of effects. With a simulator, or a room that states its
     mesh, sources and receivers, and a measurement of each pair, every pair is compared with traced

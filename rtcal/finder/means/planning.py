@@ -173,7 +173,7 @@ def plan(
         Relative change of T20 in the band that the effect changes most, above 0 and at most 1. Each
         effect has the size that comes nearest to it.
     finding : Finding, optional
-        Of this case, as `find` returns it; its control rooms say how far the model errs, which is
+        Of this case, as `find` returns it; its control rooms show how far the model errs, which is
         `GENERIC_UNCERTAINTY` without.
     costs : mapping of str to float, optional
         Hours that a measurement takes, in place of `rtcal.finder.means.planning.COSTS`:

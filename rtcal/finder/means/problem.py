@@ -156,7 +156,7 @@ _RATE = 6 * np.log(10)
 
 def predict_states(case: Case, states: Sequence[Sequence[RoomState]]) -> PredictedFeatures:
     """Return the predictions of states, a list for each configuration."""
-    with np.errstate(all="ignore"):  # who asks refuses, or leaves out, what is not finite
+    with np.errstate(all="ignore"):  # the caller refuses, or leaves out, what is not finite
         made = [
             predict(column, distances(case, c))
             for column, c in zip(states, case.configurations, strict=True)
@@ -1504,7 +1504,7 @@ class SetPosterior:
 
 
 def single_posterior(evidence: MeansEvidence, probabilities: Mapping[str, float]) -> SetPosterior:
-    """Return what the data say of sets of one, from the ``probabilities`` of a single effect.
+    """Return the posterior of sets of one, from the ``probabilities`` of a single effect.
 
     "coefficients" among these is the empty set with coefficients that are off together.
     """

@@ -530,7 +530,7 @@ def _searched(
 
 
 def doubts(evidence: MeansEvidence, best: Candidate) -> tuple[Reason, ...]:
-    """Return the doubts about the best candidate, of which `LEAVES` says what they leave."""
+    """Return the doubts about the best candidate, of which `LEAVES` has what they leave."""
     problem, name = evidence.problem, best.effect
     alone, row = _with_candidate(problem, best)
     gap = gap_check(alone, best)
