@@ -374,6 +374,17 @@ def test_bad_numbers_of_effects_are_refused(argument: str, value: float, words: 
         sought(case, **{argument: value})
 
 
+def test_odds_of_none_are_those_of_no_effect_against_a_poisson_number() -> None:
+    """The evidence of sets with one number does not depend on the prior of that number."""
+    case = case_with()
+    few, many = (
+        find(case, only=FEW, controls=controls_of(case), most=2, prior={"none": odds}).numbers
+        for odds in (9.0, 1 / 9)
+    )
+    ratio = (few[0] / few[1]) / (many[0] / many[1])
+    assert ratio == pytest.approx(np.log1p(9) / np.log1p(1 / 9))
+
+
 def test_a_decay_that_the_second_room_decides_can_be_calibrated() -> None:
     """T then hardly depends on alpha: its uncertainty over that slope is larger than T."""
     coupled = AppliedEffect("coupled room", {"aperture": 8.0, "volume": 900.0, "alpha": 0.02})
