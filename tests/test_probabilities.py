@@ -204,9 +204,9 @@ def test_what_states_no_uncertainty_gets_it_from_theory_and_reproducibility() ->
     assert spread[0, 0] == pytest.approx(np.hypot(one[0], 0.046), rel=0.05)
     assert spread[0, -1] == pytest.approx(np.hypot(one[-1], 0.013), rel=0.05)
     assert (np.diff(spread[0]) < 0).all()
-    assert "not stated" in observed.origin
+    assert "not stated" in str(observed.origin)
     stated, _ = observe(case_of(room(), room()))
-    assert stated.origin == "uncertainty of T20, EDT, T30: as stated"
+    assert str(stated.origin) == "Uncertainty of T20, EDT, T30: as stated"
 
 
 def test_a_stated_climate_is_a_measurement() -> None:
