@@ -132,7 +132,7 @@ def test_the_finder_takes_what_is_written_as_what_it_would_have_made() -> None:
     def seen(m: rt.Measurement) -> tuple[np.ndarray, str]:
         case = Case(room=hall(), configurations=[Configuration(name="A", measured=m)])
         observed, _ = observe(case.only("t20", "edt"))
-        return np.sqrt(np.diag(observed.covariance)), observed.origin
+        return np.sqrt(np.diag(observed.covariance)), str(observed.origin)
 
     made, written = seen(measured()), seen(with_uncertainty(measured()))
     assert "not stated" in made[1]
