@@ -116,18 +116,13 @@ class Corrected:
         """
         if self.model is not None:
             return self.model if make is None else self.model.spread_over(make)
-        tracer = self.tracer
         if make is not None:
             raise DataError("make is of means over positions: here the case has a simulator")
+        tracer = None if isinstance(self.case, Case) else self.case.simulator
         if self.geometry is None or tracer is None:
             raise DataError("no surface is claimed: the room has no geometry of its own")
         scattering = self.room.scattering
         return replace(tracer, room=self.room, geometry=self.geometry, scattering=scattering)
-
-    @property
-    def tracer(self) -> PathTracing | None:
-        """The simulator of the case as it was."""
-        return None if isinstance(self.case, Case) else self.case.simulator
 
     def to_dict(self) -> dict[str, Any]:
         """Return what was added or changed as plain values."""
