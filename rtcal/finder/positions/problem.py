@@ -306,16 +306,6 @@ FACTOR_SCALE = 0.35
 tables, and now and then by a factor of three."""
 
 
-def _anywhere(effect: str, family: str, nodes: Array, **of: Any) -> ShiftHypothesis:
-    """Return what stands on no surface: it has no spectrum, and no place that is not known.
-
-    ``nodes`` (n_hypotheses, n_bands, n_nodes) are the weights of its response.
-    """
-    n = len(of["sizes"])
-    nothing: dict[str, Any] = {"spectra": np.zeros((n, 0)), "uneven": np.zeros(n)}
-    return ShiftHypothesis(effect=effect, family=family, weights=nodes, **nothing, **of)
-
-
 def materials(case: PositionsCase) -> list[ShiftHypothesis]:
     """Return each material's coefficients off by a factor.
 
@@ -333,17 +323,19 @@ def materials(case: PositionsCase) -> list[ShiftHypothesis]:
         alpha = room.alpha[row]
         moved = np.minimum(factors[:, np.newaxis] * alpha, 1.0) - alpha
         made.append(
-            _anywhere(
-                COEFFICIENTS,
-                COEFFICIENTS,
-                np.tile(towards(moved, alpha), (1, 1, len(members))),
+            ShiftHypothesis(
+                effect=COEFFICIENTS,
+                family=COEFFICIENTS,
                 place=room.materials[row],
                 response=f"material {row}",
+                weights=np.tile(towards(moved, alpha), (1, 1, len(members))),
                 odds=density / density.sum() * absorbed[row] / absorbed.sum() * odds,
                 sizes=factors,
                 unit="of what is stated",
                 parameters=[{"factor": float(factor)} for factor in factors],
                 error=0.1**2 + 0.15**2 * over_bands,
+                spectra=np.zeros((len(factors), 0)),
+                uneven=np.zeros(len(factors)),
             )
         )
     return made
@@ -373,16 +365,18 @@ def whole_room(case: PositionsCase, effect: Any) -> ShiftHypothesis:
         at = np.repeat(np.log(sizes)[:, np.newaxis], room.n_bands, axis=1)
         nodes, prior, error = VOLUME, 1.0, 0.02**2 * (1 + np.eye(room.n_bands))
     odds = grid_weights(effect, grid, stated) * prior
-    return _anywhere(
-        effect.name,
-        effect.family,
-        interpolation(nodes, at),
+    return ShiftHypothesis(
+        effect=effect.name,
+        family=effect.family,
         response=effect.name,
+        weights=interpolation(nodes, at),
         odds=odds * ODDS[effect.name] / odds.sum(),
         sizes=sizes,
         unit=effect.unit,
         parameters=grid,
         error=error,
+        spectra=np.zeros((len(grid), 0)),
+        uneven=np.zeros(len(grid)),
     )
 
 
