@@ -1,4 +1,4 @@
-"""Material lists of other programs: a room from a list, and calibrated coefficients back into it.
+r"""Material lists of other programs: a room from a list, and calibrated coefficients back into it.
 
 Each format has its grammar: where the materials and every number stand. The rest is for all formats:
 bands are converted, numbers are written, and what rounding does to T is stated. Only numbers that
@@ -11,6 +11,9 @@ change are written; all other bytes stay.
     ABS drape    = <3 4 11 17 24 35 : 40 45>              ; with 8 and 16 kHz
     ABS1 panel   = <0.28 0.22 0.17 0.09 0.10 0.11>              ; fractions
     ABS floorabs = carpet                                 ; another name for carpet
+    ABS K_che    = <2 4 8 20 35 40>                       ; rtcal: "K\u00fcche"
+
+The last comment is rtcal's own: the material's name in the room, which CATT does not read.
 
 **ODEON**, a material library (.Li8), two lines for each material::
 
@@ -609,7 +612,8 @@ class Format:
     parse : callable
         Returns the `MaterialList` of a file's content, path, and what else `read` is given.
     new : callable
-        Returns the content of a new list of a room's materials.
+        Returns the content of a new list of a room's materials, with the names that they have in the
+        list; the room's own names come second.
     bands : callable
         Returns the bands in Hz of a new list for a room; none where it has the room's own.
     readable : callable
@@ -619,7 +623,7 @@ class Format:
     """
 
     parse: Callable[..., MaterialList]
-    new: Callable[[Room], bytes]
+    new: Callable[[Room, Sequence[str]], bytes]
     bands: Callable[[Room], Sequence[float]] = lambda _: ()
     readable: Callable[[str], str] = str
     prepared: Callable[[MaterialList, Room], MaterialList] = lambda listed, _: listed
@@ -693,7 +697,8 @@ class Format:
                 pairs = [f'"{name}" is {new}' for name, new in renamed.items()]
                 some = text.first_of(pairs, MOST_NAMED)
                 notes.append(f"Renamed, as the program reads names: {some}")
-            listed = self.parse(self.new(in_new_bands.replace(materials=names, surfaces=())))
+            in_file = in_new_bands.replace(materials=names, surfaces=())
+            listed = self.parse(self.new(in_file, room.materials))
         listed = listed.with_entries(entries, room)
         if decimals is not None:
             rounded = tuple(m.with_decimals(decimals) for m in listed.materials)
@@ -840,17 +845,22 @@ _NO_STATEMENT = re.compile(r"[ \t]*ABS1?(?![^\s=<>])", re.I)
 _LIST = re.compile(r"<([^<>]*)>[ \t]*")
 _SCATTERING = re.compile(r"L[ \t]*", re.I)
 _COLOUR = re.compile(r"\{[ \t]*\d{1,3}[ \t]+\d{1,3}[ \t]+\d{1,3}[ \t]*\}[ \t]*", re.ASCII)
+_OF_ROOM = re.compile(r'[ \t]*rtcal:[ \t]*("(?:[^"\\]|\\u[0-9a-f]{4}|\\["\\])+")[ \t]*', re.ASCII)
+"""Comment of a statement whose material has a name in the room that CATT does not read, as JSON."""
 
 
 def _parse_catt(content: bytes, path: str = "CATT file") -> MaterialList:
     """Return the materials of a file's content; DataError names file, line and rule."""
     text = decode(content, path)
     aliases: dict[str, tuple[str, int]] = {}
+    of_room: dict[str, str] = {}
     listed: list[ListedMaterial] = []
-    for line, start, match in _statements(text.characters, path):
+    for line, start, match, own in _statements(text.characters, path):
         place, (_, name, value) = f"{path}, line {line}", match.groups()
         if value.startswith("<"):
             listed.append(_of_statement(match, start, line, place))
+            if own not in ("", name):
+                of_room[name] = own
         elif not re.fullmatch(_NAME, value):
             raise DataError(
                 f'{place}: "{shown(value)}" is neither <6 to 8 values> nor another name'
@@ -868,25 +878,30 @@ def _parse_catt(content: bytes, path: str = "CATT file") -> MaterialList:
                 f'{path}, line {line}: "{target}", which "{name}" stands for, is no material of '
                 "the file with values of its own"
             )
+    every = {name: target for name, (target, _) in aliases.items()} | {n: n for n in of_room}
     return MaterialList(
         path=path,
         text=text,
-        materials=tuple(listed),
-        aliases={name: target for name, (target, _) in aliases.items()},
+        materials=tuple(replace(m, name=of_room.get(m.name, m.name)) for m in listed),
+        aliases={name: of_room.get(target, target) for name, target in every.items()},
         scattering_text=lambda values: f" L <{_in_groups(values)}>",
     )
 
 
-def _statements(characters: str, path: str) -> Iterator[tuple[int, int, re.Match[str]]]:
-    """Yield the line and the start of each ABS statement, and its keyword, name and value.
+def _statements(characters: str, path: str) -> Iterator[tuple[int, int, re.Match[str], str]]:
+    """Yield the line and the start of each ABS statement, its keyword, name and value, and a name.
+
+    The last is the material's name in the room that the list was written for, "" where it is the same.
 
     Raises DataError for a line that begins as one and is none.
     """
     for line, start, raw in lines(characters):
-        code = raw.split(";", 1)[0].rstrip()
+        code, _, comment = raw.partition(";")
+        code = code.rstrip()
         match = _STATEMENT.fullmatch(code)
         if match and (match[1] is not None or match[3].startswith("<")):
-            yield line, start, match
+            own = _OF_ROOM.fullmatch(comment)
+            yield line, start, match, json.loads(own[1]) if own else ""
         elif _NO_STATEMENT.match(code):
             raise DataError(
                 f'{path}, line {line}: "{shown(code)}" is no ABS statement: ABS name = <6 to 8 values>'
@@ -974,7 +989,10 @@ def _with_own_values(listed: MaterialList, room: Room) -> MaterialList:
     if not own:
         return listed
     characters, pieces, position = listed.text.characters, list[str](), 0
-    statements = {match[2]: (start, match) for _, start, match in _statements(characters, "")}
+    statements = {
+        of_room or match[2]: (start, match)
+        for _, start, match, of_room in _statements(characters, "")
+    }
     for name, (start, match) in statements.items():
         if name in own:
             _, of_target = statements[aliases[name]]
@@ -994,19 +1012,20 @@ def _bands_of_new_catt(room: Room) -> tuple[float, ...]:
     return _OF_CATT[:n_bands]
 
 
-def _new_catt(room: Room) -> bytes:
+def _new_catt(room: Room, own: Sequence[str]) -> bytes:
     def percents(row: Array) -> str:
         return _in_groups([f"{100 * value:.{_DECIMALS['catt']}f}" for value in row])
 
     rows = ["; Absorption, %, in octaves from 125 Hz; written by rtcal"]
-    for i, name in enumerate(room.materials):
+    for i, (name, of_room) in enumerate(zip(room.materials, own, strict=True)):
         if not re.fullmatch(_NAME, name) or not name.isascii():
             raise DataError(
                 f'material "{name}": a name for CATT-Acoustic is ASCII, without spaces and none '
                 "of = < > { } ; :"
             )
         scattering = "" if room.scattering is None else f" L <{percents(room.scattering[i])}>"
-        rows.append(f"ABS {name} = <{percents(room.alpha[i])}>{scattering}")
+        comment = "" if of_room == name else f" ; rtcal: {json.dumps(of_room)}"
+        rows.append(f"ABS {name} = <{percents(room.alpha[i])}>{scattering}{comment}")
     return ("\r\n".join(rows) + "\r\n").encode("ascii")
 
 
@@ -1073,7 +1092,7 @@ def _parse_odeon(content: bytes, path: str = "ODEON file") -> MaterialList:
     return MaterialList(path=path, text=text, materials=tuple(materials), aliases=aliases)
 
 
-def _new_odeon(room: Room) -> bytes:
+def _new_odeon(room: Room, *_: object) -> bytes:
     """Return a new library; names without a number get numbers from 10001 on."""
     rows = []
     for i, name in enumerate(room.materials):
@@ -1185,7 +1204,7 @@ def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
     }
 
 
-def _new_pyroomacoustics(room: Room) -> bytes:
+def _new_pyroomacoustics(room: Room, *_: object) -> bytes:
     content: dict[str, Any] = {"center_freqs": [float(f) for f in room.centre_frequencies]}
     for name, of_material in dictionaries(room).items():
         for key, entry in of_material.items():
@@ -1281,7 +1300,7 @@ def _of_bras_table(
     return tuple(materials)
 
 
-def _new_bras(room: Room) -> bytes:
+def _new_bras(room: Room, *_: object) -> bytes:
     rows = ["material," + ",".join(f"{f:g}" for f in room.centre_frequencies)]
     for i, name in enumerate(room.materials):
         if "," in name or not name.isprintable() or name.strip() != name or not name:
