@@ -86,31 +86,6 @@ def test_a_simulator_that_does_not_depend_on_alpha_is_called_three_times(cr2, de
     assert result.confirmation is None  # there is nothing to confirm
 
 
-def test_one_band_that_does_not_depend_on_alpha_does_not_end_the_others(cr2):
-    room, measured = cr2
-    stuck = np.arange(room.n_bands) == 2
-
-    def times(alpha, seed):
-        return np.where(stuck, 30.0, 1.5 * eyring(room, alpha) ** 1.6)
-
-    result = rt.calibrate_simulator(simulator(Program(room, times)), room, measured)
-    assert result.status[2] == "unreachable"
-    assert set(np.delete(result.status, 2)) == {"converged"}
-
-
-def test_two_equal_times_are_not_stuck(cr2):
-    """The third step brings another T: a program that rounds T is no stuck one."""
-    room, measured = cr2
-    wanted = measured.mean("t30")
-    program = Program(
-        room,
-        lambda alpha, seed: wanted if len(program.calls) == 3 else np.full(room.n_bands, 30.0),
-    )
-    result = rt.calibrate_simulator(simulator(program), room, measured)
-    assert result.simulations == 3
-    assert set(result.status) == {"converged"}
-
-
 @pytest.mark.parametrize("failing", [1, 2, 3])
 def test_an_error_carries_the_loop(cr2, failing):
     """The third call is the confirmation: the loop is finished by then."""

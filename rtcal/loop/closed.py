@@ -670,7 +670,8 @@ class Loop(Result):
         """Return the loop after a simulation of `next_alpha`, or of the stated coefficients.
 
         A band may lack a T20 that it had in an earlier step. Its target then moves back towards one
-        with a T20.
+        with a T20. Once the loop is finished, one more simulation of the coefficients at which it ended
+        confirms them, as ``after``.
 
         Parameters
         ----------
@@ -686,11 +687,14 @@ class Loop(Result):
         Raises
         ------
         DataError
-            If the loop is finished, alpha does not fit the room, or the measurement has other bands
-            or lacks a T20: for some pair in the first step, or in every measured band.
+            If the loop is finished and its end was simulated, alpha does not fit the room, or the
+            measurement has other bands or lacks a T20: for some pair in the first step, or in every
+            measured band.
         """
-        if self.finished:
-            raise DataError("the loop is done: no band is left that another simulation helps")
+        if self.after is not None:
+            raise DataError(
+                "the loop is done, and its end was simulated: nothing is left to simulate"
+            )
         lost = self._lost(simulated)
         for band in checks.listed("without_t20", without_t20):
             if checks.whole("without_t20", band, 0) >= len(lost):
@@ -701,8 +705,11 @@ class Loop(Result):
             own = np.clip(self.equation.reverberation_time(self.prior), *self._target_limits)
             target = np.where(np.isfinite(self.wanted), own, np.nan)
         step = self._step(simulated, check_alpha(self.prior, alpha), target)
+        number = self.simulations + 1
+        if self.finished:
+            return replace(self, returned=step.alpha, after=simulated, simulations=number)
         step = replace(step, simulated=np.where(lost, np.nan, step.simulated))
-        return replace(self, steps=(*self.steps, step), simulations=self.simulations + 1)
+        return replace(self, steps=(*self.steps, step), simulations=number)
 
     def _lost(self, simulation: Measurement) -> NDArray[np.bool_]:
         """Return in which bands some pair of a simulation lacks what is matched, (n_bands,).
@@ -734,10 +741,12 @@ class Loop(Result):
         return np.asarray(lost)
 
     def back(self) -> Loop:
-        """Return the loop before its last step; DataError if it has none."""
+        """Return the loop before its last simulation; DataError if it has none."""
         if not self.steps:
             raise DataError("the loop has no simulation yet: there is none to take back")
-        return replace(self, steps=self.steps[:-1], simulations=self.simulations - 1)
+        steps = self.steps if self.after is not None else self.steps[:-1]
+        number = self.simulations - 1
+        return replace(self, steps=steps, returned=None, after=None, simulations=number)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], room: Room | None = None) -> Loop:
@@ -819,8 +828,8 @@ class Loop(Result):
         notes = [*sentences(self.gaps_beside, self.prior.centre_frequencies)]
         if "not confirmed" in self.status:
             notes.append(
-                "Not confirmed: with another seed the gap exceeds tolerance plus noise, or the noise "
-                "exceeds the tolerance. Simulate with less noise (more paths)."
+                "Not confirmed: simulated once more, the gap exceeds tolerance plus noise, or the "
+                "noise exceeds the tolerance. Simulate with less noise (more paths)."
             )
         notes += explained(self.trust_marks)
         if self.prior.is_uncertain:
@@ -1169,13 +1178,14 @@ def record(loop: Loop, table: str, state: str, out: str, *, again: bool = False)
     Raises
     ------
     DataError
-        If the loop is finished, the table is no measurement, or it repeats the last step's or has the
-        measured T itself. Also if the room at ``out`` is not the one to simulate.
+        If the end of the loop was simulated already, the table is no measurement, or it repeats the
+        last step's or has the measured T itself. Also if the room at ``out`` is not the one to
+        simulate.
     """
-    if loop.finished:
+    if loop.after is not None:
         raise DataError(
-            f"{state}: the loop is done, so {table} was not taken in; the room that `rtcal loop "
-            "next` wrote last has the coefficients, and `rtcal report` shows the path"
+            f"{state}: the loop is done and its end was simulated, so {table} was not taken in; "
+            f"{out} has the coefficients, and `rtcal report` shows the path"
         )
     alpha, written = loop.next_alpha, None
     with suppress(DataError):  # another name than last time, or no room: it shows nothing
@@ -1190,7 +1200,7 @@ def record(loop: Loop, table: str, state: str, out: str, *, again: bool = False)
         after = loop.record(alpha, simulated)
     except DataError as error:
         raise DataError(f"{table}: {error}") from error
-    *_, last, step = (None, *loop.steps, after.steps[-1])
+    *_, last, step = (None, *loop.steps, after.steps[-1] if after.after is None else after.ends[1])
 
     def repeats(times: Array) -> bool:
         return not again and np.array_equal(step.simulated, times, equal_nan=True)
@@ -1214,17 +1224,26 @@ def write(loop: Loop, state: str, out: str) -> str:
     A state without its room would accept a table that belongs to the room of the step before.
     """
     room = loop.prior.replace(alpha=loop.next_alpha, calibration=None)
-    n, of = len(loop.steps), f"of the loop in {Path(state).name!r}"
+    n, of = loop.simulations, f"of the loop in {Path(state).name!r}"
     note = f"# To simulate: run {n + 1} {of}.\n"
     end = f"Next: simulate with the coefficients in {out}, then run `rtcal loop next`."
     if n and loop.finished:
         note = f"# Calibrated for the program simulated: the end {of}, after {n} runs.\n"
-        left = len([s for s in loop.status if s not in _LEFT_ALONE])
+        left = len([s for s in loop.status if s not in (*_LEFT_ALONE, "not confirmed")])
         missed = f", but {left} of {loop.prior.n_bands} bands were not reached" if left else ""
         end = (
-            f"Done{missed}. {out} has the coefficients, those of each band's best step: give it to the "
-            "program a last time."
+            f"Done{missed}. {out} has the coefficients, those of each band's best step: simulate them "
+            "once more, and `rtcal loop next` confirms them."
         )
+    if n and loop.after is not None:
+        off = [s == "not confirmed" for s in loop.status]
+        end = f"Done{missed}. {out} has the coefficients, which were simulated together."
+        if any(off):
+            where = ", ".join(labels(loop.prior.centre_frequencies[off]))
+            end += (
+                f" Not confirmed at {where}: simulate with less noise (more paths) after "
+                "`rtcal loop back`."
+            )
     content = note + room.to_text(Path(out).parent)
     write_all({out: content.encode(), state: loop.to_json(Path(state).parent).encode()})
     return end
