@@ -478,7 +478,8 @@ def fit(
     """Return where Gauss-Newton steps end: at no larger objective than that of the start.
 
     The start counts where it keeps the problem's bounds and constraints; from elsewhere the first step
-    is taken.
+    is taken. A step that raises the objective is halved, up to six times, and left out where it is
+    small as a whole.
 
     Parameters
     ----------
@@ -523,18 +524,17 @@ def fit(
                 return True
             return objective.value(end, off) > now or (np.isfinite(now) and not allowed(end))
 
-        for share in (*0.5 ** np.arange(_HALVINGS + 1.0), 0.0):
+        # The whole step counts: one that was shortened to little may be far from the minimum.
+        sigma, moved = answer.prior.sigma, np.abs(answer.alpha - start)
+        small = bool((moved[sigma > 0] < SETTLED * sigma[sigma > 0]).all())
+        halvings = 0 if small and settled is None else _HALVINGS
+        for share in (*0.5 ** np.arange(halvings + 1.0), 0.0):
             end = np.asarray(start + share * (answer.alpha - start))
             if not share or not worse(end):
                 break
         step = GaussNewtonStep(start, matrix, float(share), answer)
         steps.append(step)
-        if settled is not None:
-            last = settled(step, end)
-        else:
-            # The whole step counts: one that was shortened to little may be far from the minimum.
-            sigma, moved = answer.prior.sigma, np.abs(answer.alpha - start)
-            last = bool((moved[sigma > 0] < SETTLED * sigma[sigma > 0]).all())
+        last = small if settled is None else settled(step, end)
         start = end
         if not share:
             break

@@ -94,24 +94,29 @@ from rtcal.support.types import Array
 
 
 def simulator_error(
-    model: PairsModel, alpha: Array, controls: ControlRuns | None, fit_scattering: bool
+    model: PairsModel,
+    alpha: Array,
+    controls: ControlRuns | None,
+    groups: Array | None,
+    fit_scattering: bool,
 ) -> tuple[Array, ErrorsByScattering | None]:
     """Return the covariance of the simulator's error, and its errors by scattering.
 
-    The covariance is (n, n) with n all values: measured parameters at all pairs of the simulator. The
-    second is None where the scattering stated is kept, as by every simulator but a `PathTracing` with
-    the model "random". Only its paths tell what scattering does. Coefficients of 0 and 1 are kept, too.
+    The covariance is (n, n) with n all values: measured parameters at all pairs of the simulator.
+    ``groups`` (n_groups, n_parameters, n_pairs, n_bands) are the values of groups of paths, None
+    without paths. The second is None where the scattering stated is kept, as by every simulator but a
+    `PathTracing` with the model "random". Only its paths tell what scattering does. Coefficients of 0
+    and 1 are kept, too.
     """
     parameters = model.data.observations.parameters
     if controls is None:
         error = np.array([observable(p).unknown_error for p in parameters])
         number = model.everywhere(alpha)[0].size
         return np.diag(np.repeat(error**2, number)), None
-    controls, able = controls.at(parameters, model.pairs), complete(model.simulator)
-    groups = able.observe_in_groups(alpha, GROUPS, parameters, seed=model.seed)
+    controls = controls.at(parameters, model.pairs)
     noise = noise_of_a_run(model.simulator, groups)
     whole = controls.without_noise(noise).covariance()
-    fitted = fit_scattering and able.fits_scattering
+    fitted = fit_scattering and complete(model.simulator).fits_scattering
     return whole, errors_by_scattering(controls, noise) if fitted else None
 
 
@@ -771,7 +776,9 @@ def calibrate_positions(
         )
     model = PairsModel(simulator, data, room.alpha, first, seed)
     prior = prior_covariance(room)
-    error, by_scattering = simulator_error(model, room.alpha, controls, fit_scattering)
+    if groups is not None:
+        groups = groups[:, [match.index(p) for p in data.observations.parameters]]
+    error, by_scattering = simulator_error(model, room.alpha, controls, groups, fit_scattering)
     beyond = beyond_prior(model, room, prior, error)
     by_scattering = None if beyond else by_scattering
     of_fit = PositionsFit(model, room, calibration, measured, prior, error, by_scattering)
