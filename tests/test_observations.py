@@ -12,11 +12,8 @@ from rtcal.acoustics.observables import MATCH, OBSERVABLES, gradients, observabl
 from rtcal.datasets import halls
 from rtcal.io import tables
 from rtcal.simulators import (
-    ImageSource,
     PathTracing,
     Polyhedron,
-    ScatteringDelayNetwork,
-    base,
     kernels,
 )
 from rtcal.simulators.base import differences, jacobian, observe
@@ -153,40 +150,6 @@ def test_what_scatters_nothing_or_everything_has_no_derivative_by_scattering(tra
     assert slope[..., 1:-1].any(axis=(0, 1, 2, 3)).all()
     with pytest.raises(DataError, match="number = 3 does not divide"):
         ends.scattering_jacobian(tracer.room.alpha, ["level"], number=3)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("kind", [ImageSource, ScatteringDelayNetwork])
-def test_shoebox_simulators_have_exact_derivatives(kind, monkeypatch):
-    monkeypatch.setattr(base, "STEP", 1e-5)  # decays of one length, no curvature
-    areas = [21, 21, 15, 15, 35, 35]
-    room = rt.Room(
-        name="box",
-        volume=105,
-        materials=["hard", "soft"],
-        areas=[72, 70],
-        alpha=[[0.1, 0.2], [0.15, 0.25]],
-        sigma=[[0.1, 0.1], [0.1, 0.1]],
-        centre_frequencies=[500, 1000],
-        dimensions=(5, 7, 3),
-        surfaces=[
-            rt.Surface(wall, "hard" if i < 4 else "soft", areas[i])
-            for i, wall in enumerate(SHOEBOX_WALLS)
-        ],
-    )
-    options = {"duration": 0.4} if kind is ImageSource else {"sampling_rate": 2000}
-    simulator = kind(
-        room=room,
-        sources={"S": (4.5, 3.5, 2)},
-        receivers={"R": (2, 2, 1.5), "Q": (1, 5, 1.1)},
-        **options,
-    )
-    match = ("c80", "ts", "level")
-    exact = simulator.jacobian(room.alpha, match)
-    np.testing.assert_allclose(exact, differences(simulator, room.alpha, match), rtol=1e-5)
-    hard = np.ones_like(room.alpha)
-    with pytest.raises(DataError, match=r"no T20|too short"):
-        simulator.jacobian(hard, ["t20"])
 
 
 def test_bands_with_other_scattering_have_their_own_paths():

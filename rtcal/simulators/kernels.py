@@ -472,25 +472,24 @@ def blocks(
     source_delays: NDArray[np.int64],
     tap_delays: NDArray[np.int64],
     lines: Array,
-    reflection: NDArray[Any],
+    reflection: Array,
     injected: Array,
     heard: Array,
     n: int,
-) -> NDArray[Any]:
+) -> Array:
     """Run a network in blocks of its smallest delay; return the response (n_bands, n).
 
     ``delays`` (6, 5), ``source_delays`` and ``tap_delays`` (6,) are in samples. ``lines`` (6, 5,
-    n_bands), ``reflection``, ``injected`` and ``heard`` (6, n_bands) are gains; complex reflection
-    factors give a complex response.
+    n_bands), ``reflection``, ``injected`` and ``heard`` (6, n_bands) are gains.
     """
     n_bands = lines.shape[2]
     block, longest = delays.min(), delays.max()
     # Incoming waves by port. The buffer fits the processor's cache. It is shifted to its start when
     # full, so that no block wraps around and the loops over samples vectorise.
     kept = 2 * longest + block
-    incoming = np.empty((6, 5, kept), reflection.dtype)
-    pressure = np.empty(block, reflection.dtype)
-    out = np.zeros((n_bands, n + tap_delays.max() + block), reflection.dtype)
+    incoming = np.empty((6, 5, kept))
+    pressure = np.empty(block)
+    out = np.zeros((n_bands, n + tap_delays.max() + block))
     for b in range(n_bands):
         incoming[:] = 0.0
         base = 0

@@ -21,10 +21,10 @@ losses, and cost much less than image sources.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import observables
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import MATCH, TARGET, gradients
+from rtcal.acoustics.observables import MATCH, TARGET
 from rtcal.acoustics.room import Room
 from rtcal.simulators import base
 from rtcal.simulators.base import Observations, RoomSimulator, check_alpha
@@ -125,25 +125,8 @@ class ShoeboxSimulator(RoomSimulator, ABC):
         return base.of_decays(energy, width, match, self.box.pairs, self.centre_frequencies)
 
     def jacobian(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Array:
-        """Return the derivatives of `observe`, (n_parameters, n_pairs, n_bands, n_materials).
-
-        They are analytic. Coefficients above 0.999 count as 0.999. The seed has no effect. Raises as
-        `observe` does.
-        """
-        alpha = np.minimum(check_alpha(self, alpha), base.LARGEST_ALPHA)
-        match = base.checked_parameters(match)
-        energy, width = self.decays(alpha)
-        base.of_decays(energy, width, match, self.box.pairs, self.centre_frequencies)
-        out = np.empty((len(match), *energy.shape[:2], len(self.box.walls)))
-        for pair, of_walls in enumerate(self._wall_gradients(alpha, energy.shape[-1])):
-            by_bin = gradients(energy[pair], width, match)
-            out[:, pair] = np.einsum("pkb,wkb->pkw", by_bin, of_walls, optimize=True)
-        belongs = self.box.walls[:, np.newaxis] == np.arange(self.room.n_materials)
-        return np.asarray(out @ belongs)
-
-    @abstractmethod
-    def _wall_gradients(self, alpha: Array, n_bins: int) -> Iterator[Array]:
-        """Yield the derivatives of each pair's decays by alpha of each wall, (6, n_bands, n_bins)."""
+        """Return the derivatives of `observe`, as `rtcal.simulators.base.differences` has them."""
+        return base.differences(self, alpha, match, seed=seed)
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
         """Return the parameters of a response for alpha (n_materials, n_bands), by pair.
@@ -290,40 +273,28 @@ class ImageSource(ShoeboxSimulator):
 
         The air attenuates each bin by the mean length of its images.
         """
-        reflected = self._reflected(check_alpha(self, alpha))
-        return np.stack([self._summed(images, reflected) for images in self.images]), self.bin_width
-
-    def _reflected(self, alpha: Array) -> Array:
-        """Return (1 - alpha)^hits of every wall and number of hits, (6, n_bands, n_hits); 0**0 is 1."""
-        most = max(int(axis.max()) for images in self.images for axis in images.hits)
-        return np.asarray((1 - alpha[self.box.walls])[..., np.newaxis] ** np.arange(most + 1))
-
-    def _summed(self, images: Images, reflected: Array) -> Array:
-        """Return the energy of a pair's bins, (n_bands, n_bins), by a factor per wall and hits."""
         from rtcal.simulators import kernels
 
-        x, y, z = (
-            near[:, hits[:, 0]] * far[:, hits[:, 1]]
-            for near, far, hits in zip(reflected[::2], reflected[1::2], images.hits, strict=True)
+        most = max(int(axis.max()) for images in self.images for axis in images.hits)
+        # (6, n_bands, n_hits); 0**0 is 1.
+        reflected = (1 - check_alpha(self, alpha)[self.box.walls])[..., np.newaxis] ** np.arange(
+            most + 1
         )
-        energy = kernels.weigh(
-            x, y, z, images.rows, images.starts, images.bins, images.weights, self._n_bins
-        )
-        return energy * np.exp(-np.multiply.outer(self.room.air_attenuation, images.lengths))
-
-    def _wall_gradients(self, alpha: Array, n_bins: int) -> Iterator[Array]:
-        """Yield each pair's derivatives: those of (1 - alpha)^n, summed over the images."""
-        reflected = self._reflected(alpha)
-        slopes = np.zeros_like(reflected)
-        slopes[..., 1:] = -np.arange(1, reflected.shape[-1]) * reflected[..., :-1]
-        walls = np.arange(len(reflected))[:, np.newaxis, np.newaxis]
+        out = []
         for images in self.images:
-            yield np.stack(
-                [
-                    self._summed(images, np.where(walls == wall, slopes, reflected))[:, :n_bins]
-                    for wall in range(len(walls))
-                ]
+            x, y, z = (
+                near[:, hits[:, 0]] * far[:, hits[:, 1]]
+                for near, far, hits in zip(
+                    reflected[::2], reflected[1::2], images.hits, strict=True
+                )
             )
+            energy = kernels.weigh(
+                x, y, z, images.rows, images.starts, images.bins, images.weights, self._n_bins
+            )
+            out.append(
+                energy * np.exp(-np.multiply.outer(self.room.air_attenuation, images.lengths))
+            )
+        return np.stack(out), self.bin_width
 
     @property
     def _n_bins(self) -> int:
@@ -444,7 +415,6 @@ def _directions(n: int) -> Array:
 
 
 _NODES = 6
-_STEP = 1e-20  # of the derivatives: its square vanishes beside 1 in floats
 _PORTS = 5
 # Per mean free path. Fewer samples change T at alpha = 0.3 by more than one JND
 # (test_the_lowest_sampling_rate_has_the_right_t20).
@@ -584,28 +554,8 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
                 return energy / (4 * np.pi), 1 / self.sampling_rate
             duration = min(1.6 * duration, self.longest)
 
-    def _wall_gradients(self, alpha: Array, n_bins: int) -> Iterator[Array]:
-        """Yield each pair's derivatives, by an imaginary step of each wall's reflection factor.
-
-        A response is a polynomial in the reflection factors, so Im p(beta + i h) / h is its derivative
-        to rounding (Squire & Trapp 1998, SIAM Review 40(1)).
-        """
-        reflection = np.sqrt(1 - alpha[self.box.walls])
-        n = n_bins + max(network.direct_delay for network in self.networks)
-        steps = 1j * _STEP * np.eye(len(reflection))[:, :, np.newaxis]
-        response = np.empty((alpha.shape[1], n), dtype=complex)
-        for network in self.networks:
-            gradient = np.empty((len(reflection), alpha.shape[1], n_bins))
-            for wall, step in enumerate(steps):
-                self._render(network, reflection + step, response)
-                heard = response[:, network.direct_delay :][:, :n_bins]
-                # E = p² / (4 pi), and d beta / d alpha = -1 / (2 beta).
-                by_beta = 2 * heard.real * heard.imag / (_STEP * 4 * np.pi)
-                gradient[wall] = -by_beta / (2 * reflection[wall])[:, np.newaxis]
-            yield gradient
-
-    def _render(self, network: Network, reflection: NDArray[Any], out: NDArray[Any]) -> None:
-        """Write one pair's responses, (n_bands, n_samples); complex for complex reflection factors."""
+    def _render(self, network: Network, reflection: Array, out: Array) -> None:
+        """Write one pair's responses, (n_bands, n_samples)."""
         from rtcal.simulators import kernels
 
         half = self.room.air_attenuation / 2
