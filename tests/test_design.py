@@ -21,7 +21,7 @@ from rtcal.prediction import (
     din_18041,
     predict,
 )
-from rtcal.prediction.designed import design, design_model
+from rtcal.prediction.designed import can_be_had, design, design_model
 from rtcal.support.errors import DataError, InfeasibleError
 
 BANDS = [250.0, 500.0, 1000.0]
@@ -108,7 +108,9 @@ def test_panels_that_may_be_cut_are_named_where_whole_ones_will_not_do() -> None
     some = design(result, TREATMENTS[:1], target, 0.8)
     area = float(some.areas[0])
     large = replace(TREATMENTS[0], largest=1.1 * area, unit=0.6 * area)
-    said = f"No whole panels .* at a cost of {some.cost:.0f}: {area:.1f} m² of ceiling"
+    bought = 2 * large.unit * large.cost
+    said = f"No whole panels .*: {area:.1f} m² of ceiling. The cost is {some.cost:.0f} where a cut "
+    said += f"panel is paid by its area, and {bought:.0f} where it is paid whole"
     with pytest.raises(InfeasibleError, match=said):
         design(result, [large], target, 0.8)
 
@@ -164,8 +166,14 @@ def test_what_can_be_had_is_said_where_nothing_will_do() -> None:
     assert "whose least probable band is most probable" in said
     assert "To narrow the interval" in said
     small = tuple(replace(t, largest=3.0) for t in TREATMENTS)
-    with pytest.raises(InfeasibleError, match=r"the probabilities are: .* Hz 0\.00"):
+    with pytest.raises(InfeasibleError, match=r"the probabilities are: .* Hz 0\.00") as error:
         design(known(), small, TARGET)
+    assert "already too short" not in str(error.value)
+    t = known().known.time
+    with pytest.raises(InfeasibleError, match="T is already too short for this target, and these"):
+        design(known(), TREATMENTS, Target(1.5 * t, 2 * t))
+    model = design_model(known(), TREATMENTS, TARGET)
+    assert "wider by less than 1 % at both ends" in " ".join(can_be_had(model, 0.8))
 
 
 def test_two_treatments_share_the_surface_they_cover() -> None:

@@ -67,7 +67,7 @@ def cut_normal(
 
 
 def log_time(room: rt.Room, facing: Array, absorption: list[Array], u: Array, band: int) -> Array:
-    """ln T of draws: Eyring's equation, and u of the way to Arau-Puchades', then to Fitzroy's.
+    """ln T of draws: u of the way through Eyring's, Arau-Puchades' and Fitzroy's T, as they rise.
 
     ``facing`` (n_materials, 3) are areas across each axis; what stands free is spread over all.
     """
@@ -88,9 +88,9 @@ def log_time(room: rt.Room, facing: Array, absorption: list[Array], u: Array, ba
     arau = -sum(g * np.log(e) for g, e in zip(share, each, strict=True)) + np.log(even)
     fitzroy = np.log(sum(g / e for g, e in zip(share, each, strict=True))) + np.log(even)
     constant = rt.Eyring().room_constant(room) * room.volume
-    return np.asarray(
-        np.log(constant / even) + np.minimum(u, 1) * arau + np.maximum(u - 1, 0) * (fitzroy - arau)
-    )
+    one, two, three = np.sort([np.zeros_like(arau), arau, fitzroy], axis=0)
+    added = one + np.minimum(u, 1) * (two - one) + np.maximum(u - 1, 0) * (three - two)
+    return np.asarray(np.log(constant / even) + added)
 
 
 def sampled(

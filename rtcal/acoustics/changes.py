@@ -679,7 +679,7 @@ def read_variants(
     for i, table in enumerate(file.variant, start=1):
         place = f"variant {i}" if table.name is None else f'variant "{table.name}"'
         try:
-            made = tuple(_with_materials(change, room, new) for change in table.change)
+            made = _with_materials(table.change, room, new)
             changed(room, made)
             of_changes = "; ".join(map(str, made)) or "no change"
             name = of_changes if table.name is None else table.name
@@ -714,11 +714,21 @@ def _named(key: str, material: Any, room: Room, new: Mapping[str, Material]) -> 
     return new.get(name_of(material), material)
 
 
-def _with_materials(change: Change, room: Room, new: Mapping[str, Material]) -> Change:
-    """Return a change of a file with the materials that it names; DataError for one that is none."""
-    for key in ("cover", "remove", "open"):
-        _named(key, getattr(change, key), room, {})
-    return replace(change, **{k: _named(k, getattr(change, k), room, new) for k in ("add", "by")})
+def _with_materials(
+    stated: Sequence[Change], room: Room, new: Mapping[str, Material]
+) -> tuple[Change, ...]:
+    """Return changes of a file with the materials that they name; DataError for one that is none.
+
+    What an earlier change brought in may be covered, removed or opened by a later one.
+    """
+    made: list[Change] = []
+    for change in stated:
+        there = {name: new[name] for name in (name_of(c.material) for c in made) if name in new}
+        for key in ("cover", "remove", "open"):
+            _named(key, getattr(change, key), room, there)
+        comes = {k: _named(k, getattr(change, k), room, new) for k in ("add", "by")}
+        made.append(replace(change, **comes))
+    return tuple(made)
 
 
 MOST_COST = 1e9

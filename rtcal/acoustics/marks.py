@@ -9,7 +9,7 @@ wrong.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -207,10 +207,10 @@ class TrustMark:
     @property
     def sentence(self) -> str:
         """A likely typing error with what to do, for messages."""
-        return (
-            f"likely a typing error at {self.frequency:g} Hz: {self.text}. Check this value before "
-            "anything else"
-        )
+        if self.kind == "box_surface":
+            return f"{self.text}. Check each area before anything else"
+        where = "" if self.frequency is None else f" at {self.frequency:g} Hz"
+        return f"likely a typing error{where}: {self.text}. Check this value before anything else"
 
 
 _ADVICE: dict[str, tuple[str, str]] = {
@@ -218,6 +218,16 @@ _ADVICE: dict[str, tuple[str, str]] = {
         "t",
         "likely a typing error: check this value before anything else, and calibrate again. What "
         "follows is computed with it",
+    ),
+    "unit_error": (
+        "",
+        "likely a typing error, or another unit: check T (in s), the volume (in m³) and the areas "
+        "(in m²) before anything else. What follows is computed with them",
+    ),
+    "box_surface": (
+        "",
+        "check each area, and the dimensions, before anything else: every coefficient is computed with "
+        "its area",
     ),
     "unreachable": (
         "n",
@@ -399,9 +409,111 @@ def in_measurement(measured: Measurement) -> list[TrustMark]:
     return out
 
 
+LEAST_OF_BOX, MOST_OF_BOX = 0.9, 1.4
+"""Surface of a room over that of the box of its dimensions. Furniture and steps add up to 0.4; what
+stands against a wall, or a corner that is cut off, takes 0.1."""
+_SLIPS = (0.1, 10.0, 0.01, 100.0)
+_CORRECTED = 0.2
+"""Largest relative difference from the box with which an area counts as mistyped by such a factor."""
+
+
+def likely_areas(room: Room) -> Room | None:
+    """Return the room with one area a power of ten smaller or larger; None where none is likely.
+
+    The surface of a room must be about that of the box of its stated dimensions.
+
+    Examples
+    --------
+    >>> room = Room(name="box", volume=60, materials=["floor", "rest"], areas=[200, 74],
+    ...             alpha=[[0.4], [0.6]], sigma=[[0.1], [0.1]], centre_frequencies=[1000],
+    ...             dimensions=(5, 4, 3))
+    >>> likely_areas(room).areas.tolist()
+    [20.0, 74.0]
+    """
+    off = _over_box(room)
+    if off is None or LEAST_OF_BOX <= off <= MOST_OF_BOX:
+        return None
+    box = room.total_area / off
+    off_by = {
+        (i, factor): abs((room.total_area + (factor - 1) * float(area)) / box - 1)
+        for i, area in enumerate(room.areas)
+        for factor in _SLIPS
+    }
+    i, factor = min(off_by, key=lambda each: off_by[each])
+    if off_by[i, factor] > _CORRECTED:
+        return None
+    material, areas = room.materials[i], room.areas.copy()
+    areas[i] *= factor
+    surfaces = [
+        replace(s, area=s.area * factor) if s.material == material else s for s in room.surfaces
+    ]
+    return room.replace(areas=areas, surfaces=surfaces)
+
+
+def _over_box(room: Room) -> float | None:
+    """Return the room's surface over that of the box of its dimensions; None without them."""
+    if room.dimensions is None:
+        return None
+    x, y, z = room.dimensions
+    return room.total_area / (2 * (x * y + y * z + z * x))
+
+
+def of_areas(room: Room) -> list[TrustMark]:
+    """Return the mark of areas that do not add up to the box of the stated dimensions."""
+    off = _over_box(room)
+    if off is None or LEAST_OF_BOX <= off <= MOST_OF_BOX:
+        return []
+    sides = " x ".join(f"{side:g}" for side in room.dimensions or ())
+    text = (
+        f"the areas add up to {room.total_area:.4g} m², but a box of {sides} m has "
+        f"{room.total_area / off:.4g} m²"
+    )
+    if (likely := likely_areas(room)) is None:
+        return [mark("box_surface", None, text)]
+    i = int(np.argmax(np.abs(likely.areas - room.areas)))
+    text = (
+        f'area of "{room.materials[i]}" = {room.areas[i]:g} m², for {likely.areas[i]:g} m²: {text}'
+    )
+    return [mark("area_typing_error", None, text, "box_surface")]
+
+
+_LEAST_SLIP, _SLIP = 0.5, 0.75
+"""Least lg of measured T over that of the stated coefficients in every band, and of its median, from
+which on a decimal point or a unit is wrong. Empty and furnished rooms differ by less than 3."""
+
+
+def of_unit(times: Array, stated: Array) -> list[TrustMark]:
+    """Return the mark of a T that is far from that of the stated coefficients in every band alike.
+
+    Parameters
+    ----------
+    times, stated : array (n_bands,)
+        Measured T, and T of the stated coefficients, in s; NaN where it is missing.
+
+    Examples
+    --------
+    >>> of_unit(np.array([11.0, 9.0]), np.array([1.0, 1.0]))[0].text
+    'T is 9 to 11 times that of the stated coefficients in every band'
+    >>> of_unit(np.array([3.0, 0.9]), np.array([1.0, 1.0]))
+    []
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        off = np.log10(times / stated)
+    off = off[np.isfinite(off)]
+    if not off.size or abs(np.median(off)) < _SLIP:
+        return []
+    if (np.sign(np.median(off)) * off).min() < _LEAST_SLIP:
+        return []
+    low, high = 10 ** off.min(), 10 ** off.max()
+    by = f"{low:.2g}" if f"{low:.2g}" == f"{high:.2g}" else f"{low:.2g} to {high:.2g}"
+    where = "in every band" if off.size > 1 else "in the one band that was measured"
+    text = f"T is {by} times that of the stated coefficients {where}"
+    return [mark("unit_error", None, text)]
+
+
 def in_room(room: Room) -> list[TrustMark]:
-    """Return the marks of mistyped coefficients of a room."""
-    return [
+    """Return the marks of mistyped areas and coefficients of a room."""
+    return of_areas(room) + [
         each
         for name, row in zip(room.materials, room.alpha, strict=True)
         for each in of_row(room.centre_frequencies, row, f'alpha of "{name}"', late=False)

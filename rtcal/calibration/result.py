@@ -23,6 +23,8 @@ from rtcal.acoustics.marks import (
     TrustMark,
     gap_jnd,
     in_room,
+    likely_areas,
+    of_unit,
     plausibility,
     trust_marks,
     uneven_marks,
@@ -723,10 +725,15 @@ class CalibrationResult(Result):
     @cached_property
     def trust_marks(self) -> tuple[TrustMark, ...]:
         """Reasons to doubt single bands or the whole room, with advice; likely typing errors first."""
+        likely = likely_areas(self.prior)
+        uneven = uneven_marks(self.room, facing(self.room) if self.shares is None else self.shares)
+        if likely is not None:
+            uneven = uneven or uneven_marks(likely, facing(likely))
         return (
+            *of_unit(self.measured, self.reverberation_time_before),
             *self.measured_data.mistyped,
             *in_room(self.prior),
-            *uneven_marks(self.room, facing(self.room) if self.shares is None else self.shares),
+            *uneven,
             *trust_marks(
                 self.prior,
                 self.measured,

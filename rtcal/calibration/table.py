@@ -331,15 +331,18 @@ def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
     record : mapping
         As `rtcal.calibration.CalibrationResult.to_dict` returns it.
     """
-    marks = record["trust_marks"]
-    typed = [f"{m['frequency']:g} Hz: {m['text']}" for m in marks if m["kind"] == "typing_error"]
-    if typed:
-        more = f" Another {len(typed) - 1} such values are listed below." if typed[1:] else ""
+    marks, kinds = record["trust_marks"], ("unit_error", "area_typing_error", "typing_error")
+    if typed := [mark for mark in _trust_marks(record) if mark.kind in kinds]:
+        first, more = typed[0], ""
+        at = "" if first.frequency is None else f" at {first.frequency:g} Hz"
+        if typed[1:]:
+            more = f" Another {len(typed) - 1} such values are listed below."
+        what = "Every coefficient" if first.frequency is None else "Every coefficient of its band"
         return CalibrationVerdict(
             "contradicts",
-            f"Likely a typing error at {typed[0]}",
-            "Check this value before anything else, and calibrate again. Every coefficient of its band "
-            f"is computed with it.{more}",
+            f"Likely a typing error{at}: {first.text}",
+            f"Check this value before anything else, and calibrate again. {what} is computed with "
+            f"it.{more}",
         )
     after = np.abs(numbers(record["gap_after_jnd"]))
     compared = np.isfinite(after)

@@ -12,10 +12,14 @@ what both give at once, and a change that is undone gives the T before, whatever
   states. What two states have in common cancels: the error grows with the absorption exchanged.
 - u is how far the field is from a diffuse one where the walls of one axis absorb more than the others:
   0 in a diffuse field, 1 in that of Arau-Puchades; between 1 and 2 Fitzroy's T takes its place. One
-  number for a room.
+  number for a room. Where one axis absorbs nearly all, Arau-Puchades' T is the shortest, and u leads
+  through the three T in their order: the larger u, the longer T.
 
 T falls with every a for every u from 0 to 2. The unknowns are drawn, and T before says how likely each
 draw is. A material's draws belong to its name, so that the order of materials moves nothing.
+
+Where T before was not measured, T before and T after are both those of these models, so that a changed
+room has the T that it has when it is entered as a room of its own.
 
 References
 ----------
@@ -36,7 +40,7 @@ from scipy.special import ndtr, ndtri
 
 from rtcal.acoustics.changes import DIRECTIONS, FREE, UNKNOWN, Placed, placed
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Room, is_calibrated
 from rtcal.acoustics.room_errors import (
     Assumptions,
     alpha_covariance,
@@ -309,16 +313,28 @@ class TimeChange:
         )
 
     def log_ratio(self, unknowns: Unknowns | None = None) -> Array:
-        """Return draws of ln (T of the other state / T before), (n_bands, n_draws).
-
-        What is only added absorbs at least nothing, and what is only removed did so: a longer T that an
-        equation has with a hard piece that stands free is not taken.
-        """
+        """Return draws of ln (T of the other state / T before), (n_bands, n_draws)."""
         if unknowns is None and self.is_placed:
             before = _log_time_before(self.known, self.assumptions)
         else:
             before = self.log_time(0, unknowns)
-        ratio = self.log_time(1, unknowns) - before
+        change = self.log_time(1, unknowns) - before
+        if unknowns is None and not self.known.measured.all():
+            first, other = (self._off_centre(state)[:, np.newaxis] for state in (0, 1))
+            change += np.where(self.known.measured[:, np.newaxis], 0.0, other - first)
+        return self._possible(change)
+
+    def _off_centre(self, state: int) -> Array:
+        """Return ln T of the equation, at the stated alpha, less its mean over draws, (n_bands,)."""
+        room = self._both[state].room
+        stated = self.known.equation.time(room, room.absorption_area)
+        return np.asarray(np.log(stated) - self._even(state, self.unknowns)[0].mean(axis=1))
+
+    def _possible(self, ratio: Array) -> Array:
+        """Return ln of ratios of T in which what is only added absorbs, and what only goes did so.
+
+        A longer T that an equation has with a hard piece that stands free is not taken.
+        """
         first, other = (state.room for state in self._both)
         if first.volume == other.volume and first.air == other.air:
             was, becomes = self.areas.sum(axis=2)
@@ -329,27 +345,45 @@ class TimeChange:
         return np.asarray(ratio)
 
     @cached_property
+    def time_before(self) -> Array:
+        """T before in s, (n_bands,): as measured, or else of the equation with uneven absorption.
+
+        A calibrated room, of which no measurement is given, has the equation's T: its coefficients are
+        those with which the equation gave the measured one.
+        """
+        known = self.known
+        if known.measured.all() or is_calibrated(known.room):
+            return known.time
+        uneven = _uneven_before(known, self.assumptions)
+        return np.where(known.measured, known.time, known.time * np.exp(uneven))
+
+    @cached_property
     def by_equation(self) -> dict[str, Array]:
         """T after in s by the equations alone, at the calibrated coefficients, (n_bands,) each.
 
-        T before times the ratio of each. Arau-Puchades' and Fitzroy's stand there where the absorption
-        is uneven, before or after.
+        T before times the ratio of each, where T before was measured. Arau-Puchades' and Fitzroy's
+        stand there where the absorption is uneven, before or after.
         """
-        alpha = np.vstack([self.known.alpha, self.after.alpha[self._new]]).T[:, :, np.newaxis]
+        known = self.known
+        alpha = np.vstack([known.alpha, self.after.alpha[self._new]]).T[:, :, np.newaxis]
         nothing = np.zeros((len(alpha), 1))
-        found: dict[str, Array] = {}
-        for u, name in enumerate((self.known.equation.name, "Arau-Puchades", "Fitzroy")):
-            at = Unknowns(alpha, 0 * alpha, nothing + u, nothing, nothing, nothing > 0)
-            found[name] = self.known.time * np.exp(self.log_ratio(at)[:, 0])
-        own, *uneven = found.values()
+        at = Unknowns(alpha, 0 * alpha, nothing, nothing, nothing, nothing > 0)
+        by_state = []
+        for state in (0, 1):
+            even, air = self._even(state, at)
+            by_state.append(even + self._uneven_terms(state, at, air))
+        given = known.measured | is_calibrated(known.room)
+        change = self._possible(by_state[1] - by_state[0])[:, :, 0]
+        times = np.where(given, known.time * np.exp(change), np.exp(by_state[1][:, :, 0]))
+        own, *uneven = times
         if all(np.abs(t / own - 1).max() < _EVEN for t in uneven):
-            return {self.known.equation.name: own}
-        return found
+            return {known.equation.name: own}
+        return dict(zip((known.equation.name, "Arau-Puchades", "Fitzroy"), times, strict=True))
 
     def log_before(self) -> Array:
-        """Return draws of ln (T before / `KnownRoom.time`), (n_bands, DRAWS): 0 where T was measured.
+        """Return draws of ln (T before / `time_before`), (n_bands, DRAWS): 0 where T was measured.
 
-        Elsewhere T before is the equation's, and every unknown counts: the volume and the areas
+        Elsewhere T before is the models', and every unknown counts: the volume and the areas
         together, and the equation's error of ln T in all states alike.
         """
         assumed, known, room = self.assumptions, self.known, self.known.room
@@ -360,26 +394,32 @@ class TimeChange:
         of_walls = 1 - known.equation.air_share(room, room.absorption_area)
         common = assumed.common * normal_of("equation", DRAWS)
         level = drawn - np.log(known.time)[:, np.newaxis] + of_walls[:, np.newaxis] * sizes + common
-        level -= level.mean(axis=1, keepdims=True)  # so that the mean T before is the equation's
+        level -= level.mean(axis=1, keepdims=True)  # so that the mean is T before
         return np.where(known.measured[:, np.newaxis], 0.0, level)
 
     def log_time(
         self, state: int, unknowns: Unknowns | None = None, bands: slice = slice(None)
     ) -> Array:
         """Return draws of ln T in some bands, (n_bands, n_draws); state 0 is that before."""
-        unknowns, assumed = unknowns or self.unknowns, self.assumptions
+        unknowns = unknowns or self.unknowns
+        even, air = self._even(state, unknowns, bands)
+        return np.asarray(even + self._uneven(state, unknowns, air))
+
+    def _even(
+        self, state: int, unknowns: Unknowns, bands: slice = slice(None)
+    ) -> tuple[Array, Array]:
+        """Return ln T by the equation, and the air's absorption area in m², (n_bands, n_draws) each."""
         room, equation, first = self._both[state].room, self.known.equation, self._both[0].room
         areas = self.areas[state].sum(axis=1)
         total = areas.sum()
-        size = max(first.volume_sigma, room.volume_sigma) or assumed.volume
+        size = max(first.volume_sigma, room.volume_sigma) or self.assumptions.volume
         grown = np.exp(size * unknowns.volume)
         volume = first.volume + (room.volume - first.volume) * grown
         error = np.exp(self._air_sigma[bands, np.newaxis] * unknowns.air)
         air = 4 * room.air_attenuation[bands, np.newaxis] * error * volume
         mean = np.einsum("n,knd->kd", areas, unknowns.absorption) / total
         walls = total * self._exponent(mean)
-        log_time = np.log(equation.room_constant(room) * volume / (walls + air))
-        return np.asarray(log_time + self._uneven(state, unknowns, air))
+        return np.log(equation.room_constant(room) * volume / (walls + air)), air
 
     @cached_property
     def _air_sigma(self) -> Array:
@@ -394,13 +434,22 @@ class TimeChange:
         return found
 
     def _uneven(self, state: int, unknowns: Unknowns, air: Array) -> Array:
-        """Return what uneven absorption adds to ln T of a state, (n_bands, DRAWS)."""
-        areas, absorbed = self._by_axis(state, unknowns.absorption)
-        found = self._added(areas, absorbed, air, unknowns.evenness)
+        """Return what uneven absorption adds to ln T of a state, (n_bands, n_draws).
+
+        u leads through the equations by the T that they give, the shortest first.
+        """
+        low, middle, high = np.sort(self._uneven_terms(state, unknowns, air), axis=0)
+        u = unknowns.evenness
+        return np.asarray(
+            low + np.minimum(u, 1.0) * (middle - low) + np.maximum(u - 1.0, 0.0) * (high - middle)
+        )
+
+    def _uneven_terms(self, state: int, unknowns: Unknowns, air: Array) -> Array:
+        """Return what each equation adds to the even one's ln T of a state, (3, n_bands, n_draws)."""
+        found = self._added(*self._by_axis(state, unknowns.absorption), air)
         if self.is_placed or not unknowns.alone.any():
             return found
-        areas, absorbed = self._on_one_axis(state, unknowns.absorption)
-        alone = self._added(areas, absorbed, air, unknowns.evenness)
+        alone = self._added(*self._on_one_axis(state, unknowns.absorption), air)
         return np.where(unknowns.alone, alone, found)
 
     def _exponent(self, mean: Array) -> Array:
@@ -408,8 +457,8 @@ class TimeChange:
         most = _LARGEST * min(self.known.equation.largest_mean, 1.0)
         return self.known.equation.exponent(np.minimum(mean, most))
 
-    def _added(self, areas: Array, absorbed: Array, air: Array, u: Array) -> Array:
-        """Return what uneven absorption adds to ln T: u of the way to Arau-Puchades, on to Fitzroy.
+    def _added(self, areas: Array, absorbed: Array, air: Array) -> Array:
+        """Return 0, and what Arau-Puchades' and Fitzroy's equations add to ln T, (3, n_bands, n_draws).
 
         Each axis has the T of the calibration's equation; with Eyring's they are those of
         `ArauPuchades` and `Fitzroy`.
@@ -419,7 +468,7 @@ class TimeChange:
         areas : array (n_axes,)
         absorbed : array (n_bands, n_axes, n_draws)
             Absorption area of the walls of each axis.
-        air, u : array (n_bands, n_draws)
+        air : array (n_bands, n_draws)
         """
         total = areas.sum()
         share = areas / total
@@ -428,7 +477,7 @@ class TimeChange:
         even = np.log(total * self._exponent(absorbed.sum(axis=1) / total) + air)
         arau = even - np.einsum("a,kad->kd", share, np.log(axes))
         fitzroy = even + np.log(np.einsum("a,kad->kd", share, 1 / axes))
-        return np.asarray(np.minimum(u, 1.0) * arau + np.maximum(u - 1.0, 0.0) * (fitzroy - arau))
+        return np.stack([np.zeros_like(even), arau, fitzroy])
 
     def _by_axis(self, state: int, absorption: Array) -> tuple[Array, Array]:
         """Return areas (n_axes,) and absorption (n_bands, n_axes, DRAWS) of the axes in m².
@@ -485,6 +534,15 @@ def _drawn_before(known: KnownRoom, assumptions: Assumptions) -> Unknowns:
 def _log_time_before(known: KnownRoom, assumptions: Assumptions) -> Array:
     """Return draws of ln T before, (n_bands, DRAWS), where the directions of the exchange are known."""
     return TimeChange(known, _before(known), assumptions).log_time(0)
+
+
+@functools.lru_cache(4)
+def _uneven_before(known: KnownRoom, assumptions: Assumptions) -> Array:
+    """Return the mean of what uneven absorption adds to ln T before, (n_bands,)."""
+    same = TimeChange(known, _before(known), assumptions)
+    unknowns = same.unknowns
+    _, air = same._even(0, unknowns)
+    return np.asarray(same._uneven(0, unknowns, air).mean(axis=1))
 
 
 def _draws(

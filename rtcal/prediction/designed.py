@@ -654,7 +654,7 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
     """
     model = model.in_order[0]
     labels, target = bands.labels(model.before.centre_frequencies), model.target
-    said = [f"No areas of these treatments are in range with probability {probability:g}."]
+    too_short = _already_short(model)
     if any(t.unit is not None for t in model.treatments):
         free = replace(model, treatments=tuple(replace(t, unit=None) for t in model.treatments))
         if (found := _cheapest(free, probability)) is not None:
@@ -664,23 +664,59 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
             )
             return [
                 f"No whole panels are in range with probability {probability:g}.",
-                f"Panels that may be cut would be, at a cost of {found.cost:.0f}: {areas}.",
+                f"Panels that may be cut would be: {areas}. {_price(model, found.areas)}.",
             ]
     at = model.most_probable
     each = [
         f"{labels[k]} {p:.2f}" for k, p in enumerate(model.probability(at)) if target.bounded[k]
     ]
-    said.append(
-        f"With the areas whose least probable band is most probable, at a cost of "
-        f"{model.prices @ at:.0f}, the probabilities are: {', '.join(each)}."
-    )
+    said = [
+        f"No areas of these treatments are in range with probability {probability:g}.",
+        *too_short,
+        "With the areas whose least probable band is most probable, the probabilities are: "
+        f"{', '.join(each)}. {_price(model, at)}.",
+    ]
     wider = model.widening(probability)
     if wider is None:
         said.append("No range about this one is met.")
     else:
-        said.append(f"A range wider by {100 * (wider - 1):.0f} % at both ends is met.")
+        percent = 100 * (wider - 1)
+        by = f"{percent:.0f} %" if percent >= 1 else "less than 1 %"
+        said.append(f"A range wider by {by} at both ends is met.")
     parts = model.prediction(at).parts
     said.append(
         f"To narrow the interval, {words.advice(next(iter(parts)), model.known.n_measured)}."
     )
     return said
+
+
+def _price(model: DesignModel, areas: Array) -> str:
+    """Return the cost of areas in m², (n_treatments,), also if cut panels are bought whole."""
+    units = np.array([np.nan if t.unit is None else t.unit for t in model.treatments])
+    panels = np.ceil(areas / units - _ROUNDING) * units
+    bought = float(model.prices @ np.where(np.isnan(units), areas, panels))
+    cost = float(model.prices @ areas)
+    said = f"The cost is {cost:.0f}"
+    if bought > cost * (1 + _ROUNDING):
+        said += f" where a cut panel is paid by its area, and {bought:.0f} where it is paid whole"
+    return said
+
+
+def _already_short(model: DesignModel) -> list[str]:
+    """Return that T is below the range, and no treatment lengthens it; [] where that is not so."""
+    before = model.prediction(np.zeros(len(model.treatments))).mean
+    longest = np.max(
+        [model.prediction(row).mean for row in np.diag([t.largest for t in model.treatments])],
+        axis=0,
+    )
+    short = (before < model.target.low) & (longest <= before)
+    if not short.any():
+        return []
+    labels = bands.labels(model.before.centre_frequencies)
+    each = [
+        f"{before[k]:.2f} s at {labels[k]} (from {model.target.low[k]:.2f} s)"
+        for k in np.flatnonzero(short).tolist()
+    ]
+    return [
+        f"T is already too short for this target, and these treatments shorten it: {', '.join(each)}."
+    ]

@@ -103,11 +103,6 @@ class Prediction(TimeChange, Result):
         return np.asarray(given + self.log_before())
 
     @property
-    def time_before(self) -> Array:
-        """T before in s, (n_bands,): of the calibrated room, which an exact match has as measured."""
-        return self.known.time
-
-    @property
     def before_is(self) -> str:
         """The kind of T before: "measured", "calibrated model" or "stated coefficients".
 
@@ -254,9 +249,11 @@ class Prediction(TimeChange, Result):
         if not self.is_placed:
             said.append(words.UNPLACED)
         elif len(self.by_equation) > 1:
-            own, (low, high, _) = next(iter(self.by_equation)), self.by_equation.values()
-            k = int(np.argmax(np.abs(high / low - 1)))
-            said.append(words.uneven(labels[k], own, float(low[k]), float(high[k])))
+            own, arau, _ = self.by_equation.values()
+            k = int(np.argmax(np.abs(arau / own - 1)))
+            two = dict(zip(self.by_equation, (float(own[k]), float(arau[k])), strict=False))
+            low, high = self.interval
+            said.append(words.uneven(labels[k], two, (float(low[k]), float(high[k]))))
         if known.measured.any():
             said.append(words.gained(self.uncalibrated.half_width, self.half_width))
         said.append(words.to_narrow(self.parts, known.n_measured))

@@ -91,12 +91,21 @@ def not_measured(labels: Sequence[str]) -> str:
     )
 
 
-def uneven(label: str, own: str, low: float, high: float) -> str:
-    """Return what two equations have for T after in s, where the absorption is uneven."""
+def uneven(label: str, times: Mapping[str, float], interval: tuple[float, float]) -> str:
+    """Return what two equations have for T after in s, where the absorption is uneven.
+
+    ``times`` has the equation's T, and Arau-Puchades'; ``interval`` the ends of the 90 % interval.
+    """
+    (own, even), (_, of_axes) = times.items()
+    low, high = interval
+    outside = [f"{t:.2f} s" for t in times.values() if not low <= t <= high]
+    allowed = f"leaves out {' and '.join(outside)}" if outside else "allows for both"
+    why = "The less the surfaces scatter, the longer is T"
+    if of_axes < even:
+        why = "Arau-Puchades' is the shorter where one pair of walls absorbs nearly all"
     return (
-        f"The absorption is uneven: at {label} T after is {low:.2f} s by {own}'s equation and "
-        f"{high:.2f} s by Arau-Puchades'. The less the surfaces scatter, the longer is T, and the "
-        "interval allows for both."
+        f"The absorption is uneven: at {label} T after is {even:.2f} s by {own}'s equation and "
+        f"{of_axes:.2f} s by Arau-Puchades'. {why}, and the interval {allowed}."
     )
 
 

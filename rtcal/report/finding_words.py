@@ -559,6 +559,8 @@ _ANSWERS = {"means": _of_means, "positions": _at_positions, "states": _of_states
 def cautions(f: Finding) -> list[str]:
     """Return reasons to doubt the answer, and likely typing errors in what was read."""
     room, off = f.case.room, f.coefficients
+    typed = [error.sentence for error in marks.in_room(room)]
+    typed += [doubt for measured in _measurements(f) for doubt in unusual(measured)]
     said = [str(reason) for reason in f.reasons if reason is not f.leading]
     if f.kind == "positions":
         said = [*without_place(f.case.measured, f.case.simulator.pairs), *said]
@@ -566,15 +568,12 @@ def cautions(f: Finding) -> list[str]:
         said.append(f"A change of the climate explains a part of it ({percent(f.climate)}).")
     if off is not None and f.best_effect != COEFFICIENTS:
         said.append(f"The input coefficients may be off in common ({percent(off.probability)}).")
-    mistyped = [doubt for measured in _measurements(f) for doubt in unusual(measured)]
-    mistyped += [error.sentence for error in marks.in_room(room)]
-    said += map(as_sentence, dict.fromkeys(mistyped))
     if f.kind == "positions" and abs(f.score - f.threshold) < BY_SEED:
         said.append(
             "The odds are near the required ones. They vary with the simulator's random numbers by a "
             f"factor of {np.exp(BY_SEED):.1f}: search with another --seed as well."
         )
-    return said
+    return [*map(as_sentence, dict.fromkeys(typed)), *said]
 
 
 def _measurements(f: Finding) -> list[Measurement]:

@@ -24,6 +24,7 @@ from rtcal.report.document import (
 )
 from rtcal.support import __version__
 from rtcal.support.blocks import Note
+from rtcal.support.text import as_sentence
 
 _STATUS_IN_WORDS = {
     "converged": "came within the goal",
@@ -75,12 +76,7 @@ def _summary(loop: Loop) -> list[str]:
     """Return the loop as a few sentences."""
     f, first = loop.prior.centre_frequencies, gap_jnd(loop.ends[0].simulated, loop.wanted)
     n = loop.simulations
-    said = [
-        f"Likely a typing error at {mark.frequency:g} Hz: {mark.text}. Check this value before "
-        "anything else."
-        for mark in loop.trust_marks
-        if "typing_error" in mark.kind
-    ]
+    said = [as_sentence(mark.sentence) for mark in loop.trust_marks if "typing_error" in mark.kind]
     said.append(
         f"{loop.simulator or 'A simulator'} was run {n} time{'s' * (n != 1)}, and after each run the "
         f"absorption coefficients were changed so that {loop.matched.label} comes nearer to what "
