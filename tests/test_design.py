@@ -285,14 +285,6 @@ def test_a_range_is_widened_to_100_s_at_most() -> None:
     assert Target([50.0], [90.0]).widened(2).high == 100
 
 
-def test_a_room_that_was_calibrated_on_the_data_is_not_designed_with_them() -> None:
-    room = a_room()
-    t = 1.1 * rt.Eyring().reverberation_time(room)
-    calibrated = rt.calibrate(room, t).room
-    with pytest.raises(DataError, match='"classroom" was already calibrated on these data'):
-        design(rt.calibrate(calibrated, t), TREATMENTS, TARGET)
-
-
 def a_seminar_room() -> tuple[rt.CalibrationResult, Treatment, Target]:
     """CR2 with one panel and a largest T alone: the mean of A has no upper end."""
     result = rt.calibrate(*rt.datasets.bras_cr2())

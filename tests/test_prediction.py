@@ -206,18 +206,6 @@ def test_the_order_of_materials_changes_and_bands_moves_nothing(named: bool) -> 
     assert alone.mean == pytest.approx(one.mean[1:2], rel=0.01)  # T without an uncertainty
 
 
-def test_a_change_that_is_undone_is_consistent() -> None:
-    """T falls by what it rises by, within the intervals of both."""
-    for seed in range(4):
-        found = calibrated(seed)
-        there = found.predict(Change(cover="ceiling", by=PANEL, area=6))
-        treated = rt.calibrate(there.after.replace(dimensions=found.prior.dimensions), there.mean)
-        back = treated.predict(Change(cover="panel", by="ceiling"))
-        low, high = back.interval
-        assert ((low < there.time_before) & (there.time_before < high)).all()
-        assert back.mean == pytest.approx(there.time_before, rel=0.12)
-
-
 def test_the_change_is_the_equations_where_all_is_known(result) -> None:
     sure = Assumptions(volume=0, areas=0, factor=0, least=0, evenness=0, evenness_sigma=0)
     exact = rt.calibrate(

@@ -192,7 +192,7 @@ def _with_doubts(numbers: Numbers, beyond: Sequence[Unreachable]) -> list[str]:
     first: list[str] = []
     for room, times in zip(numbers.rooms, numbers.time, strict=True):
         stated = where_valid(numbers.equation.time, room, room.absorption_area)
-        typed = [*of_unit(times, stated), *of_areas(room)]
+        typed = [*of_areas(room), *of_unit(times, stated)]
         first += [f"{mark.text}: {mark.advice}" for mark in typed]
     doubts = [doubt.text for room in numbers.rooms if (doubt := surface_doubt(room)) is not None]
     return [*first, *map(str, beyond), *doubts]

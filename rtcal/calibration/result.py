@@ -730,9 +730,9 @@ class CalibrationResult(Result):
         if likely is not None:
             uneven = uneven or uneven_marks(likely, facing(likely))
         return (
+            *in_room(self.prior),
             *of_unit(self.measured, self.reverberation_time_before),
             *self.measured_data.mistyped,
-            *in_room(self.prior),
             *uneven,
             *trust_marks(
                 self.prior,

@@ -336,7 +336,9 @@ def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
         first, more = typed[0], ""
         at = "" if first.frequency is None else f" at {first.frequency:g} Hz"
         if typed[1:]:
-            more = f" Another {len(typed) - 1} such values are listed below."
+            more = (
+                f" {len(typed) - 1} more of this kind {'are' if typed[2:] else 'is'} listed below."
+            )
         what = "Every coefficient" if first.frequency is None else "Every coefficient of its band"
         return CalibrationVerdict(
             "contradicts",
