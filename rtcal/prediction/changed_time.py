@@ -318,17 +318,25 @@ class TimeChange:
             before = _log_time_before(self.known, self.assumptions)
         else:
             before = self.log_time(0, unknowns)
-        change = self.log_time(1, unknowns) - before
+        after = self.log_time(1, unknowns)
+        change = after - before
         if unknowns is None and not self.known.measured.all():
-            first, other = (self._off_centre(state)[:, np.newaxis] for state in (0, 1))
-            change += np.where(self.known.measured[:, np.newaxis], 0.0, other - first)
+            off = self._central(1) - after.mean(axis=1) - self._central(0) + before.mean(axis=1)
+            change += np.where(self.known.measured, 0.0, off)[:, np.newaxis]
         return self._possible(change)
 
-    def _off_centre(self, state: int) -> Array:
-        """Return ln T of the equation, at the stated alpha, less its mean over draws, (n_bands,)."""
-        room = self._both[state].room
-        stated = self.known.equation.time(room, room.absorption_area)
-        return np.asarray(np.log(stated) - self._even(state, self.unknowns)[0].mean(axis=1))
+    def _central(self, state: int) -> Array:
+        """Return ln T of a state at the calibrated or stated alpha, (n_bands,): its mean over u."""
+        drawn = self.unknowns
+        at = replace(self._known_alpha, evenness=drawn.evenness, alone=drawn.alone)
+        return np.asarray(self.log_time(state, at).mean(axis=1))
+
+    @cached_property
+    def _known_alpha(self) -> Unknowns:
+        """Unknowns with the calibrated or stated alpha, and no error of anything else."""
+        alpha = np.vstack([self.known.alpha, self.after.alpha[self._new]]).T[:, :, np.newaxis]
+        nothing = np.zeros((len(alpha), 1))
+        return Unknowns(alpha, 0 * alpha, nothing, nothing, nothing, nothing > 0)
 
     def _possible(self, ratio: Array) -> Array:
         """Return ln of ratios of T in which what is only added absorbs, and what only goes did so.
@@ -354,8 +362,8 @@ class TimeChange:
         known = self.known
         if known.measured.all() or is_calibrated(known.room):
             return known.time
-        uneven = _uneven_before(known, self.assumptions)
-        return np.where(known.measured, known.time, known.time * np.exp(uneven))
+        by_models = _central_before(known, self.assumptions)
+        return np.where(known.measured, known.time, np.exp(by_models))
 
     @cached_property
     def by_equation(self) -> dict[str, Array]:
@@ -364,10 +372,7 @@ class TimeChange:
         T before times the ratio of each, where T before was measured. Arau-Puchades' and Fitzroy's
         stand there where the absorption is uneven, before or after.
         """
-        known = self.known
-        alpha = np.vstack([known.alpha, self.after.alpha[self._new]]).T[:, :, np.newaxis]
-        nothing = np.zeros((len(alpha), 1))
-        at = Unknowns(alpha, 0 * alpha, nothing, nothing, nothing, nothing > 0)
+        known, at = self.known, self._known_alpha
         by_state = []
         for state in (0, 1):
             even, air = self._even(state, at)
@@ -537,12 +542,9 @@ def _log_time_before(known: KnownRoom, assumptions: Assumptions) -> Array:
 
 
 @functools.lru_cache(4)
-def _uneven_before(known: KnownRoom, assumptions: Assumptions) -> Array:
-    """Return the mean of what uneven absorption adds to ln T before, (n_bands,)."""
-    same = TimeChange(known, _before(known), assumptions)
-    unknowns = same.unknowns
-    _, air = same._even(0, unknowns)
-    return np.asarray(same._uneven(0, unknowns, air).mean(axis=1))
+def _central_before(known: KnownRoom, assumptions: Assumptions) -> Array:
+    """Return ln T before of the models, (n_bands,)."""
+    return TimeChange(known, _before(known), assumptions)._central(0)
 
 
 def _draws(
