@@ -329,7 +329,7 @@ def example(name: str, out: Path | None) -> None:
     tell("", {"commands": list(project.commands)}, "\n".join(lines))
 
 
-_FIGURES = 5
+_FIGURES = 3
 
 
 @click.command(short_help="Write a saved result as one HTML page.")

@@ -10,7 +10,7 @@ import io
 import os
 import textwrap
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from string import ascii_uppercase
 from typing import TYPE_CHECKING, Any
@@ -253,127 +253,6 @@ def coefficients(result: CalibrationResult) -> Any:
     return figure
 
 
-_STACK = (
-    ("#0072B2", ""),
-    ("#E69F00", "//"),
-    ("#009E73", ".."),
-    ("#CC79A7", "xx"),
-    ("#56B4E9", "\\\\"),
-    ("#D55E00", "++"),
-    ("#F0E442", "--"),
-)
-"""Colours and hatches of bars that stand on each other."""
-
-
-def _stacked(frequencies: Array, shares: Iterable[tuple[str, Array]], label: str) -> Any:
-    """Return figure and axes of shares in % by band, the first at the bottom; the last is white."""
-    named = list(shares)
-    figure, axes = new_figure(6.4, 4.4)
-    at = band_places(axes, frequencies)
-    below = np.zeros(len(at))
-    styles = [*_STACK[: len(named) - 1], ("#FFFFFF", "")] if len(named) > 1 else _STACK
-    for (name, part), (colour, hatch) in zip(named, styles, strict=False):
-        style = {"facecolor": colour, "hatch": hatch, "edgecolor": BLACK, "linewidth": 0.6}
-        axes.bar(at, part, 0.75, bottom=below, **style, label=shown(name, 26))
-        below = below + part
-    axes.set_ylabel(f"{label} / %")
-    axes.set_ylim(0, 100)
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles[::-1], labels[::-1], loc="outside right upper", fontsize=9)
-    return figure, axes
-
-
-def shares(result: CalibrationResult) -> Any:
-    """Return the figure of each material's share of the calibrated absorption by band, in %.
-
-    It includes effects and the air. The smallest materials are one part.
-    """
-    names, parts = absorption_shares(result, len(_STACK))
-    every = zip(names, parts, strict=True)
-    figure, axes = _stacked(result.prior.centre_frequencies, every, "Share of the absorption")
-    axes.set_title("Share of absorption by material, after calibration")
-    return figure
-
-
-def absorption_shares(calibration: CalibrationResult, most: int) -> tuple[list[str], Array]:
-    """Return names and shares in %, (n_names, n_bands), of materials, effects and, last, the air.
-
-    There are at most ``most`` names beside the air, so the smallest materials are one part.
-    """
-    area = calibration.prior.areas[:, np.newaxis] * calibration.alpha
-    order = np.argsort(-area.sum(axis=1), kind="stable")
-    effects = bool(np.any(calibration.added_absorption))
-    single = len(order) if len(order) + effects <= most else most - 1 - effects
-    names = [calibration.prior.materials[i] for i in order[:single]]
-    parts = [area[i] for i in order[:single]]
-    if single < len(order):
-        names.append(f"{len(order) - single} other materials")
-        parts.append(area[order[single:]].sum(axis=0))
-    if effects:
-        names.append("effects: " + ", ".join(calibration.effects))
-        parts.append(calibration.added_absorption)
-    surfaces = np.sum(parts, axis=0)
-    of_surfaces = 100 * (1 - calibration.air_share) / np.where(surfaces > 0, surfaces, 1.0)
-    return [*names, "air"], np.array(
-        [*(p * of_surfaces for p in parts), 100 * calibration.air_share]
-    )
-
-
-def plane_of(
-    result: CalibrationResult,
-    pair: tuple[str, str] | None = None,
-    frequency: float | None = None,
-) -> Any:
-    """Return the figure of a calibration in the plane of two of its materials; see `plane`.
-
-    The other materials keep their calibrated coefficients. By default the plane has the two materials
-    with the largest S sigma, which a calibration changes most, in the band with the largest gap.
-
-    Raises
-    ------
-    DataError
-        For a material or a band that the room lacks, a band that was not matched, or a room of one
-        material.
-    """
-    if len(result.prior.materials) < 2:
-        raise DataError("a plane takes two materials; the room has one")
-    k = _band(result, frequency)
-    if pair is None:
-        weight = result.prior.areas * result.prior.sigma[:, k]
-        rows = np.sort(np.argsort(-weight, kind="stable")[:2])
-    else:
-        rows = np.array([result.prior.material_index(name) for name in pair])
-        if rows[0] == rows[1]:
-            raise DataError(f'a plane takes two materials, not "{pair[0]}" twice')
-    others = np.delete(np.arange(len(result.prior.areas)), rows)
-    left = result.target[k] - result.added_absorption[k]
-    left -= result.prior.areas[others] @ result.alpha[others, k]
-    names = result.prior.materials[rows[0]], result.prior.materials[rows[1]]
-    correlated = result.prior.material_correlation
-    correlation = next((v for both, v in correlated.items() if {*both} == {*names}), 0.0)
-    fixed = f", the {len(others)} others as calibrated" if len(others) else ""
-    return plane(
-        result.prior.alpha[rows, k],
-        result.prior.sigma[rows, k],
-        result.prior.areas[rows],
-        float(left),
-        result.alpha[rows, k],
-        names=names,
-        correlation=correlation,
-        title=f"{result.prior.centre_frequencies[k]:g} Hz{fixed}",
-    )
-
-
-def _band(result: CalibrationResult, frequency: float | None) -> int:
-    """Index of the matched band at ``frequency``; for None, of that with the largest gap before."""
-    wanted = result.prior.centre_frequencies == frequency
-    known = result.matched if frequency is None else result.matched & wanted
-    if not known.any():
-        place = "no band" if frequency is None else f"{frequency:g} Hz is no band of the room that"
-        raise DataError(f"{place} was matched, so there is no plane to show")
-    return int(np.argmax(np.where(known, np.abs(np.nan_to_num(result.gap_before)), -1.0)))
-
-
 def plane(
     mu: Array,
     sigma: Array,
@@ -511,7 +390,6 @@ def path(loop: Loop) -> Any:
 
 
 _VARIANTS = ((ORANGE, "o"), (BLUE, "s"), (GREEN, "^"), ("#CC79A7", "D"), ("#E69F00", "v"))
-_MOST_PARTS = 6
 
 
 def predicted_times(
@@ -547,25 +425,6 @@ def predicted_times(
         ends = np.maximum([mean - low, high - mean], 0.0)  # rounding, where nothing changes
         axes.errorbar(moved, mean, yerr=ends, **style, label=shown(name))
     _times_axes(axes, frequencies, "T", top)
-    return figure
-
-
-def parts(frequencies: Array, of_variance: Mapping[str, Array]) -> Any:
-    """Return the parts of a variance (n_bands,) as bars that stand on each other, the largest below."""
-    named = [(name, 100 * share) for name, share in of_variance.items()]
-    rest = named[_MOST_PARTS:]
-    others = [("the rest", np.sum([share for _, share in rest], axis=0))] if rest else []
-    return _stacked(frequencies, named[:_MOST_PARTS] + others, "Share of the variance")[0]
-
-
-def states(finding: Finding) -> Any:
-    """Return T(f) before and after a change."""
-    k = finding.case.known
-    f, (before, after) = finding.case.room.centre_frequencies[k], finding.case.times[:, k]
-    figure, axes = new_figure()
-    axes.plot(f, before, color=BLACK, linestyle="--", marker=".", label="before")
-    axes.plot(f, after, color=ORANGE, marker="o", label="after")
-    _times_axes(axes, f, "T", 1.1 * float(max(before.max(), after.max())))
     return figure
 
 

@@ -105,6 +105,7 @@ def blocks(result: CalibrationResult) -> list[Any]:
             "By band",
             note=table.SIGNS,
         ),
+        _shares(result, rows),
         Section("Pictures", "pictures"),
         SideBySide([[p] for p in _pictures(result)], "pictures"),
         Section("What was assumed", "assumed"),
@@ -156,35 +157,37 @@ def _gap(result: CalibrationResult) -> Picture:
 
 
 def _pictures(result: CalibrationResult) -> list[Picture]:
-    pictures = [
+    alike = "Where the two intervals are alike, the measurement does not determine the material."
+    return [
         Picture(
             lambda: figures.reverberation_time(result),
             "Reverberation time by band, with the band of one JND around the measured one.",
         ),
-        Picture(
-            lambda: figures.shares(result),
-            "Share of absorption by material after calibration.",
-        ),
-    ]
-    if len(result.prior.materials) > 1 and result.matched.any():
-        pictures.append(
-            Picture(
-                lambda: figures.plane_of(result),
-                "The step that the calibration takes, shown for two materials: from the "
-                "input to the calibrated coefficients. The line has all coefficients that give the "
-                "measured reverberation time.",
-                tall=True,
-            )
-        )
-    alike = "Where the two intervals are alike, the measurement does not determine the material."
-    return [
-        *pictures,
         Picture(
             lambda: figures.coefficients(result),
             f"Absorption coefficients before and after, with 90 % intervals. {alike}",
             tall=True,
         ),
     ]
+
+
+def _shares(result: CalibrationResult, rows: list[int]) -> Table:
+    """Return the shares of materials (of which a page shows some), effects and air by band, in %."""
+    names = [*result.prior.materials]
+    parts = [*result.prior.areas[:, np.newaxis] * result.alpha]
+    if np.any(result.added_absorption):
+        names.append("effects: " + ", ".join(result.effects))
+        parts.append(result.added_absorption)
+    surfaces = np.sum(parts, axis=0)
+    of_surfaces = (1 - result.air_share) / np.where(surfaces > 0, surfaces, 1.0)
+    shares = [*(part * of_surfaces for part in parts), result.air_share]
+    return Table(
+        bands.labels(result.prior.centre_frequencies),
+        [Row(n, 100 * s, ".0f", s) for n, s in zip([*names, "air"], shares, strict=True)],
+        "Share of absorption by material after calibration / %",
+        "Material",
+        most=[*rows, *range(len(result.prior.materials), len(shares))],
+    )
 
 
 def _of_intervals(result: CalibrationResult) -> str:

@@ -46,7 +46,7 @@ PAGE = "report.html"
 _FIGURES = {
     "means": ("reverberation_time", "shifts"),
     "positions": ("plan", "gap"),
-    "states": ("change", "states"),
+    "states": ("change",),
 }
 WRITTEN = (NUMBERS, PAGE, *(f"{name}.png" for names in _FIGURES.values() for name in names))
 """The files of a finding, each kind some of them."""
@@ -307,11 +307,6 @@ def pictures(
             lambda: figures.change(finding),
             "Change of the absorption area with its 90 % interval, if it changed.",
             name="change",
-        ),
-        Picture(
-            lambda: figures.states(finding),
-            "T by band, mean over the pairs that both states have.",
-            name="states",
         ),
     ]
 

@@ -8,7 +8,6 @@ from rtcal.acoustics import bands
 from rtcal.loop.predicted import PositionsPrediction
 from rtcal.prediction.designed import Design
 from rtcal.prediction.predicted import Prediction, Predictions
-from rtcal.prediction.words import Shown
 from rtcal.report import figures
 from rtcal.report.document import Items, Page, Picture, Section, tables
 from rtcal.support import __version__
@@ -35,8 +34,8 @@ def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Pag
         f"{shown[0].name} by band: before (dashed), and of each variant with its 90 % interval"
     )
 
-    def of(variant: Any, made: Shown) -> list[Any]:
-        """Return what a prediction prints below its title, and the figure of its interval's parts."""
+    def of(variant: Any) -> list[Any]:
+        """Return what a prediction prints below its title."""
         blocks = variant.blocks()[1:]
         if isinstance(result, Design):  # which has said the rest
             blocks = [*tables(blocks)][1:]
@@ -46,11 +45,6 @@ def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Pag
             Section(variant.name, ""),
             Items(list(map(str, variant.changes))),
             *blocks,
-            Picture(
-                lambda: figures.parts(f, dict(made.parts)),
-                f"What the interval is made of: shares of the variance of {made.of}, the largest at "
-                "the bottom.",
-            ),
         ]
 
     return Page(
@@ -65,7 +59,7 @@ def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Pag
                 f"{caption}{'.' if target is None else '; grey: the target.'}",
             ),
             *beside,
-            *(block for each in zip(variants, shown, strict=True) for block in of(*each)),
+            *(block for variant in variants for block in of(variant)),
             Section("What was assumed", "assumed"),
             *(Items(b) if isinstance(b, list) else b for b in variants[0].assumed),
             Note(f"rtcal {__version__}."),

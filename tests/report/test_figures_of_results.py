@@ -11,7 +11,9 @@ from scipy import stats
 import rtcal as rt
 from rtcal.report import (
     figures,
+    of_calibration,
 )
+from rtcal.report.document import tables
 from rtcal.support.errors import DataError
 
 
@@ -24,8 +26,6 @@ def test_axes_have_units(result, loop) -> None:
         figures.reverberation_time(result),
         figures.gap(result),
         figures.coefficients(result),
-        figures.shares(result),
-        figures.plane_of(result),
         figures.path(loop),
     ]
     for figure in every:
@@ -68,37 +68,12 @@ def test_intervals_without_an_exact_posterior_are_the_linear_estimates() -> None
 
 
 def test_shares_add_up_and_are_the_areas(result) -> None:
-    names, parts = figures.absorption_shares(result, 7)
-    np.testing.assert_allclose(parts.sum(axis=0), 100, rtol=1e-12)
-    assert names[-1] == "air"
-    np.testing.assert_allclose(parts[-1], 100 * result.air_share, rtol=1e-12)
-    own = parts[names.index("windows")] / parts[names.index("floor")]
+    shares = next(t for t in tables(of_calibration.page(result).blocks) if "Share of" in t.title)
+    parts = {row.name: row.values for row in shares.rows}
+    np.testing.assert_allclose(sum(parts.values()), 100, rtol=1e-12)
+    np.testing.assert_allclose(parts["air"], 100 * result.air_share, rtol=1e-12)
     area = result.prior.areas[:, np.newaxis] * result.alpha
-    np.testing.assert_allclose(own, area[2] / area[3], rtol=1e-12)
-    names, parts = figures.absorption_shares(result, 3)
-    assert names[2:] == ["3 other materials", "air"]
-    np.testing.assert_allclose(parts.sum(axis=0), 100, rtol=1e-12)
-
-
-def test_plane_of_two_materials(result) -> None:
-    axes = figures.plane_of(result, ("floor", "windows"), 500).axes[0]
-    x, y = line(axes, "gives the measured T").get_data()
-    k, rows = 2, [3, 2]
-    rest = np.delete(np.arange(5), rows)
-    left = result.target[k] - result.prior.areas[rest] @ result.alpha[rest, k]
-    np.testing.assert_allclose(result.prior.areas[rows] @ np.array([x, y]), left, rtol=1e-9)
-    point = [v[0] for v in line(axes, "calibrated").get_data()]
-    assert point == pytest.approx(result.alpha[rows, k].tolist())
-    ellipse = np.array(line(axes, "prior, 2 σ").get_data()) - result.prior.alpha[rows, k][:, None]
-    distance = np.linalg.norm(ellipse / result.prior.sigma[rows, k][:, None], axis=0)
-    np.testing.assert_allclose(distance, 2, rtol=1e-12)
-    for pair, frequency, said in (
-        (("floor", "roof"), None, "roof"),
-        (("floor",) * 2, None, "twice"),
-        (None, 501, "501 Hz is no band"),
-    ):
-        with pytest.raises(DataError, match=said):
-            figures.plane_of(result, pair, frequency)
+    np.testing.assert_allclose(parts["windows"] / parts["floor"], area[2] / area[3], rtol=1e-12)
 
 
 def test_the_papers_plane() -> None:

@@ -110,6 +110,3 @@ def test_the_interval_is_drawn_where_it_is(result) -> None:
     ends = np.array(segments.get_segments())[:, :, 1]
     assert ends[:, 0] == pytest.approx(low)
     assert ends[:, 1] == pytest.approx(high)
-    shares = figures.parts(f, variant.parts).axes[0]
-    tops = [p.get_y() + p.get_height() for p in shares.patches]
-    assert max(tops) == pytest.approx(100)
