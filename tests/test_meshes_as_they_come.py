@@ -569,6 +569,10 @@ def test_objects_of_3mf_and_layers_of_a_ply_are_materials(tmp_path: Path) -> Non
     done = mesh.room(path)
     assert done.volume == pytest.approx(60)
     assert set(done.areas) == {"layer 0", "layer 1", "layer 2"}
+    groups = b"material_index\nelement material 3\nproperty list uchar uchar name\n"
+    names = b"3 111 97 107\n3 102 105 114\n4 98 101 101 99\n"
+    path.write_bytes(PLY_OF_I_SIMPA.replace(b"layer_id\n", groups) + names)
+    assert set(mesh.room(path).areas) == {"oak", "fir", "beec"}
 
 
 HEAD = b"0\nSECTION\n2\nENTITIES\n"

@@ -1,7 +1,7 @@
 """Meshes of every format as `rtcal.io.mend.Faces`: what is drawn, with the names of its materials.
 
-A format is one reader, which returns what a file draws in its own unit: OBJ and 3MF by own code, DXF
-by ezdxf, COLLADA (.dae), which SketchUp writes, by pycollada, PLY by plyfile, STL, OFF and glTF by
+A format is one reader, which returns what a file draws in its own unit: OBJ, OFF and 3MF by own code,
+DXF by ezdxf, COLLADA (.dae), which SketchUp writes, by pycollada, PLY by plyfile, STL and glTF by
 trimesh (all ``rtcal[mesh]``). trimesh reads COLLADA, too, but not the materials' names. A mesh
 without materials, such as STL, has one, named after its file. Objects of 3MF, which have names and no
 materials, are materials. Of DXF (text) 3D faces, polyface and polygon meshes and meshes are read; the
@@ -31,7 +31,7 @@ import numpy as np
 from rtcal.files.disk import read_bytes
 from rtcal.io import budget, ifc, obj, units
 from rtcal.io.mend import WELD, Faces, Mended, MeshError, mended
-from rtcal.io.text import decode, number, shown
+from rtcal.io.text import decode, lines, number, shown
 from rtcal.support import checks, library
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError, MissingDependencyError, RtcalError
@@ -203,6 +203,40 @@ def _obj(content: bytes, path: str, _unit: bool) -> _Drawn:
     return _Drawn(zip(materials, names, (points[face] for face in polygons), strict=True))
 
 
+def _off(content: bytes, path: str, _unit: bool) -> _Drawn:
+    """Return the faces of an OFF file; colours, where faces have several, are the materials."""
+    text = decode(content, path).characters
+    rows = [(n, raw.partition("#")[0].split()) for n, _, raw in lines(text)]
+    rows = [(n, words) for n, words in rows if words]
+    if not rows or rows[0][1][0] != "OFF":
+        raise DataError(f"{path}: cannot be read as off: its first word is not OFF")
+    (n, head), *rows = [(n, w) for n, w in ((rows[0][0], rows[0][1][1:]), *rows[1:]) if w]
+    n_points, n_faces = (_count(word, f"{path}, line {n}") for word in [*head, "", ""][:2])
+    budget.require(n_points, budget.MAX_CORNERS, "corners", path, _SIMPLER)
+    budget.require(n_faces, budget.MAX_FACES, "faces", path, _SIMPLER)
+    if len(rows) < n_points + n_faces:
+        raise DataError(f"{path}: {len(rows)} lines for {n_points} corners and {n_faces} faces")
+    corners = [[number(w, f"{path}, line {n}") for w in words[:3]] for n, words in rows[:n_points]]
+    if short := [n for (n, _), corner in zip(rows, corners, strict=False) if len(corner) < 3]:
+        raise DataError(f"{path}, line {short[0]}: a corner needs three numbers, x y z")
+    points, faces = np.reshape(corners, (-1, 3)), list[Row]()
+    for n, (size, *words) in rows[n_points : n_points + n_faces]:
+        at = f"{path}, line {n}"
+        count = _count(size, at)
+        face = [_count(word, at) for word in [*words[:count], *[""] * (count - len(words))]]
+        faces.append((" ".join(words[count:]), "", points[_known(face, n_points, at, path)]))
+    several = len({colour for colour, *_ in faces}) > 1
+    names = [f"colour {colour}" if several and colour else "" for colour, *_ in faces]
+    return _Drawn([(name, name, face) for name, (*_, face) in zip(names, faces, strict=True)])
+
+
+def _count(word: str, place: str) -> int:
+    """Return a number of corners or faces, or of one of them."""
+    if not word.isascii() or not word.isdigit() or len(word) > 9:
+        raise DataError(f'{place}: "{shown(word)}" is no number of corners or faces')
+    return int(word)
+
+
 _DXF = ("3DFACE", "POLYLINE", "VERTEX", "SEQEND", "MESH")
 _KIND = re.compile(rb"^[ \t]*0[ \t]*\r?\n[ \t]*([A-Z0-9_]*[A-Z][A-Z0-9_]*)", re.MULTILINE)
 """An entity's name: the value of the group code 0."""
@@ -271,11 +305,6 @@ def _by_trimesh(content: bytes, path: str, _unit: bool) -> _Drawn:
         is_text = content[:5].lower() == b"solid" and b"facet" in content[:1000]
         n = content.count(b"facet normal") if is_text else (len(content) - 84) // 50
         budget.require(n, budget.MAX_FACES, "triangles", path, _SIMPLER)
-    elif ending == ".off":
-        counts = re.search(rb"^(?:OFF\s+)?(\d{1,18})\s+(\d{1,18})\s+\d", content, re.MULTILINE)
-        limits = (budget.MAX_CORNERS, "corners"), (budget.MAX_FACES, "faces")
-        for stated, (most, of) in zip(counts.groups() if counts else (), limits, strict=False):
-            budget.require(int(stated), most, of, path, _SIMPLER)
     else:
         source = io.BytesIO(_prepared_gltf(content, path, ending))
     with _parsing(path, ending[1:]):
@@ -507,6 +536,7 @@ READERS: dict[str, Callable[[bytes, str, bool], _Drawn]] = {
     ".dae": _by_pycollada,
     ".ply": _by_plyfile,
     ".3mf": _by_3mf,
-    **dict.fromkeys((".stl", ".off", ".glb", ".gltf"), _by_trimesh),
+    ".off": _off,
+    **dict.fromkeys((".stl", ".glb", ".gltf"), _by_trimesh),
 }
 """The reader of each ending: of a file's content and name, and whether its unit is stated beside it."""

@@ -88,6 +88,8 @@ MAX_COLUMNS = 1000
 MAX_LINES_BEFORE_HEADER = 40
 _MOST_NAMED = 6
 """Largest number of columns or statistics that a message names."""
+_MOST_SEEN = 200
+"""Largest number of rows whose cells a proposal of columns rests on."""
 _OTHER_UNITS = {"s": "ms", "": "%"}
 """The unit in which programs write a parameter, too."""
 _SPREADS = ("uncertainty", "common_uncertainty", "standard_deviation")
@@ -378,8 +380,7 @@ def _table(sheet: Sheet, options: _Options) -> _Table:
             f"{_proposed(sheet, at, options)}"
         )
     columns = [column for column in found if column]
-    titles = [c for _, cells in rows[:at] for c in cells if c]
-    return _Table(sheet, columns, at, body, titles, [*notes, *sheet.notes], options)
+    return _Table(sheet, columns, at, body, _titles(rows[:at]), [*notes, *sheet.notes], options)
 
 
 def _selects_parameter(name: str, cells: Sequence[str], options: _Options) -> bool:
@@ -478,7 +479,7 @@ def _proposed(sheet: Sheet, at: int, options: _Options) -> str:
         start = next((k for k, cell in enumerate(upper) if cell), width)
         for k in range(max(start, 1) + 1, width):
             upper[k] = upper[k] or upper[k - 1]
-    several = [row for _, row in body if sum(map(bool, row)) > 1]
+    several = [row for _, row in body[:_MOST_SEEN] if sum(map(bool, row)) > 1]
     cells = [[row[k] for row in several if len(row) > k and row[k]] for k in range(width)]
     found = [columns_of(texts) for texts in headers]
     labels = [
