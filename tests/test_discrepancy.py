@@ -20,7 +20,6 @@ from rtcal.finder import (
     Case,
     ChangedMaterial,
     Configuration,
-    library,
     plan,
     recalibrate,
     verify,
@@ -444,14 +443,6 @@ class Organ(Absorber):
 
     def spectrum(self, frequencies: np.ndarray, parameters: object) -> np.ndarray:
         return np.interp(frequencies, [125, 500, 8000], [0.6, 0.4, 0.2])
-
-
-def test_an_effect_of_one_s_own_is_a_small_class() -> None:
-    bare = state(opened(), opened().configurations[0])
-    hidden = bare.covered(40.0, Organ().spectrum(F, {}))
-    case = case_with(6 * np.log(10) / hidden.rate)
-    finding = find(case, effects=[*library(), Organ()], controls=controls_of(case, 0.01))
-    assert "organ" in finding.names
 
 
 def test_the_plan_knows_what_cannot_be_told_apart() -> None:

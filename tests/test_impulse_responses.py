@@ -29,6 +29,14 @@ def decay(t: float, rate: int = RATE, length: float = 3.0) -> np.ndarray:
     return np.exp(-6 * np.log(10) / t * np.arange(int(length * t * rate)) / rate)
 
 
+@pytest.mark.parametrize("t", [0.3, 1.0, 2.5])
+def test_exact_decays(t: float) -> None:
+    found, inr, *_ = ir.of_energy(decay(t), RATE)
+    for parameter in ("edt", "t20", "t30"):
+        assert found[parameter] == pytest.approx(t, rel=1e-6)
+    assert inr > 100
+
+
 @pytest.mark.parametrize("t", [0.5, 1.0, 2.0])
 def test_noise_floors(t: float) -> None:
     e = decay(t)
