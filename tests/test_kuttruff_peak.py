@@ -63,7 +63,7 @@ def test_prior_beyond_the_peak_has_no_time_before_and_everything_else(unreachabl
     assert np.isfinite(result.gap_before[1])
     assert result.gap_after[0] == pytest.approx(0, abs=1e-9)
     assert json.loads(result.to_json())["reverberation_time_before"][0] is None
-    sentence = "no T before at 500 Hz: Kuttruff's equation does not hold for coefficients as large"
+    sentence = "no T of the input at 500 Hz: Kuttruff's equation does not hold for coefficients"
     assert sentence in " ".join(str(result).split())
     assert repr(result)
     assert len(result.unreachable) == (unreachable == "nearest")
