@@ -11,17 +11,15 @@ exactly sources and receivers stand, the random numbers, and alpha, which is dra
 values less the simulator's for the same alpha are an error as the simulator may have against the real
 room. The covariance of these errors says how far to trust it.
 
-Nobody states how a room scatters as a tracer takes it. The traced paths tell how every observation
-depends on the scattering of each material (`PathTracing.scattering_jacobian`). So the scattering
-coefficients are unknowns as alpha is, with a wide prior around those stated. A first linear step fits
-them to what was measured. The room is traced once more with them, and the calibration's steps move them
-on from there.
+No input states how a room scatters as a tracer takes it. The traced paths give the dependence of every
+observation on the scattering of each material (`PathTracing.scattering_jacobian`), so the scattering
+coefficients are unknowns as alpha is, with a wide prior around the input. A first linear step fits them
+to the measurement. The room is traced once more with them, and the calibration's steps go on from
+there.
 
-Control runs differ in scattering, too. They tell what the other meaning of the coefficients adds, and
+Control runs differ in scattering, too. They show what the other meaning of the coefficients adds, and
 which error is left: it is larger where less is scattered. The noise of the control runs is no part of
-it. In five development rooms the log-likelihood of what was measured was 9 to 21 nats higher without
-that noise, and with the likeliest scale of the error. In eight it was 15 nats higher in sum with errors
-that grow where little is scattered, and runs far from the line counting less.
+it, and runs far from the line count less.
 """
 
 from __future__ import annotations
