@@ -403,8 +403,11 @@ class DecaySlope(Relative):
 
     def value(self, energy: Array, bin_width: float) -> Array:
         """Return the decay times in s; NaN for a decay that is too short or does not fall."""
-        times = self.of_curve(decay_curve_db(energy), bin_width)
-        return np.where(self.too_short(energy), np.nan, times)
+        return self.of_decay(energy, decay_curve_db(energy), bin_width)
+
+    def of_decay(self, energy: Array, level: Array, bin_width: float) -> Array:
+        """Return the same of a decay whose curve in dB, ``level``, is computed already."""
+        return np.where(self.too_short(energy), np.nan, self.of_curve(level, bin_width))
 
     def of_curve(self, level: Array, bin_width: float) -> Array:
         """Return the decay times in s of decay curves in dB, wherever they end, (...).
@@ -953,7 +956,13 @@ def parameters(
     if names is None:
         names = [key for key, o in OBSERVABLES.items() if o.minimum_range is not None]
     energy = checked_decay(energy, bin_width)
-    values = {o.key: o.value(energy, bin_width) for o in [observable(name) for name in names]}
+    values, level = dict[str, Array](), None
+    for o in [observable(name) for name in names]:
+        if isinstance(o, DecaySlope) and type(o).value is DecaySlope.value:
+            level = decay_curve_db(energy) if level is None else level  # one curve for all of them
+            values[o.key] = o.of_decay(energy, level, bin_width)
+        else:
+            values[o.key] = o.value(energy, bin_width)
     return {name: np.where(np.isfinite(v), v, np.nan) for name, v in values.items()}
 
 
