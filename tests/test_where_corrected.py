@@ -13,7 +13,7 @@ from rtcal.finder import PositionsCase
 from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.claim import Candidate
 from rtcal.finder.positions.surfaces import of_geometry, patched
-from rtcal.io import geometry_files, obj
+from rtcal.io import catt, geometry_files, obj, odeon
 from rtcal.simulators import ImageSource, PathTracing, Polyhedron, RayTracing
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
@@ -253,7 +253,7 @@ def test_pyroomacoustics_hears_the_correction(box: PositionsCase) -> None:
 
 @pytest.mark.parametrize("geometry", [prism(L_PLAN), triangulated(prism(L_PLAN))])
 def test_what_is_written_is_read_again(geometry: Polyhedron, tmp_path: Path) -> None:
-    """Areas, names and materials by rtcal's own readers."""
+    """Areas, names and materials by rtcal's own readers; the lists have the room's coefficients."""
     case = case_in(geometry, alpha=0.2)
     made = corrected_geometry(case, candidate("floor", 10.0), at=(6.0, 2.0, 0.0))
     corrected_geometry(case, candidate("ceiling", 4.0)).save(tmp_path)  # which is written over
@@ -269,3 +269,14 @@ def test_what_is_written_is_read_again(geometry: Polyhedron, tmp_path: Path) -> 
     assert mean_t(heard, room.alpha) == pytest.approx(
         mean_t(made.simulator(), room.alpha), rel=1e-9
     )
+    for program, name in ((catt, "catt.txt"), (odeon, "odeon.txt")):
+        listed = program.read(tmp_path / name)
+        assert len(listed.materials) == room.n_materials
+        for material, alpha in zip(listed.materials, room.alpha, strict=True):
+            columns = [list(material.centre_frequencies).index(f) for f in BANDS]
+            assert np.asarray(material.alpha)[columns] == pytest.approx(alpha, abs=0.005)
+    assert made.room.scattering is not None
+    assert "scattering" in made.reports["odeon.txt"].lost  # a list for ODEON has no column for it
+    assert "scattering" not in made.reports["catt.txt"].lost
+    for name in ("catt.txt", "odeon.txt"):  # the lists have bands that the room lacks
+        assert made.reports[name].notes

@@ -404,7 +404,7 @@ def apply(found: str, out: str, **options: Any) -> None:
     absorbers stand free in it. A volume is changed only where its error is claimed, at 0.9. case.json
     is the case with the effect, which can be used like any other; the calibration with it is printed.
 
-    With a geometry, room.obj is the mesh, and rtcal export makes a list of materials of the room. The
+    With a geometry, room.obj is the mesh, and catt.txt and odeon.txt are lists of materials. The
     patch stands in the middle of its surface unless --at states a place. Where the best family on one
     surface has less than 0.3, --effect or --at must be given.
 

@@ -13,8 +13,10 @@ measured difference, band by band, and not of an effect with its parameters.
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -36,6 +38,8 @@ from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.means.problem import distances, state, with_applied
 from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions, predict
 from rtcal.finder.positions.surfaces import NEAR, face_at, of_geometry, patched
+from rtcal.io import catt, odeon
+from rtcal.io.material_list import ExportReport
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
@@ -44,7 +48,7 @@ from rtcal.support.errors import DataError
 from rtcal.support.text import listed
 from rtcal.support.types import Array
 
-CASE, ROOM, MESH = "case.json", "room.toml", "room.obj"
+CASE, ROOM, MESH, CATT, ODEON = "case.json", "room.toml", "room.obj", "catt.txt", "odeon.txt"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,6 +138,10 @@ class Corrected:
             "surfaces": list(self.surfaces),
             "notes": list(self.notes),
             "caution": self.caution,
+            "lists": {
+                name: {"notes": list(report.notes), "lost": list(report.lost)}
+                for name, report in self.reports.items()
+            },
             "room": self.room.to_dict(),
         }
 
@@ -145,14 +153,17 @@ class Corrected:
             made[CASE] = self.case.to_json(self.caution).encode()
         if self.geometry is not None:
             made[MESH] = self.geometry.to_text().encode()
+        made |= {name: content for name, (content, _) in self._lists.items()}
         return {folder / name: content for name, content in made.items()}
 
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write its files into a folder, all or none, and return their paths.
 
         ``room.toml`` and, where a surface is claimed, its mesh ``room.obj`` are for rtcal and any
-        program that reads a mesh; of means ``case.json`` is the case. `rtcal.io.catt.write` and
-        `rtcal.io.odeon.write` make lists of materials of the room.
+        program that reads a mesh; of means ``case.json`` is the case. At positions ``catt.txt``
+        and ``odeon.txt`` are lists of materials. Octaves that the room lacks have the coefficients of
+        the nearest one there. In CATT's list a name has an underscore in place of a character that CATT
+        does not read.
         """
         where = checks.path("folder", folder)
         contents = self.contents(where)
@@ -181,6 +192,25 @@ class Corrected:
             if owner := owners.get(name, "" if name in before else cut):
                 made.setdefault(owner, []).append(name)
         return made
+
+    @property
+    def reports(self) -> dict[str, ExportReport]:
+        """What the lists of materials do not hold, and notes on their bands, by file name."""
+        return {name: report for name, (_, report) in self._lists.items()}
+
+    @cached_property
+    def _lists(self) -> dict[str, tuple[bytes, ExportReport]]:
+        """The lists of materials for CATT and ODEON, and their reports, by file name."""
+        if self.added is None:
+            return {}
+        room = self._with_mesh(Path(MESH))
+        # Their writers fill in a list that exists; these are new ones.
+        with disk.at_once(), tempfile.TemporaryDirectory(prefix="rtcal-") as empty:
+            reports = {
+                CATT: catt.write(room, Path(empty, CATT), missing_bands="nearest"),
+                ODEON: odeon.write(room, Path(empty, ODEON), missing_bands="nearest"),
+            }
+            return {n: (Path(empty, n).read_bytes(), r) for n, r in reports.items()}
 
     def __repr__(self) -> str:
         if isinstance(self.case, Case):

@@ -461,6 +461,9 @@ def correct(
         what = f"{made.added.title}, {made.added.in_words}, as {made.form}"
         lines.append(f'Added: {what}, material "{made.material}" ({made.support}).')
     lines += made.notes
+    for name, report in made.reports.items():
+        lines += [f"{name}: {'. '.join(report.notes)}."] if report.notes else []
+        lines += [f"{name} lacks: {', '.join(report.lost)}."] if report.lost else []
     record["corrected"] = made.to_dict()
     if made.model is not None:
         members = finding.chosen(effect)

@@ -345,6 +345,10 @@ def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path: Path) -> None
     assert again.areas.keys() == {*whole, made.material}
     assert again.areas["floor"] == pytest.approx(whole.pop("floor") - 4.0, rel=1e-6)
     assert {n: again.areas[n] for n in whole} == pytest.approx(whole, rel=1e-9)
+    for name, report in made.reports.items():
+        words = {SAID[n] for n in SAID if n not in ("dimensions", "clipped", "scattering", "scene")}
+        assert {"mesh", "sources and receivers"} <= {*report.lost}
+        assert words - {"what scattering means", SAID["calibration"]} <= set(report.lost), name
 
 
 def test_a_patchs_folder_names_the_balloons_files(tmp_path: Path) -> None:
