@@ -162,8 +162,7 @@ class Corrected:
         ``room.toml`` and, where a surface is claimed, its mesh ``room.obj`` are for rtcal and any
         program that reads a mesh; of means ``case.json`` is the case. At positions ``catt.txt``
         and ``odeon.txt`` are lists of materials. Octaves that the room lacks have the coefficients of
-        the nearest one there. In CATT's list a name has an underscore in place of a character that CATT
-        does not read.
+        the nearest one there.
         """
         where = checks.path("folder", folder)
         contents = self.contents(where)

@@ -47,6 +47,5 @@ def test_every_file_has_the_patch(
         columns = [list(listed[0].centre_frequencies).index(f) for f in BANDS]
         alpha = np.array([np.asarray(m.alpha)[columns] for m in listed])
         np.testing.assert_allclose(sizes @ alpha, absorbed, atol=1.01 * ROUNDED * sizes.sum())
-        # ODEON's names begin with a number; CATT's have no blanks.
         for read, stated in zip(listed, room.materials, strict=True):
-            assert read.name.endswith(stated.replace(" ", "_") if program is catt else stated)
+            assert read.name.endswith(stated)  # ODEON's names begin with a number
