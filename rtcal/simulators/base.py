@@ -447,16 +447,23 @@ def differences(
     """Return the derivatives by differences, (n_parameters, n_pairs, n_bands, n_materials).
 
     Each material takes two simulations with alpha changed by `STEP` in all bands. Both have the same
-    seed, so that random numbers that do not depend on alpha cancel.
+    seed, so that random numbers that do not depend on alpha cancel. Where the decays of one of them are
+    too short, alpha itself takes its place.
     """
     alpha = check_alpha(simulator, alpha)
     columns = []
     for j in range(len(alpha)):
-        ends = []
-        for step in (-STEP, STEP):
+        ends = list[tuple[Array, Array]]()
+        for step in (-STEP, STEP, 0.0):
             moved = alpha.copy()
             moved[j] = np.clip(alpha[j] + step, 0.0, 1.0)
-            ends.append((moved[j], observe(simulator, moved, match, seed=seed).values))
+            try:
+                ends.append((moved[j], observe(simulator, moved, match, seed=seed).values))
+            except TooShortError:
+                if not step:
+                    raise
+            if len(ends) == 2:
+                break
         (low, below), (high, above) = ends
         columns.append((above - below) / (high - low))
     return np.stack(columns, axis=-1)
