@@ -129,11 +129,22 @@ def test_the_order_of_materials_changes_nothing() -> None:
     assert again.probability == pytest.approx(first.probability, abs=1e-6)
 
 
+@pytest.mark.long
+def test_what_costs_nothing_is_used_and_no_more_than_is_needed() -> None:
+    shop, every, target = a_shop(one_sided=True)
+    free = [replace(t, cost=0.0 if t.unit else t.cost) for t in every]
+    found = design(shop, free, target, 0.85)
+    less = found.areas - [t.unit or 0.0 for t in free]
+    assert found.cost == 0
+    assert found.model.probability(np.maximum(less, 0)).min() < 0.85
+
+
 def test_nothing_is_placed_where_nothing_is_needed() -> None:
     shop, every, _ = a_shop(one_sided=True)
-    for costs in (1.0, 0.0):
+    before = shop.reverberation_time_after.tolist()
+    for costs, high in ((1.0, [2.0] * 3), (0.0, [2.0] * 3), (1.0, before)):
         some = [replace(t, cost=costs * t.cost) for t in every]
-        found = design(shop, some, Target([np.nan] * 3, [2.0] * 3), 0.9)
+        found = design(shop, some, Target([np.nan] * 3, high), 0.9)
         assert found.cost == 0
         assert found.areas.tolist() == [0, 0, 0]
     said = str(found)

@@ -93,17 +93,12 @@ def predict(
     from rtcal.acoustics.changes import read_variants
     from rtcal.acoustics.room import Room
     from rtcal.datasets import catalogue
-    from rtcal.files.saved import load
     from rtcal.loop.positions import PositionsResult
     from rtcal.loop.predicted import predict_positions
     from rtcal.prediction.predicted import compare
 
     # What the file of variants states is checked before anything is calibrated.
-    known = load(room) if Path(room).is_dir() else None
-    if known is not None and (measured is not None or also):
-        raise DataError(
-            f"{room} is a folder, whose T is that of its calibration: leave MEASURED out"
-        )
+    known = saved(room, measured, also)
     before = Room.from_file(room) if known is None else getattr(known, "prior", None)
     if before is None:
         raise DataError(f"{room} is no folder of `rtcal calibrate` or `rtcal fit`")
@@ -134,6 +129,19 @@ def predict(
     told(at_positions, out)
 
 
+def saved(room: str, measured: str | None, also: tuple[tuple[str, str], ...]) -> Result | None:
+    """Return the result in a folder; None if ``room`` is a file. A folder has its own T."""
+    from rtcal.files.saved import load
+
+    if not Path(room).is_dir():
+        return None
+    if measured is not None or also:
+        raise DataError(
+            f"{room} is a folder, whose T is that of its calibration: leave MEASURED out"
+        )
+    return load(room)
+
+
 def calibrated(
     room: str, measured: str | None, also: tuple[tuple[str, str], ...], equation: LinearEquation
 ) -> CalibrationResult:
@@ -143,10 +151,8 @@ def calibrated(
     from rtcal.calibration.methods import calibrate
     from rtcal.calibration.unknowns import Configurations
 
-    if Path(room).is_dir():
-        raise DataError(f"{room} is a folder; give the room (TOML) that was calibrated and its T")
     if measured is None:
-        raise DataError("--also takes MEASURED, too: T of the room before the change")
+        raise DataError("MEASURED is missing: T of the room before the change")
     rooms = [Room.from_file(path) for path in (room, *(path for path, _ in also))]
     times = [read_measured(path, quietly=True) for path in (measured, *(path for _, path in also))]
     for state, heard in zip(rooms, times, strict=True):
@@ -166,7 +172,7 @@ def calibrated(
 @click.command(short_help="Find the cheapest treatments with which T meets a target.")
 @takes(
     "ROOM",
-    "MEASURED",
+    "MEASURED?",
     click.option(
         "--treatments",
         type=click.Path(),
@@ -179,7 +185,7 @@ def calibrated(
 )
 def design(
     room: str,
-    measured: str,
+    measured: str | None,
     treatments: str,
     probability: float | None,
     also: tuple[tuple[str, str], ...],
@@ -188,15 +194,20 @@ def design(
 ) -> None:
     """Find the cheapest treatments of ROOM (TOML), MEASURED (CSV) as it is.
 
+    ROOM may be the folder of an `rtcal calibrate`, without MEASURED.
+
     Panels with a unit are whole. The printed probabilities are those of `rtcal predict`.
 
     Example: rtcal design room.toml t20.csv --treatments treatments.toml
     """
     from rtcal.acoustics.changes import read_treatments
+    from rtcal.calibration.result import CalibrationResult
     from rtcal.datasets import catalogue
     from rtcal.prediction.designed import design as cheapest
 
-    result = calibrated(room, measured, also, equation)
+    result = saved(room, measured, also) or calibrated(room, measured, also, equation)
+    if not isinstance(result, CalibrationResult):
+        raise DataError(f"{room} is no folder of `rtcal calibrate`")
     stated, target, in_file = read_changes(
         treatments, lambda text: read_treatments(text, result.prior, catalogue.material)
     )

@@ -49,9 +49,10 @@ _STEP = 1e-4
 """Step of the derivatives, in shares of a treatment's largest area."""
 _WELL = 0.1
 """Margin from which an inner point is not improved."""
-_LEAST_AREA = 1e-6
+_LEAST_AREA = 1e-4
 """What a square metre adds to its cost, in shares of the dearest: of designs of one cost the one with
-less area is taken."""
+less area is taken. With a smaller share the linear program's tolerance, 1e-7, would hide small panels
+that cost nothing."""
 _ROUNDING = 1e-6
 _CUTS = 1e-3
 """Least sine of the angle between a plane and the line that it crosses."""
@@ -413,7 +414,7 @@ class DesignModel:
         low, high = np.log(self.target.low[bounded]), np.log(self.target.high[bounded])
 
         def spare(x: Array) -> Array:
-            """Distance by which a normal ln T keeps the nearer end."""
+            """Return the distance by which ln T keeps the nearer end."""
             made = self._known(x)
             mean, sigma = made.log_mean[bounded], made.log_sigma[bounded]
             return np.asarray(np.fmin(high - mean, mean - low) - ndtri(probability) * sigma)

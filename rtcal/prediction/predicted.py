@@ -37,6 +37,8 @@ _POINTS = 20_000
 """Most points of the probability that T is within a range in all bands; its error is below 0.001."""
 _SURE = 1e-12
 """Standard deviation of ln T from which on T is not known exactly."""
+_ROUNDING = 1e-9
+"""Part of T by which an end of a range is moved outwards, so that a T that equals it is within."""
 
 
 Known = Any
@@ -232,8 +234,8 @@ class Prediction(TimeChange, Result):
             if np.shape(ends) not in ((), every.shape):
                 raise DataError(f"{name} has shape {np.shape(ends)}; it is {every.shape}")
         target = Target(every * low, every * high)
-        with np.errstate(divide="ignore"):
-            return np.log(target.low), np.log(target.high)
+        # Where nothing changes, T before may be an end of the range itself.
+        return np.log(target.low) - _ROUNDING, np.log(target.high) + _ROUNDING
 
     @property
     def sentences(self) -> list[str]:
@@ -250,10 +252,12 @@ class Prediction(TimeChange, Result):
             said.append(words.UNPLACED)
         elif len(self.by_equation) > 1:
             own, arau, _ = self.by_equation.values()
-            k = int(np.argmax(np.abs(arau / own - 1)))
+            apart = np.abs(arau / own - 1)
+            k = int(np.argmax(apart))
             two = dict(zip(self.by_equation, (float(own[k]), float(arau[k])), strict=False))
             low, high = self.interval
-            said.append(words.uneven(labels[k], two, (float(low[k]), float(high[k]))))
+            if apart[k] >= JND:
+                said.append(words.uneven(labels[k], two, (float(low[k]), float(high[k]))))
         if known.measured.any():
             said.append(words.gained(self.uncalibrated.half_width, self.half_width))
         said.append(words.to_narrow(self.parts, known.n_measured))
