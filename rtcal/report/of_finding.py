@@ -116,8 +116,8 @@ _USE = {
     "quote its coefficients before the effect is confirmed.",
     "not tested": "Measure C80 or G, or a second configuration, before the corrected model is used: "
     "nothing was measured that the finding was not fitted to.",
-    "unproven": "Confirm the effect before the corrected model is used: the measurements do not "
-    "distinguish it from other errors of the model.",
+    "unproven": "Confirm the effect before the corrected model is used: measure with it and without "
+    "it, or look at the room, because these measurements neither confirm it nor rule it out.",
     "withdrawn": "Use neither calibration: with the effect in the model the measurements fit worse.",
 }
 """What may be done with the corrected model, by verification."""

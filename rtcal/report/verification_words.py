@@ -37,6 +37,10 @@ def misses(v: Verification) -> str:
     return f"Do not simulate with the corrected model: it has {said}."
 
 
+_UNPROVEN = "Unproven is not refuted: the effect is neither confirmed nor ruled out."
+"""What a reader may conclude of a finding that is unproven."""
+
+
 def sentence(v: Verification) -> str:
     """Return the verdict, the change of the gap with its standard error, and what speaks against it."""
     if np.isnan(v.before):
@@ -56,6 +60,7 @@ def sentence(v: Verification) -> str:
             f"standard error{f'; more than {v.needed:.2f} JND counts' if supported else ''}).",
             as_sentence(listed(grounds)) if grounds else "",
             "The model is better; the name may still be wrong." if supported else "",
+            _UNPROVEN if v.verdict == "unproven" else "",
         ]
     return " ".join(filter(None, [*said, misses(v)]))
 
@@ -151,6 +156,8 @@ def gaps(v: Verification) -> Table:
 
 
 def blocks(v: Verification) -> list[Block]:
-    """Return what is printed of a verification."""
-    out: list[Block] = [Note(sentence(v)), *map(Note, notes(v)), gaps(v)]
+    """Return what is printed of a verification: with the next measurement unless it is supported."""
+    advice = None if v.verdict == "supported" else v.finding.advice
+    following = [] if advice is None else [f"Next: {advice}"]
+    out: list[Block] = [*map(Note, [sentence(v), *following, *notes(v)]), gaps(v)]
     return out if v.corrected is None else [*out, *v.corrected.blocks(v.plain)]
