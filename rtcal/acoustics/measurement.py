@@ -777,7 +777,9 @@ def _number(cell: Mapping[str, str], column: str) -> float:
     if text.lower().lstrip("+-") in ("inf", "infinity", "nan"):
         raise DataError(f'{column} = "{text}" is not finite; leave it empty')
     if not _NUMBER.fullmatch(text) or not np.isfinite(float(text)):
-        raise DataError(f'{column} = "{text[:40]}" is not a number')
+        raise DataError(
+            f'{column} = "{text[:40]}" is not a number; `rtcal table` reads other tables'
+        )
     return float(text)
 
 

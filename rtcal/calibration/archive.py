@@ -718,7 +718,10 @@ def _counted(rooms: Sequence[Calibrated]) -> Sequence[Calibrated]:
     if repeated := [n for i, n in enumerate(names) if n in names[:i]]:
         raise DataError(f'room "{repeated[0]}" occurs twice; its T would count twice')
     if not 2 <= len(listed) <= _MOST:
-        raise DataError(f"rooms: {len(listed)}; an archive has from 2 to {_MOST}")
+        raise DataError(
+            f"calibrated rooms: {len(listed)}; an archive has from 2 to {_MOST}, each the result of a "
+            "calibration"
+        )
     return listed
 
 

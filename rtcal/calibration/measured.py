@@ -126,7 +126,8 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         if not np.isfinite(time).any():
             parameters = ", ".join(parameter_label(p) for p in measured.values)
             raise DataError(
-                f"the measurement has no T20 or T30 in any band of the room; stated: {parameters}"
+                f"the measurement has no T20 or T30 in any band of the room, but {parameters}: "
+                "evaluate T20, which no other parameter replaces"
             )
         parameter = there.reverberation_parameter
         return MeasuredTimes(frequencies, time, uncertainty, parameter, measured)

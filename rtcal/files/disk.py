@@ -330,7 +330,9 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
     """
     with _naming(path):
         if Path(path).exists() and not Path(path).is_file():
-            raise DataError(f"{path}: not a file")
+            room = Path(path) / "room.toml"
+            found = f"; did you mean {room}?" if room.is_file() else ""
+            raise DataError(f"{path}: not a file{found}")
         file = Path(os.path.realpath(path))
         if _current is not None and file in _current.contents:
             content = _current.contents[file]

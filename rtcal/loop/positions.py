@@ -1383,4 +1383,6 @@ class PositionsResult(Result):
                 "Calibrate again with more paths.",
             ),
         ]
-        return [Row(title, [where, advice]) for title, where, advice in found if where]
+        return [
+            Row(title, [f"{where.rstrip('.')}.", advice]) for title, where, advice in found if where
+        ]
