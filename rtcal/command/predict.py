@@ -139,7 +139,8 @@ def saved(room: str, measured: str | None, also: tuple[tuple[str, str], ...]) ->
         raise DataError(
             f"{room} is a folder, whose T is that of its calibration: leave MEASURED out"
         )
-    return load(room)
+    found: Result = load(room)
+    return found
 
 
 def calibrated(
