@@ -50,12 +50,12 @@ def test_what_the_room_states_of_its_uncertainty_is_repeated(
         remarks(rt.calibrate(of, measured).to_dict())[0]
         for of in (room, room.replace(volume_sigma=0.05))
     )
-    assert exact.endswith("the room states no uncertainty of them.")
+    assert exact.endswith("gives them no uncertainty.")
     assert "volume 5 %" in uncertain
     by_method = remarks(
         rt.calibrate(room.replace(volume_sigma=0.05), measured, method="lse").to_dict()
     )
-    assert "taken as exact; stated is" in by_method[0]
+    assert "With this method volume and areas count as exact" in by_method[0]
     assert "volume 5 %" in by_method[0]
 
 

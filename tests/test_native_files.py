@@ -213,7 +213,7 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
         ("humidity = 50", "humidity = 0.5", "air.humidity = 0.5 % looks like a fraction"),
         ("humidity = 50", "humidity = 500", "air.humidity = 500 %"),
         ("humidity = 50", "humidty = 50", 'air has the key "humidty"'),
-        ("area = 100", "area = 0", 'surface["floor"].area = 0 m² is not finite and above 0'),
+        ("area = 100", "area = 0", 'material["floor"].area = 0 m² is not finite and above 0'),
         ("area = 100\n", "", 'area["floor"] is missing, and no [[surface]] has it'),
         ("alpha = [0.1, 0.1, 0.1]", "alpha = [0.1, 0.1]\narea = 3", 'area["rest"] is given, and'),
         ("[0.1, 0.1, 0.1]", "[0.1, 0.1]", 'material "rest": alpha has 2 values'),

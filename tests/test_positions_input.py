@@ -325,7 +325,7 @@ def test_a_fit_starts_at_a_told_scattering_where_the_room_states_none(folder, mo
     for option, start in (((), 0.1), (("--scattering", "0.3"), 0.3)):
         done = fit(folder, *option)
         assert str(done.exception) == "stopped"
-        assert ("states no scattering: the fit starts at 0.1" in done.stderr) == (not option)
+        assert ("has no scattering: the fit starts at 0.1" in done.stderr) == (not option)
         assert started.pop() == pytest.approx(start)
 
 

@@ -245,14 +245,16 @@ def _trust_marks(record: Mapping[str, Any]) -> list[TrustMark]:
 def remarks(record: Mapping[str, Any]) -> list[str]:
     """Return what counts as exact, what was left out, not measured or out of reach, a sentence each."""
     measured, uncertainty = record["measured"], record.get("room_uncertainty")
-    sigmas = f" with these standard deviations: {uncertainty}"
     if not record["room_taken_as_exact"]:
         first = (
-            f"The room is uncertain{sigmas}. T calibrated is computed with the input volume, areas and "
-            "climate, not with corrected ones."
+            f"The room is uncertain (standard deviations: {uncertainty}). T calibrated is computed with "
+            "the input volume, areas and climate, not with corrected ones."
         )
     elif uncertainty:
-        first = f"Volume and areas count as exact, although the room's file gives them{sigmas}."
+        first = (
+            "With this method volume and areas count as exact, although the room's file gives them "
+            f"standard deviations: {uncertainty}."
+        )
     else:
         first = "Volume and areas count as exact: the room's file gives them no uncertainty."
     said = [first, *(f"{sentence} (nearest end taken)" for sentence in record["unreachable"])]
