@@ -247,8 +247,8 @@ def remarks(record: Mapping[str, Any]) -> list[str]:
     measured, uncertainty = record["measured"], record.get("room_uncertainty")
     if not record["room_taken_as_exact"]:
         first = (
-            f"The room is uncertain (standard deviations: {uncertainty}). T calibrated is computed with "
-            "the input volume, areas and climate, not with corrected ones."
+            f"The room is uncertain (standard deviations: {uncertainty}). T calibrated is computed "
+            "with the input volume, areas and climate, not with corrected ones."
         )
     elif uncertainty:
         first = (
