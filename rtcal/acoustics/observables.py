@@ -222,7 +222,7 @@ class Observable(ABC):
         return np.full(np.shape(values), most - least)
 
     def refuse(self, place: str, value: float) -> None:
-        """Raise DataError for a value that no room has; ``place`` says whose it is. NaN is missing."""
+        """Raise DataError at ``place`` for a value that no room can have; NaN is a missing value."""
         least, most = self.limits
         if not (np.isnan(value) or least <= value <= most * (1 + 1e-9)):
             unit = f" {self.unit}".rstrip()
@@ -434,10 +434,11 @@ class DecaySlope(Relative):
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
         """Return d ln T / d E_j.
 
-        T is -60 / slope, the slope that of the regression of L_k = DB ln(B_k / B_0) on k within the
-        range, with B_k the energy from bin k on. So d ln T = -sum c_k dL_k / (slope sum c_k²), where
-        c_k is k less its mean. The range's ends move too: at an end that lies r off the line, points
-        enter or leave at the rate of dL / slope bins, and each has the weight c r / (slope sum c_k²).
+        T is -60 / slope, where the slope is that of the regression of L_k = DB ln(B_k / B_0) on k
+        within the range, and B_k is the energy from bin k on. With c_k = k - mean(k) it follows that
+        d ln T = -sum c_k dL_k / (slope sum c_k²). The ends of the range move, too: if the curve at an
+        end is r dB off the line, points enter or leave there at the rate of dL / slope bins, and each
+        has the weight c r / (slope sum c_k²).
         """
         within = (level <= self.upper) & (level >= self.lower)
         k = np.arange(level.shape[-1], dtype=float)

@@ -302,9 +302,9 @@ def value_changes(room: Room, matrix: Array, of_level: NDArray[np.bool_]) -> Arr
 
 
 def of_climate(room: Room, quantity: Callable[[Room], Array]) -> tuple[Array, Array]:
-    """Return half the difference of a quantity between climates one standard deviation apart each way.
+    """Return the change of a quantity by one standard deviation of temperature, and of humidity.
 
-    By temperature, and by humidity; (n_bands,) each.
+    Each is (n_bands,), half the difference between one standard deviation below and one above.
     """
     air, (kelvin, percent) = room.air, room.climate_sigma
     none = np.zeros(room.n_bands)

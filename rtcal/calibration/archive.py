@@ -203,10 +203,10 @@ class Evidence:
         return 0.5 * penalty - _log_density(miss, self.covariance(_spread(x))[used])
 
     def posterior(self, spread: Spread, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Return the entries' means (n_materials, n_bands) from ``rows``, and their covariance.
+        """Return posterior means and covariance of the coefficients that all rooms have in common.
 
-        An entry is mu + d + h mu: what all rooms have in common. Its covariance has shape
-        (n_materials n_bands, n_materials n_bands), the bands last.
+        They are mu + d + h mu of the model above, given the measured ``rows``. The means have the shape
+        (n_materials, n_bands), the covariance (n_materials n_bands, n_materials n_bands), bands last.
         """
         n, k = self.mu.shape
         correlation = self.correlation(spread)

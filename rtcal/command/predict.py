@@ -193,11 +193,10 @@ def design(
     equation: LinearEquation,
     out: Path | None,
 ) -> None:
-    """Find the cheapest treatments of ROOM (TOML), MEASURED (CSV) as it is.
+    """Find the cheapest treatments of ROOM (TOML) with which T meets a target.
 
-    ROOM may be the folder of an `rtcal calibrate`, without MEASURED.
-
-    Panels with a unit are whole. The printed probabilities are those of `rtcal predict`.
+    MEASURED (CSV) is T of the room as it is; without it, ROOM is the folder of an `rtcal calibrate`.
+    Panels with a `unit` are not cut. The probabilities are those of `rtcal predict`.
 
     Example: rtcal design room.toml t20.csv --treatments treatments.toml
     """

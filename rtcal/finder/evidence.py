@@ -98,10 +98,11 @@ def student(square: Array, half: Array | float, n: int, *, coarsened: bool = Tru
 
 
 def bounded(square: Array, half: Array | float, n: int) -> Array:
-    """Return the log density of n values, but for a constant, from r' C⁻¹ r and ln sqrt|C|.
+    """Return the log density of n values up to a constant, bounded for large residuals.
 
-    Normal up to n; beyond it as if the errors were larger throughout, since few control runs say how
-    large they are.
+    ``square`` is r' C⁻¹ r and ``half`` ln sqrt|C|. The density is normal if ``square`` is at most n.
+    Above n, C is scaled by ``square`` / n, because few reference simulations do not determine well
+    how large the errors are.
     """
     beyond = n / 2 * (1 + np.log(np.maximum(square / n, 1.0)))
     return np.asarray(-np.where(square <= n, square / 2, beyond) - half)

@@ -186,7 +186,7 @@ def _turned(name: str) -> str:
 
 
 def adding(effects: Sequence[Effect]) -> list[Effect]:
-    """Return the effects that add absorption, whose spectra are tried, in the order of their names."""
+    """Return the effects that add absorption, sorted by name; a change may have their spectra."""
     some = [effect for effect in effects if effect.family.startswith(f"{_FAMILY}, ")]
     return sorted(some, key=lambda effect: effect.name)
 
@@ -418,10 +418,10 @@ def chance_of_climate(change: Array, variance: Array, baseline: Baseline, degree
 def fits(
     change: Array, variance: Array, baseline: Baseline, of: Hypotheses, degrees: float
 ) -> Fits:
-    """Return the evidence of each hypothesis, and the sizes that each would have.
+    """Return the log evidence of each hypothesis, with the size of the change that best fits it.
 
-    ``change`` and ``variance`` are (n_pairs, n_bands), NaN where nothing was measured. ``degrees`` is
-    `DEGREES` or `OF_MEANS`.
+    ``change`` of ln T and its ``variance`` are (n_pairs, n_bands), NaN where nothing was measured.
+    ``degrees`` of freedom of the noise are `DEGREES`, or `OF_MEANS` for means over positions.
     """
     n, k = of.size.shape
     shape = n, len(SCALES)

@@ -896,7 +896,7 @@ def _ranges(minimum_range: Mapping[str, float] | None) -> dict[str, float]:
         place = f"minimum_range[{checks.shown(name)}]"
         value = checks.number(place, value)
         if parameter not in chosen:
-            raise DataError(f"{place} = {value:g} dB; known are {', '.join(chosen)}")
+            raise DataError(f"{place}: a parameter has to be one of {', '.join(chosen)}")
         if not 0 <= value < np.inf:
             raise DataError(f"{place} = {value:g} dB is not finite and 0 or more")
         chosen[parameter] = value

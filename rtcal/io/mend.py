@@ -203,7 +203,7 @@ class Mended:
 
     @property
     def area_uncertainty(self) -> dict[str, float]:
-        """Standard uncertainty of each material's area in m² by mending, where it is not 0."""
+        """Standard uncertainty in m² of the areas that repairs made uncertain, by material."""
         return combined(each for d in self.defects for each in d.area_uncertainty.items())
 
     def __str__(self) -> str:
@@ -446,7 +446,7 @@ class FaceSet:
         return sorted({edge for face in self.faces for edge in edges_of(face)})
 
     def owners(self) -> dict[Edge, list[int]]:
-        """Return the faces at each piece of an edge, which every corner on it divides."""
+        """Return the numbers of the faces that meet at each edge, divided at all corners on it."""
         owners = edge_owners(self.mend.points, self.faces)
         return {edge: [i for i, _ in sides] for edge, sides in owners.items()}
 

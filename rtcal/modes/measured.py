@@ -727,7 +727,10 @@ class Point:
         return np.asarray(np.linalg.inv(self._reduced(0.0)[0]))
 
     def misfit(self, there: Point) -> float:
-        """Return the weighed squares of what is left ``there``, with the weights of this point."""
+        """Return the weighted sum of squares at the point ``there``: residuals and prior.
+
+        The weights are those of this point.
+        """
         left = np.abs(there.off) ** 2 * self.weight[:, np.newaxis] ** 2
         far = np.abs(there.amplitudes - self.expected) ** 2 * self.ridge[:, np.newaxis]
         return float(left.sum() + far.sum() + (((there.at - self.prior) / self.spread) ** 2).sum())
@@ -820,7 +823,7 @@ def find_modes(
     room : Room
         It states geometry and positions. Its coefficients are where the search begins.
     responses : array (n_pairs, n_samples)
-        All in one unit and on one time axis, which begins as the sound does.
+        All in one unit and on one time axis, which begins when the sound begins.
     rate : float
         Samples per second.
     pairs : sequence of (source, receiver)

@@ -628,7 +628,10 @@ def states(case: Case, configuration: Configuration, alphas: Sequence[Array]) ->
 def with_applied(
     unchanged: RoomState, applied: Sequence[AppliedEffect], configuration: Configuration
 ) -> RoomState:
-    """Return the state with effects; removable effects are left out if the suspect was removed."""
+    """Return the room's state in a configuration, with the effects that were applied to the model.
+
+    A removable effect is left out of a configuration in which the suspected object was removed.
+    """
     for p in applied:
         if not (configuration.suspect_removed and p.effect.removable):
             (unchanged,) = changed_states(p.effect, unchanged, [p.parameters])
@@ -1428,8 +1431,8 @@ MOST = 3
 
 
 KEPT = ((0.0, 0.5, 16), (1e-3, 0.99, 96))
-"""Which parameters of two effects are evaluated: of pairs that are at least so probable among pairs,
-the most probable ones until they have such a share of the pair's probability, at most so many."""
+"""Which parameters of two effects are evaluated: least probability of the pair among all pairs, share
+of the pair's probability that the most probable parameters must hold, and their greatest number."""
 UNEXPLAINED = 0.05
 """Probability of the residuals under the best pair below which three effects are tried: the usual level
 of a test of fit."""
@@ -1538,9 +1541,10 @@ def posterior_of_sets(
     expected: float = EXPECTED,
     most: int = MOST,
 ) -> SetPosterior:
-    """Return the probabilities of sets of up to ``most`` effects, of which so many are ``expected``.
+    """Return the probabilities of all sets of up to ``most`` effects.
 
-    Three effects are tried where the best two do not explain the measurement (`UNEXPLAINED`).
+    ``expected`` is the prior mean of the number of effects. Three are tried only if the best two do
+    not explain the measurement (`UNEXPLAINED`).
     """
     tables = _Tables(compared, prior)
     if most > 1:
