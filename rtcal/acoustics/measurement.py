@@ -342,8 +342,8 @@ class Measurement:
     def refuse_large_uncertainty(self) -> None:
         """Raise DataError if a stated uncertainty is larger than the value, or than its whole range.
 
-        Whoever takes a measurement for what was heard calls it. A simulation with few paths may be
-        so uncertain, and is not refused.
+        Functions that take measured data call this method. Simulated data are not checked, because a
+        simulation with few paths may be as uncertain as that.
         """
         for name in ("uncertainty", "common_uncertainty"):
             for parameter, array in getattr(self, name).items():

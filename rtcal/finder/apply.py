@@ -281,8 +281,8 @@ class CaseModel(RoomSimulator):
     def state(self, alpha: Array) -> RoomState:
         """Return the model's state at coefficients (n_materials, n_bands) of the room.
 
-        What the further materials absorb more or less than at the room's own stands free, so that a
-        decay's shape is the same, too.
+        If the further materials absorb more or less than with the room's own coefficients, the
+        difference counts as a free-standing absorber, so that the shape of a decay is the same, too.
         """
         equation = mean_equation(self.whole.equation)
 

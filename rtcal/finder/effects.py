@@ -300,7 +300,7 @@ class Absorber(AbsorbingObject):
         """Return alpha, (n_bands,), which the size does not change."""
 
     def limits(self, room: Room | None) -> Limits:
-        """Return an area from 0 to that of all surfaces, and the limits of the other parameters."""
+        """Return the limits of all parameters; the size is an area from 0 to that of all surfaces."""
         return {**super().limits(room), self.size: (0.0, all_surfaces(room))}
 
     def wall_area(self, parameters: Parameters) -> float:

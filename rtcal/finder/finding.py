@@ -72,10 +72,10 @@ class Finding(Result):
     case : Case, PositionsCase or StatesCase
     verdict : {"none", "hint", "named", "family", "ambiguous", "unknown"}
         ``named``: an effect whose probability is at least 0.9, and that passes every check; of two
-        states the climate alone, where it explains T by chi-square. ``family``: a family of that
-        probability, but no member, or one with a doubt about its size or fit. ``ambiguous``: something
-        is missing, and effects of several families explain it. ``unknown``: the model lacks something
-        that no effect of the library explains. ``hint``: the score does not exceed the threshold but is
+        states the climate alone, where it explains T by chi-square. ``family``: a family has this
+        probability, but none of its effects, or the effect's size or fit is doubtful. ``ambiguous``:
+        something is missing, and effects of several families explain it. ``unknown``: the model lacks
+        something that no effect of the library explains. ``hint``: the score does not exceed the threshold but is
         above 0, nothing missing has a third of the probability, no effect and no family has (both of
         means over positions), or a check has failed (``reasons``).
     family : str or None

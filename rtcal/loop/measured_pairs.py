@@ -696,7 +696,7 @@ of 20 boxes with little scattering T20 of a run was above 12 times Eyring's T.""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlRuns:
-    """Errors of a simulator in control runs.
+    """Errors of a simulator in reference simulations, called control runs here.
 
     Attributes
     ----------
@@ -709,7 +709,7 @@ class ControlRuns:
     models : tuple of str (n_runs,)
         Scattering model of each run.
     more_paths : int
-        How many times the paths of a calibration's control runs they have; see `simulated_controls`.
+        Number of paths, over that in the control runs of a calibration; see `simulated_controls`.
     """
 
     parameters: tuple[str, ...]

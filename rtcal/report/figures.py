@@ -108,9 +108,9 @@ def of_materials(
 ) -> Any:
     """Return a figure of small panels over the bands, one for each material, at most twelve.
 
-    Of more, the panels are those of the largest ``size`` (n_materials,). ``draw`` draws the panel of a
-    material; ``columns`` are those of the legend. Few panels stand in two columns, which a phone shows
-    legibly; more in three.
+    Of more than twelve materials, those with the largest ``size`` (n_materials,) are drawn. ``draw``
+    draws the panel of a material; ``columns`` is the number of columns of the legend. A few panels
+    are in two columns, legible on a phone; more are in three.
     """
     chosen = np.sort(np.argsort(-size, kind="stable")[:MOST_PANELS])
     n = len(chosen)
