@@ -75,9 +75,9 @@ class Finding(Result):
         states the climate alone, where it explains T by chi-square. ``family``: a family has this
         probability, but none of its effects, or the effect's size or fit is doubtful. ``ambiguous``:
         something is missing, and effects of several families explain it. ``unknown``: the model lacks
-        something that no effect of the library explains. ``hint``: the score does not exceed the threshold but is
-        above 0, nothing missing has a third of the probability, no effect and no family has (both of
-        means over positions), or a check has failed (``reasons``).
+        something that no effect of the library explains. ``hint``: the score does not exceed the
+        threshold but is above 0, nothing missing has a third of the probability, no effect and no
+        family has (both of means over positions), or a check has failed (``reasons``).
     family : str or None
         The family whose probability is at least 0.9.
     probabilities, families : mapping of str to float
