@@ -33,7 +33,7 @@ from rtcal.prediction.predicted import Known, Prediction, known_room, predict
 from rtcal.support import checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError, InfeasibleError, SolverError
-from rtcal.support.text import shortened
+from rtcal.support.text import listed, shortened
 from rtcal.support.types import Array
 
 LEAST = 0.8
@@ -540,8 +540,17 @@ class Design(Result):
             for t in self.treatments
         ]
         columns = ["covers", "area / m²", "largest / m²", "panels", "cost"]
-        nothing = (
-            "Nothing is needed: T is in its range in every band with the probability asked for."
+        parts = [
+            f"{t['area']:.1f} m² of {t['name']}"
+            + (f" ({t['panels']} panels)" if t["panels"] else "")
+            for t in self.treatments
+            if t["area"]
+        ]
+        needed = (
+            f"{listed(parts)} bring T into the target in each band with a probability of "
+            f"{np.nanmin(self.probability[target.bounded]):.2f} or more, for a cost of {self.cost:.0f}."
+            if parts
+            else "Nothing is needed: T is in the target in each band with the required probability."
         )
         frontier = ", ".join(
             f"{p:g}: {'not to be had' if np.isinf(cost) else f'{cost:.0f}'}"
@@ -549,8 +558,8 @@ class Design(Result):
         )
         drawn = "" if made.known.n_measured > 1 else ", at most 0.01 off"
         return [
-            Note(f"{self.model.before.name}: {target.source}"),
-            *([] if self.areas.any() else [Note(nothing)]),
+            Note(f"{self.model.before.name}, target: {target.source}"),
+            Note(needed),
             Table(columns, treatments, corner="treatment"),
             Table(bands.labels(made.after.centre_frequencies), [*made.rows, *made.within(target)]),
             Note(f"Cost {self.cost:.0f}. Cost by probability: {frontier}."),

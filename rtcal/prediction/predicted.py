@@ -238,11 +238,19 @@ class Prediction(TimeChange, Result):
         return np.log(target.low) - _ROUNDING, np.log(target.high) + _ROUNDING
 
     @property
+    def headline(self) -> str:
+        """The change of T in a sentence, with T at the band that changes most."""
+        if not self.half_width.any():
+            return words.NOTHING_CHANGES
+        labels = bands.labels(self.after.centre_frequencies)
+        return words.headline(labels, self.time_before, self.mean, self.interval)
+
+    @property
     def sentences(self) -> list[str]:
         """Sentences on what the interval rests on, what it leaves out, and what to measure next."""
         known = self.known
         if not self.half_width.any():
-            return [words.NOTHING_CHANGES]
+            return []
         labels = bands.labels(known.room.centre_frequencies)
         stated = words.CALIBRATED_BEFORE if is_calibrated(known.room) else words.NOTHING_MEASURED
         said = [words.GIVEN if known.measured.any() else stated]
@@ -298,7 +306,8 @@ class Prediction(TimeChange, Result):
     def blocks(self) -> list[Block]:
         """Return what the prediction says."""
         labels = bands.labels(self.after.centre_frequencies)
-        heads, parts = [f"{self.before.name}: {self.name}"], ("the interval", self.parts)
+        heads = [f"{self.before.name}: {self.name}", self.headline]
+        parts = ("the interval", self.parts)
         return words.blocks_of(heads, labels, self.rows, parts, self.sentences)
 
     # What a table of variants and a page show

@@ -83,6 +83,25 @@ UNPLACED = (
 )
 
 
+def headline(
+    labels: Sequence[str], before: Array, after: Array, interval: tuple[Array, Array]
+) -> str:
+    """Return the change of T in a sentence; T before and after in s, (n_bands,) each."""
+    change = np.round(100 * (after / before - 1))
+    k = int(np.argmax(np.abs(change)))
+    verb = "falls" if change.max() <= 0 else "rises" if change.min() >= 0 else "changes"
+    ends = sorted(change.tolist() if verb == "changes" else np.abs(change).tolist())
+    form = "+.0f" if verb == "changes" else ".0f"
+    by = format(ends[-1], form)
+    if by != format(ends[0], form):
+        by = f"{format(ends[0], form)} to {by}"
+    low, high = interval
+    return (
+        f"T {verb} by {by} %, most at {labels[k]}: from {before[k]:.2f} to {after[k]:.2f} s (90 % "
+        f"interval {low[k]:.2f} to {high[k]:.2f} s)."
+    )
+
+
 def not_measured(labels: Sequence[str]) -> str:
     """Return that T before was not measured in some bands."""
     return (

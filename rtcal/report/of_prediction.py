@@ -26,6 +26,8 @@ def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Pag
         variants, target, beside = result.predictions, result.target, [*result.side_by_side()]
     else:
         variants = (result,)
+    if not isinstance(result, Design):
+        summary = [Note(f"{v.name}: {v.headline}") for v in variants if isinstance(v, Prediction)]
     room = variants[0].before
     f, shown = room.centre_frequencies, [v.shown for v in variants]
     ends = None if target is None else (target.low, target.high)
@@ -36,7 +38,7 @@ def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Pag
 
     def of(variant: Any) -> list[Any]:
         """Return what a prediction prints below its title."""
-        blocks = variant.blocks()[1:]
+        blocks = variant.blocks()[2 if isinstance(variant, Prediction) else 1 :]
         if isinstance(result, Design):  # which has said the rest
             blocks = [*tables(blocks)][1:]
         elif target is not None:

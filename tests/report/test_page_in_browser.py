@@ -26,7 +26,7 @@ def test_in_a_browser(html, evil_html, tmp_path) -> None:
     assert "CONSOLE" not in shot.stderr
     pixels = imread(picture)[:, :, :3]
     blue = np.abs(pixels - np.array([0x00, 0x72, 0xB2]) / 255).max(axis=2) < 0.02
-    assert blue.sum() > 500  # dots and lines of the pictures; nothing else on the page is blue
+    assert blue.sum() > 200  # dots and lines of the pictures; nothing else on the page is blue
     # The console is read indeed: a script, which the page's policy forbids, is complained of.
     control.write_text(
         html.replace("</body>", "<script>alert(1)</script></body>"), encoding="utf-8"

@@ -41,7 +41,7 @@ def test_variants_stand_side_by_side_and_names_are_text(folder: Path) -> None:
     assert "window open" in html
     assert "<b>" not in html
     assert "panel &lt;b&gt;" in html
-    assert html.count("<figcaption>What the interval is made of") == 2
+    assert html.count("<caption>what the interval is made of") == 2
     assert "To narrow it" in html
     assert "://" not in html
 
@@ -63,7 +63,7 @@ def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None
     assert f"Cost {found.cost:.0f}." in html
     assert f">{found.areas[0] / 1.44:.0f}</td>" in html
     assert f"all bands are in range at once: {found.probability_together:.2f}" in html
-    assert "Cost against the probability" in html
+    assert "Cost by probability, side by side" in html
     assert html == pages.page_of(folder)
 
 
