@@ -135,8 +135,8 @@ _STRONG_SHIFT = 3.0
 
 SHIFT = "shift of alpha / input sigma"
 SIGNS = (
-    "deviation: T of the model less the measured T, 1 JND being 5 %. z: the absorption that T needs "
-    "less the input, in standard deviations."
+    "deviation: T of the model minus the measured T; 1 JND is 5 %. z: absorption area that the "
+    "measured T needs minus that of the input, in standard deviations."
 )
 
 _BOUNDS = {"lower": "*", "upper": "*", "": " "}
