@@ -448,6 +448,8 @@ def _of_table(table: _Table) -> list[ListedMaterial]:
             f"{table.place}, line {table.first}: some coefficients have a unit and others none; write "
             "it, as % or -, with all or with none"
         )
+    if not products:
+        raise DataError(f"{table.place}: no column holds coefficients of a product")
     materials = [_material(table, name, products[name], [*texts[name]]) for name in products]
     if all(material.doubt for material in materials):
         raise DataError(materials[0].doubt)

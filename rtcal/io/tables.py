@@ -970,7 +970,8 @@ class _Table:
         """Raise DataError for a value of which nothing says the parameter."""
         if "parameter" in entries:
             raise DataError(f'{place}: parameter "{shown(entries["parameter"])}" is unknown')
-        likely = next((c.parameter for t in self.titles if (c := _name_of(t))), "t20")
+        named = (c.parameter for t in self.titles if (c := _name_of(t)))
+        likely = next(named, REVERBERATION[0].key)
         raise DataError(
             f'{place}: no heading says which parameter the value "{shown(cell)}" is; state it: '
             f'parameter="{likely}", for instance'

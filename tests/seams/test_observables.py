@@ -204,7 +204,7 @@ THE_MEANS_HAVE_FIVE = {
         f"finder/means/{name}.py"
         for name in (
             *("engines", "planning", "problem"),
-            *("recalibration", "search", "verdict"),
+            *("recalibration", "search"),
         )
     ),
 }
