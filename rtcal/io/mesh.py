@@ -22,6 +22,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -334,7 +335,7 @@ def _by_3mf(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
     """Return the faces of a 3MF file; its objects, which have names, are the materials if several."""
     sizes = budget.members(content, path, "a 3MF file")
     stated, notes = "millimeter", list[str]()  # the format's default
-    objects: dict[str, Any] = {}
+    objects: dict[str | None, Any] = {}
     items: list[Any] = []
     with _parsing(path, "3mf"), zipfile.ZipFile(io.BytesIO(content)) as archive:
         for name in (name for name in sizes if name.lower().endswith(".model")):
@@ -350,20 +351,35 @@ def _by_3mf(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
             f"{listed([*units.OF_3MF])}; state its length in m, such as unit = 0.01"
         )
 
-    def placed(instance: Any, above: Array) -> Iterator[list[Row]]:
-        own = (instance.get("transform") or "1 0 0 0 1 0 0 0 1 0 0 0").split()
-        matrix = np.column_stack([np.reshape(own, (4, 3)).astype(float), [0, 0, 0, 1]]) @ above
-        of = objects[instance.get("objectid")]
+    def instance(of: Any) -> tuple[str | None, Array]:
+        """The object that an item or component is of, and its matrix."""
+        own = (of.get("transform") or "1 0 0 0 1 0 0 0 1 0 0 0").split()
+        matrix = np.column_stack([np.reshape(own, (4, 3)).astype(float), [0, 0, 0, 1]])
+        return of.get("objectid"), matrix
+
+    @cache
+    def drawn(number: str | None) -> tuple[str, Array, list[list[int]], list[tuple[Any, Array]]]:
+        """An object's name, corners, faces and components."""
+        of = objects[number]
         name = of.get("name") or f"object {of.get('id')}"
         corners = [[float(v.get(a)) for a in "xyz"] for v in of.iter(f"{_3MF}vertex")]
-        points = np.reshape(corners, (-1, 3)) @ matrix[:3, :3] + matrix[3, :3]
-        index = [[int(v.get(a)) for a in ("v1", "v2", "v3")] for v in of.iter(f"{_3MF}triangle")]
-        yield [("", name, points[_known(face, len(points), name, path)]) for face in index]
-        for component in of.iter(f"{_3MF}component"):
-            yield from placed(component, matrix)
+        faces = [[int(v.get(a)) for a in ("v1", "v2", "v3")] for v in of.iter(f"{_3MF}triangle")]
+        for face in faces:
+            _known(face, len(corners), name, path)
+        components = [instance(part) for part in of.iter(f"{_3MF}component")]
+        return name, np.reshape(corners, (-1, 3)), faces, components[::-1]
+
+    def placed() -> Iterator[list[Row]]:
+        left = [instance(item) for item in reversed(items)]
+        while left:
+            number, matrix = left.pop()
+            name, corners, faces, components = drawn(number)
+            points = corners @ matrix[:3, :3] + matrix[3, :3]
+            yield [("", name, points[face]) for face in faces]
+            left += [(of, own @ matrix) for of, own in components]
 
     with _parsing(path, "3mf"):
-        faces = _within_budget((rows for item in items for rows in placed(item, np.eye(4))), path)
+        faces = _within_budget(placed(), path)
     several = len({name for _, name, _ in faces}) > 1
     named = [(name if several else "", name, corners) for _, name, corners in faces]
     return _Drawn(named, units.OF_3MF.get(stated), notes=notes)
