@@ -334,7 +334,7 @@ def test_the_command_writes_numbers_and_page(
     assert record["verdict"] == "family"
     assert record["verification"]["verdict"] == "unproven"
     assert record["verification"]["misses"][0]["quantity"] == "T20"
-    assert len(record["written"]) == 4
+    assert len(record["written"]) == 3
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "What changed between two measurements" in page
     assert "more absorption" in page

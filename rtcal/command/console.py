@@ -343,7 +343,7 @@ def _in_order(context: click.Context, parameter: click.Parameter, measured: Any)
     if Path(measured).suffix == ".toml" != Path(room).suffix:
         raise DataError(
             f"{room} stands in the place of the room, and {measured} in that of the measurement. "
-            f"Exchange them: rtcal {context.info_name} {measured} {room}"
+            f"Exchange them: {context.command_path} {measured} {room}"
         )
     with suppress(OSError), open(room, "rb") as file:
         begin = file.read(_MOST_OF_CASE)

@@ -17,6 +17,7 @@ from scipy.special import ndtri
 from rtcal.acoustics import bands
 from rtcal.acoustics.changes import Change, Target, Variant, placed
 from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.marks import in_room, of_row, of_unit
 from rtcal.acoustics.room import Room, is_calibrated, refuse_repeats
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.files.disk import json_numbers
@@ -26,7 +27,7 @@ from rtcal.prediction.changed_time import KnownRoom, TimeChange, probability_wit
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
-from rtcal.support.text import shortened
+from rtcal.support.text import as_sentence, shortened
 from rtcal.support.types import Array
 
 JND = 0.05
@@ -223,9 +224,16 @@ class Prediction(TimeChange, Result):
         open_ended = np.full_like(least, np.nan)
         below = 1 - probability_within(self.samples, least, open_ended)
         above = probability_within(self.samples, open_ended, most)
+        if (above <= below).any():
+            return 0.0
+        bounded = (above < 1) | (below > 0)  # the others are in range for certain
+        if not bounded.any():
+            return 1.0
         errors = bands.correlation(self.after.centre_frequencies, self.assumptions.band_correlation)
-        together = multivariate_normal(cov=errors, seed=0, maxpts=_POINTS, abseps=1e-4)
-        return float(together.cdf(ndtri(above), lower_limit=ndtri(below)))
+        together = multivariate_normal(
+            cov=errors[np.ix_(bounded, bounded)], seed=0, maxpts=_POINTS, abseps=1e-4
+        )
+        return float(together.cdf(ndtri(above[bounded]), lower_limit=ndtri(below[bounded])))
 
     def _logs(self, low: Array, high: Array) -> tuple[Array, Array]:
         """Return the logarithms of a range's ends, (n_bands,) each."""
@@ -244,6 +252,16 @@ class Prediction(TimeChange, Result):
             return words.NOTHING_CHANGES
         labels = bands.labels(self.after.centre_frequencies)
         return words.headline(labels, self.time_before, self.mean, self.interval)
+
+    @property
+    def doubts(self) -> list[str]:
+        """Likely typing errors in the room and in T before, a sentence each."""
+        room, known = self.known.room, self.known.measured
+        t = np.where(known, self.known.time, np.nan)
+        marks = [*of_row(room.centre_frequencies, t, "T before", " s"), *in_room(room)]
+        if not is_calibrated(room):
+            marks += of_unit(t, self.known.equation.reverberation_time(room))
+        return [as_sentence(each.sentence) for each in marks]
 
     @property
     def sentences(self) -> list[str]:
@@ -306,7 +324,7 @@ class Prediction(TimeChange, Result):
     def blocks(self) -> list[Block]:
         """Return what the prediction says."""
         labels = bands.labels(self.after.centre_frequencies)
-        heads = [f"{self.before.name}: {self.name}", self.headline]
+        heads = [f"{self.before.name}: {self.name}", self.headline, *self.doubts]
         parts = ("the interval", self.parts)
         return words.blocks_of(heads, labels, self.rows, parts, self.sentences)
 
