@@ -75,7 +75,7 @@ def test_text_is_legible_on_a_phone(drawn: dict[str, Any]) -> None:
         < LEAST
     }
     assert not small, f"px of the smallest text: {small}"
-    assert len(drawn) >= 15
+    assert len(drawn) >= 11
 
 
 def look(line: Any) -> tuple[object, ...]:
