@@ -104,7 +104,7 @@ def test_lobes_that_are_not_certain_leave_the_level_and_its_surfaces(
     case = rt.finder.PositionsCase(
         simulator=tracing(stated(), n_paths=800), measured=opened(True, "level")
     )
-    monkeypatch.setattr(search, "gain", lambda *_: np.array([nats]))
+    monkeypatch.setattr(search, "gain", lambda *_: nats)
     finding = rt.find(case, cache=kept)
     assert finding.detected
     assert ("level" in finding.parameters) == level
