@@ -23,7 +23,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,15 +31,9 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from rtcal.calibration.terms import AddedAbsorption, AnyTerm, Model, Shared, Term
-from rtcal.calibration.unknowns import Flags, Integers, Layout, Numbers
-from rtcal.support import Deferred
+from rtcal.calibration.unknowns import Flags, Integers, Layout, Numbers, cp
 from rtcal.support.errors import ModelError, SolverError
 from rtcal.support.types import Array
-
-if TYPE_CHECKING:
-    import cvxpy as cp
-else:
-    cp = Deferred("cvxpy")
 
 _EPS = np.finfo(float).eps
 Active = NDArray[np.int8]

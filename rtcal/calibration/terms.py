@@ -25,23 +25,18 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import TARGET
-from rtcal.calibration.unknowns import Integers, Layout, Numbers
+from rtcal.calibration.unknowns import Integers, Layout, Numbers, cp
 from rtcal.calibration.unknowns import Observed as Observed
-from rtcal.support import Deferred, checks
+from rtcal.support import checks
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.types import Array
-
-if TYPE_CHECKING:
-    import cvxpy as cp
-else:
-    cp = Deferred("cvxpy")
 
 __all__ = [
     "AddedAbsorption",

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -28,6 +29,20 @@ from rtcal.support.types import Array, read_only
 
 Integers = NDArray[np.intp]
 Flags = NDArray[np.bool_]
+
+if TYPE_CHECKING:
+    import cvxpy
+
+    cp = cvxpy
+else:
+
+    class _Cvxpy:
+        """cvxpy, which is imported when one of its names is first used: a page needs none of it."""
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(import_module("cvxpy"), name)
+
+    cp = _Cvxpy()
 
 
 @dataclass(frozen=True, eq=False)

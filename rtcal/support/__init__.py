@@ -64,16 +64,6 @@ def library(message: str, name: str, *further: str) -> Any:
         raise MissingDependencyError(message) from error
 
 
-class Deferred:
-    """A library that is imported when one of its names is first used."""
-
-    def __init__(self, name: str) -> None:
-        self._library = name
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(import_module(self._library), name)
-
-
 def typing_imports(source: str) -> dict[str, str]:
     """Return for each name imported under ``if TYPE_CHECKING:`` the module it comes from."""
     return {
