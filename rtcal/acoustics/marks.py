@@ -205,12 +205,17 @@ class TrustMark:
         return self.kind.replace("_", " ").replace("schroeder", "Schroeder")
 
     @property
+    def as_error(self) -> str:
+        """A likely typing error, with its band if it has one."""
+        where = "" if self.frequency is None else f" at {self.frequency:g} Hz"
+        return f"likely a typing error{where}: {self.text}"
+
+    @property
     def sentence(self) -> str:
         """A likely typing error with what to do, for messages."""
         if self.kind == "box_surface":
             return f"{self.text}. Check each area before anything else"
-        where = "" if self.frequency is None else f" at {self.frequency:g} Hz"
-        return f"likely a typing error{where}: {self.text}. Check this value before anything else"
+        return f"{self.as_error}. Check this value before anything else"
 
 
 _ADVICE: dict[str, tuple[str, str]] = {
@@ -430,10 +435,9 @@ def likely_areas(room: Room) -> Room | None:
     >>> likely_areas(room).areas.tolist()
     [20.0, 74.0]
     """
-    off = _over_box(room)
-    if off is None or LEAST_OF_BOX <= off <= MOST_OF_BOX:
+    box = _missed_box(room)
+    if box is None:
         return None
-    box = room.total_area / off
     off_by = {
         (i, factor): abs((room.total_area + (factor - 1) * float(area)) / box - 1)
         for i, area in enumerate(room.areas)
@@ -450,24 +454,22 @@ def likely_areas(room: Room) -> Room | None:
     return room.replace(areas=areas, surfaces=surfaces)
 
 
-def _over_box(room: Room) -> float | None:
-    """Return the room's surface over that of the box of its dimensions; None without them."""
+def _missed_box(room: Room) -> float | None:
+    """Return the surface in m² of the box of a room's dimensions, if the areas do not fit it."""
     if room.dimensions is None:
         return None
     x, y, z = room.dimensions
-    return room.total_area / (2 * (x * y + y * z + z * x))
+    box = 2 * (x * y + y * z + z * x)
+    return None if LEAST_OF_BOX <= room.total_area / box <= MOST_OF_BOX else box
 
 
 def of_areas(room: Room) -> list[TrustMark]:
     """Return the mark of areas that do not add up to the box of the stated dimensions."""
-    off = _over_box(room)
-    if off is None or LEAST_OF_BOX <= off <= MOST_OF_BOX:
+    box = _missed_box(room)
+    if box is None:
         return []
     sides = " x ".join(f"{side:g}" for side in room.dimensions or ())
-    text = (
-        f"the areas add up to {room.total_area:.4g} m², but a box of {sides} m has "
-        f"{room.total_area / off:.4g} m²"
-    )
+    text = f"the areas add up to {room.total_area:.4g} m², but a box of {sides} m has {box:.4g} m²"
     if (likely := likely_areas(room)) is None:
         return [mark("box_surface", None, text)]
     i = int(np.argmax(np.abs(likely.areas - room.areas)))

@@ -336,7 +336,6 @@ def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
     marks, kinds = record["trust_marks"], ("unit_error", "area_typing_error", "typing_error")
     if typed := [mark for mark in _trust_marks(record) if mark.kind in kinds]:
         first, more = typed[0], ""
-        at = "" if first.frequency is None else f" at {first.frequency:g} Hz"
         if typed[1:]:
             more = (
                 f" {len(typed) - 1} more of this kind {'are' if typed[2:] else 'is'} listed below."
@@ -344,7 +343,7 @@ def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
         what = "Every coefficient" if first.frequency is None else "Every coefficient of its band"
         return CalibrationVerdict(
             "contradicts",
-            f"Likely a typing error{at}: {first.text}",
+            f"{first.as_error[:1].upper()}{first.as_error[1:]}",
             f"Check this value before anything else, and calibrate again. {what} is computed with "
             f"it.{more}",
         )

@@ -1235,15 +1235,15 @@ def write(loop: Loop, state: str, out: str) -> str:
             f"Done{missed}. {out} has the coefficients, those of each band's best step: simulate them "
             "once more, and `rtcal loop next` confirms them."
         )
-    if n and loop.after is not None:
-        off = [s == "not confirmed" for s in loop.status]
-        end = f"Done{missed}. {out} has the coefficients, which were simulated together."
-        if any(off):
-            where = ", ".join(labels(loop.prior.centre_frequencies[off]))
-            end += (
-                f" Not confirmed at {where}: simulate with less noise (more paths) after "
-                "`rtcal loop back`."
-            )
+        if loop.after is not None:
+            off = [s == "not confirmed" for s in loop.status]
+            end = f"Done{missed}. {out} has the coefficients, which were simulated together."
+            if any(off):
+                where = ", ".join(labels(loop.prior.centre_frequencies[off]))
+                end += (
+                    f" Not confirmed at {where}: simulate with less noise (more paths) after "
+                    "`rtcal loop back`."
+                )
     content = note + room.to_text(Path(out).parent)
     write_all({out: content.encode(), state: loop.to_json(Path(state).parent).encode()})
     return end

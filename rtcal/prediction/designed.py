@@ -664,7 +664,6 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
     """
     model = model.in_order[0]
     labels, target = bands.labels(model.before.centre_frequencies), model.target
-    too_short = _already_short(model)
     if any(t.unit is not None for t in model.treatments):
         free = replace(model, treatments=tuple(replace(t, unit=None) for t in model.treatments))
         if (found := _cheapest(free, probability)) is not None:
@@ -682,7 +681,7 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
     ]
     said = [
         f"No areas of these treatments are in range with probability {probability:g}.",
-        *too_short,
+        *_already_short(model),
         "With the areas whose least probable band is most probable, the probabilities are: "
         f"{', '.join(each)}. {_price(model, at)}.",
     ]
