@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.room import Room as Room
     from rtcal.acoustics.room import Scene as Scene
     from rtcal.acoustics.room import Surface as Surface
+    from rtcal.acoustics.run import Run as Run
     from rtcal.calibration import archive as archive
     from rtcal.calibration import exact as exact
     from rtcal.calibration import posterior as posterior

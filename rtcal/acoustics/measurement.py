@@ -214,7 +214,7 @@ class Measurement:
         frequencies.setflags(write=False)
         put("centre_frequencies", frequencies)
         put("pairs", self._checked_pairs())
-        for name in _TABLES:
+        for name in TABLES:
             tables = checks.mapped(f"measurement {name}", getattr(self, name))
             put(name, {p: self._checked(name, p, table) for p, table in tables.items()})
         if not self.values:
@@ -571,8 +571,8 @@ class Measurement:
                 f"({bands.hertz(conversion.new)}) have no band in common"
             )
         # The values beside which an uncertainty stands; those of all pairs of a band have the mean's.
-        tables: dict[str, Any] = {name: {} for name in _TABLES}
-        for name, p in [(each, p) for each in _TABLES for p in getattr(self, each)]:
+        tables: dict[str, Any] = {name: {} for name in TABLES}
+        for name, p in [(each, p) for each in TABLES for p in getattr(self, each)]:
             table, scale = getattr(self, name)[p], observable(p).averaging
             beside = self.values[p] if name in _OF_PAIRS else self.mean(p)
             tables[name][p] = (
@@ -610,7 +610,7 @@ class Measurement:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the measurement as plain values, None where one is missing; see `from_dict`."""
-        tables = {name: getattr(self, name) for name in _TABLES}
+        tables = {name: getattr(self, name) for name in TABLES}
         return {
             "centre_frequencies": json_numbers(self.centre_frequencies),
             "pairs": [list(pair) for pair in self.pairs],
@@ -683,7 +683,7 @@ _OPTIONAL_COLUMNS = (
 )
 
 _OF_PAIRS = ("values", "uncertainty")
-_TABLES = (*_OF_PAIRS, "common_uncertainty", "standard_deviation")
+TABLES = (*_OF_PAIRS, "common_uncertainty", "standard_deviation")
 MAX_BYTES = 2**21
 MAX_CELLS = 2**20
 """Largest number of values in a file, pairs times bands times parameters; most may be empty."""

@@ -25,6 +25,7 @@ from rtcal.support.text import fitted, printable, width
 if TYPE_CHECKING:
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
+    from rtcal.acoustics.run import Run
     from rtcal.modes.calibrate import ModesResult
 
 
@@ -149,6 +150,28 @@ def read_measured(path: str | os.PathLike[str], *, quietly: bool = False) -> Mea
         for doubt in table.doubts:
             warn(f"{path}: {doubt}")
     return table.measurement
+
+
+def read_run(room: Room, simulated: str | None, at: str | None) -> Run | None:
+    """Return the run of --simulated and --at, or None without it.
+
+    Raises DataError as `read_measured`, and where --at is not ``room`` with other coefficients.
+    """
+    from rtcal.acoustics.room import Room
+    from rtcal.acoustics.run import Run
+
+    if simulated is None:
+        if at is not None:
+            raise DataError(f"--at {at} has the coefficients of a run: give --simulated, too")
+        return None
+    data, own = read_measured(simulated), room if at is None else Room.from_file(at)
+    try:
+        run = Run(own, data)
+        run.refuse_other(room)
+    except DataError as error:
+        files = " --at ".join(filter(None, (simulated, at)))
+        raise DataError(f"{files}: {error}") from error
+    return run
 
 
 PATHS = 8000
@@ -320,6 +343,11 @@ OPTIONS: dict[str, Decorator] = {
         "What each column of a table holds, where its header does not say it, and its lines: 'from "
         "line 3 to 9: band; T20 [ms] of R1; -'. A refusal proposes it.",
     ),
+    "simulated": file(
+        "simulated",
+        "What your simulation program gave (CSV, xlsx) at ROOM's coefficients: the run.",
+    ),
+    "at": file("at", "ROOM with the coefficients of the run, if they are not ROOM's own (TOML)."),
     "repeats": flag("repeats", "Several values of one source and receiver are repeats: average."),
     "modes": file(
         "modes",
