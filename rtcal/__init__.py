@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from rtcal.calibration.problem import Calibration as Calibration
     from rtcal.calibration.unknowns import Configurations as Configurations
     from rtcal.files.saved import load as load
+    from rtcal.finder.diagnosis import diagnose as diagnose
     from rtcal.finder.search import find as find
     from rtcal.loop.closed import calibrate_simulator as calibrate_simulator
     from rtcal.loop.positions import calibrate_positions as calibrate_positions

@@ -190,13 +190,14 @@ def _progress(unit: str) -> Iterator[Callable[[str, int, int], None]]:
 
 
 def saved(path: str) -> tuple[Any, Any]:
-    """Return the finding that ``rtcal find --out`` wrote, and its verification or None.
+    """Return the finding that ``find`` or ``diagnose --out`` wrote, and its verification or None.
 
     Raises
     ------
     DataError
         For a file that holds no finding, with the command that writes one.
     """
+    from rtcal.finder.diagnosis import Diagnosis
     from rtcal.finder.finding import Finding
     from rtcal.finder.verification import Verification
 
@@ -209,6 +210,8 @@ def saved(path: str) -> tuple[Any, Any]:
     result: Result = load(path)
     if isinstance(result, Verification):
         return result.finding, result
+    if isinstance(result, Diagnosis):
+        return result.finding, result.verification
     if isinstance(result, Finding):
         return result, None
     kind = result.record_kind.rstrip(" 0123456789")

@@ -13,6 +13,7 @@ import click
 
 from rtcal.command.calibrate import NOT_NEARER, calibrate, fit, learn, study
 from rtcal.command.console import CannotPrint, printing, show_warning, warn
+from rtcal.command.diagnose import diagnose
 from rtcal.command.files import example, export, measure, report, table
 from rtcal.command.finder import NOTHING_TO_ADD, apply, find, plan, verify
 from rtcal.command.import_room import import_room
@@ -79,6 +80,7 @@ for command in (
     find,
     verify,
     apply,
+    diagnose,
     plan,
     measure,
     table,

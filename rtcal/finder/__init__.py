@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rtcal.finder.case import PositionsCase as PositionsCase
     from rtcal.finder.case import StatesCase as StatesCase
     from rtcal.finder.case import case_of as case_of
+    from rtcal.finder.diagnosis import Diagnosis as Diagnosis
     from rtcal.finder.effects import Absorber as Absorber
     from rtcal.finder.effects import Effect as Effect
     from rtcal.finder.effects import library as library

@@ -28,6 +28,7 @@ _MODULES = {
         ("prediction", "prediction at positions", "predictions", "design"), "of_prediction"
     ),
     **dict.fromkeys(("finding", "verification"), "of_finding"),
+    "diagnosis": "of_diagnosis",
 }
 """The module with the page of each kind of result, which alone is imported."""
 
@@ -38,8 +39,8 @@ def blocks_of(result: Result) -> Page:
     if kind not in _MODULES:
         raise DataError(
             f'a result of the kind "{kind}" has no page. Pages '
-            "show a calibration, a loop, positions, modes, predictions, designs, findings and what "
-            "changed; `rtcal learn` prints an archive"
+            "show a calibration, a loop, positions, modes, predictions, designs, findings, diagnoses "
+            "and what changed; `rtcal learn` prints an archive"
         )
     made: Page = import_module(f"rtcal.report.{_MODULES[kind]}").page(result)
     return made

@@ -1,0 +1,73 @@
+"""``rtcal diagnose``: find, verify, apply and calibrate in one command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rtcal.command.console import heading_options, takes, tell
+from rtcal.command.finder import kept_beside, searched, verified
+from rtcal.files.disk import make_folder, write_all
+from rtcal.support.errors import DataError
+
+if TYPE_CHECKING:
+    from rtcal.report.document import Heading
+
+
+@click.command(
+    short_help="All at once: where a model is off, why, and what is left when it is mended."
+)
+@takes(
+    click.argument("case", metavar="CASE|ROOM", type=click.Path()),
+    "MEASURED?",
+    "match",
+    "exclude",
+    "scattering",
+    "paths",
+    "seed",
+    click.option(
+        "--out",
+        type=click.Path(file_okay=False),
+        help="Folder for one page (report.html) with its figures, the calibrated room (room.toml, with "
+        "its mesh and its lists of materials where there are any) and all numbers (result.json).",
+    ),
+    heading_options,
+)
+def diagnose(heading: Heading, out: str | None, **options: Any) -> None:
+    """Find what the model misses, verify it, add it and calibrate: one answer, one page.
+
+    It stands for `rtcal find`, `verify`, `apply` and `fit`, with their defaults, and prints them. What
+    has a probability of less than 0.3, or is withdrawn by its verification, is not added: the model is
+    then calibrated as it is given, and the text says so.
+
+    Example: rtcal diagnose room.toml pairs.csv --out diagnosis
+    """
+    from rtcal.finder.apply import CASE, CATT, MESH, ODEON, ROOM
+    from rtcal.finder.diagnosis import diagnosis
+    from rtcal.report import of_diagnosis, of_finding
+
+    if out == "":
+        raise DataError("--out is empty; it is a folder")
+    target = None if out is None else Path(out)
+    files = (*of_finding.WRITTEN, ROOM, CASE, MESH, CATT, ODEON)
+    defaults = {
+        "before": None,
+        "simulated": None,
+        "without": (),
+        "only": (),
+        "prior": (),
+        "most": 1,
+    }
+    finding = searched(
+        defaults | options, [] if target is None else [target / name for name in files]
+    )
+    cache = kept_beside(options["case"])
+    verification = verified(finding, cache) if finding.can_be_verified else None
+    result = diagnosis(finding, verification, cache=cache)
+    if target is not None:
+        written = of_diagnosis.contents(result, target, heading)
+        make_folder(target)
+        write_all(written)
+    tell(str(result), result.to_dict())

@@ -1,0 +1,159 @@
+"""A finding, its verification, and the calibration of the model with what was found: all in one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.room import Room
+from rtcal.files.saved import Result
+from rtcal.finder.apply import Corrected
+from rtcal.finder.case import AnyCase, PositionsCase
+from rtcal.finder.finding import Finding
+from rtcal.finder.means.recalibration import Recalibrated, plain, recalibrate
+from rtcal.finder.search import find
+from rtcal.finder.verification import Verification, verify
+from rtcal.loop.positions import PositionsResult, calibrate_positions
+from rtcal.support.blocks import Block
+from rtcal.support.errors import DataError
+from rtcal.support.speed import TaskProgress
+
+if TYPE_CHECKING:
+    from rtcal.simulators.path_tracing import PathTracing
+
+WORDS = "rtcal.report.of_diagnosis"
+"""The module that makes the words of a diagnosis."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Diagnosis(Result):
+    """Where model and measurement disagree, what was found and added, and what is left.
+
+    Attributes
+    ----------
+    finding : Finding
+    verification : Verification or None
+        The deviations at data that were held out; None where nothing could be verified.
+    calibrated : PositionsResult or Recalibrated
+        The model with what was added, calibrated to all data; the model as given where nothing was.
+    """
+
+    record_kind: ClassVar[str] = "diagnosis 1"
+
+    finding: Finding
+    verification: Verification | None
+    calibrated: PositionsResult | Recalibrated
+
+    @cached_property
+    def corrected(self) -> Corrected | None:
+        """The model with what was found, before it is calibrated; None where nothing was added."""
+        return _corrected(self.finding, self.verification)
+
+    @property
+    def room(self) -> Room:
+        """The room with what was added, calibrated."""
+        return self.calibrated.room
+
+    def blocks(self) -> list[Block]:
+        """Return what is printed: the answer, what was added, and the deviations before and after."""
+        made: list[Block] = import_module(WORDS).blocks(self)
+        return made
+
+    def __repr__(self) -> str:
+        return f"<Diagnosis of {self.finding!r}>"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        verified, corrected = self.verification, self.corrected
+        return {
+            "finding": self.finding.to_dict(),
+            "verification": None if verified is None else verified.to_dict(),
+            "corrected": None if corrected is None else corrected.to_dict(),
+            "calibrated": self.calibrated.to_dict(),
+        }
+
+
+def _corrected(finding: Finding, verification: Verification | None) -> Corrected | None:
+    """Return the model with what was found; None where `apply` needs a choice, or it was withdrawn."""
+    withdrawn = verification is not None and verification.verdict == "withdrawn"
+    if not finding.can_be_added or finding.undecided is not None or withdrawn:
+        return None
+    return finding.apply()
+
+
+def diagnose(
+    room: Room | AnyCase,
+    measured: Measurement | None = None,
+    simulator: PathTracing | None = None,
+    *,
+    seeds: Sequence[int] = (0,),
+    cache: str | os.PathLike[str] | None = None,
+    progress: TaskProgress | None = None,
+    **options: Any,
+) -> Diagnosis:
+    """Find what a model misses, verify it at data that were held out, add it, and calibrate.
+
+    Parameters
+    ----------
+    room, measured, simulator, cache, progress
+        As `rtcal.find` takes them.
+    seeds : sequence of int
+        Of the simulator, over which a verification at positions is repeated.
+    **options
+        Further ones of `rtcal.find`.
+
+    Raises
+    ------
+    DataError
+        As `rtcal.find`, and for a case of two states.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> case, truth = rt.datasets.hidden_room("named")
+    >>> print(rt.diagnose(case))  # doctest: +SKIP
+    """
+    finding = find(room, measured, simulator, cache=cache, progress=progress, **options)
+    verification = None
+    if finding.can_be_verified:
+        of_positions = finding.kind == "positions"
+        more = {"seeds": seeds, "cache": cache, "progress": progress} if of_positions else {}
+        verification = verify(finding, **more)
+    return diagnosis(finding, verification, cache=cache)
+
+
+def diagnosis(
+    finding: Finding,
+    verification: Verification | None,
+    *,
+    cache: str | os.PathLike[str] | None = None,
+) -> Diagnosis:
+    """Add what was found and verified to the model, and calibrate it; see `diagnose`."""
+    if finding.kind == "states":
+        raise DataError("a diagnosis compares a model with one measurement, not two states")
+    corrected = _corrected(finding, verification)
+    if isinstance(finding.case, PositionsCase):
+        case = finding.case
+        simulator = case.simulator if corrected is None else corrected.simulator()
+        calibrated: PositionsResult | Recalibrated = calibrate_positions(
+            simulator,
+            simulator.room,
+            case.measured,
+            finding.parameters,
+            exclude=case.exclude,
+            controls=finding.controls,
+            cache=cache,
+            position_uncertainty=case.position_uncertainty,
+        )
+    elif corrected is None:
+        calibrated = plain(finding.case)
+    elif verification is not None and verification.corrected is not None:
+        calibrated = verification.corrected
+    else:
+        calibrated = recalibrate(finding.with_effects(), finding.discrepancy)
+    return Diagnosis(finding=finding, verification=verification, calibrated=calibrated)

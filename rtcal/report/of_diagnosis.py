@@ -1,0 +1,147 @@
+"""The words and the page of a diagnosis: where, what, added, calibrated, and what is left."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from rtcal.acoustics.marks import rms
+from rtcal.files.saved import NUMBERS
+from rtcal.finder.apply import ROOM
+from rtcal.finder.diagnosis import Diagnosis
+from rtcal.loop.positions import PositionsResult
+from rtcal.report import figures, of_finding
+from rtcal.report import finding_words as words
+from rtcal.report.document import (
+    Box,
+    Code,
+    Heading,
+    Page,
+    Picture,
+    Section,
+    coefficients,
+    flat,
+    render,
+)
+from rtcal.support.blocks import Block, Note
+
+_STEPS = (
+    "rtcal find room.toml measured.csv --out found",
+    "rtcal verify found",
+    "rtcal apply found --out corrected",
+    "rtcal fit corrected/room.toml measured.csv --out fitted",
+)
+"""The commands that one diagnosis stands for; of means `apply` calibrates, too."""
+_MET = 0.05
+"""Root mean square of T's deviation over its uncertainty up to which a model has the measured T."""
+
+
+def steps(result: Diagnosis) -> str:
+    """Return the commands that the diagnosis stands for, a line each."""
+    return "\n".join(_STEPS if isinstance(result.calibrated, PositionsResult) else _STEPS[:3])
+
+
+def added(result: Diagnosis) -> str:
+    """Return what was added to the model, or why nothing was."""
+    finding, corrected = result.finding, result.corrected
+    if corrected is None:
+        why = of_finding.chosen(finding, "DIAGNOSIS") or finding.refusal or ""
+        return f"Nothing is added to the model. {why}".strip()
+    if corrected.added is None:
+        return words.added(finding, finding.members)
+    what = f"{corrected.added.title}, {corrected.added.in_words}"
+    return f'Added to the model: {what}, as the material "{corrected.material}".'
+
+
+def calibrated(result: Diagnosis) -> str:
+    """Return how far the calibrated model is from all that was measured, before and after."""
+    found = result.calibrated
+    which = "as given" if result.corrected is None else "with it"
+    if isinstance(found, PositionsResult):
+        before, after = rms(found.gap_before), rms(found.gap_after)
+        return (
+            f"Calibrated to all pairs, the model {which} differs from the measurement by {after:.1f} "
+            f"JND, root mean square; before its calibration by {before:.1f} JND."
+        )
+    if found.off < _MET:
+        return f"Calibrated to T, the model {which} has it."
+    return (
+        f"Calibrated to T, the model {which} misses it by {found.off:.1f} times the uncertainty of T, "
+        "root mean square."
+    )
+
+
+def shrunk(result: Diagnosis) -> str:
+    """Return the deviations at held-out data as given, calibrated, and with what was added."""
+    verified = result.verification
+    if verified is None or np.isnan(verified.before):
+        return ""
+    each = zip(verified.models, verified.by_seed.mean(axis=1), strict=True)
+    said = ", ".join(f"{gap:.2f} JND {model}" for model, gap in each)
+    return f"Mean deviation at data that the model was not fitted to: {said}."
+
+
+def blocks(result: Diagnosis) -> list[Block]:
+    """Return the answer, what is left, what was added, the candidates and the commands."""
+    finding, verified = result.finding, result.verification
+    table = words.candidates(finding)
+    said = [
+        " ".join(words.headline(finding)),
+        *(f"Caution: {caution}" for caution in words.cautions(finding)),
+        shrunk(result),
+        "" if verified is None else verified.sentence,
+        added(result),
+        calibrated(result),
+    ]
+    rests_on = [words.evidence(finding), words.track_record(finding), "This stands for:"]
+    return [
+        *map(Note, filter(None, said)),
+        *([] if table is None else [table]),
+        *map(Note, filter(None, rests_on)),
+        *(Note(line, "  ") for line in steps(result).splitlines()),
+    ]
+
+
+def page(result: Diagnosis) -> Page:
+    """Return the page: that of the finding, with what was added and the calibration with it."""
+    made, found = of_finding.page(result.finding, result.verification), result.calibrated
+    more = [
+        sentence for sentence in (shrunk(result), added(result), calibrated(result)) if sentence
+    ]
+    said = [
+        replace(block, texts=[*block.texts, *more]) if isinstance(block, Box) else block
+        for block in made.blocks
+    ]
+    if isinstance(found, PositionsResult):
+        said += [
+            Section("The calibrated model", "calibrated", new_sheet=True),
+            coefficients(
+                "Absorption coefficients: input → calibrated, below it the 90 % interval",
+                found.prior,
+                found.alpha,
+                found.interval,
+            ),
+        ]
+    said += [Section("The commands that this page stands for", "commands", 3), Code(steps(result))]
+    return replace(made, subject="where simulation and measurement disagree, and why", blocks=said)
+
+
+def contents(result: Diagnosis, folder: Path, heading: Heading | None = None) -> dict[Path, bytes]:
+    """Return the content of each file by path: page, figures, numbers and the calibrated room.
+
+    The room has its mesh and its lists of materials beside it where `Corrected.contents` makes them.
+    Raises MissingDependencyError without matplotlib or jinja2.
+    """
+    made, corrected = page(result), result.corrected
+    if corrected is None:
+        out = {folder / ROOM: result.room.to_text(folder).encode()}
+    else:
+        out = replace(corrected, room=result.room).contents(folder)
+    out[folder / of_finding.PAGE] = render(made, heading).encode()
+    out[folder / NUMBERS] = result.to_json(folder).encode()
+    for block in flat(made.blocks):
+        if isinstance(block, Picture) and block.name:
+            out[folder / f"{block.name}.png"] = figures.rendered(block.figure, "png")
+    return out

@@ -1,0 +1,89 @@
+"""A diagnosis says what `find`, `verify`, `apply` and the calibration say, in one result."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.finder import Diagnosis
+from rtcal.finder.means.recalibration import plain
+from rtcal.loop.positions import PositionsResult
+from tests.test_where_commands import run
+
+
+@pytest.fixture(scope="module")
+def named(kept: Path) -> Diagnosis:
+    return rt.diagnose(rt.datasets.hidden_room("named")[0], cache=kept)
+
+
+def test_it_is_what_the_single_steps_give(named: Diagnosis, kept: Path) -> None:
+    finding = rt.find(named.finding.case, cache=kept)
+    verified, truth = rt.finder.verify(finding), rt.datasets.hidden_room("named")[1]
+    assert finding.effect == named.finding.effect == truth["hidden"]
+    assert named.verification is not None
+    assert named.verification.after == verified.after < 0.5 * verified.before
+    assert named.corrected is not None
+    applied = finding.apply()
+    assert named.corrected.room.to_dict() == applied.room.to_dict()
+    assert verified.corrected is not None
+    assert np.array_equal(named.calibrated.alpha, verified.corrected.alpha)
+    assert np.array_equal(named.room.alpha[: len(named.calibrated.alpha)], named.calibrated.alpha)
+
+
+def test_saved_it_prints_the_same(named: Diagnosis, tmp_path: Path) -> None:
+    assert str(rt.load(named.save(tmp_path))) == str(named)
+
+
+def test_where_nothing_is_missing_the_model_is_calibrated_as_given(kept: Path) -> None:
+    case, _ = rt.datasets.hidden_room("not_told")
+    result = rt.diagnose(case, cache=kept)
+    assert result.corrected is None
+    assert result.verification is None
+    assert np.array_equal(result.calibrated.alpha, plain(case).alpha)
+    assert "Nothing is added to the model." in str(result)
+
+
+def test_two_states_are_refused() -> None:
+    room, after = rt.datasets.bras_cr2()
+    times = {"t30": 1.3 * after.values["t30"]}
+    before = rt.Measurement(centre_frequencies=after.centre_frequencies, values=times)
+    with pytest.raises(rt.errors.DataError, match="two states"):
+        rt.diagnose(room, after, before=before)
+
+
+@pytest.mark.usefixtures("runs_kept")
+def test_the_command_writes_one_folder_that_apply_and_report_read(
+    named: Diagnosis,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("matplotlib", reason="needs the extra report")
+    monkeypatch.chdir(tmp_path)
+    named.finding.case.save("case.json")
+    assert run("diagnose", "case.json", "--out", "out", "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["finding"]["named"] == list(named.finding.named)
+    assert np.allclose(rt.Room.from_file("out/room.toml").alpha, named.room.alpha)
+    page = Path("out/report.html").read_text(encoding="utf-8")
+    assert run("report", "out") == 0
+    assert "Added: noise floor" in page
+    assert run("apply", "out", "--out", "again") == 0
+
+
+@pytest.mark.long
+def test_at_positions_the_corrected_model_is_fitted(tmp_path: Path, kept: Path) -> None:
+    for name, content in rt.datasets.examples.example("where").files.items():
+        (tmp_path / name).write_bytes(content)
+    room = rt.Room.from_file(str(tmp_path / "room.toml"))
+    measured = rt.Measurement.from_file(str(tmp_path / "pairs.csv"))
+    result = rt.diagnose(room, measured, tracing={"n_paths": 2000}, cache=kept)
+    assert isinstance(result.calibrated, PositionsResult)
+    assert (result.corrected is None) == (result.finding.undecided is not None)
+    assert result.verification is not None
+    as_given, calibrated, _ = result.verification.by_seed.mean(axis=1)
+    assert calibrated < 0.5 * as_given
