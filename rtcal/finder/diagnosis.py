@@ -121,8 +121,9 @@ def diagnose(
     finding = find(room, measured, simulator, cache=cache, progress=progress, **options)
     verification = None
     if finding.can_be_verified:
-        of_positions = finding.kind == "positions"
-        more = {"seeds": seeds, "cache": cache, "progress": progress} if of_positions else {}
+        more: dict[str, Any] = {}
+        if finding.kind == "positions":
+            more = {"seeds": seeds, "cache": cache, "progress": progress}
         verification = verify(finding, **more)
     return diagnosis(finding, verification, cache=cache)
 
