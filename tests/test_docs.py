@@ -111,6 +111,20 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
+def test_a_command_of_the_benchmarks_is_there_or_has_its_commit() -> None:
+    command = re.compile(
+        r"`python\s(?:-m\s)?(benchmarks[\w./]*)[^`]*`(?:\s\([^)]*\))?(\sin\scommit\s\w{8})?"
+    )
+    found = 0
+    for page in (*PAGES, *(ROOT / "benchmarks").glob("**/*.md")):
+        for named, commit in command.findall(page.read_text(encoding="utf-8")):
+            path = ROOT / named.removesuffix(".py").replace(".", "/")
+            found += 1
+            there = path.with_suffix(".py").exists() or (path / "__main__.py").exists()
+            assert there or commit, f"{page}: {named}"
+    assert found > 30
+
+
 def test_the_files_page_shows_files_that_are_read(tmp_path: Path) -> None:
     page = ROOT / "docs" / "files.md"
     (tmp_path / "room.toml").write_text(blocks(page, "toml")[0], encoding="utf-8")

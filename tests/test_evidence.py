@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, multivariate_t
 
-from benchmarks.studies.pairs.where_ideal import log_sums
 from rtcal.finder import evidence
 from rtcal.finder.evidence import Factorization, bounded, student, with_columns
 
@@ -74,10 +73,3 @@ def test_the_evidence_of_a_hypothesis_is_the_density_under_its_whole_covariance(
         np.testing.assert_allclose(by_bounded[h][~near], np.array(wider) + constant, rtol=1e-9)
     assert (square > n).any()
     assert (square <= n).any()
-
-
-def test_probabilities_are_summed_by_label() -> None:
-    log = np.log(np.array([[0.1, 0.2], [0.3, 0.1], [0.6, 0.7]]))
-    sums = log_sums(["a", "b", "a"], log)
-    np.testing.assert_allclose(np.exp(sums["a"]), [0.7, 0.9])
-    np.testing.assert_allclose(np.exp(sums["b"]), [0.3, 0.1])

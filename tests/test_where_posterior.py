@@ -11,9 +11,15 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import rtcal as rt
-from benchmarks.studies.pairs import where_ideal
+from benchmarks.studies.pairs.where import prepared
 from rtcal.finder.effects import library
-from rtcal.finder.positions.problem import PositionsHypotheses, ScatteringLevels, shifts
+from rtcal.finder.positions.problem import (
+    Likelihood,
+    PositionsHypotheses,
+    ScatteringLevels,
+    shifts,
+    uneven_amount,
+)
 from rtcal.finder.positions.search import (
     LEAST_BY_MEANS,
     MEANS_POWER,
@@ -73,14 +79,23 @@ def test_a_finding_names_the_family_that_means_know_of(
     assert sum(flat.probabilities.values()) == pytest.approx(1)
 
 
-def test_the_means_of_a_drawn_room_have_the_density_of_means(
+def test_means_over_pairs_have_the_density_of_means(
     case: rt.finder.PositionsCase, kept: Path
 ) -> None:
-    numbers, every = where_ideal.prepared(case, kept)
+    numbers, every = prepared(case, kept)
     numbers.levels = ScatteringLevels(np.zeros((len(numbers.residual), 1)), np.zeros(1))
-    likelihoods = numbers.likelihoods()
-    mean, of_means = where_ideal.averaged(numbers, likelihoods)
-    whole, averaged = likelihoods[0], of_means[0]
+    whole = numbers.likelihoods()[0]
+    p, i, k = numbers.shape
+    mean = np.kron(np.eye(k * p), np.full((1, i), 1 / i))
+    within = np.kron(np.eye(p), np.full((1, i), 1 / i))
+    averaged = Likelihood(
+        mean @ whole.covariance @ mean.T,
+        numbers.used.reshape(-1, i).all(axis=1),
+        {name: within @ nodes for name, nodes in whole.nodes.items()},
+        uneven=within @ whole.uneven,
+        amount=uneven_amount(numbers.data.observations.parameters, 1),
+        levels=whole.levels._replace(shifts=mean @ whole.levels.shifts),
+    )
     shift = next(s for s in every.shifts if s.effect == "opening").some(slice(5, 6))
     nodes = whole.nodes[shift.response]
     exact = np.einsum("kvn,kn->kv", nodes, shift.weights[0])
@@ -96,21 +111,3 @@ def test_the_means_of_a_drawn_room_have_the_density_of_means(
     constant = len(mean) / 2 * np.log(2 * np.pi)
     (said,) = averaged.shifted([shift], averaged.of(residual))
     assert said == pytest.approx(expected + constant, abs=1e-3)
-
-
-def test_drawn_rooms_scatter_as_the_likelihood_says(
-    case: rt.finder.PositionsCase, kept: Path
-) -> None:
-    numbers, every = where_ideal.prepared(case, kept)
-    likelihood = numbers.likelihoods()[0]
-    rng = np.random.default_rng(5)
-    squares = []
-    for _ in range(20):
-        hidden, residuals = where_ideal.drawn(numbers, likelihood, every, rng)
-        alone = likelihood.with_one_level()
-        squares += [
-            float(alone.of(residual)[1][0])
-            for what, residual in zip(hidden, residuals.T, strict=True)
-            if what is None
-        ]
-    assert np.mean(squares) == pytest.approx(likelihood.number, rel=0.05)

@@ -9,8 +9,6 @@ studies/position_rooms describes the rooms. `run` fits all pairs for alpha, and 
 for the gaps at the other three. A method is "t20" (the loop of `rtcal.calibrate_simulator`) or
 "positions" (the same with ``match``). The gaps of the stated and of the true alpha stand beside them.
 
-Another program is in benchmarks/studies/fits/fit_peer.py, a real room in
-benchmarks/studies/fits/positions_cr2.py.
 """
 
 from __future__ import annotations

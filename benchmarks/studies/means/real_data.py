@@ -112,7 +112,6 @@ def ptb_measured(
 
 # dEchorate ----------------------------------------------------------------------------------------
 
-PANELS = ("floor", "ceiling", "west", "south", "east", "north")
 PANEL_AREAS = np.array([34.03, 34.03, 14.05, 13.44, 14.05, 13.44])
 DECHORATE_VOLUME = 80.14
 DECHORATE_BANDS = (500.0, 1000.0, 2000.0, 4000.0)

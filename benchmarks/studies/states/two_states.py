@@ -1,7 +1,4 @@
-"""The change between two measurements: real rooms, controls, a hidden world.
-
-    python -m benchmarks.studies.states.two_states [real] [surfaces] [worlds] [controls] [hidden]
-        [climates] [time]
+"""The change between two measurements in real rooms: `python -m benchmarks.studies.states.two_states`.
 
 This folder's README.md has its output. The data are read from the shared folder beside the checkout.
 """
@@ -9,31 +6,19 @@ This folder's README.md has its output. The data are read from the shared folder
 from __future__ import annotations
 
 import itertools
-import sys
-import time
-from collections import Counter
 
 import numpy as np
 
 import rtcal as rt
 from benchmarks.studies.means.real_data import lines
-from rtcal.finder import StatesCase
 from rtcal.finder.finding import Finding
-from rtcal.simulators import PathTracing, Polyhedron
-from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.types import Array
-from tests import test_two_states_surfaces as test_walls
-from tests import test_where
-from tests import two_states as synthetic
 
 LABORATORY = (9.7, 5.5, 2.7)
 STATES = ("000", "050", "100", "R")
 OCTAVES = np.array([125.0, 250, 500, 1000, 2000, 4000, 8000])
-MIDDLE = (500.0, 1000.0, 2000.0)
 STEPS = ("000000", "011000", "011100", "011110", "011111")
 """dEchorate's panels, turned one after the other (floor, ceiling, west, south, east, north)."""
-FIRST = 5000
-"""First seed of what is drawn: none was drawn before the rule was frozen."""
 
 
 def box(name: str, sides: tuple[float, float, float], frequencies: Array) -> rt.Room:
@@ -169,223 +154,5 @@ def real() -> None:
         print(f"{title}: detected {sum(done)} of {len(done)}\n")
 
 
-def drawn(state: str, seed: int, aimed: bool, noisy: int) -> Finding:
-    """Return what is found between two measurements of a state, with the noise of both drawn."""
-    measured = laboratory(state, aimed)
-    t = np.nanmedian(measured.values["t20"], axis=0)
-    n = len(measured.pairs)
-    rng = np.random.default_rng(seed)
-    scale = np.ones((n, 1))
-    scale[rng.permutation(n)[:noisy]] = 3.0
-    spread = 0.88 / np.sqrt(OCTAVES / np.sqrt(2) * t)
-    two = [
-        rt.Measurement(
-            centre_frequencies=OCTAVES,
-            values={"t20": t * np.exp(scale * spread * rng.standard_normal((n, len(t))))},
-            pairs=measured.pairs,
-        )
-        for _ in range(2)
-    ]
-    return rt.find(box("laboratory", LABORATORY, OCTAVES), two[1], before=two[0])
-
-
-def controls(number: int = 40) -> None:
-    """Nothing changed: drawn noise, one source three times as noisy, other places."""
-    for aimed, noisy in itertools.product((True, False), (0, 1)):
-        scores = np.array(
-            [drawn(STATES[i % 4], FIRST + i, aimed, noisy).score for i in range(number)]
-        )
-        sources = "30 loudspeakers" if aimed else "4 omnidirectional"
-        print(
-            f"| {sources}, {noisy} noisy | {number} | {int((scores > np.log(20)).sum())} | "
-            f"{np.median(scores):+.1f} | {scores.max():+.1f} |",
-            flush=True,
-        )
-    room = box("laboratory", LABORATORY, OCTAVES)
-    for state in STATES:
-        every = laboratory(state)
-        azimuths = [s[:-4] for s, _ in every.pairs if s.endswith("-150")]
-        two = []
-        for distance in ("150", "200"):
-            chosen = every.select([(f"{a}-{distance}", "M") for a in azimuths])
-            two.append(
-                rt.Measurement(
-                    centre_frequencies=OCTAVES,
-                    values=dict(chosen.values),
-                    pairs=[(a, "M") for a in azimuths],
-                )
-            )
-        finding = rt.find(room, two[1], before=two[0])
-        print(f"| loudspeakers 0.5 m farther, {state} | {finding.score:+.1f} | {finding.verdict} |")
-
-
-def hidden(number: int = 40) -> None:
-    """Panels of a random area in a room of another equation, with six sources; and none."""
-    held = claimed = right = detected = flagged = 0
-    ratios, eyring = [], rt.Eyring()
-    for i in range(number):
-        rng = np.random.default_rng(FIRST + i)
-        panels = float(np.exp(rng.uniform(np.log(1.0), np.log(40.0))))
-        times = [synthetic.times(), synthetic.times(panels)]
-        room = synthetic.room()
-        a, b = (eyring.absorption_area(room, t)[2:5].mean() for t in times)
-        two = [synthetic.measured(t, FIRST + 2 * i + j, uneven=0.03) for j, t in enumerate(times)]
-        finding = rt.find(StatesCase(room=room, before=two[0], after=two[1]))
-        detected += finding.detected
-        if finding.detected:
-            held += finding.size.low <= b - a <= finding.size.high
-            ratios.append(finding.size.mean / (b - a))
-        if finding.family is not None:
-            claimed += 1
-            right += finding.family in ("added absorption", "added absorption, rising")
-        same = [synthetic.measured(times[0], 2 * FIRST + 2 * i + j) for j in range(2)]
-        flagged += rt.find(StatesCase(room=room, before=same[0], after=same[1])).detected
-    print(
-        f"panels of 1 to 40 m², {number} rooms: detected {detected}, intervals that hold "
-        f"{held}, ratio of the amounts {np.median(ratios):.2f} (90 %: {np.quantile(ratios, 0.05):.2f} "
-        f"to {np.quantile(ratios, 0.95):.2f}), families claimed {claimed}, right {right}; nothing "
-        f"changed: flagged {flagged} of {number}"
-    )
-
-
-def climates(number: int = 20) -> None:
-    """Each state in a climate of its own, as uncertain as stated: with panels, and without."""
-    for panels in (0.9, 0.0):
-        claimed: Counter[str] = Counter()
-        for i in range(number):
-            rng = np.random.default_rng(FIRST + i)
-            two = []
-            for j, area in enumerate((0.0, panels)):
-                air = rt.Air(20 + 2 * rng.standard_normal(), 50 + 10 * rng.standard_normal())
-                t = synthetic.times(area, air)
-                two.append(synthetic.measured(t, 3 * FIRST + 2 * i + j, pairs=30))
-            finding = rt.find(synthetic.room(), two[1], before=two[0])
-            claimed[finding.family or finding.verdict] += 1
-        counts = ", ".join(f"{name} {n}" for name, n in claimed.most_common())
-        print(f"{panels:g} m² of panels, {number} rooms of 30 pairs: {counts}", flush=True)
-
-
-INDEX = (0.6, 1.2, 0.5, 3.0, 7.0, 7.7, 7.7)
-"""Directivity index of the loudspeakers in dB, 125 Hz to 8 kHz, fitted to direct over late energy of
-state 000; the ends are extrapolated."""
-WALLS = {
-    "000 to R": {"south"},
-    "000 to 100": set(SHOEBOX_WALLS[:4]),
-    "R to 100": set(SHOEBOX_WALLS[:4]) - {"south"},
-}
-"""What is known of the walls: R has the panels of one wall (y = 0), 100 those of all four."""
-
-
-def all_parameters(state: str) -> rt.Measurement:
-    """Return what the loudspeakers' responses tell."""
-    rows = [r for r in lines("r3vival", f"{state}.csv") if not r["source"].startswith("SBG")]
-    pairs = list(dict.fromkeys((r["source"], "M") for r in rows))
-    table = {
-        (r["source"], r["parameter"]): [float(r[f"{f:.0f}"] or "nan") for f in OCTAVES]
-        for r in rows
-    }
-    values = {
-        name: [table[source, name] for source, _ in pairs]
-        for name in ("t20", "edt", "c80", "ts", "level")
-    }
-    return rt.Measurement(centre_frequencies=OCTAVES, values=values, pairs=pairs)
-
-
-def aimed_simulator(stated: bool, n_paths: int = 2400) -> PathTracing:
-    """Return the laboratory with its aimed loudspeakers."""
-    places = {
-        r["name"]: tuple(float(r[axis]) for axis in "xyz")
-        for r in lines("r3vival", "positions.csv")
-    }
-    receiver = places["receiver"]
-    sources = {s: at for s, at in places.items() if s.startswith("S") and not s.startswith("SBG")}
-    speakers = {
-        s: rt.Directivity(index=INDEX, aim=tuple(np.subtract(receiver, at).tolist()))
-        for s, at in sources.items()
-    }
-    return PathTracing(
-        geometry=Polyhedron.shoebox(LABORATORY, "all"),
-        room=box("laboratory", LABORATORY, OCTAVES),
-        sources=sources,
-        receivers={"M": receiver},
-        directivity=speakers if stated else {},
-        scattering=0.3,
-        n_paths=n_paths,
-        workers=1,
-    )
-
-
-def surfaces(seed: int = FIRST) -> None:
-    """On which walls of the laboratory, with the directivity and without."""
-    for change, walls in WALLS.items():
-        a, b = change.split(" to ")
-        for stated in (True, False):
-            model = aimed_simulator(stated)
-            finding = rt.find(
-                model.room, all_parameters(b), model, before=all_parameters(a), seed=seed
-            )
-            claimed = set(finding.claimed_surfaces)
-            said = ", ".join(f"{n} {p:.2f}" for n, p in finding.surfaces.items() if p >= 0.03)
-            print(
-                f"| {change} | {'stated' if stated else 'unstated'} | {len(walls)} | "
-                f"{len(claimed & walls)} | {len(claimed - walls)} | {said or 'none told'} |",
-                flush=True,
-            )
-
-
-def worlds(number: int = 12) -> None:
-    """One wall or two of a box change; paths of other seeds, another scattering, other coefficients."""
-    right = wrong = changed = 0
-    for i in range(number):
-        rng = np.random.default_rng(FIRST + i)
-        room = test_where.stated()
-        truth = test_where.tracing(
-            room, scattering=float(rng.uniform(0.2, 0.6)), n_paths=9600, sources=test_walls.PLACES
-        )
-        rows = rng.permutation(6)[: 1 + i % 2]
-        names = {SHOEBOX_WALLS[r] for r in rows}
-        share = float(rng.uniform(0.15, 0.7))
-        base = room.alpha * np.exp(0.25 * rng.standard_normal((6, 1)))
-        states = [
-            test_walls.noisy(test_where.heard(truth, base), rng),
-            test_walls.noisy(test_where.heard(truth, test_walls.moved(base, rows, share)), rng),
-        ]
-        model = test_walls.simulator(dict.fromkeys(test_walls.PLACES, test_walls.POINT))
-        finding = rt.find(model.room, states[1], model, before=states[0], seed=i)
-        claimed = set(finding.claimed_surfaces)
-        changed += len(names)
-        right += len(claimed & names)
-        wrong += len(claimed - names)
-        print(
-            f"| {', '.join(sorted(names))} | {share:.2f} | {', '.join(sorted(claimed))} |",
-            flush=True,
-        )
-    print(f"claimed right {right} of {changed}, wrong {wrong}")
-
-
-def seconds() -> None:
-    """Time of one search, of 30 pairs and of means."""
-    room = box("laboratory", LABORATORY, OCTAVES)
-    two = [laboratory(s) for s in ("000", "R")]
-    rt.find(room, two[1], before=two[0])
-    for name, (a, b) in {
-        "30 pairs": two,
-        "4 pairs": [laboratory(s, aimed=False) for s in ("000", "100")],
-    }.items():
-        begin = time.process_time()
-        rt.find(room, b, before=a)
-        print(f"{name}: {time.process_time() - begin:.1f} s of processor time")
-
-
 if __name__ == "__main__":
-    parts = {
-        "real": real,
-        "surfaces": surfaces,
-        "worlds": worlds,
-        "controls": controls,
-        "hidden": hidden,
-        "climates": climates,
-        "time": seconds,
-    }
-    for name in sys.argv[1:] or parts:
-        parts[name]()
+    real()

@@ -1,1 +1,0 @@
-"""Calibrations to room modes in a wave world."""
