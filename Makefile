@@ -55,8 +55,7 @@ study: $(STAMP)  ## the long studies
 	$(BIN)/python -m pytest -m study
 
 FUZZ_SECONDS ?= 3600
-fuzz: $(STAMP)  ## 10,000 broken files, then libFuzzer on every reader for FUZZ_SECONDS each (an hour)
-	$(BIN)/python benchmarks/fuzz_files.py 10000
+fuzz: $(STAMP)  ## libFuzzer on every reader for FUZZ_SECONDS each (an hour)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check atheris
 	$(BIN)/python benchmarks/fuzz_readers.py $(FUZZ_SECONDS)
 

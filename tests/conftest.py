@@ -13,10 +13,16 @@ import pytest
 from hypothesis import settings
 
 import rtcal as rt
+from rtcal.finder import Finding
 from rtcal.finder.claim import Candidate
 
-settings.register_profile("rtcal", derandomize=True, deadline=None, max_examples=60)
-settings.load_profile("rtcal")
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let the quick suite try fewer examples of each law."""
+    examples = 20 if "not long" in config.option.markexpr else 60
+    settings.register_profile("rtcal", derandomize=True, deadline=None, max_examples=examples)
+    settings.load_profile("rtcal")
+
 
 # xdist sets it in its processes, as some shells do: the commands would wrap their messages to it.
 os.environ.pop("COLUMNS", None)
@@ -48,6 +54,12 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "kept"
     folder.mkdir(exist_ok=True)
     return folder
+
+
+@pytest.fixture(scope="session")
+def found(kept: Path) -> Finding:
+    """What is found in the room that ships with something hidden, once for all tests of a process."""
+    return rt.find(rt.datasets.hidden_room()[0], cache=kept)
 
 
 @pytest.fixture(scope="module")

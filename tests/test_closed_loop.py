@@ -8,9 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal import loop as closed_loop
 from rtcal.acoustics.marks import gap_jnd
-from rtcal.calibration.problem import Calibration
 from rtcal.datasets import halls
-from rtcal.loop import closed as loop_rules
 from rtcal.loop.closed import calibrate_simulator
 from rtcal.simulators.external import External, of_equation
 from rtcal.simulators.path_tracing import PathTracing
@@ -25,18 +23,6 @@ def bent(room, factor, power):
         return 1 / (factor * rate**power)
 
     return External(room=room, run=run, name="bent")
-
-
-@pytest.mark.parametrize("factor", [0.3, 0.8, 1.3, 4.0])
-@pytest.mark.parametrize("power", [0.6, 1.0, 1.8])
-def test_rules_find_any_monotone_simulators_target(factor, power):
-    wanted, low, high = 2.0, 0.05, 40.0
-    targets, rates = np.array([wanted]), np.array([factor * wanted**power])
-    for _ in range(6):
-        u = loop_rules.safeguarded(targets, rates, wanted, low, high)
-        assert u > 0
-        targets, rates = np.append(targets, u), np.append(rates, factor * u**power)
-    assert np.abs(rates / wanted - 1).min() < 0.05
 
 
 @pytest.mark.parametrize("rule", ["secant", "safeguarded"])
@@ -54,15 +40,6 @@ def test_a_simulator_is_calibrated(cr2, rule):
         calibrate_simulator(bent(room, 0.85, 1.1), result.room, measured, rule)
     again = bent(room, 0.85, 1.1).simulate(result.alpha)
     assert again.mean("t20") == pytest.approx(result.after.mean("t20"), rel=0.05)
-
-
-def test_the_calibration_is_built_once(cr2, monkeypatch):
-    room, measured = cr2
-    built, build = [], Calibration.build
-    monkeypatch.setattr(Calibration, "build", lambda *args: built.append(args) or build(*args))
-    result = calibrate_simulator(bent(room, 0.7, 1.2), room, measured)
-    assert result.simulations >= 2
-    assert len(built) == 1
 
 
 def test_done_bands_move_on_while_another_needs_a_simulation(cr2):

@@ -18,13 +18,23 @@ from rtcal.prediction import (
     Treatment,
     ansi_s12_60,
     changed,
+    changed_time,
     din_18041,
     predict,
 )
 from rtcal.prediction.designed import can_be_had, design, design_model
 from rtcal.support.errors import DataError, InfeasibleError
+from tests.conftest import also
 
 BANDS = [250.0, 500.0, 1000.0]
+
+
+@pytest.fixture
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For what holds of the draws themselves, however many they are."""
+    monkeypatch.setattr(changed_time, "DRAWS", 1024)
+
+
 PANEL = rt.Material("panel", [0.5, 0.7, 0.8], [0.1] * 3)
 BASS = rt.Material("bass", [0.6, 0.4, 0.2], [0.1] * 3)
 
@@ -81,9 +91,8 @@ def a_shop(one_sided: bool) -> tuple[rt.CalibrationResult, tuple[Treatment, ...]
     return result, every, Target(low, [0.42] * 3)
 
 
-@pytest.mark.parametrize(
-    "index", [0, *(pytest.param(i, marks=pytest.mark.long) for i in range(1, 8))]
-)
+@pytest.mark.usefixtures("few_draws")
+@pytest.mark.parametrize("index", [0, *also(*range(1, 8))])
 def test_exhaustive_search_finds_nothing_that_is_cheaper_by_one_percent(index: int) -> None:
     """Every number of panels, with a fine search over what may be had in any area."""
     result, treatments, target, p = designs.problem(index, stream=5)
@@ -102,6 +111,7 @@ def test_exhaustive_search_finds_nothing_that_is_cheaper_by_one_percent(index: i
     assert turned.areas[::-1] == pytest.approx(found.areas, abs=1e-9)
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_panels_that_may_be_cut_are_named_where_whole_ones_will_not_do() -> None:
     result = known()
     target = Target([np.nan] * 3, [1.3] * 3)
@@ -139,6 +149,7 @@ def test_what_costs_nothing_is_used_and_no_more_than_is_needed() -> None:
     assert found.model.probability(np.maximum(less, 0)).min() < 0.85
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_nothing_is_placed_where_nothing_is_needed() -> None:
     shop, every, _ = a_shop(one_sided=True)
     before = shop.reverberation_time_after.tolist()
@@ -151,6 +162,7 @@ def test_nothing_is_placed_where_nothing_is_needed() -> None:
     assert all(words in said for words in ("Nothing is needed", "change / s", "change / %"))
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_the_probability_is_that_of_the_prediction_of_the_same_changes() -> None:
     shop, every, target = a_shop(one_sided=False)
     found = design(shop, every, target, 0.85)
@@ -169,6 +181,7 @@ def test_free_standing_treatments_add_surface() -> None:
     assert (found.probability >= 0.79).all()
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_what_can_be_had_is_said_where_nothing_will_do() -> None:
     with pytest.raises(InfeasibleError, match="wider by") as error:
         design(known(), TREATMENTS, Target([0.50] * 3, [0.56] * 3))
@@ -197,6 +210,7 @@ def test_two_treatments_share_the_surface_they_cover() -> None:
     changed(a_room(), [t.change(a) for t, a in zip(both, found.areas, strict=True) if a > 0])
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_a_measured_second_state_makes_the_design_cheaper() -> None:
     room = a_room()
     one = known(room)
@@ -304,6 +318,7 @@ def a_seminar_room() -> tuple[rt.CalibrationResult, Treatment, Target]:
     return result, Treatment("a", panel, 40, 90, covers="ceiling"), target
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("p", [0.8, 0.86])
 def test_a_largest_t_alone_is_met_at_the_least_area_that_keeps_the_promise(p: float) -> None:
     result, panel, target = a_seminar_room()
@@ -313,6 +328,7 @@ def test_a_largest_t_alone_is_met_at_the_least_area_that_keeps_the_promise(p: fl
     assert less.probability(target.low, target.high).min() < p
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_treatments_that_are_not_used_change_nothing() -> None:
     result, panel, target = a_seminar_room()
     alone = rt.design(result, [panel], target)
@@ -322,6 +338,7 @@ def test_treatments_that_are_not_used_change_nothing() -> None:
     assert among.areas == pytest.approx([alone.areas[0], 0, 0, 0], rel=2e-3)
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_what_all_areas_reach_is_found() -> None:
     """The program that is linear without a treatment has no answer; another one has."""
     result, panel, target = a_seminar_room()

@@ -222,27 +222,6 @@ def a_room(names, areas, **more) -> rt.Room:
     )
 
 
-def test_a_box_says_the_same_by_mesh_by_axis_and_by_name() -> None:
-    names = ["lino", "tile", "plaster"]
-    room = a_room(names, [20, 20, 54])
-    walls = dict.fromkeys(("west", "east", "south", "north"), "plaster")
-    box = rt.simulators.Polyhedron.shoebox((4, 5, 3), {**walls, "floor": "lino", "ceiling": "tile"})
-    by_mesh = facing(room, box)
-    surfaces = [
-        rt.Surface("s1", "lino", 20, "z"),
-        rt.Surface("s2", "tile", 20, "z"),
-        rt.Surface("s3", "plaster", 30, "x"),
-        rt.Surface("s4", "plaster", 24, "y"),
-    ]
-    by_axis = facing(room.replace(surfaces=surfaces))
-    named = a_room(["Floor", "suspended ceiling", "walls"], [20, 20, 54], dimensions=(4, 5, 3))
-    expected = np.array([[0, 0, 1], [0, 0, 1], [30 / 54, 24 / 54, 0]])
-    for found in (by_mesh, by_axis, facing(named)):
-        assert found == pytest.approx(expected)
-    # Without dimensions the walls are shared by halves.
-    assert facing(named.replace(dimensions=None))[2] == pytest.approx([0.5, 0.5, 0])
-
-
 def test_what_nothing_says_is_unknown() -> None:
     room = a_room(["lino", "plaster"], [20, 74])
     assert np.isnan(facing(room)).all()
@@ -266,10 +245,3 @@ def test_an_oblique_face_counts_by_its_normal() -> None:
     found = facing(a_room(["roof", "desk"], [10, 4]), Slope())
     assert found[0] == pytest.approx([0.36, 0, 0.64])
     assert np.isnan(found[1]).all()
-
-
-def test_the_order_of_materials_and_surfaces_moves_nothing() -> None:
-    names, areas = ["floor", "ceiling", "walls", "door"], [20, 20, 50, 4]
-    room = a_room(names, areas, dimensions=(4, 5, 3))
-    turned = a_room(names[::-1], areas[::-1], dimensions=(4, 5, 3))
-    assert facing(turned)[::-1] == pytest.approx(facing(room), abs=1e-15)

@@ -93,13 +93,6 @@ def test_files_of_the_user_in_hidden_folders_are_left_alone(tmp_path: Path) -> N
     assert notes.read_text() == "kept"
 
 
-def test_a_record_that_is_no_record_stops_nothing(tmp_path: Path) -> None:
-    for content in (b"", b"{", b"[1]", b'{"sets": [{"command": 1}]}', b'{"sets": 7}'):
-        (tmp_path / disk.RECORD).write_bytes(content)
-        write_text(tmp_path / "one", "x")
-        assert read_text(tmp_path / "one", 100) == "x"
-
-
 def test_a_command_replaces_its_own_files_alone(tmp_path: Path) -> None:
     """A file is known by its content: one that was changed is the user's."""
     own, foreign = tmp_path / "own", tmp_path / "foreign"
@@ -155,11 +148,6 @@ def test_a_torn_set_names_the_command_that_makes_it_anew(tmp_path: Path) -> None
         faults.killed(write, nth)
         said.add(faults.refused(tmp_path))
     assert any("`rtcal make one` was interrupted. Repeat that command" in text for text in said)
-
-
-def test_no_files_are_no_error(tmp_path: Path) -> None:
-    write_all({})
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_links_are_followed_and_modes_kept(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder import Finding
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from tests.test_docs import blocks
 
@@ -26,18 +27,16 @@ LEAST = 7.0  # px: size of the smallest text
 
 
 @pytest.fixture(scope="module")
-def drawn(kept: Path) -> dict[str, Any]:
+def drawn(found: Finding) -> dict[str, Any]:
     """Every figure by name: those of the gallery, a finding's, and those of every position."""
-    found = {}
+    figures_of = {}
     names: dict[str, Any] = {}
     for block in blocks(ROOT / "docs" / "gallery.md", "python"):
         exec(block, names)
-        found[block.rsplit("figure = ", 1)[1].split("(")[0]] = names["figure"]
-    case, _ = rt.datasets.hidden_room()
-    finding = rt.find(case, cache=kept)
-    verification = rt.finder.verify(finding)
+        figures_of[block.rsplit("figure = ", 1)[1].split("(")[0]] = names["figure"]
+    verification = rt.finder.verify(found)
     for draw in (figures.corrected_times, figures.corrected_shifts):
-        found[f"of a finding: {draw.__name__}"] = draw(verification)
+        figures_of[f"of a finding: {draw.__name__}"] = draw(verification)
     fitted = SimpleNamespace(
         pairs=[("S1", "R1"), ("S1", "R2")],
         gap_before=np.full((2, 2, 3), 3.0),
@@ -50,9 +49,11 @@ def drawn(kept: Path) -> dict[str, Any]:
     )
     box = Polyhedron.shoebox((5, 4, 3), dict.fromkeys(SHOEBOX_WALLS, "a"))
     receivers = {"R1": (1, 1, 1), "R2": (4, 3, 1)}
-    found["plan of gaps"] = figures.position_gaps(fitted, box, {"S1": (2, 2, 1)}, receivers)
-    found["priors of six"] = study_report.priors([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [0.05] * 6, "")
-    return found
+    figures_of["plan of gaps"] = figures.position_gaps(fitted, box, {"S1": (2, 2, 1)}, receivers)
+    figures_of["priors of six"] = study_report.priors(
+        [0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [0.05] * 6, ""
+    )
+    return figures_of
 
 
 def texts(figure: Any) -> Iterator[Text]:

@@ -78,9 +78,8 @@ def test_the_commands_find_add_and_prove(folder: Path) -> None:
     assert run("find", case, "--quiet") == ""
 
 
-def test_sizes_are_of_what_has_a_row_and_no_number_is_minus_zero(folder: Path) -> None:
-    case = Case.from_file(str(folder / "case.json"))
-    found = find(case, cache=folder / FOLDER)
+def test_sizes_are_of_what_has_a_row_and_no_number_is_minus_zero(finding: Finding) -> None:
+    found = finding
     assert "m² of absorption area at 1 kHz (90 %" in str(found)
     vague = dict.fromkeys(found.probabilities, 0.01)
     nothing = replace(found.detection, score=-0.01, parts={})

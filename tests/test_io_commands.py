@@ -313,27 +313,6 @@ def test_odeon_without_63_hz_on_request(tmp_path: Path, capsys) -> None:
     assert run("export", "bras", *command[2:], "--missing-bands", "nearest") == 2
 
 
-def test_a_file_name_that_is_no_text_is_refused(tmp_path: Path, capsys) -> None:
-    pytest.importorskip("pyfar")
-    path = tmp_path / "S1_\udce9.wav"
-    path.write_bytes(fuzz.READERS["wav"].seeds[0])
-    assert run("measure", path) == 2
-    assert "a name has no control characters" in capsys.readouterr().err
-
-
-def test_a_message_is_of_the_header_and_not_of_a_title_with_a_comma(tmp_path: Path, capsys) -> None:
-    """It had proposed to leave out the column "Kleiner Saal", which is a title."""
-    table = tmp_path / "saal.csv"
-    table.write_text("Kleiner Saal, Messung 3\nFrequenz [Hz];RT60 [s];EDT [s]\n500;1,25;1,31\n")
-    assert run("table", table) == 2
-    said = capsys.readouterr().err
-    assert 'line 2: "RT60" does not say which decay time it is; state --decay-time t20' in said
-    assert run("table", table, "--decay-time", "t20") == 0
-    shown = capsys.readouterr().out
-    assert "the header is line 2" in shown
-    assert re.search(r"^T20 / s +1\.250$", shown, re.M)
-
-
 def test_a_room_goes_back_into_the_list_that_as_took_it_from(tmp_path: Path, capsys) -> None:
     listed = tmp_path / "list.Li8"
     row = "0.10 0.10 0.20 0.30 0.40 0.50 0.60 0.60"

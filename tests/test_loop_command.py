@@ -149,20 +149,6 @@ def test_the_same_table_twice_is_refused(cr2, tmp_path):
     assert done.exit_code == 0, done.output
 
 
-def test_t_that_depends_not_on_alpha_is_unreachable(cr2, tmp_path):
-    room, measured = cr2
-    _, runner, command, files = begun(room, measured, tmp_path)
-    table = str(tmp_path / "s.csv")
-    rt.Measurement.from_values(room.centre_frequencies, t20=[30.0] * room.n_bands).save(table)
-    for _ in range(12):
-        done = runner.invoke(cli, [*command, table, *files, "--again"])
-        assert done.exit_code == 0, done.output
-        if "Done" in unwrapped(done.output):
-            break
-    assert done.output.count("unreachable") == room.n_bands
-    assert "Done, but 6 of 6 bands were not reached." in unwrapped(done.output)
-
-
 def test_the_last_step_is_taken_back(cr2, tmp_path):
     room, measured = cr2
     _, runner, command, files = begun(room, measured, tmp_path)

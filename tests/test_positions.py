@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 from dataclasses import replace
 
@@ -218,17 +217,6 @@ def test_log_odds_change_the_coefficients_but_0_and_1():
     assert np.log(odds) == pytest.approx(np.log(stated[inside] / (1 - stated[inside])) + 0.7)
     assert other.scattering[[0, -1], 0].tolist() == [0.0, 1.0]
     assert other.scattering_model == "vector"
-
-
-def test_each_mode_has_a_signature_of_its_own(case):
-    room, _, measured = case
-    with pytest.raises(DataError, match="exclude has S to R1, which the measurement lacks"):
-        rt.calibrate_simulator(tracing(room, n_paths=1600), room, measured, exclude=[("S", "R1")])
-    names = [
-        set(inspect.signature(f).parameters)
-        for f in (rt.calibrate_simulator, rt.calibrate_positions)
-    ]
-    assert names[0] & names[1] == {"simulator", "room", "measured", "exclude", "seed"}
 
 
 @pytest.mark.long

@@ -151,16 +151,6 @@ def test_measurement(changes: dict, message: str) -> None:
         rt.Measurement(**{**values, **changes})
 
 
-def test_output_is_all_or_none(run, tmp_path) -> None:  # noqa: F811
-    (tmp_path / "made" / "result.json").mkdir(parents=True)
-    done = run(ROOM, TIMES, "--out", "made")
-    assert done.returncode == 2
-    assert "result.json: cannot be written: Is a directory" in done.stderr
-    assert [
-        p.name for p in (tmp_path / "made").iterdir() if not p.name.startswith(".rtcal_files")
-    ] == ["result.json"]
-
-
 def test_tiny_sigmas_pass_the_certificate() -> None:
     for scale in (1e-9, 1e-12):
         known = room(sigma=np.full((2, 2), scale))

@@ -12,6 +12,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.files.saved import NUMBERS, Result, plain, restored
+from rtcal.finder import Finding
 from rtcal.loop.measured_pairs import ControlRuns
 from rtcal.report.pages import page_of
 from rtcal.simulators import of_equation
@@ -83,14 +84,12 @@ def test_positions_are_read_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_findings_are_read_back(tmp_path: Path, kept: Path) -> None:
-    case, _ = rt.datasets.hidden_room()
-    finding = rt.find(case, cache=kept)
-    again = back(finding, tmp_path / "finding")
-    assert again.apply().to_dict() == finding.apply().to_dict()
-    back(rt.finder.verify(finding), tmp_path / "verification")
-    back(rt.finder.recalibrate(finding.apply().case), tmp_path / "recalibrated")
-    back(rt.finder.plan(case), tmp_path / "plan")
+def test_findings_are_read_back(tmp_path: Path, found: Finding) -> None:
+    again = back(found, tmp_path / "finding")
+    assert again.apply().to_dict() == found.apply().to_dict()
+    back(rt.finder.verify(found), tmp_path / "verification")
+    back(rt.finder.recalibrate(found.apply().case), tmp_path / "recalibrated")
+    back(rt.finder.plan(found.case), tmp_path / "plan")
 
 
 def test_findings_in_a_geometry_are_read_back(tmp_path: Path) -> None:

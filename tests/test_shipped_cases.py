@@ -11,7 +11,6 @@ from scipy import stats
 import rtcal as rt
 from benchmarks.studies.hidden_world.populations import build
 from benchmarks.studies.means.shipped_cases import POPULATION, kinds
-from benchmarks.studies.position_rooms import shipped as where_room
 
 ROOMS = ("named", "not_told")
 
@@ -58,16 +57,3 @@ def test_one_is_named_and_one_is_not_told() -> None:
 
 def test_the_rule_tries_every_kind_that_the_library_has() -> None:
     assert sorted(kinds()) == list(range(1, 13))
-
-
-@pytest.mark.long
-def test_the_room_with_a_curtain_is_measured_by_another_tracer() -> None:
-    truth = json.loads(rt.datasets.path("where_room/truth.json").read_text(encoding="utf-8"))
-    room = where_room.stated_room(where_room.l_shape())
-    true = np.array([truth["alpha"][name] for name in room.materials])
-    off = (true - room.alpha) / room.sigma
-    assert 0.001 < stats.chi2(off.size).cdf(np.sum(off**2)) < 0.999
-    measured, again = where_room.measure()
-    assert again["alpha"] == truth["alpha"]
-    stored = rt.Measurement.from_file(str(rt.datasets.path("where_room/pairs.csv")))
-    np.testing.assert_allclose(stored.values["t20"], measured.values["t20"], rtol=0.02)

@@ -279,13 +279,6 @@ def test_same_for_any_number_of_workers() -> None:
     assert not np.array_equal(one.moments.products, another.moments.products)
 
 
-def test_memory_does_not_grow_with_the_rooms() -> None:
-    few, many = (studies.run(SHOEBOX, 0.05, r, 2).moments for r in (100, 4000))
-    assert many.count == 40 * few.count
-    for name in ("sums", "products", "active", "histogram", "least", "most"):
-        assert getattr(many, name).shape == getattr(few, name).shape
-
-
 def test_moments_are_of_independent_realisations() -> None:
     rng = np.random.default_rng(16)
     emse = rng.uniform(0.1, 0.2, (50, len(SERIES)))

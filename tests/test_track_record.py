@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 from scipy.stats import binom
@@ -11,7 +10,7 @@ from scipy.stats import binom
 import rtcal as rt
 from benchmarks import records as benchmark
 from rtcal.acoustics.observables import LEVEL
-from rtcal.finder import records
+from rtcal.finder import Finding, records
 from rtcal.finder.records import HANDBOOK, IN_SITU, Share, record_of
 from rtcal.report.finding_words import (
     interval,
@@ -49,16 +48,15 @@ def test_every_record_of_means_has_counts_and_an_interval(verdict: str, data: st
     assert "95 % interval" in said
 
 
-def test_a_finding_prints_the_record_of_its_own_kind_of_data(kept: Path) -> None:
-    case, _ = rt.datasets.hidden_room()
+def test_a_finding_prints_the_record_of_its_own_kind_of_data(found: Finding) -> None:
+    case = found.case
     first = case.configurations[0].name
     assert records.data_of(case) == records.ALL
     times = case.only("t20", "edt", "t30", configurations=[first])
     assert records.data_of(times) == records.TIMES
     assert records.data_of(case.only("t20", "c80", configurations=[first])) == records.ALL
-    finding = rt.find(case, cache=kept)
-    assert track_record(finding) == record_of_means(finding.verdict, records.ALL)
-    assert track_record(finding) in " ".join(str(finding).split())
+    assert track_record(found) == record_of_means(found.verdict, records.ALL)
+    assert track_record(found) in " ".join(str(found).split())
 
 
 @pytest.mark.parametrize("statement", [IN_SITU, HANDBOOK])

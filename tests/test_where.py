@@ -240,10 +240,10 @@ def test_t30_is_matched_where_t20_is_absent(kept: Path) -> None:
     assert both.match == MATCH
 
 
-def test_the_user_says_where_on_which_surface(
-    finding: rt.finder.Finding,
-) -> None:
+def test_the_user_says_where_on_which_surface(kept: Path) -> None:
     """The most probable candidate on the surface at that place."""
+    case = rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(True))
+    finding = rt.find(case, only=["opening"], cache=kept)
     made = finding.apply(at=(7.0, 2.2, 1.4))
     assert made.added.surface == "east"
     hole = made.geometry.names.index(made.material)

@@ -16,11 +16,9 @@ from benchmarks.studies.hidden_world import generate as hidden
 from benchmarks.studies.hidden_world import populations, shipped, tracer
 from benchmarks.studies.means import judged
 from benchmarks.studies.means.judging import FLAGS
-from benchmarks.studies.position_rooms import generate as positions
 from benchmarks.studies.position_rooms import load as position_rooms
-from benchmarks.studies.position_rooms import parameters, rooms, shapes
-from benchmarks.studies.position_rooms.tracer import Scene, trace
 from benchmarks.studies.stored import numbered, read
+from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.finder import Case
 from rtcal.simulators import PathTracing
 from tests.imports import imported_by
@@ -32,21 +30,19 @@ SOURCE = np.array([1.5, 2.0, 1.2])
 RECEIVERS = np.array([[4.0, 4.5, 1.5], [4.5, 1.5, 3.0], [1.5, 4.5, 4.2]])
 
 
-@pytest.mark.parametrize("world", ["hidden_world", "position_rooms"])
-def test_a_world_imports_nothing_of_the_package(world: str) -> None:
+def test_a_world_imports_nothing_of_the_package() -> None:
     """So that a finding cannot owe its success to sharing the finder's physics."""
-    allowed = f"benchmarks.studies.{world}", "benchmarks.studies.stored", "benchmarks.studies"
-    names = list(imported_by(FOLDER / world, besides=["load.py", "shipped.py"]))
+    allowed = "benchmarks.studies.hidden_world", "benchmarks.studies.stored", "benchmarks.studies"
+    names = list(imported_by(FOLDER / "hidden_world", besides=["shipped.py"]))
     assert names
     assert not [n for n in names if n.split(".")[0] in ("rtcal", ".", "tests")]
     assert all(n.startswith(allowed) for n in names if n.startswith("benchmarks"))
 
 
-# A cube of Lambert walls. Its path lengths scatter by gamma² = 0.4 (Kuttruff), which lengthens
-# Eyring's T. T20 has a noise of 1 %.
-
-
-def by_first(alpha: float) -> np.ndarray:
+@pytest.mark.long
+@pytest.mark.parametrize("alpha", [0.1, 0.3])
+def test_a_diffuse_cube_decays_after_kuttruff(alpha: float) -> None:
+    """Its path lengths scatter by gamma² = 0.4 (Kuttruff), which lengthens Eyring's T; noise of 1 %."""
     world = tracer.World(
         size=np.full(3, SIDE),
         alpha=np.full((6, 1), alpha),
@@ -55,23 +51,8 @@ def by_first(alpha: float) -> np.ndarray:
         source=SOURCE,
         receivers=RECEIVERS,
     )
-    return tracer.trace(world, 20000, 1)[:, 0]
-
-
-def by_positions(alpha: float) -> np.ndarray:
-    plan = np.array([[0, 0], [SIDE, 0], [SIDE, SIDE], [0, SIDE]])
-    polygons = shapes.prism(plan, np.full(4, SIDE))
-    scene = Scene(
-        polygons, np.full((6, 1), alpha), np.ones(6), np.zeros(1), C, RECEIVERS, 0.6, True
-    )
-    return trace(scene, SOURCE, 20000, 1, width=WIDTH, length=3.0)[:, 0]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("world", [by_first, by_positions])
-@pytest.mark.parametrize("alpha", [0.1, 0.3])
-def test_a_diffuse_cube_decays_after_kuttruff(world: Any, alpha: float) -> None:
-    t20 = parameters.evaluate(world(alpha).sum(0), WIDTH)["t20"]
+    energy = tracer.trace(world, 20000, 1)[:, 0]
+    t20 = OBSERVABLES["t20"].value(energy.sum(0), WIDTH)
     exponent = -np.log(1 - alpha)
     kuttruff = 24 * np.log(10) / C * SIDE / 6 / (exponent * (1 - 0.2 * exponent))
     np.testing.assert_allclose(t20, kuttruff, rtol=0.03)
@@ -116,18 +97,6 @@ def test_eyrings_equation_fits_the_third_world() -> None:
             ratios.append(np.exp(np.nanmean(np.log(t / rt.Eyring().reverberation_time(room)))))
     assert np.median(ratios) == pytest.approx(1, abs=0.03)
     assert 0.9 < min(ratios) < max(ratios) < 1.11
-
-
-@pytest.mark.parametrize(("population", "index"), [(0, 1), (1, 31), (2, 6)])
-def test_a_position_room_is_what_its_seed_draws(population: int, index: int) -> None:
-    stated, _, sources, truths = rooms.draw(population, index)
-    frozen = numbered("position_rooms", population, "rooms")[index]["stated"]
-    assert positions.stored({"stated": stated})["stated"] == frozen
-    for prior, truth in zip(rooms.PRIORS, truths, strict=True):
-        stored = position_rooms.true_alpha(population, index, prior)
-        np.testing.assert_allclose(stored, truth, rtol=1e-4)
-    off = np.linalg.norm(np.array(frozen["sources"]) - sources, axis=1)
-    np.testing.assert_allclose(off, rooms.OFF, atol=0.001)
 
 
 # Two tracers that share nothing, one scene: the package's, told the truth, beside the world's.

@@ -1,8 +1,9 @@
 """The drawn rooms of every world, as they are stored beside this module.
 
 A population has two files: what a method may read ("case" or "rooms") and, apart from it, the truth.
-The rooms of `hidden_world` and `position_rooms` are drawn by the code that stands there. Those of the
-second, the third and the geometric world were drawn and frozen by code that commit 2621e9c7 has.
+The rooms of `hidden_world` are drawn by the code that stands there. Those of the second, the third and
+the geometric world were drawn and frozen by code that commit 2621e9c7 has, those of `position_rooms` by
+that of commit cf77b20c.
 """
 
 from __future__ import annotations

@@ -148,8 +148,8 @@ _EXAMPLES: Mapping[str, tuple[Mapping[str, str], tuple[str, ...]]] = {
         {"named.json": "hidden_room/named.json", "not_told.json": "hidden_room/not_told.json"},
         ("rtcal find named.json", "rtcal find not_told.json"),
     ),
-    # A room with a curtain that its model lacks, measured by
-    # `benchmarks/studies/position_rooms/shipped.py`.
+    # A room with a curtain that its model lacks, measured by another tracer
+    # (`benchmarks/studies/pairs`).
     "where": (
         {name: f"where_room/{name}" for name in ("room.toml", "room.obj", "pairs.csv")},
         (

@@ -24,6 +24,7 @@ from rtcal.finder.means.problem import state
 from rtcal.report import of_finding
 from rtcal.report.finding_words import percent
 from rtcal.support.errors import DataError
+from tests.conftest import also
 from tests.test_where_page import finding_of
 
 ABOUT = {"area", "volume"}
@@ -33,11 +34,6 @@ ABOUT = {"area", "volume"}
 @pytest.fixture(scope="module")
 def case() -> Case:
     return rt.datasets.hidden_room()[0]
-
-
-@pytest.fixture(scope="module")
-def finding(kept: Path, case: Case) -> Finding:
-    return rt.find(case, cache=kept)
 
 
 def at(case: Case, effect: Effect, place: float) -> AppliedEffect:
@@ -50,7 +46,7 @@ def at(case: Case, effect: Effect, place: float) -> AppliedEffect:
     return replace(p, size_interval=(low, high))
 
 
-@pytest.mark.parametrize("equation", ["eyring", "sabine", "kuttruff", "millington"])
+@pytest.mark.parametrize("equation", ["eyring", "millington", *also("sabine", "kuttruff")])
 @pytest.mark.parametrize("effect", library(), ids=lambda e: str(e.name))
 def test_stated_areas_and_volume_stay(case: Case, effect: Effect, equation: str) -> None:
     stated = case.room
@@ -106,9 +102,9 @@ def with_odds(finding: Finding, verdict: str, **probabilities: float) -> Finding
 
 
 @pytest.mark.long
-def test_an_improbable_candidate_is_added_only_by_its_name(finding: Finding) -> None:
+def test_an_improbable_candidate_is_added_only_by_its_name(found: Finding) -> None:
     """Nine of 41 first candidates with less than 0.3 were right."""
-    unsure = with_odds(finding, "ambiguous", first=0.29, second=0.2)
+    unsure = with_odds(found, "ambiguous", first=0.29, second=0.2)
     names = [c.effect for c in unsure.candidates]
     assert unsure.can_be_added
     with pytest.raises(DataError, match="No effect is stated") as refused:
@@ -118,12 +114,12 @@ def test_an_improbable_candidate_is_added_only_by_its_name(finding: Finding) -> 
     assert [p.name for p in unsure.apply(effect=names[0]).case.applied] == names[:1]
     with pytest.raises(DataError, match='effect = "organ" is no candidate'):
         unsure.apply(effect="organ")
-    sure = with_odds(finding, "ambiguous", first=0.3, second=0.2)
+    sure = with_odds(found, "ambiguous", first=0.3, second=0.2)
     assert [p.name for p in sure.apply().case.applied] == [sure.best_effect]
 
 
-def test_no_page_advises_an_improbable_candidate(finding: Finding, tmp_path: Path) -> None:
-    unsure = with_odds(finding, "ambiguous", first=0.29, second=0.2)
+def test_no_page_advises_an_improbable_candidate(found: Finding, tmp_path: Path) -> None:
+    unsure = with_odds(found, "ambiguous", first=0.29, second=0.2)
     assert of_finding._corrected(unsure, None) == []
     said = " ".join(of_finding.to_do(unsure, None))
     assert "Put none of the effects into the model" in said

@@ -42,11 +42,10 @@ def case() -> Case:
 def corrected(case: Case, effect: Effect) -> Iterator[Case]:
     """Yield the case with the effect, small and large, alone and beside one that covers a wall."""
     (covered,) = (e for e in library() if e.name == "covered surface")
-    for place in (0.35, 1.0):
-        p = of(effect, case, place)
-        yield replace(case, applied=[p])
-        if p.name != covered.name:
-            yield replace(case, applied=[of(covered, case, 0.5), p])
+    p = of(effect, case, 0.35)
+    yield replace(case, applied=[p])
+    if p.name != covered.name:
+        yield replace(case, applied=[of(covered, case, 0.5), of(effect, case, 1.0)])
 
 
 @pytest.mark.parametrize("name", FORMATS)

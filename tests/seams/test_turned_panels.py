@@ -12,20 +12,21 @@ from rtcal.finder import verify
 from rtcal.finder.search import find
 from rtcal.report.finding_words import title
 from rtcal.report.of_finding import rests_on, to_do
+from tests.conftest import also
 from tests.seams.turned_panels import laboratory
 
 TURNED = 0.9
 
 
-@pytest.mark.parametrize(
-    "again",
-    [pytest.param(False, id="once", marks=pytest.mark.long), pytest.param(True, id="turned back")],
-)
+FEW = ("covered surface", "opening", "porous", "area", "volume", "unknown")
+
+
+@pytest.mark.parametrize(("again", "only"), [(True, FEW), *also((False, ()), (True, ()))])
 def test_turned_panels_are_named_added_and_verified(
-    again: bool, tmp_path: Path, kept: Path
+    again: bool, only: tuple[str, ...], tmp_path: Path, kept: Path
 ) -> None:
     case = laboratory(TURNED, turned_back=again)
-    finding = find(case, cache=kept)
+    finding = find(case, only=only, cache=kept)
     assert (finding.verdict, finding.effect) == ("named", "covered surface")
     assert title(finding) == 'covered surface of "panels"'
     size = finding.size

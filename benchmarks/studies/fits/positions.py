@@ -2,13 +2,10 @@
 
     python -m benchmarks.studies.fits.positions run --folder out --number 20  # can be resumed
     python -m benchmarks.studies.fits.positions table  # of the stored run, or --folder out
-    python -m benchmarks.studies.fits.positions bound  # what a perfect simulator reaches
-    python -m benchmarks.studies.fits.positions speed --folder out  # traces and seconds
 
-studies/position_rooms describes the rooms. `run` fits all pairs for alpha, and those of three receivers
+`run` fits all pairs for alpha, and those of three receivers
 for the gaps at the other three. A method is "t20" (the loop of `rtcal.calibrate_simulator`) or
 "positions" (the same with ``match``). The gaps of the stated and of the true alpha stand beside them.
-
 """
 
 from __future__ import annotations
@@ -35,8 +32,8 @@ from benchmarks.studies.fits.positions_table import (
     stored_run,
     table,
 )
-from benchmarks.studies.position_rooms.generate import order
 from benchmarks.studies.position_rooms.load import (
+    PRIORS,
     PositionRoom,
     at,
     load,
@@ -44,12 +41,10 @@ from benchmarks.studies.position_rooms.load import (
     true_alpha,
     without_noise,
 )
-from benchmarks.studies.position_rooms.rooms import PRIORS
 from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.room_errors import prior_covariance
-from rtcal.loop.measured_pairs import ControlRuns, pairs_to_match, simulated_controls, trace_ahead
-from rtcal.loop.positions import MORE_PATHS, PairsModel, precise
+from rtcal.loop.measured_pairs import ControlRuns, simulated_controls, trace_ahead
+from rtcal.loop.positions import MORE_PATHS, precise
 from rtcal.simulators import PathTracing, path_tracing
 from rtcal.simulators.base import Observations
 from rtcal.simulators.path_tracing import ScatteringModel
@@ -301,72 +296,12 @@ def rounded(value: Any) -> Any:
     return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
-def speed(population: int) -> None:
-    """Print the seconds and traces of a first and of a second calibration of one room.
-
-    The room: 12 pairs, 8 bands, and as near to 10 surfaces as there is one.
-    """
-    cases = [load(population, i, "wide") for i in stored(population, "rooms")]
-    eight = [c for c in cases if c.room.n_bands == 8 and c.room.n_materials >= 10]
-    case = min(eight, key=lambda c: c.room.n_materials)
-    warm = load(0, 0, "wide")
-    for method in ("t20", "positions"):
-        calibrate(method, warm.simulator(n_paths=PATHS), warm.room, warm.measured)  # compiles
-        simulator = case.simulator(n_paths=PATHS)
-        controls = None
-        for which in ("first", "second"):
-            with Traces() as traces:
-                clock, processor = time.perf_counter(), time.process_time()
-                result = calibrate(method, simulator, case.room, case.measured, controls)
-                print(
-                    f"{case.room.n_materials} surfaces, {case.room.n_bands} bands, 12 pairs: {method}, "
-                    f"{which}: {time.perf_counter() - clock:.1f} s, "
-                    f"{time.process_time() - processor:.1f} s of processor, {traces.number} traces",
-                    flush=True,
-                )
-            controls = getattr(result, "controls", None)
-
-
-def bound(population: int, indices: Sequence[int], target: Path) -> None:
-    """Write the expected error of alpha with a perfect simulator, for the rooms that have none yet.
-
-    The simulator knows how the room scatters and has no error. The linear estimate is then the best
-    there is: prior and the measurement's noise alone limit it.
-    """
-    done = {(r["index"], r["prior"]) for r in read(target)}
-    for index in indices:
-        with KeptTraces():
-            for prior in PRIORS:
-                if (index, prior) not in done:
-                    least = least_error(population, index, prior)
-                    row = rounded({"index": index, "prior": prior, "least_error": least})
-                    with target.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps(row) + "\n")
-
-
-def least_error(population: int, index: int, prior: str) -> float:
-    """Return the error of alpha that the measurement's noise leaves a perfect simulator."""
-    case = load(population, index, prior)
-    tracer = knowing(case.simulator(n_paths=MORE_PATHS * PATHS), population, index)
-    heard = tracer.observe(case.room.alpha, MATCH)
-    data = pairs_to_match(case.room, case.measured, MATCH, heard)
-    alpha = case.room.alpha
-    matrix = PairsModel(tracer, data, alpha, heard, 0).jacobian(alpha)
-    before = prior_covariance(case.room)
-    across = before @ matrix.T
-    gain = np.linalg.solve(matrix @ across + data.covariance, across.T)
-    variance = np.diag(before - across @ gain).reshape(case.room.alpha.shape)
-    return error(case.room, np.sqrt(variance), np.zeros_like(variance))
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("command", choices=["run", "table", "bound", "speed"])
+    parser.add_argument("command", choices=["run", "table"])
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--population", type=int, default=JUDGED)
-    parser.add_argument(
-        "--number", type=int, default=60, help="the first rooms, as they were built"
-    )
+    parser.add_argument("--number", type=int, default=60, help="the first rooms")
     parser.add_argument("--methods", default="stated,truth,perfect,t20,positions")
     arguments = parser.parse_args()
     population = arguments.population
@@ -378,17 +313,12 @@ def main() -> None:
         )
 
     if arguments.command == "run":
-        indices = order(population)[: arguments.number]
+        indices = list(stored(population, "rooms"))[: arguments.number]
         folder = arguments.folder or Path("positions_run")
         run(folder, population, indices, arguments.methods.split(","))
-    elif arguments.command == "table":
+    else:
         table(read(file_of("results")))
         print_bound(read(file_of("bound")), complete(read(file_of("results"))))
-    elif arguments.command == "bound":
-        bound(population, order(population)[: arguments.number], file_of("bound"))
-        print_bound(read(file_of("bound")), read(file_of("results")))
-    else:
-        speed(population)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.studies.position_rooms.rooms import PRIORS
+from benchmarks.studies.position_rooms.load import PRIORS
 from benchmarks.studies.stored import HERE
 from rtcal.finder.records import Share
 
