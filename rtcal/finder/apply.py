@@ -35,8 +35,8 @@ from rtcal.files.disk import make_folder, write_all
 from rtcal.finder.case import Case, Configuration, PositionsCase, StatesCase
 from rtcal.finder.claim import Candidate, amount
 from rtcal.finder.effects import AppliedEffect
-from rtcal.finder.means.problem import distances, state, with_applied
-from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions, predict
+from rtcal.finder.means.problem import predict_in, state, with_applied
+from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions
 from rtcal.finder.positions.surfaces import NEAR, face_at, of_geometry, patched
 from rtcal.io import catt, odeon
 from rtcal.io.material_list import ExportReport
@@ -301,7 +301,7 @@ class CaseModel(RoomSimulator):
         s = self.state(check_alpha(self, alpha))
         if self.inner is not None:
             return run(self.inner, self._on_walls(s), seed=seed)
-        features = predict([s], distances(self.case, self.case.configurations[0])).features[0]
+        features = predict_in(self.case, self.case.configurations[0], [s]).features[0]
         rows = dict(zip(FEATURES, features, strict=True))
         t20 = np.exp(rows["t20"])
         return Measurement.from_values(

@@ -7,6 +7,7 @@ name of a room's file, or a table as `rtcal.Room.to_dict` returns it, and so is 
 
     room = "room.toml"
     equation = "eyring"                  # or sabine, kuttruff, millington
+    program = "geometrical"              # optional, of runs: it traces rays or image sources
 
     [uncertainty]                        # optional, for values that state none
     time = 0.02                          # relative, of T20, T30, EDT
@@ -22,6 +23,8 @@ name of a room's file, or a table as `rtcal.Room.to_dict` returns it, and so is 
     name = "with the curtain drawn"
     measured = "drawn.csv"
     suspect_removed = false              # optional: true if the suspected object was removed
+    simulated = "run.csv"                # optional, what a program gave of this configuration
+    at = "calibrated.toml"               # optional, the room with the coefficients of that run
     air = { temperature = 21, humidity = 60 }     # optional, in another climate than the room's
     [configuration.changes."west wall"]  # optional: coefficients that differ from the room's
     alpha = [0.1, 0.3]
@@ -58,6 +61,7 @@ from rtcal.acoustics.room import (
     checked_uncertainty,
     refuse_repeated_data,
 )
+from rtcal.acoustics.run import Run
 from rtcal.calibration.measured import notes_of_bands, times_in_room
 from rtcal.files.disk import json_numbers, read_text, write_text
 from rtcal.files.schema import FileTable, Number, json_object, read, toml_table
@@ -79,6 +83,8 @@ PARAMETERS = ("t20", "edt", "t30", "c80", "g")
 """Parameters that are compared."""
 LEVELS = ("c80", "g")
 """Parameters in dB. The uncertainty of the other parameters is relative."""
+GEOMETRICAL = "geometrical"
+"""Kind of a program that traces rays or image sources."""
 MAX_BYTES = 50_000_000
 MAX_POSITIONS = 1000
 PLANNED_UNCERTAINTY = {"time": 0.02, "level": 0.3}
@@ -111,7 +117,8 @@ class ConfigurationTable(FileTable):
 
     ``measured`` is the name of a measurement's file, or plain values as `Measurement.to_dict` returns
     them, in the room's bands unless they state theirs. ``parameters`` and ``positions`` are what is to
-    be measured.
+    be measured. ``simulated`` is a run, as ``measured`` is stated, ``at`` the room or the alpha
+    (n_materials, n_bands) that the program had; by default the room's.
     """
 
     name: str | None = None
@@ -123,6 +130,8 @@ class ConfigurationTable(FileTable):
     suspect_removed: bool = False
     air: Air | None = None
     distances: list[Number] | None = None
+    simulated: str | MeasurementTable | None = None
+    at: str | list[list[Number]] | None = None
 
 
 class Uncertainty(FileTable):
@@ -142,6 +151,7 @@ class CaseTable(FileTable):
     facing: list[list[Number | None]] | None = None
     applied: list[AppliedEffect] = []
     climate_uncertainty: tuple[Number, Number] = CLIMATE_UNCERTAINTY
+    program: str = ""
     caution: str = ""  # for whoever opens the file
 
 
@@ -185,6 +195,11 @@ class Configuration:
         From source to receiver in m; by default 0.66 times the cube root of the volume.
     planned : bool
         Whether ``measured`` holds placeholders for a measurement that is only planned.
+    simulated : Run, optional
+        What a program gave of this configuration. The model is then the run, and its changes with
+        coefficients and effects are those of the equation.
+    left_out : tuple of str
+        Parameters that were measured and that the run lacks; `in_room` leaves them out.
 
     Raises
     ------
@@ -199,6 +214,8 @@ class Configuration:
     air: Air | None = None
     distances: Array | None = None
     planned: bool = False
+    simulated: Run | None = None
+    left_out: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         where = f'configuration "{text_name("configuration: name", self.name)}"'
@@ -216,8 +233,9 @@ class Configuration:
         object.__setattr__(self, "changes", changes)
         for name in ("suspect_removed", "planned"):
             checks.flag(f"{where}: {name}", getattr(self, name))
-        if self.air is not None:
-            checks.instance(f"{where}: air", self.air, Air)
+        for name, kind in (("air", Air), ("simulated", Run)):
+            if getattr(self, name) is not None:
+                checks.instance(f"{where}: {name}", getattr(self, name), kind)
         if self.distances is not None:
             distances, n = (
                 checks.array(f"{where}: distances", self.distances),
@@ -257,16 +275,8 @@ class Configuration:
             raise DataError(f"{where}: positions has no meaning beside a measurement")
         elif table.measured is None:
             raise DataError(f"{where} has no measured = a measurement's file")
-        elif isinstance(table.measured, str):
-            measured = Measurement.from_file(str(folder / table.measured))
         else:
-            plain = msgspec.structs.asdict(table.measured)
-            if not table.measured.centre_frequencies:
-                plain["centre_frequencies"] = room.centre_frequencies
-            try:
-                measured = Measurement(**plain)
-            except DataError as error:
-                raise DataError(f"{where}: {error}") from error
+            measured = _read(where, table.measured, room, folder)
         added = dict(measured.uncertainty)
         for parameter, values in measured.values.items():
             level = parameter in LEVELS
@@ -284,10 +294,15 @@ class Configuration:
             air=table.air,
             distances=None if table.distances is None else np.array(table.distances),
             planned=planned,
+            simulated=_run_of(where, table, room, folder),
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the configuration as plain values for JSON, as a `ConfigurationTable` has them."""
+        run: dict[str, Any] = {}
+        if self.simulated is not None:
+            run["simulated"] = self.simulated.simulated.to_dict()
+            run["at"] = json_numbers(self.simulated.room.alpha)
         return {
             "name": self.name,
             "measured": self.measured.to_dict(),
@@ -299,12 +314,13 @@ class Configuration:
             "suspect_removed": self.suspect_removed,
             "air": None if self.air is None else asdict(self.air),
             "distances": None if self.distances is None else json_numbers(self.distances),
+            **run,
         }
 
     def in_room(self, room: Room) -> Configuration:
         """Return the configuration with its measurement in the room's bands, as `calibrate` takes it.
 
-        Warns if bands are converted or left out. Raises DataError where it does not fit the room, and
+        What the run lacks is left out of the measurement. Warns if bands are converted or left out. Raises DataError where it does not fit the room, and
         for values that no room has.
         """
         where = f'configuration "{self.name}"'
@@ -321,6 +337,7 @@ class Configuration:
                     OtherBandsWarning,
                     stacklevel=checks.stack_level(),
                 )
+        measured, made = self._beside_run(where, measured, room)
         if not {"t20", "t30"} & measured.values.keys():
             raise DataError(f"{where} has neither t20 nor t30")
         for material, change in self.changes.items():
@@ -354,7 +371,54 @@ class Configuration:
                     f"{place} = {values[i, k]:g} dB is not from {least:g} to {most:g} dB, which no "
                     "room exceeds"
                 )
-        return replace(self, measured=measured)
+        return replace(self, measured=measured, **made)
+
+    def _beside_run(
+        self, where: str, measured: Measurement, room: Room
+    ) -> tuple[Measurement, dict[str, Any]]:
+        """Return what was measured and simulated, and the run, distances and names that go with it."""
+        if self.simulated is None or self.planned:
+            return measured, {}
+        try:
+            self.simulated.refuse_other(room)
+            run, both = self.simulated.beside(measured)
+        except DataError as error:
+            raise DataError(f"{where}: {error}") from error
+        lost = [p for p in measured.values if p in PARAMETERS and p not in both.values]
+        made: dict[str, Any] = {"simulated": replace(self.simulated, simulated=run)}
+        made["left_out"] = tuple(dict.fromkeys([*self.left_out, *lost]))
+        if self.distances is not None:
+            made["distances"] = self.distances[[measured.pairs.index(p) for p in both.pairs]]
+        return both, made
+
+
+def _read(where: str, stated: str | MeasurementTable, room: Room, folder: Path) -> Measurement:
+    """Return the measurement of a file's name, or of plain values in the room's bands."""
+    if isinstance(stated, str):
+        return Measurement.from_file(str(folder / stated))
+    plain = msgspec.structs.asdict(stated)
+    if not stated.centre_frequencies:
+        plain["centre_frequencies"] = room.centre_frequencies
+    try:
+        return Measurement(**plain)
+    except DataError as error:
+        raise DataError(f"{where}: {error}") from error
+
+
+def _run_of(where: str, table: ConfigurationTable, room: Room, folder: Path) -> Run | None:
+    """Return the run of a configuration's table, None without one."""
+    if table.simulated is None:
+        if table.at is not None:
+            raise DataError(f"{where}: at has the coefficients of a run; simulated is missing")
+        return None
+    try:
+        if isinstance(table.at, str):
+            at = Room.from_file(str(folder / table.at))
+        else:
+            at = room if table.at is None else room.replace(alpha=table.at)
+        return Run(at, _read(where, table.simulated, room, folder))
+    except DataError as error:
+        raise DataError(f"{where}: {error}") from error
 
 
 def _placeholders(
@@ -399,6 +463,9 @@ class Case:
         Effects that `Finding.apply` has added.
     climate_uncertainty : (float, float)
         Standard uncertainties of a stated climate: K, and % of relative humidity.
+    program : {"", "geometrical"}
+        What made the runs. A geometrical program has an uneven field and no equation, so that neither
+        is missing from its run (`Effect.in_geometry`).
 
     Raises
     ------
@@ -414,6 +481,7 @@ class Case:
     facing: Array = None  # type: ignore[assignment]  # filled in when made
     applied: Sequence[AppliedEffect] = ()
     climate_uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
+    program: str = ""
 
     def __post_init__(self) -> None:
         checks.instance("room", self.room, Room)
@@ -436,6 +504,10 @@ class Case:
             check_parameters(added.effect, added.parameters, self.room, added.size_interval)
         configurations = tuple(c.in_room(self.room) for c in self.configurations)
         object.__setattr__(self, "configurations", configurations)
+        if self.program not in ("", GEOMETRICAL):
+            raise DataError(f'program = {self.program!r} is not "{GEOMETRICAL}"')
+        if self.program and not self.has_run:
+            raise DataError(f'program = "{self.program}" made a run, and simulated is missing')
 
     def __repr__(self) -> str:
         names = ", ".join(c.name for c in self.configurations)
@@ -444,6 +516,11 @@ class Case:
             f"{bands.span(self.room.centre_frequencies)}, {len(self.configurations)} "
             f"configurations: {shortened(names)}>"
         )
+
+    @property
+    def has_run(self) -> bool:
+        """Whether a program's run stands in place of the equation, in any configuration."""
+        return any(c.simulated is not None for c in self.configurations)
 
     @cached_property
     def directions_known(self) -> bool:
@@ -474,6 +551,7 @@ class Case:
             ],
             applied=table.applied,
             climate_uncertainty=table.climate_uncertainty,
+            program=table.program,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -493,6 +571,7 @@ class Case:
             "facing": json_numbers(self.facing),
             "applied": [p.to_dict() for p in self.applied],
             "climate_uncertainty": list(self.climate_uncertainty),
+            **({"program": self.program} if self.program else {}),
         }
 
     @classmethod
@@ -629,7 +708,8 @@ def _table(content: Mapping[str, Any]) -> CaseTable:
 def files_of_case(path: str) -> list[Path]:
     """Return the paths that a valid case file refers to, itself included."""
     table = _table(_content(path, read_text(path, MAX_BYTES)))
-    names = [table.room, *(c.measured for c in table.configuration)]
+    of = [(c.measured, c.simulated, c.at) for c in table.configuration]
+    names = [table.room, *(name for each in of for name in each)]
     return [Path(path), *(Path(path).parent / name for name in names if isinstance(name, str))]
 
 
@@ -1038,6 +1118,8 @@ def case_of(
     before: Measurement | None = None,
     *,
     tracing: Mapping[str, Any] | None = None,
+    simulated: Run | None = None,
+    program: str = "",
     **stated: Any,
 ) -> AnyCase:
     """Return the case of a room and what was measured in it, which decides what is compared.
@@ -1054,6 +1136,10 @@ def case_of(
         Of the room; by default the one that the room's scene states, if it states one.
     tracing : mapping, optional
         Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, where the scene is traced.
+    simulated : Run, optional
+        What a program gave, in place of the equation or, at the room's coefficients, of the tracing.
+    program : str
+        Of means, as of a `Case`.
     **stated
         Further parameters of `PositionsCase`.
 
@@ -1092,9 +1178,19 @@ def case_of(
     if before is not None:
         for name in filter(stated.get, stated):
             raise DataError(f"{name} is not of a search for what changed between these two states")
+        if simulated is not None:
+            raise DataError("simulated is not of a search for what changed between these two states")
         return StatesCase(room=room, before=before, after=measured, simulator=simulator)
     if simulator is not None and of_pairs:
+        if program:
+            raise DataError("program is of means: at positions the model is traced")
+        if simulated is not None:
+            simulated.refuse_other(room)
+            if not np.array_equal(simulated.room.alpha, room.alpha):
+                raise DataError("at positions a run is at the room's own coefficients")
+            stated["simulated"] = simulated.simulated
         return PositionsCase(simulator=simulator, measured=measured, **{**of_scene, **stated})
     for name in stated:
         raise DataError(f"{name} {needs}")
-    return Case(room=room, configurations=[Configuration(name="as measured", measured=measured)])
+    whole = Configuration(name="as measured", measured=measured, simulated=simulated)
+    return Case(room=room, configurations=[whole], program=program)

@@ -123,6 +123,8 @@ class Effect(ABC):
     needs_directions : bool
         Whether it acts by the directions in which surfaces face. In a room of which nothing says them
         it is not judged.
+    in_geometry : bool
+        Whether a geometrical program has it already, so that it is not missing from a program's run.
     not_in_simulator : str or None
         Why a simulator of a room cannot have the effect; None where it can, or has it already. Asked
         only of effects that no material can represent.
@@ -144,6 +146,7 @@ class Effect(ABC):
     stands_on: ClassVar[Sequence[str]] = ()
     shares: ClassVar[Sequence[float]] = ()
     needs_directions: ClassVar[bool] = False
+    in_geometry: ClassVar[bool] = False
     not_in_simulator: ClassVar[str | None] = (
         "it bends the decay, which no material of a simulator does; without make the case's own "
         "model is the simulator"
@@ -745,6 +748,7 @@ class WrongFormula(WrongStatement):
     }
     neutral: ClassVar[float] = np.nan
     size_error: ClassVar[float] = 0.0
+    in_geometry: ClassVar[bool] = True  # it computes no equation
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return the equations that the model does not use."""
@@ -934,6 +938,7 @@ class NonDiffuse(Effect):
     neutral: ClassVar[float] = 1.0
     size_error: ClassVar[float] = 0.5
     needs_directions: ClassVar[bool] = True
+    in_geometry: ClassVar[bool] = True
     # A simulator with geometry has such a field by itself.
     not_in_simulator: ClassVar[str | None] = None
 
@@ -1112,17 +1117,23 @@ def _check(place: str, effect: Any) -> None:
             raise DataError(f"{where}: shares has {share:g}, which is not above 0 and at most 1")
 
 
+IN_RUN = "a geometrical program has it in its run"
+"""Why an effect is not judged beside a run."""
+
+
 def judged_effects(
-    effects: Sequence[Effect], directions_known: bool
+    effects: Sequence[Effect], directions_known: bool, geometrical: bool = False
 ) -> tuple[tuple[Effect, ...], dict[str, str]]:
     """Return the effects that can be judged, and by name why others cannot.
 
-    Raises DataError where none is left.
+    A run of a ``geometrical`` program has some of them in it. Raises DataError where none is left.
     """
     lacking = {e.name: NOT_KNOWN for e in effects if e.needs_directions and not directions_known}
+    lacking |= {e.name: IN_RUN for e in effects if e.in_geometry and geometrical}
     tried = tuple(e for e in effects if e.name not in lacking)
     if not tried:
-        raise DataError(f"{', '.join(lacking)} cannot be judged: {NOT_KNOWN}")
+        whys = "; ".join(dict.fromkeys(lacking.values()))
+        raise DataError(f"{', '.join(lacking)} cannot be judged: {whys}")
     return tried, lacking
 
 

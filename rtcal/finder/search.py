@@ -8,6 +8,7 @@ from typing import Any
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.run import Run
 from rtcal.finder.case import AnyCase, Case, case_of
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.search import find as find_by_means
@@ -31,6 +32,8 @@ def find(
     simulator: PathTracing | None = None,
     *,
     before: Measurement | None = None,
+    simulated: Run | None = None,
+    program: str = "",
     tracing: Mapping[str, Any] | None = None,
     seed: int = 0,
     **options: Any,
@@ -54,6 +57,11 @@ def find(
         Of the same positions, before something was changed: then what changed is found, instead of what
         the model lacks (`rtcal.finder.states`). The room's coefficients do not count. Neither
         ``controls``, ``cache`` nor ``progress`` belongs to such a search.
+    simulated : Run, optional
+        What a program gave at its coefficients. The run is then the model: the equation says how
+        coefficients and effects change it, and what the equation errs by is not blamed on the room.
+    program : {"", "geometrical"}
+        By means: a geometrical program has an uneven field and no equation, so that neither is sought.
     tracing : mapping, optional
         Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, where the room's scene is
         traced: in place of a ``simulator``.
@@ -96,10 +104,13 @@ def find(
     if isinstance(room, Room):
         if measured is None:
             raise DataError("measured is missing: a room is compared with what was measured in it")
-        case = case_of(room, measured, simulator, before, tracing=tracing)
-    elif not (measured is None and simulator is None and before is None and tracing is None):
+        run = None if simulated is None else checks.instance("simulated", simulated, Run)
+        more: dict[str, Any] = {"simulated": run, "program": program}
+        case = case_of(room, measured, simulator, before, tracing=tracing, **more)
+    elif any(of is not None for of in (measured, simulator, before, tracing, simulated)) or program:
         raise DataError(
-            "measured, before, simulator and tracing belong to a room; a case holds its own"
+            "measured, before, simulated, program, simulator and tracing belong to a room; a case "
+            "holds its own"
         )
     else:
         case = room if isinstance(room, AnyCase) else checks.instance("case", room, Case)

@@ -46,15 +46,15 @@ from rtcal.finder.finding import DATA, LEAST_PAIRS, Finding, feature_names
 from rtcal.finder.means.problem import (
     MeansProblem,
     ObservedFeatures,
-    distances,
     evaluate,
     observe,
     predict_hypotheses,
+    predict_in,
     state,
 )
 from rtcal.finder.means.recalibration import Recalibrated, plain, recalibrate
 from rtcal.finder.means.search import LITTLE, fit, gap_check
-from rtcal.finder.model import FEATURES, predict
+from rtcal.finder.model import FEATURES
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.finder.states import find as find_change
 from rtcal.loop.measured_pairs import Pair, gap_at_pairs, trace_ahead
@@ -561,7 +561,7 @@ def reverberation_times(
     bias = finding.discrepancy.bias.reshape(finding.residuals.shape)
     return {
         "measured": first.measured.reverberation_time,
-        "prior": predict([state(case, first)], distances(case, first)).reverberation_time[0],
+        "prior": np.exp(predict_in(case, first, [state(case, first)]).features[0, _T20]),
         "plain": np.exp(before.features[0, _T20]),
         "corrected": np.exp(after.features[0, _T20] + bias[0, _T20]),
     }

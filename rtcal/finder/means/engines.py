@@ -56,7 +56,7 @@ class ControlRooms:
     """The model's errors in the control rooms of one engine.
 
     ``errors`` (n_controls, n_configurations, n_features, n_bands) are the engine's features minus the
-    model's for the same alpha.
+    model's for the same alpha; of a configuration with a run less those of another control room.
     """
 
     engine: str
@@ -199,6 +199,11 @@ class ControlRoom:
         states = [replace(stated, alpha=self.by_axis(alpha)) for alpha in alphas]
         return predict(states, self.distances).features
 
+    def errors(self, case: Case, alphas: Array, simulate: Simulation, duration: float) -> Array:
+        """Return what is simulated less these `features`."""
+        simulated = [simulate(self.by_axis(alpha), duration) for alpha in alphas]
+        return np.asarray(simulated - self.features(case, alphas))
+
 
 Simulation = Callable[[Array, float], Array]
 """Simulate alpha (3, n_bands) for a duration in s: features (n_features, n_bands)."""
@@ -281,23 +286,38 @@ class Engine:
     estimates_bias: bool = True
 
     def run(self, case: Case, seed: int, progress: TaskProgress | None = None) -> ControlRooms:
-        """Simulate the control rooms of a case."""
+        """Simulate the control rooms of a case.
+
+        With a run, another setup at the run's coefficients is the program. What the equation errs by
+        cancels then, and what two geometrical programs differ by is left.
+        """
         rng = np.random.default_rng([seed, self.stream])
         places = _spread_evenly(rng, self.setups, 3 * (1 + _RECEIVERS))
         alphas = draw_alpha(case, rng, self.setups)
         scattering = self._scattering(rng)
         room, geometry, share = box(case)
-        errors = []
+        errors, programs = list[Array](), list[Array]()
+        by_run = np.array([c.simulated is not None for c in case.configurations])
+        of_runs = [case.room if c.simulated is None else c.simulated.room for c in case.configurations]
+        at_runs = np.array(
+            [c.coefficients(r)[0] for c, r in zip(case.configurations, of_runs, strict=True)]
+        )
         for number, (coefficient, model) in enumerate(scattering):
             source, receivers = _places(np.array(room.dimensions), places[number])
             control = ControlRoom(room, geometry, share, source, receivers, coefficient, model)
             simulate = self.simulator(control, number)
             duration = self.duration * float(control.time(case.room.alpha).max())
-            simulated = [simulate(control.by_axis(a), duration) for a in alphas[number]]
-            errors.append(simulated - control.features(case, alphas[number]))
+            made = control.errors(case, alphas[number], simulate, duration)
+            if by_run.any():
+                programs.append(control.errors(case, at_runs, simulate, duration))
+            errors.append(made)
             if progress is not None:
                 progress(self.name, number + 1, self.setups)
-        return ControlRooms(self.name, np.array(errors))
+        every = np.array(errors)
+        if by_run.any():
+            # The program is the next setup: it scatters otherwise, and has other positions.
+            every[:, by_run] -= np.roll(programs, -1, axis=0)[:, by_run]
+        return ControlRooms(self.name, every)
 
     def _scattering(self, rng: np.random.Generator) -> list[tuple[float, ScatteringModel]]:
         """Return each room's coefficient and model; coefficients are even over the model's range."""

@@ -202,7 +202,7 @@ def plan(
     if finding is not None and finding.case is not case:
         raise DataError("finding is of another case: state the case that it was found in")
     observed, _ = observe(case)
-    tried, _ = judged_effects(checked_effects(effects), case.directions_known)
+    tried, _ = judged_effects(checked_effects(effects), case.directions_known, bool(case.program))
     predicted = predict_hypotheses(case, tried)
     variances = np.broadcast_to(np.square(GENERIC_UNCERTAINTY)[:, None], observed.used.shape)
     discrepancy = ModelDiscrepancy(np.zeros(variances.size), np.diag(variances.ravel()))

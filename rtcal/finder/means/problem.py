@@ -91,7 +91,7 @@ from rtcal.finder.evidence import (
     with_columns,
 )
 from rtcal.finder.means.engines import ControlRooms, bias_estimates, draw_alpha, recentred
-from rtcal.finder.model import FEATURES, RoomState, predict, sensitivities
+from rtcal.finder.model import FEATURES, Predicted, RoomState, predict, sensitivities
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
@@ -144,7 +144,8 @@ class PredictedFeatures:
             full[:, c, :, c] += own[:, c].swapaxes(1, 2) @ own[:, c]
         alone = (full * rho[:, None, :]).reshape(n, size, size)
         together = factors(of_alpha, self.jacobian[rows])
-        times = np.exp(self.features[rows, :, 0])[:, :, None] / _RATE
+        offset = [np.nan_to_num(offset_of(self.case, c)[0]) for c in self.case.configurations]
+        times = np.exp(self.features[rows, :, 0] - np.array(offset))[:, :, None] / _RATE
         air = (of_climate * times).swapaxes(2, 3).reshape(n, size, -1)
         parts = np.concatenate([air, together], axis=-1)
         return alone + parts @ parts.swapaxes(1, 2), together
@@ -154,11 +155,38 @@ _RATE = 6 * np.log(10)
 """k T of an exponential decay."""
 
 
+def predict_in(
+    case: Case, configuration: Configuration, states: Sequence[RoomState], far: float = 1.0
+) -> Predicted:
+    """Return the features of states of a configuration, at ``far`` times its distances.
+
+    With a run they are moved by what the run differs by from the equation at the run's coefficients.
+    The reverberation time stays that of the equation, and so does its change with anything.
+    """
+    made = predict(states, far * distances(case, configuration))
+    if configuration.simulated is None:
+        return made
+    offset = np.nan_to_num(offset_of(case, configuration))
+    return replace(made, features=made.features + offset)
+
+
+def offset_of(case: Case, configuration: Configuration) -> Array:
+    """Return the run's features less the equation's at its coefficients, (n_features, n_bands).
+
+    NaN where the run has none; 0 without a run. What was added to the model is not in the run.
+    """
+    run = configuration.simulated
+    if run is None:
+        return np.zeros((len(FEATURES), case.room.n_bands))
+    at = state(replace(case, applied=()), configuration, run.room.alpha)
+    return np.asarray(_table(run.simulated) - predict([at], distances(case, configuration)).features[0])
+
+
 def predict_states(case: Case, states: Sequence[Sequence[RoomState]]) -> PredictedFeatures:
     """Return the predictions of states, a list for each configuration."""
     with np.errstate(all="ignore"):  # the caller refuses, or leaves out, what is not finite
         made = [
-            predict(column, distances(case, c))
+            predict_in(case, c, column)
             for column, c in zip(states, case.configurations, strict=True)
         ]
         # d ln T20 = -(d k / d alpha) T20 / (6 ln 10) d alpha.
@@ -339,7 +367,7 @@ def features_of(
         case.configurations, far + np.zeros(len(case.configurations)), strict=True
     ):
         made = state(case, c if changed else replace(c, changes={}))
-        out.append(predict([made], factor * distances(case, c)).features[0])
+        out.append(predict_in(case, c, [made], factor).features[0])
     return np.array(out)
 
 
@@ -497,6 +525,8 @@ def observe(case: Case) -> tuple[ObservedFeatures, list[Reason]]:
     blocks = np.zeros((n, k, len(FEATURES), len(FEATURES)))
     for c, configuration in enumerate(case.configurations):
         table[c], blocks[c] = _features(configuration, origins)
+        if configuration.simulated is not None:
+            blocks[c] += _covariance_of_run(configuration.simulated.simulated)
         for b, f in enumerate(configuration.measured.centre_frequencies):
             where = {"configuration": configuration.name, "band": bands.label(f)}
             if blocks[c, b, 0, 0] > LARGEST_UNCERTAINTY**2:
@@ -526,7 +556,33 @@ def observe(case: Case) -> tuple[ObservedFeatures, list[Reason]]:
 def _features(configuration: Configuration, origins: dict[str, list[str]]) -> tuple[Array, Array]:
     """Return the features (n_features, n_bands) and their covariance in each band."""
     m = configuration.measured
-    amount = "t20" if "t20" in m.values else "t30"
+    amount, k = _amount(m), len(m.centre_frequencies)
+    block, common = np.zeros((k, 5, 5)), {}
+    for row, p in enumerate((amount, "edt", "t30", *LEVELS)):
+        if p not in m.values:
+            continue
+        alone, common[p], origin = _uncertainty(m, p)
+        block[:, row, row] = alone**2 + common[p] ** 2
+        if (label := parameter_label(p)) not in origins[origin]:
+            origins[origin].append(label)
+    if amount == "t20" and "t30" in m.values:
+        both = SHARED_BY_T20_AND_T30 * common["t20"] * common["t30"]
+        block[:, 0, 2] = block[:, 2, 0] = both
+    return _table(m), np.asarray(_RATIOS @ block @ _RATIOS.T)
+
+
+_RATIOS = np.eye(5)
+"""From ln T20, ln EDT, ln T30, C80, G to the ratios, which have T20 in the denominator."""
+_RATIOS[1:3, 0] = -1.0
+
+
+def _amount(m: Measurement) -> str:
+    return "t20" if "t20" in m.values else "t30"
+
+
+def _table(m: Measurement) -> Array:
+    """Return the features of a measurement or a run, (n_features, n_bands)."""
+    amount = _amount(m)
     mean = {p: m.mean(p) for p in (*TIMES, *LEVELS)}
     with np.errstate(divide="ignore", invalid="ignore"):
         table = np.stack(
@@ -541,22 +597,17 @@ def _features(configuration: Configuration, origins: dict[str, list[str]]) -> tu
     if amount == "t30":
         # T20 is missing and T30 stands in for it: the ratio would be 0 by construction.
         table[2] = np.nan
-    k = len(m.centre_frequencies)
-    block, common = np.zeros((k, 5, 5)), {}
-    for row, p in enumerate((amount, "edt", "t30", *LEVELS)):
-        if p not in m.values:
-            continue
-        alone, common[p], origin = _uncertainty(m, p)
-        block[:, row, row] = alone**2 + common[p] ** 2
-        if (label := parameter_label(p)) not in origins[origin]:
-            origins[origin].append(label)
-    if amount == "t20" and "t30" in m.values:
-        both = SHARED_BY_T20_AND_T30 * common["t20"] * common["t30"]
-        block[:, 0, 2] = block[:, 2, 0] = both
-    # From ln T20, ln EDT, ln T30, C80, G to the ratios, which have T20 in the denominator.
-    ratios = np.eye(5)
-    ratios[1:3, 0] = -1.0
-    return table, np.asarray(ratios @ block @ ratios.T)
+    return table
+
+
+def _covariance_of_run(run: Measurement) -> Array:
+    """Return the covariance of a run's features as its table states it, (n_bands, 5, 5); 0 without."""
+    block = np.zeros((len(run.centre_frequencies), 5, 5))
+    for row, p in enumerate((_amount(run), "edt", "t30", *LEVELS)):
+        if p in run.uncertainty:
+            scale = run.mean(p) if p in TIMES else 1.0
+            block[:, row, row] = np.nan_to_num(run.mean_uncertainty(p) / scale) ** 2
+    return np.asarray(_RATIOS @ block @ _RATIOS.T)
 
 
 def _uncertainty(m: Measurement, p: str) -> tuple[Array, Array, str]:
@@ -1182,7 +1233,7 @@ def draw_null_features(
     alphas = draw_alpha(case, rng, n) + in_common
     alphas = np.clip(alphas, 0.001, 0.99)
     rows = [
-        predict(states(case, c, [a[i] for a in alphas]), distances(case, c)).features
+        predict_in(case, c, states(case, c, [a[i] for a in alphas])).features
         for i, c in enumerate(case.configurations)
     ]
     values = np.stack(rows, axis=1)

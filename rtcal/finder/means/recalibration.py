@@ -34,12 +34,13 @@ from rtcal.finder.claim import WORDS
 from rtcal.finder.means.problem import (
     ModelDiscrepancy,
     checked_discrepancy,
-    distances,
     observe,
+    offset_of,
+    predict_in,
     state,
     states,
 )
-from rtcal.finder.model import FEATURES, predict
+from rtcal.finder.model import FEATURES
 from rtcal.support import __version__, text
 from rtcal.support.blocks import Block
 from rtcal.support.errors import MissingAirWarning
@@ -173,7 +174,7 @@ def plain(case: Case) -> Recalibrated:
     if not isinstance(equation, LinearEquation):
         return LogTimes.of(case, [0], exact=True).calibrated()
     data, first = LogTimes.of(case, [0]), case.configurations[0]
-    times = np.exp(data.measured)
+    times = np.exp(data.measured - np.nan_to_num(offset_of(case, first)[_T20]))
     measured = Measurement(
         centre_frequencies=case.room.centre_frequencies,
         values={"t20": times},
@@ -307,7 +308,7 @@ class LogTimes:
         configuration = self.case.configurations[c]
         unchanged = replace(configuration, changes={})
         made = states(self.case, unchanged, list(alphas[:, self.rows(c)]))
-        return predict(made, distances(self.case, configuration)).features
+        return predict_in(self.case, configuration, made).features
 
     def predict(self, alpha: Array) -> Array:
         """Return the model's ln T."""

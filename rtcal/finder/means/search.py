@@ -144,7 +144,7 @@ def find(
     every = checked_effects(effects)
     effects, left_out = chosen_effects(every, without, only)
     odds = checked_odds(effects, prior)
-    effects, not_judged = judged_effects(effects, case.directions_known)
+    effects, not_judged = judged_effects(effects, case.directions_known, bool(case.program))
     if checks.whole("most", most, 1) > MOST:
         raise DataError(f"most = {most} is not from 1 to {MOST}")
     if most > 1 and len(effects) < 2:

@@ -1,0 +1,1 @@
+"""Rooms in which reality and the user's program are two different simulators."""
