@@ -25,6 +25,7 @@ from rtcal.command.console import (
     numbers,
     pairs,
     read_measured,
+    read_run,
     said,
     several,
     takes,
@@ -50,8 +51,9 @@ PROPOSED = 3
 """Places for a further receiver that are printed."""
 SEEDS = (0, 1, 2)
 """Seeds of the simulator over which a gap at positions is printed."""
-_OF_POSITIONS = ("simulated", "match", "exclude", "scattering", "paths")
-_OF_MEANS = ("prior", "most")
+_OF_POSITIONS = ("match", "exclude", "scattering", "paths")
+_OF_MEANS = ("prior", "most", "program")
+_OF_RUN = ("simulated", "at", "program")
 _NEEDS_POSITIONS = " needs a room that states its sources and receivers, measured pair by pair"
 _ENDINGS = (".csv", ".json", ".toml")
 """Endings of the files that rtcal reads, which no folder of `apply` has."""
@@ -69,7 +71,7 @@ def files_of(options: Mapping[str, Any]) -> list[str]:
 
     if options.get("measured") is None:
         return [os.fspath(path) for path in files_of_case(options["case"])]
-    return [*stated(options, "case", "measured", "before", "simulated").values()]
+    return [*stated(options, "case", "measured", "before", "simulated", "at").values()]
 
 
 def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) -> Any:
@@ -85,6 +87,7 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
                 "--before needs a room and what was measured after: ROOM AFTER --before BEFORE"
             )
         refuse(stated(options, *_OF_POSITIONS), _NEEDS_POSITIONS)
+        refuse(stated(options, *_OF_RUN), f" is stated in {path}: in its [[configuration]]")
         case = Case.from_file(path)
         spare(targets, files_of(options))
         return case
@@ -97,18 +100,20 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
     if before is not None:
         more["before"] = read_measured(before, quietly=True)
         at_positions = at_positions and not more["before"].is_summary
-        others = [n for n in (*_OF_POSITIONS, *_OF_MEANS) if n != "scattering"]
+        others = [n for n in (*_OF_POSITIONS, *_OF_MEANS, *_OF_RUN) if n != "scattering"]
         refuse(stated(options, *others), " is not of what changed between two states")
+    run = read_run(room, options.get("simulated"), options.get("at"))
     if not at_positions:
         refuse(stated(options, *_OF_POSITIONS), _NEEDS_POSITIONS)
+        if before is None:
+            more |= {"simulated": run, **stated(options, "program")}
         return case_of(room, measured, **more)
     refuse(stated(options, *_OF_MEANS), ": with a geometry there is no such option")
     if before is None:
         more |= stated(options, "match") | {
             "exclude": pairs("--exclude", options.get("exclude", ()))
         }
-        if options.get("simulated") is not None:
-            more["simulated"] = read_measured(options["simulated"])
+        more["simulated"] = run
     tracing = {"paths": "n_paths", "scattering": "scattering"}
     more["tracing"] = {tracing[k]: v for k, v in stated(options, *tracing).items()}
     with errors_name_options("scattering", "match", "exclude"):
@@ -253,7 +258,14 @@ def verified(finding: Any, cache: Path) -> Any:
     click.argument("case", metavar="CASE|ROOM", type=click.Path()),
     "MEASURED?",
     "before",
-    file("simulated", "What another program gave for the model as it is (CSV), with positions."),
+    "simulated",
+    "at",
+    choice(
+        "program",
+        ("geometrical",),
+        "What made the run: a program that traces rays or image sources computes an uneven field and "
+        "no equation, so that neither is sought.",
+    ),
     "match",
     "exclude",
     "scattering",
@@ -298,6 +310,10 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     With --most 3, sets of up to three effects are compared, and each effect has the probability that it
     is there at all. With --out the finding is kept: `rtcal verify`, `apply`, `plan` and `report` read
     it. Its page leads with what is missing, what that rests on and what to do.
+
+    With --simulated, the model is what your program gave: what the equation errs by is not blamed on
+    the room, and the equation says how coefficients and effects change the program's T
+    (docs/compare.md).
 
     With --before, MEASURED is what was measured after a change of the room. What changed is found, with
     its amount, and the room's coefficients do not count (docs/two_states.md).

@@ -320,8 +320,8 @@ class Configuration:
     def in_room(self, room: Room) -> Configuration:
         """Return the configuration with its measurement in the room's bands, as `calibrate` takes it.
 
-        What the run lacks is left out of the measurement. Warns if bands are converted or left out. Raises DataError where it does not fit the room, and
-        for values that no room has.
+        What the run lacks is left out of the measurement. Warns if bands are converted or left out.
+        Raises DataError where it does not fit the room, and for values that no room has.
         """
         where = f'configuration "{self.name}"'
         stated, wanted = self.measured.centre_frequencies, room.centre_frequencies
@@ -1179,7 +1179,9 @@ def case_of(
         for name in filter(stated.get, stated):
             raise DataError(f"{name} is not of a search for what changed between these two states")
         if simulated is not None:
-            raise DataError("simulated is not of a search for what changed between these two states")
+            raise DataError(
+                "simulated is not of a search for what changed between these two states"
+            )
         return StatesCase(room=room, before=before, after=measured, simulator=simulator)
     if simulator is not None and of_pairs:
         if program:

@@ -172,6 +172,8 @@ WORDS = "rtcal.report.finding_words"
 """The module that makes the words of a finding."""
 LEADING, MISTAKE = "T far off, effect stands", "T far off"
 """Codes of the reasons that T is about twice or half the model's; the first stands before a claim."""
+EQUATION_OFF = "equation off"
+"""Code of the reason that the equation's T is not that of a program's run."""
 LEAVES: Mapping[str, str] = {
     **dict.fromkeys(("size unbounded", "too large", "not explained", "gap may grow"), "family"),
     LEADING: "family",

@@ -19,6 +19,7 @@ from rtcal.acoustics.room import Room
 from rtcal.finder.claim import (
     CLAIMED,
     DISTINCT_NATS,
+    EQUATION_OFF,
     LEADING,
     MISTAKE,
     MOST,
@@ -30,7 +31,7 @@ from rtcal.finder.claim import (
     family_of,
     over_frequency,
 )
-from rtcal.finder.effects import checked_effects
+from rtcal.finder.effects import IN_RUN, checked_effects
 from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN
 from rtcal.finder.finding import Finding, feature_names
 from rtcal.finder.means.planning import COSTS, Plan
@@ -172,6 +173,8 @@ SENTENCES: dict[str, str] = {
     "{known:and}.",
     "curved": '"{configuration}": the decay is curved at {bands:and} (ISO 3382-2, Annex B: at most '
     "{most:.0f} %).",
+    "run lacks": '"{configuration}": {parameters:and} left out, which the run lacks.',
+    EQUATION_OFF: "{equation}'s T is {by:range} {side} than the program's at {bands}.",
     "no air": "The room states no air, so the model's air absorbs nothing.",
     "means alone": "Means over positions identify {effect:name} ({probability:p}), which the "
     "differences between positions do not confirm.",
@@ -252,6 +255,9 @@ class _Forms(Formatter):
             return "; ".join(f"{', '.join(names)}: {origin}" for names, origin in every)
         if form == "unexplained":
             return unexplained(value)
+        if form == "range":
+            low, high = f"{min(value):.0f}", f"{max(value):.0f}"
+            return f"{low} %" if low == high else f"{low} to {high} %"
         if form == "gains":
             return first_of([f"{source} (by {g:+z.1f} dB)" for source, g in value.items()], _FEW)
         if isinstance(value, Size):
@@ -399,6 +405,8 @@ def absorbs(change: Array, end: str = "") -> str:
 def _of_means(f: Finding) -> list[str]:
     if len(f.members) > 1 or (f.named and f.named != f.members):
         return _of_several(f)
+    if f.verdict == "none" and f.case.has_run:
+        return _program_agrees(f)
     if f.verdict == "none":
         return [
             "The measurement agrees with the model within the uncertainty of input values, measurement "
@@ -426,6 +434,24 @@ def _of_means(f: Finding) -> list[str]:
             f"The input coefficients are off in common ({percent(f.probabilities[COEFFICIENTS])})."
         ]
     return [f"{subject}: {best}."]
+
+
+def _program_agrees(f: Finding) -> list[str]:
+    """Return that the measurement agrees with the program, after what the equation errs by."""
+    off = [n for n in f.notes if isinstance(n, Reason) and n.code == EQUATION_OFF]
+    said = [
+        f"{str(n).removesuffix('.')}, so the equation has too {_AMOUNT[n.values['side']]} T, and the "
+        "program agrees with the measurement."
+        for n in off[:1]
+    ]
+    return [
+        *said,
+        f"{'Within' if said else 'The program agrees with the measurement: within'} the uncertainty of "
+        "input values, measurement and program, nothing is found to be missing from the room.",
+    ]
+
+
+_AMOUNT = {"shorter": "little", "longer": "much"}
 
 
 def _of_several(f: Finding) -> list[str]:
@@ -608,7 +634,8 @@ def _details_of_means(f: Finding) -> list[str]:
     library = {effect.name: effect for effect in checked_effects(None)}
     for name, reason in f.not_judged.items():
         family = library[name].family if name in library else None
-        alike = [called(k) for k, e in f.effects.items() if e.family == family]
+        others = [called(k) for k, e in f.effects.items() if e.family == family]
+        alike = [] if reason == IN_RUN else others
         stands = f" If it is there, {listed(alike, last='or')} may stand for it." if alike else ""
         said.append(f"Not judged: {called(name)}, because {reason}.{stands}")
     return said
@@ -712,6 +739,8 @@ def track_record(f: Finding) -> str:
         return ""
     if f.kind == "positions":
         return record_of_positions(f.case.room, f.parameters)
+    if f.case.has_run:
+        return ""
     if f.more_than_one and f.detected:
         claimed = {"families": f.named_families, "sets of families": f.named_set}
         kinds = [

@@ -1,7 +1,7 @@
 """Draw the rooms, search each with and without the run, and count; README.md has the rule.
 
-    python -m benchmarks.studies.runs.world find 0 90 --out judged.jsonl   # goes on where it stopped
-    python -m benchmarks.studies.runs.world count judged.jsonl
+python -m benchmarks.studies.runs.world find 0 90 --out judged.jsonl   # goes on where it stopped
+python -m benchmarks.studies.runs.world count judged.jsonl
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ import rtcal as rt
 from rtcal.finder import Case, Configuration, recalibrate
 from rtcal.finder.claim import wide
 from rtcal.finder.finding import Finding
-from rtcal.finder.means.engines import ControlRoom, _image_sources
+from rtcal.finder.means.engines import ControlRoom, _image_sources, box
 from rtcal.finder.means.problem import observe
 from rtcal.finder.means.recalibration import plain
-from rtcal.finder.model import FEATURES
 from rtcal.simulators import PathTracing, Polyhedron, RayTracing
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 
@@ -56,12 +55,16 @@ class World:
 
     def simulate(self, side: int, room: rt.Room, alpha: Any, seed: int) -> rt.Measurement:
         """Return the means of reality (side 0) or of the program (side 1)."""
-        name, s = self.simulators[side], self.scattering[side]
-        if name == "images":
-            control = ControlRoom(room, self.geometry, np.eye(room.n_materials), self.source,
-                                  self.receivers, 0.0, "random")  # fmt: skip
+        if self.simulators[side] == "images":
+            values = dict.fromkeys(["t20"], np.ones(6))
+            dummy = Configuration(name="x", measured=rt.Measurement.from_values(F, **values))
+            control, geometry, share = box(Case(room=room, configurations=[dummy]))
+            pairs = ControlRoom(
+                control, geometry, share, self.source, self.receivers, 0.0, "random"
+            )
             longest = float(rt.Eyring().reverberation_time(room.replace(alpha=alpha)).max())
-            ln_t20, edt, t30, c80, g = _image_sources(control, 0)(alpha, 2 * longest)
+            made = _image_sources(pairs, 0)(pairs.by_axis(alpha), 2 * longest)
+            ln_t20, edt, t30, c80, g = made
             t = np.exp(ln_t20)
             values = {"t20": t, "edt": t * np.exp(edt), "t30": t * np.exp(t30), "c80": c80, "g": g}
             return rt.Measurement.from_values(F, **values)
@@ -75,8 +78,8 @@ class World:
         at: dict[str, Any] = {"room": room, "geometry": self.geometry, "scattering": s,
                               "sources": {"S": self.source}, "receivers": self.receivers}  # fmt: skip
         if name == "pyroomacoustics":
-            return RayTracing(**at, n_rays=8000, n_batches=2)
-        return PathTracing(**at, n_paths=8000, n_batches=4, scattering_model="random", workers=1)
+            return RayTracing(**at, n_rays=4000, n_batches=2)
+        return PathTracing(**at, n_paths=4000, n_batches=2, scattering_model="random", workers=1)
 
 
 def draw(seed: int, number: int) -> World:
@@ -131,7 +134,11 @@ def draw(seed: int, number: int) -> World:
 def with_hidden(rng: Any, hidden: str, materials: Sequence[str], areas: Any, alpha: Any) -> Any:
     """Return alpha with a patch on one surface that changes the absorption area by a share."""
     spectrum = np.array(HIDDEN[hidden][1])
-    on = int(np.argmax(areas * alpha.mean(1))) if hidden == "covered" else int(rng.integers(len(areas)))
+    on = (
+        int(np.argmax(areas * alpha.mean(1)))
+        if hidden == "covered"
+        else int(rng.integers(len(areas)))
+    )
     if hidden == "audience":
         on = list(materials).index("floor")
     total, gain = (areas @ alpha)[2:5].mean(), (spectrum - alpha[on])
@@ -193,20 +200,19 @@ def row(f: Finding, world: World) -> dict[str, Any]:
 
 
 def gaps(f: Finding, world: World) -> list[float]:
-    """Return the mean gap in JND of what was not fitted: calibrated plainly, and corrected, run again."""
+    """Return the mean gap in JND of what was not fitted: calibrated, and corrected and run again."""
     made = f.apply(effect=f.best_effect)
     make: Callable[[rt.Room], Any] = lambda room: world.simulator(1, room)  # noqa: E731
     fitted = recalibrate(made.model.case, f.discrepancy)  # type: ignore[union-attr]
-    again = made.simulator(make)
     room = made.room
     alpha = np.array(room.alpha)
     alpha[: len(fitted.room.alpha)] = fitted.room.alpha[: len(alpha)]
-    second = again.simulate(alpha, seed=3)
+    second = made.simulator(make).simulate(alpha, seed=3)
     conf = f.case.configurations[0]
-    with_second = Case(room=f.case.room, configurations=[
-        Configuration(name="again", measured=rt.Measurement.from_values(
-            F, **{p: second.mean(p) for p in conf.measured.values if p in second.values}))])  # fmt: skip
-    seen, simulated = observe(f.case)[0], observe(with_second)[0].features
+    both = {p: second.mean(p) for p in conf.measured.values if p in second.values}
+    measured = rt.Measurement.from_values(F, **both)
+    again = Case(room=f.case.room, configurations=[Configuration(name="x", measured=measured)])
+    seen, simulated = observe(f.case)[0], observe(again)[0].features
     left = np.array([plain(f.case).features[0], simulated[0]]) - seen.features[0]
     jnd = np.array([np.log(1.05)] * 3 + [1.0, 1.0])[:, None]
     return [float(np.nanmean(np.abs(g / jnd)[1:])) for g in left]
@@ -214,12 +220,13 @@ def gaps(f: Finding, world: World) -> list[float]:
 
 def count(rows: Sequence[dict[str, Any]]) -> None:
     """Print the table of the rule."""
+
     def share(name: str, some: Sequence[Any]) -> None:
-        print(f"{name:58} {sum(map(bool, some)):3d} of {len(some)}")  # noqa: T201
+        print(f"{name:58} {sum(map(bool, some)):3d} of {len(some)}")
 
     found = ("named", "family", "ambiguous", "unknown")
     for side in ("with", "without"):
-        print(f"-- {side} the run")  # noqa: T201
+        print(f"-- {side} the run")
         nothing, some = ([r for r in rows if bool(r["hidden"]) == k] for k in (False, True))
         fails = [r for r in rows if r["kind"] != "ordinary"]
         share("flagged, nothing hidden", [r[side]["verdict"] in found for r in nothing])
@@ -233,7 +240,7 @@ def count(rows: Sequence[dict[str, Any]]) -> None:
     gap = np.array([r["gap"] for r in rows if "gap" in r]).reshape(-1, 2)
     share("gap smaller after apply and a second run", list(gap[:, 1] < gap[:, 0]))
     if len(gap):
-        print(f"median ratio of the gap: {np.median(gap[:, 1] / gap[:, 0]):.2f}")  # noqa: T201
+        print(f"median ratio of the gap: {np.median(gap[:, 1] / gap[:, 0]):.2f}")
 
 
 def main() -> None:
@@ -255,7 +262,7 @@ def main() -> None:
             text = json.dumps(judge(given.seed, number))
             with given.out.open("a") as file:
                 file.write(text + "\n")
-            print(text, flush=True)  # noqa: T201
+            print(text, flush=True)
 
 
 if __name__ == "__main__":

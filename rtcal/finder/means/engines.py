@@ -43,6 +43,9 @@ The effect "non-diffuse field" begins at coefficients below 0.3. With the vector
 below 0.5 turn the paths towards the walls' normals at each reflection. In a flat room T is then up to
 a fifth shorter than by any equation.
 """
+OF_PROGRAMS = (0.1, 0.9)
+"""The same, of either model, where the model is a geometrical program's run. No effect stands for a
+field that is less diffuse than the program's, and neither its scattering nor the room's is known."""
 _RECEIVERS = 4
 _PATHS = 3000
 _IMAGES = 300_000
@@ -294,11 +297,15 @@ class Engine:
         rng = np.random.default_rng([seed, self.stream])
         places = _spread_evenly(rng, self.setups, 3 * (1 + _RECEIVERS))
         alphas = draw_alpha(case, rng, self.setups)
-        scattering = self._scattering(rng)
+        scattering = self._scattering(
+            rng, dict.fromkeys(SCATTERING, OF_PROGRAMS) if case.program else SCATTERING
+        )
         room, geometry, share = box(case)
         errors, programs = list[Array](), list[Array]()
         by_run = np.array([c.simulated is not None for c in case.configurations])
-        of_runs = [case.room if c.simulated is None else c.simulated.room for c in case.configurations]
+        of_runs = [
+            case.room if c.simulated is None else c.simulated.room for c in case.configurations
+        ]
         at_runs = np.array(
             [c.coefficients(r)[0] for c, r in zip(case.configurations, of_runs, strict=True)]
         )
@@ -319,14 +326,16 @@ class Engine:
             every[:, by_run] -= np.roll(programs, -1, axis=0)[:, by_run]
         return ControlRooms(self.name, every)
 
-    def _scattering(self, rng: np.random.Generator) -> list[tuple[float, ScatteringModel]]:
+    def _scattering(
+        self, rng: np.random.Generator, ranges: Mapping[ScatteringModel, tuple[float, float]]
+    ) -> list[tuple[float, ScatteringModel]]:
         """Return each room's coefficient and model; coefficients are even over the model's range."""
         if not self.models:
             return [(0.0, "random")] * self.setups
         models = [self.models[n // 2 % len(self.models)] for n in range(self.setups)]
         out, count = list[tuple[float, ScatteringModel]](), dict.fromkeys(models, 0)
         for model in models:
-            low, high = SCATTERING[model]
+            low, high = ranges[model]
             part = (count[model] + rng.uniform()) / models.count(model)
             count[model] += 1
             out.append((low + (high - low) * part, model))

@@ -179,7 +179,9 @@ def offset_of(case: Case, configuration: Configuration) -> Array:
     if run is None:
         return np.zeros((len(FEATURES), case.room.n_bands))
     at = state(replace(case, applied=()), configuration, run.room.alpha)
-    return np.asarray(_table(run.simulated) - predict([at], distances(case, configuration)).features[0])
+    return np.asarray(
+        _table(run.simulated) - predict([at], distances(case, configuration)).features[0]
+    )
 
 
 def predict_states(case: Case, states: Sequence[Sequence[RoomState]]) -> PredictedFeatures:

@@ -18,11 +18,13 @@ from scipy.special import logsumexp, ndtr
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
+from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.observables import observable, parameter_label
-from rtcal.finder.case import Case
+from rtcal.finder.case import Case, Configuration
 from rtcal.finder.claim import (
     CLAIMED,
     DISTINCT_NATS,
+    EQUATION_OFF,
     LEADING,
     LEAVES,
     MISTAKE,
@@ -84,6 +86,7 @@ from rtcal.finder.means.problem import (
     log_density,
     null_scores,
     observe,
+    offset_of,
     posterior_of_sets,
     predict_hypotheses,
     single_posterior,
@@ -775,7 +778,33 @@ def _notes(case: Case) -> list[Reason]:
             ]
             if places:
                 out.append(Reason("curved", {**where, "bands": places, "most": _CURVED}))
+        if c.left_out:
+            lost = [parameter_label(p) for p in c.left_out]
+            out.append(Reason("run lacks", {**where, "parameters": lost}))
+        out += equation_off(case, c)
     return [*out, *([Reason("no air")] if case.room.air is None else [])]
+
+
+def equation_off(case: Case, configuration: Configuration) -> list[Reason]:
+    """Return where the equation's T differs from the run's by more than 1 JND, the most bands first."""
+    if configuration.simulated is None:
+        return []
+    t20 = FEATURES.index("t20")
+    ratio = np.expm1(-offset_of(case, configuration)[t20])
+    jnd, found = observable("t20").jnd, list[tuple[str, NDArray[np.bool_]]]()
+    with np.errstate(invalid="ignore"):
+        found = [("shorter", ratio < -jnd), ("longer", ratio > jnd)]
+    out = []
+    for side, where in sorted(found, key=lambda of: -of[1].sum()):
+        if where.any():
+            values = {
+                "equation": mean_equation(case.equation).name,
+                "by": np.abs(100 * ratio[where]),
+                "side": side,
+                "bands": bands.hertz(case.room.centre_frequencies[where]),
+            }
+            out.append(Reason(EQUATION_OFF, values))
+    return out
 
 
 _CURVED = 10.0

@@ -1,0 +1,199 @@
+"""Laws of a search in which a program's run stands in place of the equation."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.finder import Case, Configuration, recalibrate
+from rtcal.finder.effects import IN_RUN
+from rtcal.finder.finding import Finding
+from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.problem import features_of, observe
+from rtcal.finder.means.recalibration import plain
+from rtcal.support.errors import DataError
+
+F = 125.0 * 2.0 ** np.arange(6)
+MATERIALS = ("audience", "walls", "ceiling")
+
+
+def hall() -> rt.Room:
+    alpha = np.array([[0.4, 0.55, 0.7, 0.8, 0.85, 0.85], [0.05] * 6, [0.04] * 6])
+    return rt.Room(
+        name="hall", volume=4000, materials=MATERIALS, areas=[350, 900, 450], alpha=alpha,
+        sigma=0.2 * alpha, centre_frequencies=F, air=rt.Air(20, 50), band_correlation=0.7,
+    )  # fmt: skip
+
+
+def values_of(room: rt.Room, factor: float = 1.0) -> dict[str, np.ndarray]:
+    """What the equation gives, with T so many times as long and levels to match it."""
+    made = Case(
+        room=room,
+        configurations=[Configuration(name="a", measured=measurement({"t20": np.ones(6)}))],
+    )
+    t20, edt, t30, c80, g = features_of(made)[0]
+    t = factor * np.exp(t20)
+    level = 10 * np.log10(factor)
+    return {
+        "t20": t,
+        "edt": t * np.exp(edt),
+        "t30": t * np.exp(t30),
+        "c80": c80 - level,
+        "g": g + level,
+    }
+
+
+def measurement(values: dict[str, np.ndarray]) -> rt.Measurement:
+    u = {k: 0.02 * v if k in ("t20", "edt", "t30") else np.full(6, 0.3) for k, v in values.items()}
+    return rt.Measurement(
+        centre_frequencies=F,
+        values={k: v[None] for k, v in values.items()},
+        uncertainty={k: v[None] for k, v in u.items()},
+    )
+
+
+def controls() -> list[ControlRooms]:
+    """Control rooms without an engine."""
+    scale = 0.02 * np.array([1, 1, 0.7, 20, 20])[:, None]
+    rng = np.random.default_rng(1)
+    return [ControlRooms(n, scale * rng.standard_normal((40, 1, 5, 6))) for n in ("one", "other")]
+
+
+def found(
+    measured: dict[str, np.ndarray], run: dict[str, np.ndarray] | None, **more: object
+) -> Finding:
+    room = hall()
+    simulated = None if run is None else rt.Run(room, rt.Measurement.from_values(F, **run))
+    return rt.find(room, measurement(measured), simulated=simulated, controls=controls(), **more)  # type: ignore[arg-type]
+
+
+def with_absorber(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """T of a room that absorbs 40 % more, at low frequencies less."""
+    less = 1 / (1 + 0.4 * np.array([0.3, 0.8, 1, 1, 1, 1]))
+    return {k: less * v for k, v in values.items() if k in ("t20", "edt", "t30")}
+
+
+def test_a_run_that_is_the_measurement_agrees() -> None:
+    values = values_of(hall(), 1.3)
+    finding = found(values, values)
+    assert finding.verdict == "none"
+    np.testing.assert_allclose(finding.residuals, 0, atol=0.1)  # the controls' bias
+
+
+@pytest.mark.parametrize("change", [dict, with_absorber])
+def test_a_run_of_the_equation_answers_as_without_one(change: object) -> None:
+    values = values_of(hall())
+    measured = change(values)  # type: ignore[operator]
+    one, other = found(measured, values), found(measured, None)
+    assert one.verdict == other.verdict
+    assert one.score == pytest.approx(other.score, abs=1e-6)
+    assert one.probabilities == pytest.approx(other.probabilities, abs=1e-6)
+
+
+def test_what_the_equation_errs_by_is_not_blamed_on_the_room() -> None:
+    """Eyring is 20 % low where the audience alone absorbs, and programs agree with the measurement."""
+    values = values_of(hall(), 1.25)
+    without, finding = found(values, None), found(values, values, program="geometrical")
+    assert without.verdict not in ("none", "hint")
+    assert finding.verdict == "none"
+    said = str(finding).split("\n\n")[0]
+    first = " ".join(said.split()).split(". ")[0]
+    assert first == (
+        "Eyring's T is 20 % shorter than the program's at 125, 250, 500, 1000, 2000 and 4000 Hz, so "
+        "the equation has too little T, and the program agrees with the measurement"
+    )
+    assert finding.not_judged["formula"] == IN_RUN
+    assert "formula" not in finding.probabilities
+
+
+def test_what_is_missing_from_the_run_is_found_all_the_same() -> None:
+    run = values_of(hall(), 1.25)
+    finding = found(with_absorber(run), run)
+    assert finding.detected
+    assert finding.families["added absorption"] > 0.7
+
+
+def test_run_and_measurement_with_twice_the_time_say_the_same() -> None:
+    def doubled(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {k: 2 * v if k in ("t20", "edt", "t30") else v for k, v in values.items()}
+
+    run = values_of(hall())
+    one = found(with_absorber(run), run)
+    other = found(doubled(with_absorber(run)), doubled(run))
+    assert one.verdict == other.verdict
+    assert one.score == pytest.approx(other.score, abs=1e-6)
+
+
+def test_what_the_run_lacks_is_left_out_and_named() -> None:
+    values = values_of(hall())
+    run = {k: v for k, v in values.items() if k != "c80"}
+    finding = found(values, run)
+    assert np.isnan(finding.residuals[0, 3]).all()
+    assert any(str(n) == '"as measured": C80 left out, which the run lacks.' for n in finding.notes)
+
+
+def test_t30_of_the_one_is_not_compared_with_t20_of_the_other() -> None:
+    values = values_of(hall())
+    with pytest.raises(DataError, match="T20 is compared with T20 alone"):
+        found({"t20": values["t20"]}, {"t30": values["t30"]})
+
+
+def test_calibrations_meet_the_measurement_in_the_terms_of_the_run() -> None:
+    """At the run's coefficients the model is the run, whatever they are; away from them, its ratio."""
+    room, values = hall(), values_of(hall(), 1.3)
+    at = room.replace(alpha=1.1 * room.alpha.clip(max=0.88))
+    run = rt.Run(at, rt.Measurement.from_values(F, **values))
+    measured = measurement({"t20": 0.95 * values["t20"], "c80": values["c80"]})
+    case = Case(
+        room=room, configurations=[Configuration(name="a", measured=measured, simulated=run)]
+    )
+    at_run = features_of(replace(case, room=room.replace(alpha=at.alpha)))[0]
+    np.testing.assert_allclose(np.exp(at_run[0]), values["t20"])
+    np.testing.assert_allclose(at_run[3], values["c80"])
+    ratio = rt.Eyring().reverberation_time(room) / rt.Eyring().reverberation_time(at)
+    np.testing.assert_allclose(np.exp(features_of(case)[0, 0]), values["t20"] * ratio)
+    met = plain(case).features[0, 0]
+    np.testing.assert_allclose(met, observe(case)[0].features[0, 0], atol=1e-6)
+    assert abs(recalibrate(case).features[0, 0] - met).max() < 0.02
+
+
+def test_a_case_file_names_the_run_and_its_coefficients(tmp_path: Path) -> None:
+    room, values = hall(), values_of(hall(), 1.3)
+    at = room.replace(alpha=0.9 * room.alpha)
+    room.save(str(tmp_path / "room.toml"))
+    at.save(str(tmp_path / "calibrated.toml"))
+    measurement(values).save(str(tmp_path / "measured.csv"))
+    rt.Measurement.from_values(F, **values).save(str(tmp_path / "run.csv"))
+    (tmp_path / "case.toml").write_text(
+        'room = "room.toml"\nprogram = "geometrical"\n[[configuration]]\nname = "empty"\n'
+        'measured = "measured.csv"\nsimulated = "run.csv"\nat = "calibrated.toml"\n'
+    )
+    case = Case.from_file(str(tmp_path / "case.toml"))
+    case.save(str(tmp_path / "case.json"))
+    again = Case.from_file(str(tmp_path / "case.json"))
+    assert json.loads(again.to_json()) == json.loads(case.to_json())
+    np.testing.assert_array_equal(again.configurations[0].simulated.room.alpha, at.alpha)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(features_of(again), features_of(case))
+
+
+@pytest.mark.parametrize(
+    ("volume", "program", "message"),
+    [
+        (4000.0, "wave", "program = 'wave' is not \"geometrical\""),
+        (None, "geometrical", "simulated is missing"),
+        (4100.0, "", "volume = 4100 m³"),
+    ],
+)
+def test_a_run_of_something_else_is_refused(
+    volume: float | None, program: str, message: str
+) -> None:
+    values, run = values_of(hall()), None
+    if volume is not None:
+        run = rt.Run(hall().replace(volume=volume), rt.Measurement.from_values(F, **values))
+    with pytest.raises(DataError, match=message):
+        rt.find(hall(), measurement(values), simulated=run, program=program)
