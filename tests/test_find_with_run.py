@@ -11,7 +11,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import Case, Configuration, recalibrate
-from rtcal.finder.effects import IN_RUN
+from rtcal.finder.effects import IN_RUN, AppliedEffect, NonDiffuse
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import features_of, observe
@@ -197,3 +197,24 @@ def test_a_run_of_something_else_is_refused(
         run = rt.Run(hall().replace(volume=volume), rt.Measurement.from_values(F, **values))
     with pytest.raises(DataError, match=message):
         rt.find(hall(), measurement(values), simulated=run, program=program)
+
+
+def test_a_field_less_diffuse_than_the_programs_is_no_error_of_the_room() -> None:
+    """Decays that are curved where the program's are straight: it scatters as it was told."""
+    room, values = hall(), values_of(hall())
+    facing = np.array([[0, 0, 1], [0.5, 0.5, 0], [0, 0, 1]])
+    whole = Configuration(name="a", measured=measurement(values))
+    stated = Case(room=room, configurations=[whole], facing=facing)
+    uneven = AppliedEffect(NonDiffuse(), {"scattering": 0.05})
+    t20, edt, t30, c80, g = features_of(stated, [uneven])[0]
+    t = np.exp(t20)
+    measured = {"t20": t, "edt": t * np.exp(edt), "t30": t * np.exp(t30), "c80": c80, "g": g}
+    run = rt.Run(room, rt.Measurement.from_values(F, **values))
+    by_run = Configuration(name="a", measured=measurement(measured), simulated=run)
+    case = Case(room=room, configurations=[by_run], facing=facing, program="geometrical")
+    claimed = rt.find(replace(case, program=""), controls=controls())
+    assert claimed.detected
+    assert claimed.best_effect in ("non-diffuse field", "coupled room")
+    finding = rt.find(case, controls=controls())
+    assert finding.verdict == "hint"
+    assert str(finding).startswith("Nothing of the room is identified: what differs may be the")

@@ -374,7 +374,7 @@ def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
     assert mesh.areas[room.materials[-1]] == pytest.approx(room.areas[-1])
     assert (tmp_path / "corrected" / "catt.txt").exists()
     assert (tmp_path / "corrected" / "odeon.txt").exists()
-    run("apply", page, "--out", str(tmp_path / "there"), "--at", "7,2.2,1.4")
+    run("apply", page, "--out", str(tmp_path / "there"), "--place", "7,2.2,1.4")
     there = rt.io.obj.read(tmp_path / "there" / "room.obj")
     hole = there.vertices[list(there.faces[there.materials.index(room.materials[-1])])]
     assert hole.mean(axis=0) == pytest.approx([7.0, 2.2, 1.4])

@@ -107,9 +107,9 @@ def test_nothing_found_is_said_and_nothing_is_written(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--at", "7,1"), '--at "7,1" is not X,Y,Z in m'),
-        (("--at", "a,b,c"), '--at "a,b,c" is not X,Y,Z in m'),
-        (("--at", "6,2,0", "--form", "material"), "at is the middle of a patch"),
+        (("--place", "7,1"), '--place "7,1" is not X,Y,Z in m'),
+        (("--place", "a,b,c"), '--place "a,b,c" is not X,Y,Z in m'),
+        (("--place", "6,2,0", "--form", "material"), "at is the middle of a patch"),
         (("--form", "hole"), "'hole' is not one of"),
         (("--out", "pairs.csv"), "--out pairs.csv is a file; it is a folder: --out pairs"),
     ],

@@ -263,8 +263,8 @@ def verified(finding: Any, cache: Path) -> Any:
     choice(
         "program",
         ("geometrical",),
-        "What made the run: a program that traces rays or image sources computes an uneven field and "
-        "no equation, so that neither is sought.",
+        "What made the run: a program that traces rays or image sources computes no equation, and an "
+        "uneven field as it is told, so that neither is taken for an error of the room.",
     ),
     "match",
     "exclude",
@@ -400,7 +400,8 @@ def verify(found: str, before: str | None, after: str | None) -> None:
         "With a geometry: a patch on the surface (default), or the whole surface.",
     ),
     click.option(
-        "--at",
+        "--place",
+        "at",
         metavar="X,Y,Z",
         callback=lambda context, parameter, text: _place(text),
         help="With a geometry: middle of the patch in m, on its surface.",
@@ -424,8 +425,8 @@ def apply(found: str, out: str, **options: Any) -> None:
     is the case with the effect, which can be used like any other; the calibration with it is printed.
 
     With a geometry, room.obj is the mesh, and catt.txt and odeon.txt are lists of materials. The
-    patch stands in the middle of its surface unless --at states a place. Where the best family on one
-    surface has less than 0.3, --effect or --at must be given.
+    patch stands in the middle of its surface unless --place states its middle. Where the best
+    family on one surface has less than 0.3, --effect or --place must be given.
 
     Of two states, room.toml is the room of the second state: calibrated to what was measured before,
     with what changed.
@@ -571,5 +572,5 @@ def _place(stated: str | None) -> tuple[float, ...] | None:
     except ValueError:
         place = ()
     if len(place) != 3:
-        raise DataError(f'--at "{stated}" is not X,Y,Z in m, such as 0,4.2,1.5')
+        raise DataError(f'--place "{stated}" is not X,Y,Z in m, such as 0,4.2,1.5')
     return place

@@ -464,8 +464,8 @@ class Case:
     climate_uncertainty : (float, float)
         Standard uncertainties of a stated climate: K, and % of relative humidity.
     program : {"", "geometrical"}
-        What made the runs. A geometrical program has an uneven field and no equation, so that neither
-        is missing from its run (`Effect.in_geometry`).
+        What made the runs. A geometrical program computes no equation (`Effect.in_geometry`), and its
+        field is as uneven as it is told (`rtcal.finder.claim.of_program`): neither is the room's error.
 
     Raises
     ------

@@ -174,6 +174,8 @@ LEADING, MISTAKE = "T far off, effect stands", "T far off"
 """Codes of the reasons that T is about twice or half the model's; the first stands before a claim."""
 EQUATION_OFF = "equation off"
 """Code of the reason that the equation's T is not that of a program's run."""
+OWN_FIELD = "field of the program"
+"""Code of the reason that what differs may be the field of a geometrical program."""
 LEAVES: Mapping[str, str] = {
     **dict.fromkeys(("size unbounded", "too large", "not explained", "gap may grow"), "family"),
     LEADING: "family",
@@ -220,9 +222,12 @@ def conclude(
         Doubts about the most probable effect, of which `LEAVES` has what they leave.
     weak : Reason, optional
         Why the data do not suffice (`too_weak`): nothing but a name or a family is more than a hint.
+        Where it is the field of a program (`of_program`), nothing is.
     """
     if detected is not None:
         return Claim(verdict=detected, reasons=tuple(reasons))
+    if weak is not None and weak.code == OWN_FIELD:
+        return Claim(verdict="hint", reasons=(weak, *reasons))
     best = next(k for k in probabilities if k != NONE)
     family = narrowest_family(families, CLAIMED)
     if best == UNKNOWN:
@@ -259,6 +264,28 @@ def too_weak(probabilities: Mapping[str, float], families: Mapping[str, float]) 
         return Reason("nothing likely", {"probability": nothing})
     every = [p for table in (probabilities, families) for k, p in table.items() if k != NONE]
     return Reason("no effect likely", {"least": FAIR}) if max(every, default=0.0) < FAIR else None
+
+
+FIELD = "field"
+"""The family of effects that a geometrical program has by itself, if it scatters as the room does."""
+
+
+def of_program(families: Mapping[str, float]) -> Reason | None:
+    """Return why nothing is said of a room where a geometrical program's field may be what differs.
+
+    A program scatters as it is told, and a second room is in it if it was drawn. So its own field is
+    no error of the room, and counts as nothing missing.
+
+    Examples
+    --------
+    >>> of_program({"none": 0.2, "field": 0.7}).code
+    'field of the program'
+    >>> of_program({"none": 0.05, "field": 0.04, "added absorption": 0.9})
+    """
+    own = families.get(FIELD, 0.0)
+    if own + families.get(NONE, 0.0) < FAIR or own < SAID:
+        return None
+    return Reason(OWN_FIELD, {"probability": own})
 
 
 def credible_set(probabilities: Mapping[str, float]) -> tuple[str, ...]:

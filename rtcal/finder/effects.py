@@ -124,7 +124,7 @@ class Effect(ABC):
         Whether it acts by the directions in which surfaces face. In a room of which nothing says them
         it is not judged.
     in_geometry : bool
-        Whether a geometrical program has it already, so that it is not missing from a program's run.
+        Whether nothing of the kind can be missing from a geometrical program's run.
     not_in_simulator : str or None
         Why a simulator of a room cannot have the effect; None where it can, or has it already. Asked
         only of effects that no material can represent.
@@ -938,7 +938,6 @@ class NonDiffuse(Effect):
     neutral: ClassVar[float] = 1.0
     size_error: ClassVar[float] = 0.5
     needs_directions: ClassVar[bool] = True
-    in_geometry: ClassVar[bool] = True
     # A simulator with geometry has such a field by itself.
     not_in_simulator: ClassVar[str | None] = None
 

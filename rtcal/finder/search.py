@@ -61,7 +61,8 @@ def find(
         What a program gave at its coefficients. The run is then the model: the equation says how
         coefficients and effects change it, and what the equation errs by is not blamed on the room.
     program : {"", "geometrical"}
-        By means: a geometrical program has an uneven field and no equation, so that neither is sought.
+        By means: a geometrical program computes no equation, and an uneven field, or a second room, is
+        in it if it was told so. Neither is taken for an error of the room.
     tracing : mapping, optional
         Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, where the room's scene is
         traced: in place of a ``simulator``.

@@ -23,6 +23,7 @@ from rtcal.finder.claim import (
     LEADING,
     MISTAKE,
     MOST,
+    OWN_FIELD,
     SAID,
     Candidate,
     Reason,
@@ -117,6 +118,8 @@ SENTENCES: dict[str, str] = {
     "no effect has explains it.",
     "gains differ": "The level of {gains:gains} shifts otherwise than T: the source has another gain "
     "after than before, so its level is left out. Measure both states with one reference.",
+    OWN_FIELD: "Nothing of the room is identified: what differs may be the program's own field "
+    "({probability:p}), which scatters otherwise than the room or lacks a second room.",
     # What to do next.
     "another source": "Look for another source of the coefficients, first for the material with the "
     "largest product of area and uncertainty; or measure with and without a known absorber.",
@@ -414,7 +417,8 @@ def _of_means(f: Finding) -> list[str]:
         ]
     best = f"{title(f)} ({percent(f.probabilities.get(str(f.best_effect), 0.0))})"
     if f.verdict == "hint":
-        return [f"Nothing is identified; {best} is only a weak indication."]
+        own = [str(reason) for reason in f.reasons if reason.code == OWN_FIELD]
+        return own or [f"Nothing is identified; {best} is only a weak indication."]
     if f.verdict == UNKNOWN:
         library = {effect.name for effect in checked_effects(None)}
         whole = library <= {*f.effects, *f.not_judged}
@@ -587,7 +591,7 @@ def cautions(f: Finding) -> list[str]:
     room, off = f.case.room, f.coefficients
     typed = [error.sentence for error in marks.in_room(room)]
     typed += [doubt for measured in _measurements(f) for doubt in unusual(measured)]
-    said = [str(reason) for reason in f.reasons if reason is not f.leading]
+    said = [str(r) for r in f.reasons if r is not f.leading and r.code != OWN_FIELD]
     if f.kind == "positions":
         said = [*without_place(f.case.measured, f.case.simulator.pairs), *said]
     elif f.kind == "states" and f.verdict != NONE and f.family != "climate" and f.climate >= MOST:

@@ -162,7 +162,7 @@ def chosen(finding: Finding, found: str = "FOUND") -> str:
     if finding.undecided is None:
         return ""
     what, _, _ = str(finding.undecided).partition(" State one: ")
-    place = " or --at X,Y,Z" if finding.kind == "positions" else ""
+    place = " or --place X,Y,Z" if finding.kind == "positions" else ""
     add = f" To add one: rtcal apply {found} --effect NAME{place} --out corrected."
     return what + add
 

@@ -44,8 +44,8 @@ below 0.5 turn the paths towards the walls' normals at each reflection. In a fla
 a fifth shorter than by any equation.
 """
 OF_PROGRAMS = (0.1, 0.9)
-"""The same, of either model, where the model is a geometrical program's run. No effect stands for a
-field that is less diffuse than the program's, and neither its scattering nor the room's is known."""
+"""The same, of either model, where the model is a geometrical program's run: neither its scattering nor
+the room's is known, and a field less diffuse than the program's is no error of the room."""
 _RECEIVERS = 4
 _PATHS = 3000
 _IMAGES = 300_000
@@ -291,15 +291,14 @@ class Engine:
     def run(self, case: Case, seed: int, progress: TaskProgress | None = None) -> ControlRooms:
         """Simulate the control rooms of a case.
 
-        With a run, another setup at the run's coefficients is the program. What the equation errs by
-        cancels then, and what two geometrical programs differ by is left.
+        With a run, another setup at the run's coefficients is the program, a tracer that scatters. What
+        the equation errs by cancels then, and what two geometrical programs differ by is left.
         """
         rng = np.random.default_rng([seed, self.stream])
         places = _spread_evenly(rng, self.setups, 3 * (1 + _RECEIVERS))
         alphas = draw_alpha(case, rng, self.setups)
-        scattering = self._scattering(
-            rng, dict.fromkeys(SCATTERING, OF_PROGRAMS) if case.program else SCATTERING
-        )
+        ranges = dict.fromkeys(SCATTERING, OF_PROGRAMS) if case.program else SCATTERING
+        scattering = self._scattering(rng, ranges)
         room, geometry, share = box(case)
         errors, programs = list[Array](), list[Array]()
         by_run = np.array([c.simulated is not None for c in case.configurations])
@@ -316,6 +315,10 @@ class Engine:
             duration = self.duration * float(control.time(case.room.alpha).max())
             made = control.errors(case, alphas[number], simulate, duration)
             if by_run.any():
+                if not self.models:
+                    low, high = ranges["random"]
+                    s = low + (high - low) * (number + 0.5) / self.setups
+                    simulate = _path_tracing(replace(control, scattering=s), number)
                 programs.append(control.errors(case, at_runs, simulate, duration))
             errors.append(made)
             if progress is not None:

@@ -39,6 +39,7 @@ from rtcal.finder.claim import (
     credible_set,
     family_of,
     narrowest_family,
+    of_program,
     posterior,
     summed,
     too_weak,
@@ -199,7 +200,7 @@ def _conclude(
     else:
         sets = posterior_of_sets(compared, prior, expected=expected, most=most)
         probabilities, families = sets.effects(), sets.families(effects)
-    weak = too_weak(probabilities, families)
+    weak = (of_program(families) if case.program else None) or too_weak(probabilities, families)
     found = Finding(
         case=case,
         verdict=NONE,
