@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -212,8 +213,11 @@ def test_command_writes_room_json_and_figure(run, tmp_path: Path) -> None:
 MISTAKES = [  # of a user of the command: what is wrong, and the command that is right
     ("calibrate t.csv room.toml", "Exchange them: rtcal calibrate room.toml t.csv"),
     ("find t.csv room.toml", "Exchange them: rtcal find room.toml t.csv"),
-    ("find case.json t.csv", "case.json is a case, which names its measurements. Leave t.csv out"),
-    ("report room.toml", "room.toml is a room or a case, not a result. Make one first"),
+    (
+        "find case.json t.csv",
+        "case.json is a case, and a room is needed: it names its measurements",
+    ),
+    ("report room.toml", "room.toml is a room, and a saved result is needed: make one first"),
     ("apply made --out x", "another command (calibration), not of `rtcal find`"),
     ("calibrate tiny.toml t.csv", 'sigma["carpet", 500 Hz] = 1e-160 is too small for any solver'),
     ("calibrate none.toml t.csv", 'material["carpet"].area = -1 m² is not finite and above 0'),
@@ -235,6 +239,133 @@ def test_a_mistake_is_answered_with_the_command_that_is_right(run, capsys) -> No
         assert stopped.value.code == 2, said
         assert message in said
         assert not re.search(r"\.from_file|rtcal\.[A-Za-z]|[a-z]\(", said)
+
+
+FILES = {  # every kind of file that commands read, by the word that stands for it in `TAKEN`
+    "ROOM": ("room.toml", "a room"),
+    "TABLE": ("t.csv", "a table of values"),
+    "VARIANTS": ("variants.toml", "a file of variants"),
+    "TREATMENTS": ("treatments.toml", "a file of treatments"),
+    "CASE": ("case.json", "a case"),
+    "RESULT": ("made/result.json", "a saved result"),
+}
+
+
+def stated() -> None:
+    Path("one.toml").write_text(ROOM)
+    Path("one.csv").write_text(TIMES)
+    Path("variants.toml").write_text('[[variant]]\nname = "as it is"\n')
+    Path("treatments.toml").write_text(
+        '[target]\ntime = 0.5\n[[treatment]]\nname = "rug"\nmaterial = "carpet"\ncovers = "wall"\n'
+        "largest = 10\n"
+    )
+
+
+TAKEN = (
+    "calibrate ROOM TABLE",
+    "calibrate room.toml t.csv --modes TABLE",
+    "fit ROOM TABLE",
+    "predict ROOM TABLE --change VARIANTS",
+    "predict one.toml one.csv --also ROOM TABLE --change variants.toml",
+    "design ROOM TABLE --treatments TREATMENTS",
+    "find ROOM TABLE",
+    "find CASE",
+    "find room.toml t.csv --before TABLE",
+    "plan CASE",
+    "verify RESULT",
+    "apply RESULT --out x",
+    "report RESULT",
+    "loop start ROOM TABLE --state new.json --out new.toml",
+    "loop next ROOM TABLE --state loop.json --out next.toml",
+    "loop back ROOM --state loop.json --out next.toml",
+    "export catt ROOM new.geo",
+    "learn made --apply ROOM --out x",
+    "measure RESPONSE",
+    "table TABLE",
+    "import library TABLE --volume 100 --out new.toml",
+)
+
+
+@pytest.mark.parametrize("taken", TAKEN)
+def test_a_file_of_another_kind_is_called_so_by_every_command(taken: str, run, capsys) -> None:
+    """`calibrate` named them; `loop next`, `export`, `predict --change` had "not valid TOML"."""
+    run(ROOM, TIMES, "--out", "made")
+    stated()
+    Path("case.json").write_text('{"configuration": []}')
+
+    def said(arguments: list[str]) -> str:
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(arguments)
+        assert stopped.value.code in (0, 2)
+        return capsys.readouterr().err
+
+    said(["loop", "start", "room.toml", "t.csv", "--state", "loop.json", "--out", "next.toml"])
+    words = taken.split()
+    names = [FILES[word][0] if word in FILES else word for word in words]
+    for i, word in enumerate(words):
+        needed = {**FILES, "RESPONSE": ("", "an impulse response")}.get(word)
+        for other, (name, kind) in FILES.items():
+            if needed and other != word and (words[0], other) != ("plan", "RESULT"):
+                told = said([*names[:i], name, *names[i + 1 :]])
+                assert f"{name} is {kind}, and {needed[1]} is needed: " in told, (names, name)
+    stands = [i for i, word in enumerate(words) if word in FILES]
+    for i, k in itertools.combinations(stands, 2):
+        exchanged = [*names]
+        exchanged[i], exchanged[k] = names[k], names[i]
+        advice = said(exchanged).partition("Exchange them: rtcal ")[2].strip()
+        assert advice == " ".join(names)
+
+
+def test_a_decimal_comma_is_named_wherever_a_number_stands(run, capsys) -> None:
+    run(ROOM, TIMES)
+    for old, new in (
+        ("volume = 100", "volume = 189,5"),
+        ("volume = 100", "volume = '189,5'"),
+        ("area = 20", "area = 189,5"),
+        ("[0.1, 0.1]", "[0,05, 0,5]"),
+        ("[0.1, 0.1]", "[0,1, 0,5]"),
+        ("[0.1, 0.1]", "[0,15,0,25]"),
+    ):
+        assert old in ROOM
+        Path("room.toml").write_text(ROOM.replace(old, new, 1))
+        for arguments in ("calibrate room.toml t.csv", "export catt room.toml new.geo"):
+            with pytest.raises(SystemExit):
+                cli.main(arguments.split())
+            number = re.search(r"\d+,\d+", new)
+            assert number
+            assert (
+                f"a decimal has a point: {number[0].replace(',', '.')}" in capsys.readouterr().err
+            )
+    for arguments in (
+        "fit room.toml t.csv --scattering 0,5",
+        "import catt x.geo --out y --volume 0,5",
+        "loop start room.toml t.csv --state s.json --out n.toml --weight t20=0,5",
+    ):
+        Path("room.toml").write_text(ROOM)
+        with pytest.raises(SystemExit):
+            cli.main(arguments.split())
+        assert "a decimal has a point: 0.5" in capsys.readouterr().err, arguments
+
+
+@pytest.mark.parametrize("codec", ["latin-1", "utf-16", "utf-8"])
+@pytest.mark.parametrize("command", [t for t in TAKEN if "TABLE" in t and "import" not in t])
+def test_a_measurement_that_is_no_native_csv_gets_the_command_that_reads_it(
+    codec: str, command: str, run, capsys
+) -> None:
+    run(ROOM, TIMES)
+    if command.startswith(("table", "calibrate room.toml t.csv --modes")):
+        return
+    stated()
+    Path("other.csv").write_bytes("Empfänger;T20 500 Hz;T20 1 kHz\nR1;0,5;0,4\n".encode(codec))
+    with pytest.raises(SystemExit):
+        cli.main(
+            ["loop", "start", "room.toml", "t.csv", "--state", "loop.json", "--out", "next.toml"]
+        )
+    capsys.readouterr()
+    words = [FILES[w][0] if w in FILES and w != "TABLE" else w for w in command.split()]
+    with pytest.raises(SystemExit):
+        cli.main([w.replace("TABLE", "other.csv") for w in words])
+    assert "`rtcal table other.csv` reads other tables" in capsys.readouterr().err
 
 
 def test_a_file_of_the_users_is_not_replaced_and_nothing_is_written_beside_it(

@@ -286,7 +286,6 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
     "case.toml": [
         ('"room.toml"', '" "', "No such file"),
         ('"room.toml"', '"none.toml"', "none.toml: No such file"),
-        ('room = "room.toml"', 'material = []\nroom = "room.toml"', "this is a room's file"),
         ('room = "room.toml"', 'geometry = {}\nroom = "room.toml"', "a case states no geometry"),
         ('"sabine"', '"norris"', "equation"),
         ("equation", "equatoin", '"equatoin", which has no meaning: is "equation" meant?'),

@@ -151,8 +151,8 @@ OTHER_FILES = [
     (NUMBERS, '{"rtcal": "finding 1", "object": {"sha256": "0"}}', "finding 1.*calculate"),
     (NUMBERS, '{"rtcal": "x", "object": {"version": "0.0.7", "objects": []}}', "0.0.7.*calculate"),
     ("x.json", "[" * 100_000, "not JSON"),
-    ("a.csv", "", "a measurement, not a result. Make one first, such as `rtcal calibrate"),
-    ("a.toml", "", "a room or a case, not a result"),
+    ("a.csv", "f,T20\n500,1\n", "is a table of values, .* make one first, such as `rtcal calibrate"),
+    ("a.toml", "volume = 1", "is a room, and a saved result is needed"),
 ]
 
 
@@ -170,7 +170,7 @@ def test_a_case_a_folder_without_a_result_and_another_kind_are_refused(tmp_path:
     with pytest.raises(DataError, match=f"has no {NUMBERS}"):
         rt.load(tmp_path)
     rt.datasets.hidden_room()[0].save(str(tmp_path / NUMBERS))
-    with pytest.raises(DataError, match="this is a case, not a result"):
+    with pytest.raises(DataError, match="is a case, and a saved result is needed"):
         rt.load(tmp_path)
     room = {"version": __version__, "objects": plain(rt.datasets.bras_cr2()[0])}
     (tmp_path / NUMBERS).write_text(json.dumps({"rtcal": "calibration 1", "object": room}))

@@ -227,7 +227,7 @@ def test_what_a_workbook_leaves_open_is_told_with_the_command(
 
 def test_a_command_that_takes_no_workbook_says_how_to_make_a_csv(tmp_path: Path) -> None:
     (tmp_path / "t.xlsx").write_bytes(NAMED["other sheets"].content)
-    with pytest.raises(DataError, match=r"t\.xlsx: a workbook, and no CSV: `rtcal table .*t\.csv`"):
+    with pytest.raises(DataError, match=r"`rtcal table .*t\.xlsx` reads other tables"):
         rt.Measurement.from_file(str(tmp_path / "t.xlsx"))
 
 

@@ -42,12 +42,12 @@ from rtcal.acoustics.observables import (
     parameters,
 )
 from rtcal.files.disk import json_numbers, read_text, write_text
-from rtcal.files.schema import FileTable, Number, read
+from rtcal.files.schema import TABLE, FileTable, Number, expecting, read
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError, TooShortError, of_bands
-from rtcal.support.text import first_of
+from rtcal.support.text import decimal_comma, first_of
 from rtcal.support.types import Array, read_only
 
 MAX_POSITIONS = 12
@@ -694,15 +694,20 @@ Place = tuple[str, str, str, float]
 
 
 def _read_csv(path: str | os.PathLike[str]) -> dict[Place, dict[str, float]]:
-    """Return the rows of a CSV file; DataError names file, line and rule."""
-    if os.fspath(checks.path("path", path)).lower().endswith((".xlsx", ".xls")):
-        raise DataError(
-            f"{path}: a workbook, and no CSV: `rtcal table {path} --out t.csv` makes one of it"
-        )
+    """Return the rows of a CSV file; DataError names file, line and rule, and what reads others."""
+    with expecting(TABLE, checks.path("path", path)):
+        try:
+            return _rows_of(read_text(path, MAX_BYTES))
+        except DataError as error:
+            raise DataError(f"{error}; `rtcal table {path}` reads other tables") from error
+
+
+def _rows_of(text: str) -> dict[Place, dict[str, float]]:
+    """Return the rows of a CSV file's text."""
     header: list[str] = []
     rows: dict[Place, dict[str, float]] = {}
     # Not splitlines: it would also split at separators that may stand in a name.
-    for number, line in enumerate(read_text(path, MAX_BYTES).split("\n"), start=1):
+    for number, line in enumerate(text.split("\n"), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         try:
@@ -720,15 +725,15 @@ def _read_csv(path: str | os.PathLike[str]) -> dict[Place, dict[str, float]]:
                 )
         except csv.Error as error:
             raise DataError(
-                f"{path}, line {number}: not a line of comma-separated values: {error}"
+                f"line {number}: not a line of comma-separated values: {error}"
             ) from error
         except DataError as error:
-            raise DataError(f"{path}, line {number}: {error}") from error
+            raise DataError(f"line {number}: {error}") from error
         rows[key] = numbers
     if not header:
-        raise DataError(f"{path}: no rows; the first must name the columns {', '.join(_COLUMNS)}")
+        raise DataError(f"no rows; the first must name the columns {', '.join(_COLUMNS)}")
     if not rows:
-        raise DataError(f"{path}: no row with a value below the header")
+        raise DataError("no row with a value below the header")
     return rows
 
 
@@ -738,9 +743,7 @@ def _header(header: list[str], line: str) -> list[str]:
         raise DataError(f'column "{repeated}" is given twice')
     allowed = _COLUMNS + _OPTIONAL_COLUMNS
     if missing := [column for column in _COLUMNS if column not in header]:
-        raise DataError(
-            f'column "{missing[0]}" is missing{_separator_note(line)}; `rtcal table` reads other tables'
-        )
+        raise DataError(f'column "{missing[0]}" is missing{_separator_note(line)}')
     if unknown := [column for column in header if column not in allowed]:
         raise DataError(f'column "{unknown[0]}" is not one of {", ".join(allowed)}')
     return header
@@ -777,9 +780,7 @@ def _number(cell: Mapping[str, str], column: str) -> float:
     if text.lower().lstrip("+-") in ("inf", "infinity", "nan"):
         raise DataError(f'{column} = "{text}" is not finite; leave it empty')
     if not _NUMBER.fullmatch(text) or not np.isfinite(float(text)):
-        raise DataError(
-            f'{column} = "{text[:40]}" is not a number; `rtcal table` reads other tables'
-        )
+        raise DataError(f'{column} = "{text[:40]}" is not a number{decimal_comma(text)}')
     return float(text)
 
 

@@ -27,7 +27,16 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import OBSERVABLES, parameter_label
 from rtcal.acoustics.priors import TIERS, SigmaRule
 from rtcal.files.disk import read_text, write_text
-from rtcal.files.schema import FileTable, Number, Point, Share, read, toml_table, toml_text
+from rtcal.files.schema import (
+    FileTable,
+    Number,
+    Point,
+    Share,
+    expecting,
+    read,
+    toml_table,
+    toml_text,
+)
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import short_name, text_name
@@ -1169,7 +1178,8 @@ class Room:
     @classmethod
     def from_file(cls, path: str) -> Room:
         """Read a room from TOML; docs/files.md describes the format."""
-        room = cls.from_text(read_text(path, MAX_BYTES), os.fspath(path))
+        with expecting("a room", path):
+            room = cls.from_text(read_text(path, MAX_BYTES), os.fspath(path))
         return room.replace(scene=room.scene.within(Path(path).parent)) if room.scene else room
 
     @classmethod

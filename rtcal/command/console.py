@@ -19,8 +19,10 @@ from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys
 from rtcal.acoustics.observables import MATCH, OBSERVABLES
 from rtcal.files import disk
 from rtcal.files.disk import json_text
+from rtcal.files.schema import TABLE, expecting
+from rtcal.io.table_columns import frequency_of
 from rtcal.support.errors import DataError
-from rtcal.support.text import fitted, printable, width
+from rtcal.support.text import decimal_comma, fitted, printable, width
 
 if TYPE_CHECKING:
     from rtcal.acoustics.measurement import Measurement
@@ -100,10 +102,7 @@ def numbers(option: str, stated: Sequence[str], form: str) -> dict[str, float]:
         except ValueError:
             number = float("nan")
         if number != number:
-            decimal = ""
-            if re.fullmatch(r"\d+,\d+", value):
-                decimal = f", which has a decimal point: {name}={value.replace(',', '.')}"
-            raise DataError(f'{option}: "{name}={value}" is not {form}{decimal}')
+            raise DataError(f'{option}: "{name}={value}" is not {form}{decimal_comma(value)}')
         by_name[name] = number
     return by_name
 
@@ -193,7 +192,8 @@ def told_by_modes(
     from rtcal.modes.calibrate import calibrate_modes
     from rtcal.support.speed import bar
 
-    modes = sofa.read(path) if sofa.claims(path) else tables.read(path)
+    with expecting(TABLE, path):
+        modes = sofa.read(path) if sofa.claims(path) else tables.read(path)
     with bar(1, "calculation", False, said()) as shown:
         shown.set_description("room modes, minutes where a mesh has hundreds of them")
         return calibrate_modes(room, modes, measured, equation=equation)
@@ -272,8 +272,6 @@ def whole(name: str, least: int, help: str, **more: Any) -> Decorator:
     """Return an option of a whole number."""
     return option(name, click.IntRange(least), help, **more)
 
-
-_MOST_OF_CASE = 2**20  # bytes that are searched for the word that a case has and a room lacks
 
 OPTIONS: dict[str, Decorator] = {
     "quiet": flag(
@@ -363,26 +361,6 @@ OPTIONS: dict[str, Decorator] = {
 """The options that several commands have."""
 
 
-def _in_order(context: click.Context, parameter: click.Parameter, measured: Any) -> Any:
-    """Refuse a room and a measurement that are exchanged, and a case with a measurement beside it."""
-    room = context.params.get("room") or context.params.get("case")
-    if measured is None or room is None or Path(room).is_dir():
-        return measured
-    if Path(measured).suffix == ".toml" != Path(room).suffix:
-        raise DataError(
-            f"{room} stands in the place of the room, and {measured} in that of the measurement. "
-            f"Exchange them: {context.command_path} {measured} {room}"
-        )
-    with suppress(OSError), open(room, "rb") as file:
-        begin = file.read(_MOST_OF_CASE)
-        if b"[[configuration]]" in begin or b'"configuration"' in begin:
-            raise DataError(
-                f"{room} is a case, which names its measurements. Leave {measured} out: rtcal find "
-                f"{room}"
-            )
-    return measured
-
-
 def takes(*given: str | Decorator, writes: bool = True, shared: bool = True) -> Decorator:
     """Add arguments and options to a command, in this order.
 
@@ -398,8 +376,7 @@ def takes(*given: str | Decorator, writes: bool = True, shared: bool = True) -> 
         if not one.isupper():
             return OPTIONS[one]
         name = one.rstrip("?")
-        check = _in_order if name == "MEASURED" else None
-        return click.argument(name.lower(), type=click.Path(), required=name == one, callback=check)
+        return click.argument(name.lower(), type=click.Path(), required=name == one)
 
     def decorated(command: Callable[..., Any]) -> Callable[..., Any]:
         for one in reversed((*given, *last)):
@@ -413,10 +390,10 @@ def bands(text: str | None) -> str | list[float] | None:
     """Return what --bands states: a width in words, or frequencies in Hz; DataError for others."""
     if text is None or text in ("octave", "third-octave"):
         return text
-    try:
-        return [float(f) for f in text.split(",")]
-    except ValueError as error:
-        raise DataError(f'--bands: "{text}" is not octave, third-octave or HZ,HZ...') from error
+    stated = [frequency_of(f) for f in text.split(",")]
+    if None in stated:
+        raise DataError(f'--bands: "{text}" is not octave, third-octave or HZ,HZ...')
+    return [f for f in stated if f]
 
 
 def heading_options(command: Callable[..., None]) -> Callable[..., None]:

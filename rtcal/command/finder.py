@@ -206,12 +206,6 @@ def saved(path: str) -> tuple[Any, Any]:
     from rtcal.finder.finding import Finding
     from rtcal.finder.verification import Verification
 
-    one = "found"
-    if not _is_saved(Path(path)) and Path(path).suffix in (".toml", ".json"):
-        raise DataError(
-            f"{path} is no finding: `rtcal find {path} --out {one}` searches and writes it; then give "
-            f"{one}"
-        )
     result: Result = load(path)
     if isinstance(result, Verification):
         return result.finding, result
@@ -222,7 +216,7 @@ def saved(path: str) -> tuple[Any, Any]:
     kind = result.record_kind.rstrip(" 0123456789")
     raise DataError(
         f"{path} holds the result of another command ({kind}), not of `rtcal find`: `rtcal find "
-        f"room.toml t.csv --out {one}` writes a finding"
+        "room.toml t.csv --out found` writes a finding"
     )
 
 

@@ -119,7 +119,7 @@ def next_(room: str, simulated: str, state: str, out: str, again: bool) -> None:
 
     spare([state, out], [room, simulated])
     before = closed.Loop.load(state, Room.from_file(room))
-    after = closed.record(before, simulated, state, out, again=again)
+    after = closed.record(before, read_measured(simulated), simulated, state, out, again=again)
     end = closed.write(after, state, out)
     tell(f"{after}\n{end}", {"state": state, "simulate": out, **after.to_dict()})
 

@@ -20,9 +20,10 @@ from rtcal.command.import_room import import_room
 from rtcal.command.loop import loop
 from rtcal.command.predict import design, predict
 from rtcal.files import disk
+from rtcal.files.schema import OtherKindError, kind_of
 from rtcal.support import __version__
 from rtcal.support.errors import MissingDependencyError, RtcalError, SolverError
-from rtcal.support.text import shortened
+from rtcal.support.text import decimal_comma, shortened
 
 EXIT_CODES = {
     0: "done",
@@ -118,10 +119,11 @@ def _run(arguments: Sequence[str] | None) -> int:
         error.show()
         return error.exit_code
     except click.ClickException as error:
-        warn(error.format_message())
+        message = error.format_message()
+        warn(message.removesuffix(".") + decimal_comma(message) if "float" in message else message)
         return error.exit_code
     except RtcalError as error:
-        warn(error)
+        warn(f"{error}{_exchanged(error, [*map(str, stated)])}")
         if isinstance(error, SolverError):
             return 3
         return 4 if isinstance(error, MissingDependencyError) else 2
@@ -129,6 +131,22 @@ def _run(arguments: Sequence[str] | None) -> int:
         warn(f"{shortened(str(error.filename), 200)}: {error.strerror or error}")
         return 2
     return code if isinstance(code, int) else 0
+
+
+def _exchanged(error: BaseException, stated: Sequence[str]) -> str:
+    """Return the command with two files exchanged, where each is of the other's kind; "" else."""
+    while error.__cause__ is not None and not isinstance(error, OtherKindError):
+        error = error.__cause__
+    if not isinstance(error, OtherKindError):
+        return ""
+    own = [i for i, text in enumerate(stated) if text == error.path]
+    others = [i for i, text in enumerate(stated) if kind_of(text) == error.needed]
+    if len(own) != 1 or not others:
+        return ""
+    i, k = own[0], min(others, key=lambda k: (abs(k - own[0]), -k))
+    right = [*stated]
+    right[i], right[k] = right[k], right[i]
+    return f". Exchange them: {shlex.join(['rtcal', *right])}"
 
 
 def _fill_closed_descriptors() -> None:

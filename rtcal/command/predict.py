@@ -20,6 +20,7 @@ from rtcal.command.console import (
     without_air_warning,
 )
 from rtcal.files.disk import read_text
+from rtcal.files.schema import expecting
 from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
@@ -51,13 +52,10 @@ def told(found: Result, out: Path | None) -> None:
     tell(str(found), found.to_dict())
 
 
-def read_changes(path: str, read: Callable[[str], Any]) -> Any:
-    """Return what ``read`` makes of the text of a file; its DataError names the file."""
-    content = read_text(path, MAX_BYTES)
-    try:
-        return read(content)
-    except DataError as error:
-        raise DataError(f"{path}: {error}") from error
+def read_changes(path: str, kind: str, read: Callable[[str], Any]) -> Any:
+    """Return what ``read`` makes of the text of a file of a kind; its DataError names the file."""
+    with expecting(kind, path):
+        return read(read_text(path, MAX_BYTES))
 
 
 @click.command(short_help="Predict T after changes of a room, and how sure that is.")
@@ -103,7 +101,9 @@ def predict(
     if before is None:
         raise DataError(f"{room} is no folder of `rtcal calibrate` or `rtcal fit`")
     variants, target = read_changes(
-        change, lambda text: read_variants(text, before, catalogue.material)
+        change,
+        "a file of variants",
+        lambda text: read_variants(text, before, catalogue.material),
     )
     if not isinstance(known, PositionsResult):
         if known is None and (measured is not None or also):
@@ -209,6 +209,8 @@ def design(
     if not isinstance(result, CalibrationResult):
         raise DataError(f"{room} is no folder of `rtcal calibrate`")
     stated, target, in_file = read_changes(
-        treatments, lambda text: read_treatments(text, result.prior, catalogue.material)
+        treatments,
+        "a file of treatments",
+        lambda text: read_treatments(text, result.prior, catalogue.material),
     )
     told(cheapest(result, stated, target, in_file if probability is None else probability), out)

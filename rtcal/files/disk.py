@@ -351,7 +351,7 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
     try:
         return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
-        raise DataError(f"{path}: not UTF-8 text: byte {error.start} ({error.reason})") from error
+        raise DataError(f"{path}: not UTF-8 text (byte {error.start}): save it as UTF-8") from error
 
 
 def spare(

@@ -24,7 +24,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.files.disk import json_numbers, json_text, make_folder, read_text, write_all
-from rtcal.files.schema import json_object
+from rtcal.files.schema import RESULT, expecting, json_object
 from rtcal.support import __version__, checks
 from rtcal.support.blocks import Block, lines, notebook
 from rtcal.support.errors import DataError
@@ -36,11 +36,6 @@ MAX_BYTES = 2**28
 NOT_SAVED = {"saved": False}
 """Metadata of a dataclass field that is not stored, such as what was compiled."""
 _OBJECT = "object"
-_OTHERS = {".csv": "a measurement", ".toml": "a room or a case"}
-_MADE = (
-    "not a result. Make one first, such as `rtcal calibrate room.toml t.csv --out calibrated` or "
-    "`rtcal find room.toml t.csv --out found`"
-)
 _KINDS = "bifcU"  # of arrays: truth values, integers, floats, complex numbers, texts
 
 
@@ -146,20 +141,13 @@ def load(path: str | os.PathLike[str]) -> Any:
         place /= NUMBERS
         if not place.exists():
             raise DataError(f"folder {Path(path).resolve()} has no {NUMBERS}; `save` writes one")
-    if place.suffix in _OTHERS:
-        raise DataError(f"{place} is {_OTHERS[place.suffix]}, {_MADE}")
-    text = read_text(place, MAX_BYTES)
-    try:
-        return _result(json_object(text), place.parent)
-    except DataError as error:
-        raise DataError(f"{place}: {error}") from error
+    with expecting(RESULT, place):
+        return _result(json_object(read_text(place, MAX_BYTES)), place.parent)
 
 
 def _result(record: Mapping[str, Any], folder: Path) -> Result:
     """Return the result of a file's content, in ``folder``."""
     kind, itself = record.get("rtcal"), record.get(_OBJECT)
-    if "configuration" in record and itself is None:
-        raise DataError(f"this is a case, {_MADE}")
     if not isinstance(kind, str) or not isinstance(itself, dict):
         raise DataError(f'no saved result: it has no "rtcal" and "{_OBJECT}"; calculate it again')
     if "not_saved" in itself:

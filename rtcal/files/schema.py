@@ -11,19 +11,23 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 import re
 import sys
 import tomllib
 import types
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
+from rtcal.files.disk import read_bytes
 from rtcal.support import checks
 from rtcal.support.checks import shown
 from rtcal.support.errors import DataError
+from rtcal.support.text import decimal_comma
 
 T = TypeVar("T")
 
@@ -125,7 +129,8 @@ def _fault(kind: Any, value: Any, place: str) -> str | None:
         return f"{place} = {value:g} is not finite"
     percent = ": is it in percent?" if number and most == 1 < value <= 100 else ""
     rule = " or ".join(dict.fromkeys(_words(option) for option in _options(kind)))
-    return f"{_whole(place)} = {shown(value)} is not {rule}{percent}"
+    comma = decimal_comma(value) if isinstance(value, str) else ""
+    return f"{_whole(place)} = {shown(value)} is not {rule}{percent}{comma}"
 
 
 def _is_list(kind: Any) -> bool:
@@ -259,7 +264,7 @@ def json_object(text: str) -> dict[str, Any]:
     except RecursionError as error:
         raise DataError(f"not JSON that rtcal reads: {_TOO_DEEP}") from error
     except ValueError as error:
-        raise DataError(f"not JSON: {error}") from error
+        raise DataError(f"not JSON: {error}{_decimal_comma(text, error)}") from error
     if not isinstance(value, dict):
         raise DataError("not a JSON object")
     _check_levels(value)
@@ -278,17 +283,32 @@ def toml_table(text: str) -> dict[str, Any]:
         raise DataError(f"content = {shown(text)} is not a text")
     if any(line.count(".") > MAX_DOTS for line in text.split("\n") if "=" not in line[:MAX_DOTS]):
         raise DataError(f"a key of more than {MAX_DOTS} parts")
+    if pairs := _PAIRS.search(text):
+        line = text.count("\n", 0, pairs.start(1)) + 1
+        raise DataError(f"line {line}: {pairs[1]}{decimal_comma(pairs[1])}")
     try:
         value = tomllib.loads(text)
     except RecursionError as error:
         raise DataError(f"not TOML that rtcal reads: {_TOO_DEEP}") from error
     except ValueError as error:
-        raise DataError(f"not valid TOML: {error}") from error
+        raise DataError(f"not valid TOML: {error}{_decimal_comma(text, error)}") from error
     _check_levels(value)
     return value
 
 
 _TOO_DEEP = f"more than {MAX_DEPTH} levels"
+_PAIRS = re.compile(
+    r"^[^#\"\n]*(\[\s*(?:0,\d+,\s+)+0,\d+\s*\]|\[(?:0,\d\d+,)+0,\d\d+\])", re.MULTILINE
+)
+"""A list of decimals with commas, which TOML would read as twice as many whole numbers."""
+
+
+def _decimal_comma(text: str, error: ValueError) -> str:
+    """Return words on the decimal comma at which a parser has stopped; "" if it was another fault."""
+    at = re.search(r"line (\d+),? column (\d+)", str(error))
+    line, column = text.split("\n")[int(at[1]) - 1][:200] if at else "", int(at[2]) if at else 0
+    spans = (m for m in re.finditer(r"[\d,]+", line) if m.start() < column <= m.end() + 1)
+    return next((decimal_comma(m[0]) for m in spans), "")
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -330,6 +350,81 @@ def _check_levels(value: Any) -> None:
             return
         level = below
     raise DataError(_TOO_DEEP)
+
+
+_HOLDS = {
+    "rtcal": ("a saved result", "`rtcal report {0}` makes its page"),
+    "configuration": ("a case", "it names its measurements, and `rtcal find {0}` takes it alone"),
+    "variant": ("a file of variants", "`rtcal predict --change {0}` takes it"),
+    "treatment": ("a file of treatments", "`rtcal design --treatments {0}` takes it"),
+    "volume": ("a room", "a room stands first, before what was measured in it"),
+    "centre_frequencies": ("a room", "a room stands first, before what was measured in it"),
+}
+"""What a file is by a key that no other kind has, and which command takes it."""
+TABLE = "a table of values"
+_HINTS = dict(_HOLDS.values()) | {TABLE: "a measured table stands second, after the room"}
+RESULT = "a saved result"
+_MADE = (
+    "make one first, such as `rtcal calibrate room.toml t.csv --out calibrated` or `rtcal find "
+    "room.toml t.csv --out found`"
+)
+_NO_TABLE = re.compile(r"\s*(?:\[|\{|[\w.\"-]+\s*=)")
+_MOST_OF_A_FILE = 2**25
+
+
+def kind_of(path: str | os.PathLike[str]) -> str:
+    """Return which kind of rtcal's files a file is, "" for another one.
+
+    It is `RESULT`, `TABLE`, "a room", "a case", "a file of variants" or "a file of treatments".
+    """
+    with suppress(DataError, UnicodeDecodeError):
+        content = read_bytes(path, _MOST_OF_A_FILE)
+        if content.startswith(b"PK"):
+            return TABLE if b"xl/workbook" in content else ""
+        text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "latin-1")
+        parse = json_object if text.lstrip().startswith("{") else toml_table
+        with suppress(DataError):
+            held = parse(text.replace("\r\n", "\n"))
+            return next((kind for key, (kind, _) in _HOLDS.items() if key in held), "")
+        first = [line for line in text.splitlines() if line.strip() and line.strip()[0] != "#"][:2]
+        cells = [line for line in first if re.search(r"[,;\t]", line) and not _NO_TABLE.match(line)]
+        return TABLE if len(cells) == 2 and "\0" not in text else ""
+    return ""
+
+
+class OtherKindError(DataError):
+    """A file of another kind than the one that is needed in its place."""
+
+    path: str
+    needed: str
+
+
+@contextmanager
+def expecting(kind: str, path: str | os.PathLike[str]) -> Iterator[None]:
+    """Let errors of reading a file name it, and say so where it is a file of another kind.
+
+    Raises
+    ------
+    OtherKindError
+        For a file that `kind_of` knows as another one than ``kind``.
+    DataError
+        That of the block, with the path before it.
+    """
+    place = os.fspath(path)
+    try:
+        yield
+    except DataError as error:
+        found = kind_of(place)
+        if found not in ("", kind):
+            hint = _MADE if kind == RESULT else _HINTS[found].format(place)
+            other = OtherKindError(f"{place} is {found}, and {kind} is needed: {hint}")
+            other.path, other.needed = place, kind
+            raise other from error
+        if str(error).startswith((f"{place}:", f"{place},")):
+            raise
+        raise DataError(
+            f"{place}{', ' if str(error).startswith('line ') else ': '}{error}"
+        ) from error
 
 
 def toml_text(table: Mapping[str, Any]) -> str:

@@ -64,7 +64,7 @@ from rtcal.acoustics.room import (
 from rtcal.acoustics.run import Run
 from rtcal.calibration.measured import notes_of_bands, times_in_room
 from rtcal.files.disk import json_numbers, read_text, write_text
-from rtcal.files.schema import FileTable, Number, json_object, read, toml_table
+from rtcal.files.schema import FileTable, Number, expecting, json_object, read, toml_table
 from rtcal.finder.effects import AppliedEffect, check_parameters, library
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Divided, Faces
@@ -580,11 +580,8 @@ class Case:
 
         Raises DataError naming the file and the rule.
         """
-        text = read_text(path, MAX_BYTES)
-        try:
-            return cls.from_dict(_content(path, text), Path(path).parent)
-        except DataError as error:
-            raise DataError(f"{path}: {error}") from error
+        with expecting("a case", path):
+            return cls.from_dict(_content(path), Path(path).parent)
 
     def save(self, path: str) -> None:
         """Write the case as JSON, whole or not at all; DataError as `to_dict`."""
@@ -688,15 +685,14 @@ def _check_size(room: Room) -> None:
             )
 
 
-def _content(path: str, text: str) -> dict[str, Any]:
+def _content(path: str) -> dict[str, Any]:
     """Return the content of a case's file as plain values."""
+    text = read_text(path, MAX_BYTES)
     return json_object(text) if str(path).endswith(".json") else toml_table(text)
 
 
 def _table(content: Mapping[str, Any]) -> CaseTable:
     content = checks.mapped("case", content)
-    if "material" in content:
-        raise DataError("this is a room's file; name what was measured in the room beside it")
     if "geometry" in content:
         raise DataError(
             "a case states no geometry: write [geometry] with mesh, [sources] and [receivers] into "
@@ -707,7 +703,8 @@ def _table(content: Mapping[str, Any]) -> CaseTable:
 
 def files_of_case(path: str) -> list[Path]:
     """Return the paths that a valid case file refers to, itself included."""
-    table = _table(_content(path, read_text(path, MAX_BYTES)))
+    with expecting("a case", path):
+        table = _table(_content(path))
     of = [(c.measured, c.simulated, c.at) for c in table.configuration]
     names = [table.room, *(name for each in of for name in each)]
     return [Path(path), *(Path(path).parent / name for name in names if isinstance(name, str))]

@@ -61,6 +61,7 @@ from rtcal.acoustics.observables import (
     of_kind,
     parameter_label,
 )
+from rtcal.files.schema import expecting
 from rtcal.io import budget, sofa
 from rtcal.io.table_columns import position_in
 from rtcal.io.tables import MOST_NAMED, means, spread
@@ -261,10 +262,11 @@ def _opened(path: str) -> Iterator[Any]:
         with open(path, "rb") as stream, soundfile.SoundFile(stream) as file:
             yield file
     except soundfile.SoundFileError as error:
-        raise DataError(
-            f"{path}: cannot be read as sound: it is damaged, or in none of the formats of soundfile "
-            "(WAV, RF64, W64, AIFF, CAF, FLAC and others). Export it as WAV or FLAC"
-        ) from error
+        with expecting("an impulse response", path):
+            raise DataError(
+                f"{path}: cannot be read as sound: it is damaged, or in none of the formats of "
+                "soundfile (WAV, RF64, W64, AIFF, CAF, FLAC and others). Export it as WAV or FLAC"
+            ) from error
     except OSError as error:
         raise DataError(f"{path}: {error.strerror or error}") from error
 

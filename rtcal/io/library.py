@@ -26,6 +26,7 @@ from pathlib import Path
 
 from rtcal.acoustics import bands
 from rtcal.files.disk import read_bytes
+from rtcal.files.schema import TABLE, expecting
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.table_columns import (
     COLUMNS,
@@ -117,7 +118,9 @@ def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
             raise DataError(f"{path}: {len(files)} files; at most {MAX_FILES}")
     materials: dict[str, tuple[Path, ListedMaterial]] = {}
     for file in files:
-        for material in _materials(file, columns):
+        with expecting(TABLE, file):
+            of_file = _materials(file, columns)
+        for material in of_file:
             if material.name in materials:
                 raise DataError(
                     f'{file}, line {material.line}: "{shown(material.name)}" is given twice, also in '

@@ -43,6 +43,7 @@ from rtcal.acoustics.observables import (
     parameter_label,
 )
 from rtcal.files.disk import read_bytes, write_bytes
+from rtcal.files.schema import TABLE, expecting
 from rtcal.io import instruments, workbook
 from rtcal.io.table_columns import (
     DECAY_TIMES_OF_RT60,
@@ -216,7 +217,8 @@ def parse(
     notes: list[str] = []
     for path, content in contents.items():
         checks.content(checks.text("content: a name", path), content)
-        of_file, left_out = _of_file(content, path, stated)
+        with expecting(TABLE, path):
+            of_file, left_out = _of_file(content, path, stated)
         found += of_file
         notes += left_out
     if not stated.sheets:

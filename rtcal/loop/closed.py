@@ -1163,13 +1163,16 @@ def refuse_progress(state: str) -> None:
         )
 
 
-def record(loop: Loop, table: str, state: str, out: str, *, again: bool = False) -> Loop:
-    """Return the loop after the simulation that the file ``table`` holds.
+def record(
+    loop: Loop, simulated: Measurement, table: str, state: str, out: str, *, again: bool = False
+) -> Loop:
+    """Return the loop after what was simulated, as read from the file ``table``.
 
     Parameters
     ----------
     loop : Loop
         As read from the file ``state``.
+    simulated : Measurement
     table, state, out : str
         Paths of the simulated table, the state and the room that was to be simulated.
     again : bool
@@ -1195,7 +1198,6 @@ def record(loop: Loop, table: str, state: str, out: str, *, again: bool = False)
             f"{out}: it has other coefficients than {state} asks for, so {table} may be of those: "
             f"rtcal loop back writes what to simulate; or delete {out} if it was not simulated"
         )
-    simulated = Measurement.from_file(table)
     try:
         after = loop.record(alpha, simulated)
     except DataError as error:

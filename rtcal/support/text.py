@@ -234,6 +234,18 @@ _OBEYED = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud
 """What a terminal may interpret: C0 and C1 controls, marks of direction, lone surrogates."""
 
 
+def decimal_comma(text: str) -> str:
+    """Return words on the first decimal comma of a text that is no number; "" without one.
+
+    Examples
+    --------
+    >>> decimal_comma("[189,5, 20,25]"), decimal_comma("189.5")
+    (': a decimal has a point: 189.5', '')
+    """
+    found = re.search(r"(?<![\d.])(\d+),(\d+)(?!\d*\.)", text)
+    return f": a decimal has a point: {found[1]}.{found[2]}" if found else ""
+
+
 def printable(text: str) -> str:
     r"""Return a text with escaped control characters, which no terminal interprets.
 
