@@ -151,7 +151,11 @@ OTHER_FILES = [
     (NUMBERS, '{"rtcal": "finding 1", "object": {"sha256": "0"}}', "finding 1.*calculate"),
     (NUMBERS, '{"rtcal": "x", "object": {"version": "0.0.7", "objects": []}}', "0.0.7.*calculate"),
     ("x.json", "[" * 100_000, "not JSON"),
-    ("a.csv", "f,T20\n500,1\n", "is a table of values, .* make one first, such as `rtcal calibrate"),
+    (
+        "a.csv",
+        "f,T20\n500,1\n",
+        "is a table of values, .* make one first, such as `rtcal calibrate",
+    ),
     ("a.toml", "volume = 1", "is a room, and a saved result is needed"),
 ]
 
