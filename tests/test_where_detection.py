@@ -49,6 +49,21 @@ def test_the_positions_decide() -> None:
     assert Detection(above, threshold=OF_PROGRAMS).verdict == "hint"
 
 
+@pytest.mark.parametrize("ceiling", [0.2, 0.9])
+def test_what_is_called_added_absorption_adds_some(ceiling: float) -> None:
+    """A panel all over a ceiling of mineral wool lengthens T: it is no added absorption."""
+    room = stated()
+    alpha = np.array(room.alpha)
+    alpha[-1] = ceiling
+    simulator = tracing(room.replace(alpha=alpha))
+    case = rt.finder.PositionsCase(simulator=simulator, measured=measured(True))
+    tried = [s for s in shifts(case, library()) if s.family.startswith("added absorption")]
+    for hypothesis in tried:
+        changes = hypothesis.spectra - case.surface_alpha[hypothesis.surface]
+        assert (changes.max(axis=1) > -changes.min(axis=1)).all()
+    assert {s.surface for s in tried} == set(range(6))
+
+
 def test_a_noisy_pair_is_a_hint() -> None:
     assert Detection(-5.0, THRESHOLD, noise=3.0).verdict == "hint"
     assert Detection(-5.0, THRESHOLD, noise=-3.0).verdict == "none"

@@ -513,6 +513,8 @@ def _at_positions(f: Finding) -> list[str]:
             )
         return said
     kind = known[0].kind if known else ""
+    if kind == COEFFICIENTS and np.isfinite(known[0].size):
+        kind = f"{'less' if known[0].size < 1 else 'added'} absorption"
     subject = {
         "added absorption": "The room absorbs more than the model",
         "less absorption": "The room absorbs less than the model",

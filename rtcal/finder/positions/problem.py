@@ -443,6 +443,8 @@ def _standing(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
             every = [(np.minimum(moved, 0.0), *rest) for moved, *rest in every]
             least = _LEAST_TAKEN * np.maximum(stated, 1e-6)
             every = [each for each in every if (-each[0] >= least).any()]
+        else:  # a panel over mineral wool takes more in one band than it adds in any: that is a cover
+            every = [each for each in every if each[0].max() > -each[0].min()]
         if not every:
             continue
         moved, alpha, used, settings = zip(*every, strict=True)
