@@ -10,7 +10,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.changes import facing
-from rtcal.acoustics.marks import plausibility, trust_marks, uneven_marks
+from rtcal.acoustics.marks import of_input, plausibility, trust_marks, uneven_marks
 from rtcal.report.pages import page
 from rtcal.simulators.geometry import Polyhedron
 
@@ -76,14 +76,13 @@ def test_every_mark_is_given_where_it_belongs_and_nowhere_else() -> None:
     active = np.array([[0, -1, 0, 0], [0, 0, 1, 0]])
     assert kinds(active=active) == base | {("at_bound", 500), ("at_bound", 4000)}
     assert kinds(room.with_air(None)) == base | {("no_air", None)}
-    # 4.84 V^(2/3) = 484 m²: a sphere of 1000 m³ has no less.
-    assert kinds(room.replace(areas=[300, 150])) == base | {("surface_missing", None)}
-    # 4 V / S = 0.29 m: square millimetres for square metres, say.
-    assert kinds(room.replace(areas=[7000, 7000])) == base | {("surface_beyond_sense", None)}
-    with pytest.raises(rt.errors.InfeasibleError, match="of surface cannot enclose"):
+    # A cube of 1000 m³ has 600 m², a box of 27 x 27 x 1.36 m 1621 m².
+    for areas in ([390, 140], [1500, 130]):
+        assert [mark.kind for mark in of_input(room.replace(areas=areas))] == ["surface"]
+    for areas in ([400, 150], [1500, 110]):
+        assert of_input(room.replace(areas=areas)) == ()
+    with pytest.raises(rt.errors.InfeasibleError, match="but even a cube of 1000 m³ has 600 m²"):
         rt.calibrate(room.replace(areas=[3, 1]), np.array([1.2, 1.2, 1.0, np.nan]))
-    texts = trust_marks(room.replace(areas=[300, 150]), **quiet)
-    assert "450 m² of surface cannot enclose 1000 m³" in texts[0].text
 
 
 def test_missing_air_warns(cr2) -> None:

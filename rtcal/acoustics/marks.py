@@ -205,17 +205,27 @@ class TrustMark:
         return self.kind.replace("_", " ").replace("schroeder", "Schroeder")
 
     @property
+    def is_error(self) -> bool:
+        """Whether it is a likely typing error, which a result states before anything else."""
+        return self.kind.endswith("_error")
+
+    @property
     def as_error(self) -> str:
         """A likely typing error, with its band if it has one."""
         where = "" if self.frequency is None else f" at {self.frequency:g} Hz"
         return f"likely a typing error{where}: {self.text}"
 
     @property
+    def checked(self) -> str:
+        """What may be mistyped: a value in one band, else what all bands have in common."""
+        return "areas, volume and T" if self.frequency is None else "this value"
+
+    @property
     def sentence(self) -> str:
-        """A likely typing error with what to do, for messages."""
-        if self.kind == "box_surface":
-            return f"{self.text}. Check each area before anything else"
-        return f"{self.as_error}. Check this value before anything else"
+        """What is doubted, with what to do, for messages."""
+        if not self.is_error:
+            return f"{self.text}: {self.advice}"
+        return f"{self.as_error}. Check {self.checked} before anything else"
 
 
 _ADVICE: dict[str, tuple[str, str]] = {
@@ -229,10 +239,14 @@ _ADVICE: dict[str, tuple[str, str]] = {
         "likely a typing error, or another unit: check T (in s), the volume (in m³) and the areas "
         "(in m²) before anything else. What follows is computed with them",
     ),
-    "box_surface": (
+    "surface": (
         "",
-        "check each area, and the dimensions, before anything else: every coefficient is computed with "
-        "its area",
+        "check each area, the volume and the dimensions before anything else: every coefficient is "
+        "computed with them",
+    ),
+    "fixed": (
+        "",
+        "nothing can move: give what is not known exactly a sigma above 0, or the file a [prior]",
     ),
     "unreachable": (
         "n",
@@ -299,8 +313,6 @@ _ADVICE: dict[str, tuple[str, str]] = {
         "the modes contradict each other or the input coefficients: are T and decays called so, and "
         "which modes are they? Then check the coefficients",
     ),
-    "surface_missing": ("", "a surface is missing, or the volume is wrong: check both"),
-    "surface_beyond_sense": ("", "are the areas in m² and the volume in m³?"),
     "clipped": (
         "",
         "a laboratory value above 1 counts the specimen's edges too, so the true one is not known: "
@@ -417,66 +429,109 @@ def in_measurement(measured: Measurement) -> list[TrustMark]:
 LEAST_OF_BOX, MOST_OF_BOX = 0.9, 1.4
 """Surface of a room over that of the box of its dimensions. Furniture and steps add up to 0.4; what
 stands against a wall, or a corner that is cut off, takes 0.1."""
-_SLIPS = (0.1, 10.0, 0.01, 100.0)
+FLATTEST, FLAT = 20.0, 10.0
+"""Length and width over height where no dimensions are stated: of the flattest room, of a usual one."""
+_SLIPS = (0.1, 10.0), (0.01, 100.0)
 _CORRECTED = 0.2
 """Largest relative difference from the box with which an area counts as mistyped by such a factor."""
 
 
-def likely_areas(room: Room) -> Room | None:
-    """Return the room with one area a power of ten smaller or larger; None where none is likely.
+def surface_limits(room: Room, flattest: float = FLATTEST) -> tuple[float, float]:
+    """Return the least and the most surface in m² of a room of these dimensions, or of this volume.
 
-    The surface of a room must be about that of the box of its stated dimensions.
+    Without dimensions they are 0.9 times that of a cube, and that of a box ``flattest`` times as long
+    and wide as high.
+    """
+    if room.dimensions is not None:
+        box = _surface_of_box(*room.dimensions)
+        return LEAST_OF_BOX * box, MOST_OF_BOX * box
+    cube, flat = _surface_of_box(1, 1, 1), _surface_of_box(flattest, flattest, 1)
+    scale = room.volume ** (2 / 3)
+    return LEAST_OF_BOX * cube * scale, flat / flattest ** (4 / 3) * scale
+
+
+def _surface_of_box(x: float, y: float, z: float) -> float:
+    return 2 * (x * y + y * z + z * x)
+
+
+def likely_slips(room: Room) -> list[tuple[str, Room]]:
+    """Return what is ten or a hundred times too large or small, in words, and the room without it.
+
+    One area, or the volume, without which the surface is likely. Empty where the surface is likely
+    already, and where more than two would explain it.
 
     Examples
     --------
     >>> room = Room(name="box", volume=60, materials=["floor", "rest"], areas=[200, 74],
     ...             alpha=[[0.4], [0.6]], sigma=[[0.1], [0.1]], centre_frequencies=[1000],
     ...             dimensions=(5, 4, 3))
-    >>> likely_areas(room).areas.tolist()
-    [20.0, 74.0]
+    >>> [text for text, _ in likely_slips(room)]
+    ['area of "floor" = 200 m², for 20 m²']
     """
-    box = _missed_box(room)
-    if box is None:
-        return None
-    off_by = {
-        (i, factor): abs((room.total_area + (factor - 1) * float(area)) / box - 1)
-        for i, area in enumerate(room.areas)
-        for factor in _SLIPS
-    }
-    i, factor = min(off_by, key=lambda each: off_by[each])
-    if off_by[i, factor] > _CORRECTED:
-        return None
-    material, areas = room.materials[i], room.areas.copy()
+    least, most = surface_limits(room)
+    if least <= room.total_area <= most:
+        return []
+    for factors in _SLIPS:
+        found = [_slipped(room, i, f) for f in factors for i in range(room.n_materials)]
+        if room.dimensions is not None:
+            box = _surface_of_box(*room.dimensions)
+            off = [abs(other.total_area / box - 1) for _, other in found]
+            found = [found[int(np.argmin(off))]] if min(off) <= _CORRECTED else []
+        else:
+            found += [_other_volume(room, f) for f in factors]
+            found = [
+                (text, other)
+                for text, other in found
+                if np.clip(other.total_area, *surface_limits(other, FLAT)) == other.total_area
+            ]
+        if found:
+            return found if len(found) <= 2 else []
+    return []
+
+
+def _slipped(room: Room, i: int, factor: float) -> tuple[str, Room]:
+    areas, material = room.areas.copy(), room.materials[i]
     areas[i] *= factor
     surfaces = [
         replace(s, area=s.area * factor) if s.material == material else s for s in room.surfaces
     ]
-    return room.replace(areas=areas, surfaces=surfaces)
+    text = f'area of "{material}" = {room.areas[i]:g} m², for {areas[i]:g} m²'
+    return text, room.replace(areas=areas, surfaces=surfaces)
 
 
-def _missed_box(room: Room) -> float | None:
-    """Return the surface in m² of the box of a room's dimensions, if the areas do not fit it."""
-    if room.dimensions is None:
-        return None
-    x, y, z = room.dimensions
-    box = 2 * (x * y + y * z + z * x)
-    return None if LEAST_OF_BOX <= room.total_area / box <= MOST_OF_BOX else box
+def _other_volume(room: Room, factor: float) -> tuple[str, Room]:
+    other = room.replace(volume=room.volume * factor)
+    return f"volume = {room.volume:g} m³, for {other.volume:g} m³", other
 
 
-def of_areas(room: Room) -> list[TrustMark]:
-    """Return the mark of areas that do not add up to the box of the stated dimensions."""
-    box = _missed_box(room)
-    if box is None:
+def of_surface(room: Room) -> list[TrustMark]:
+    """Return the mark of areas that enclose no room of the stated dimensions, or else of the volume.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, _ = rt.datasets.bras_cr2()
+    >>> of_surface(room.replace(volume=4000))[0].text
+    'the areas add up to 202.5 m², but even a cube of 4000 m³ has 1512 m²'
+    """
+    area, volume, (least, most) = room.total_area, room.volume, surface_limits(room)
+    if least <= area <= most:
         return []
-    sides = " x ".join(f"{side:g}" for side in room.dimensions or ())
-    text = f"the areas add up to {room.total_area:.4g} m², but a box of {sides} m has {box:.4g} m²"
-    if (likely := likely_areas(room)) is None:
-        return [mark("box_surface", None, text)]
-    i = int(np.argmax(np.abs(likely.areas - room.areas)))
-    text = (
-        f'area of "{room.materials[i]}" = {room.areas[i]:g} m², for {likely.areas[i]:g} m²: {text}'
-    )
-    return [mark("area_typing_error", None, text, "box_surface")]
+    if room.dimensions is not None:
+        sides = " x ".join(f"{side:g}" for side in room.dimensions)
+        wanted = f"a box of {sides} m has {_surface_of_box(*room.dimensions):.4g} m²"
+    elif area < least:
+        wanted = f"even a cube of {volume:.4g} m³ has {least / LEAST_OF_BOX:.4g} m²"
+    else:
+        wanted = (
+            f"even a box of {volume:.4g} m³ that is {FLATTEST:g} times as long and wide as high has "
+            f"{most:.4g} m²"
+        )
+    text = f"the areas add up to {area:.4g} m², but {wanted}"
+    if not (likely := likely_slips(room)):
+        return [mark("surface", None, text)]
+    text = f"{', or '.join(slip for slip, _ in likely)}: {text}"
+    return [mark("surface_typing_error", None, text, "surface")]
 
 
 _LEAST_SLIP, _SLIP = 0.5, 0.75
@@ -484,13 +539,17 @@ _LEAST_SLIP, _SLIP = 0.5, 0.75
 which on a decimal point or a unit is wrong. Empty and furnished rooms differ by less than 3."""
 
 
-def of_unit(times: Array, stated: Array) -> list[TrustMark]:
+def of_unit(
+    times: Array, stated: Array, name: str = "T", of: str = "that of the stated coefficients"
+) -> list[TrustMark]:
     """Return the mark of a T that is far from that of the stated coefficients in every band alike.
 
     Parameters
     ----------
     times, stated : array (n_bands,)
         Measured T, and T of the stated coefficients, in s; NaN where it is missing.
+    name, of : str
+        Both in words.
 
     Examples
     --------
@@ -509,17 +568,46 @@ def of_unit(times: Array, stated: Array) -> list[TrustMark]:
     low, high = 10 ** off.min(), 10 ** off.max()
     by = f"{low:.2g}" if f"{low:.2g}" == f"{high:.2g}" else f"{low:.2g} to {high:.2g}"
     where = "in every band" if off.size > 1 else "in the one band that was measured"
-    text = f"T is {by} times that of the stated coefficients {where}"
+    text = f"{name} is {by} times {of} {where}"
     return [mark("unit_error", None, text)]
 
 
-def in_room(room: Room) -> list[TrustMark]:
-    """Return the marks of mistyped areas and coefficients of a room."""
-    return of_areas(room) + [
-        each
-        for name, row in zip(room.materials, room.alpha, strict=True)
-        for each in of_row(room.centre_frequencies, row, f'alpha of "{name}"', late=False)
-    ]
+def of_input(
+    room: Room,
+    times: Array | None = None,
+    mistyped: Sequence[TrustMark] = (),
+) -> tuple[TrustMark, ...]:
+    """Return the doubts about a room and its T that stand before every result, in one order.
+
+    Parameters
+    ----------
+    room : Room
+    times : array (n_bands,), optional
+        Measured T in s, NaN where it is missing; compared with Eyring's of the stated coefficients.
+    mistyped : sequence of TrustMark
+        Those of single values of T, as `of_row` returns them.
+    """
+    marks = [*of_surface(room), *_of_volume(room)]
+    for name, row in zip(room.materials, room.alpha, strict=True):
+        marks += of_row(room.centre_frequencies, row, f'alpha of "{name}"', late=False)
+    if times is not None:
+        marks += of_unit(times, Eyring().reverberation_time(room))
+    marks += mistyped
+    if not room.sigma.any():
+        marks.append(mark("fixed", None, "sigma is 0 for every coefficient"))
+    return tuple(marks)
+
+
+def _of_volume(room: Room) -> list[TrustMark]:
+    """Return the mark of a volume that is not that of the stated dimensions."""
+    if room.dimensions is None:
+        return []
+    box = float(np.prod(room.dimensions))
+    if abs(room.volume / box - 1) <= OFF_VOLUME:
+        return []
+    sides = " x ".join(f"{side:g}" for side in room.dimensions)
+    text = f"volume = {room.volume:g} m³, but the dimensions {sides} m hold {box:g} m³"
+    return [mark("dimensions", None, text)]
 
 
 _ALLOWED = 2.0
@@ -569,38 +657,6 @@ OFF_VOLUME = 0.1
 """Relative difference of the volume from that of the stated dimensions: plans are no more precise."""
 _WIDE_SIGMA = 0.5
 """The standard deviation of a coefficient of which nothing is known, uniform from 0 to 1, is 0.29."""
-
-
-_SHORT_PATH = 0.3
-"""m. A reverberation chamber full of furniture keeps about 1 m."""
-
-
-def surface_doubt(room: Room) -> TrustMark | None:
-    """Return a mark if areas and volume do not fit, else None.
-
-    Examples
-    --------
-    >>> import rtcal as rt
-    >>> room, _ = rt.datasets.bras_cr2()
-    >>> surface_doubt(room.replace(volume=4000)).text
-    '202.5 m² of surface cannot enclose 4000 m³, which takes at least 1220 m²'
-    """
-    area, volume = room.total_area, room.volume
-    smallest = 4.84 * volume ** (2 / 3)  # the surface of the sphere of this volume
-    if area < smallest:
-        return mark(
-            "surface_missing",
-            None,
-            f"{area:.4g} m² of surface cannot enclose {volume:.4g} m³, which takes at least "
-            f"{smallest:.4g} m²",
-        )
-    if (path := 4 * volume / area) < _SHORT_PATH:
-        return mark(
-            "surface_beyond_sense",
-            None,
-            f"{area:.4g} m² of surface in {volume:.4g} m³ leave a mean free path of {path:.2g} m",
-        )
-    return None
 
 
 def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
@@ -739,14 +795,6 @@ def trust_marks(
 
     if room.air is None:
         add("no_air", None, "the room has no air")
-    if (doubt := surface_doubt(room)) is not None:
-        marks.append(doubt)
-    if room.dimensions is not None:
-        box = float(np.prod(room.dimensions))
-        if abs(room.volume / box - 1) > OFF_VOLUME:
-            sides = " x ".join(f"{side:g}" for side in room.dimensions)
-            text = f"volume = {room.volume:g} m³, but the dimensions {sides} m hold {box:g} m³"
-            add("dimensions", None, text)
     wide = np.argwhere(room.sigma > _WIDE_SIGMA)
     if len(wide):
         i, k = wide[0].tolist()

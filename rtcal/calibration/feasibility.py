@@ -13,7 +13,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.marks import of_areas, of_unit, surface_doubt
 from rtcal.acoustics.room import Room
 from rtcal.calibration.composition import Composition
 from rtcal.calibration.qp import QP
@@ -174,7 +173,7 @@ def restrict_to_reach(
             )
         )
     if beyond and unreachable == "raise":
-        raise InfeasibleError("; ".join(_with_doubts(numbers, beyond)))
+        raise InfeasibleError("; ".join(map(str, beyond)))
     at_low = asked & (too_low | (np.abs(target - low) <= tolerance))
     at_high = asked & (too_high | (np.abs(target - top) <= tolerance)) & ~at_low
     reached = np.where(at_low, low, np.where(at_high, top, target))
@@ -185,17 +184,6 @@ def restrict_to_reach(
     target = np.where(moved | np.isnan(numbers.target), reached, numbers.target)
     held_at = _forced(numbers, at_low, at_high)
     return replace(numbers, target=target), held_at, tuple(beyond)
-
-
-def _with_doubts(numbers: Numbers, beyond: Sequence[Unreachable]) -> list[str]:
-    """Return likely typing errors, the bands that are beyond reach, and doubts of the surfaces."""
-    first: list[str] = []
-    for room, times in zip(numbers.rooms, numbers.time, strict=True):
-        stated = where_valid(numbers.equation.time, room, room.absorption_area)
-        typed = [*of_areas(room), *of_unit(times, stated)]
-        first += [f"{mark.text}: {mark.advice}" for mark in typed]
-    doubts = [doubt.text for room in numbers.rooms if (doubt := surface_doubt(room)) is not None]
-    return [*first, *map(str, beyond), *doubts]
 
 
 def _refuse_invalid(numbers: Numbers, where: Flags, least: Array) -> None:

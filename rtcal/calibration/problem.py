@@ -32,6 +32,7 @@ from scipy.linalg import solve_triangular
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import Equation, Eyring, LinearEquation
+from rtcal.acoustics.marks import of_input
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room, refuse_repeated_data
 from rtcal.calibration import feasibility, qp
@@ -61,6 +62,7 @@ from rtcal.support.errors import (
     SimulatorError,
     SolverError,
 )
+from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
 
 Times = Measurement | Sequence[float] | Array
@@ -290,8 +292,12 @@ class CalibrationProblem(Composition, Generic[R]):
                     f"{certificate.dual_residual:.1e}, gap {certificate.duality_gap:.1e}"
                 )
         except InfeasibleError as error:
-            if doubted := [doubt for there in times for doubt in there.mistyped]:
-                error.args = (f"{doubted[0].sentence}. {error}",)
+            doubts = [
+                as_sentence(doubt.sentence)
+                for one, there in zip(rooms.rooms, times, strict=True)
+                for doubt in of_input(one, there.reverberation_time, there.mistyped)
+            ]
+            error.args = (" ".join([*dict.fromkeys(doubts), str(error)]),)
             raise
         u = program.unknowns(numbers, point.v)
         active = problem.unknowns_at(numbers, point.at)

@@ -22,9 +22,8 @@ from rtcal.acoustics.marks import (
     Plausibility,
     TrustMark,
     gap_jnd,
-    in_room,
-    likely_areas,
-    of_unit,
+    likely_slips,
+    of_input,
     plausibility,
     trust_marks,
     uneven_marks,
@@ -723,16 +722,18 @@ class CalibrationResult(Result):
         return read_only_view(where_valid(self.equation.air_share, self.prior, area))
 
     @cached_property
+    def doubts(self) -> tuple[TrustMark, ...]:
+        """The marks of the input: likely typing errors of the room and of T."""
+        return of_input(self.prior, self.measured, self.measured_data.mistyped)
+
+    @cached_property
     def trust_marks(self) -> tuple[TrustMark, ...]:
-        """Reasons to doubt single bands or the whole room, with advice; likely typing errors first."""
-        likely = likely_areas(self.prior)
+        """Reasons to doubt single bands or the whole room, with advice; `doubts` first."""
         uneven = uneven_marks(self.room, facing(self.room) if self.shares is None else self.shares)
-        if likely is not None:
+        for _, likely in likely_slips(self.prior)[:1]:
             uneven = uneven or uneven_marks(likely, facing(likely))
         return (
-            *in_room(self.prior),
-            *of_unit(self.measured, self.reverberation_time_before),
-            *self.measured_data.mistyped,
+            *self.doubts,
             *uneven,
             *trust_marks(
                 self.prior,
@@ -816,6 +817,7 @@ class CalibrationResult(Result):
             exact=bool(same[measured].all()),
             log_uncertainty=own.log_uncertainty,
             others=tuple(states),
+            doubts=self.doubts,
         )
 
     def predict(

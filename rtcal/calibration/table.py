@@ -300,8 +300,7 @@ _SOMETHING = (
     "Something is missing from the model, or an input value is wrong, or its sigma too small."
 )
 _OF_ROOM = (
-    "surface_missing",
-    "surface_beyond_sense",
+    "surface",
     "dimensions",
     "wide_sigma",
     "equations_differ",
@@ -333,8 +332,8 @@ def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
     record : mapping
         As `rtcal.calibration.CalibrationResult.to_dict` returns it.
     """
-    marks, kinds = record["trust_marks"], ("unit_error", "area_typing_error", "typing_error")
-    if typed := [mark for mark in _trust_marks(record) if mark.kind in kinds]:
+    marks = record["trust_marks"]
+    if typed := [mark for mark in _trust_marks(record) if mark.is_error]:
         first, more = typed[0], ""
         if typed[1:]:
             more = (
@@ -344,8 +343,8 @@ def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
         return CalibrationVerdict(
             "contradicts",
             f"{first.as_error[:1].upper()}{first.as_error[1:]}",
-            f"Check this value before anything else, and calibrate again. {what} is computed with "
-            f"it.{more}",
+            f"Check {first.checked} before anything else, and calibrate again. {what} is computed "
+            f"with {'them' if first.frequency is None else 'it'}.{more}",
         )
     after = np.abs(numbers(record["gap_after_jnd"]))
     compared = np.isfinite(after)

@@ -22,6 +22,7 @@ from rtcal.command.console import (
     is_quiet,
     pairs,
     read_measured,
+    read_room,
     takes,
     tell,
     texts,
@@ -64,7 +65,6 @@ def calibrate(
     `rtcal report calibrated` makes a page of the results.
     """
     from rtcal.acoustics.changes import facing
-    from rtcal.acoustics.room import Room
     from rtcal.calibration import methods
     from rtcal.io import geometry_files
     from rtcal.report import figures
@@ -79,14 +79,12 @@ def calibrate(
             )
         with without_air_warning():
             data = read_measured(measured)
-            by_modes = told_by_modes(Room.from_file(room), modes, data, equation)
+            by_modes = told_by_modes(read_room(room), modes, data, equation)
         if out is not None:
             figures.write_folder(by_modes, out, {})
         tell(str(by_modes), by_modes.to_dict())
         return
-    prior = Room.from_file(room)
-    if not is_quiet() and (doubt := geometry_files.mesh_doubt(prior)):
-        warn(doubt)
+    prior = read_room(room)
     with without_air_warning():
         result = methods.calibrate(prior, read_measured(measured), equation=equation, **stated)
     if prior.scene.mesh is not None:

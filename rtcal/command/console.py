@@ -173,6 +173,20 @@ def read_run(room: Room, simulated: str | None, at: str | None) -> Run | None:
     return run
 
 
+def read_room(path: str) -> Room:
+    """Return the room that a command takes; where its mesh has other areas or volume is told once.
+
+    Raises DataError as `rtcal.Room.from_file` and `rtcal.io.geometry_files.mesh_doubt`.
+    """
+    from rtcal.acoustics.room import Room
+    from rtcal.io import geometry_files
+
+    room = Room.from_file(path)
+    if (doubt := geometry_files.mesh_doubt(room)) and not is_quiet():
+        warn(doubt)
+    return room
+
+
 PATHS = 8000
 """Paths from each source, by default; the number of `PathTracing`."""
 

@@ -25,6 +25,7 @@ from rtcal.command.console import (
     numbers,
     pairs,
     read_measured,
+    read_room,
     read_run,
     said,
     several,
@@ -76,7 +77,6 @@ def files_of(options: Mapping[str, Any]) -> list[str]:
 
 def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) -> Any:
     """Return the case of ``rtcal find``; DataError if a file to be written is one of those read."""
-    from rtcal.acoustics.room import Room
     from rtcal.finder import Case, case_of
 
     path, before = options["case"], options.get("before")
@@ -91,7 +91,7 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
         case = Case.from_file(path)
         spare(targets, files_of(options))
         return case
-    room = Room.from_file(path)
+    room = read_room(path)
     read = [*files_of(options), *([] if room.scene.mesh is None else [room.scene.mesh])]
     spare(targets, read)
     measured = read_measured(options["measured"], quietly=before is not None)

@@ -477,10 +477,9 @@ _PROPOSED = 12
 def _tell(room: Room, unused: list[str], notes: list[str], scattering: dict[str, Any]) -> None:
     """Print the room, the assumptions beyond the list, and what was left out."""
     from rtcal.acoustics.bands import span
-    from rtcal.acoustics.marks import surface_doubt
+    from rtcal.acoustics.marks import of_input
 
-    if doubt := surface_doubt(room):
-        notes = [f"{doubt.text}: check areas, volume and their units", *notes]
+    notes = [*(doubt.sentence for doubt in of_input(room)), *notes]
     without = [name for name, values in scattering.items() if values is None]
     if without and len(without) < len(scattering) and room.scattering is None:
         notes.append(

@@ -12,6 +12,7 @@ from rtcal.command.console import (
     flag,
     numbers,
     read_measured,
+    read_room,
     several,
     takes,
     tell,
@@ -68,13 +69,12 @@ def start(
     Example: rtcal loop start room.toml t.csv \\
         --state loop.json --out next.toml --decimals 3
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    from rtcal.acoustics.room import Room
     from rtcal.loop import closed
     from rtcal.support import text
 
     spare([state, out], [path for path in (room, measured, modes) if path is not None])
     closed.refuse_progress(state)
-    prior, data = Room.from_file(room), read_measured(measured)
+    prior, data = read_room(room), read_measured(measured)
     weighted = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
     known = prior if modes is None else told_by_modes(prior, modes)
     begun = closed.start(known, data, weights=weighted or None, **stated)
@@ -102,7 +102,7 @@ def start(
     "SIMULATED",
     _STATE,
     _OUT,
-    flag("again", "Accept a table equal to the last step's, or to the measurement."),
+    flag("again", "Accept a table that is likely the wrong one, such as that of an earlier step."),
 )
 def next_(room: str, simulated: str, state: str, out: str, again: bool) -> None:
     """Read what the program SIMULATED (CSV) and write what to simulate next.

@@ -14,6 +14,7 @@ from rtcal.command.console import (
     folder,
     is_quiet,
     read_measured,
+    read_room,
     takes,
     tell,
     warn,
@@ -24,6 +25,7 @@ from rtcal.files.schema import expecting
 from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
+    from rtcal.acoustics.room import Room
     from rtcal.calibration.result import CalibrationResult
     from rtcal.files.saved import Result
 
@@ -89,7 +91,6 @@ def predict(
     Example: rtcal predict room.toml t20.csv --change variants.toml
     """
     from rtcal.acoustics.changes import read_variants
-    from rtcal.acoustics.room import Room
     from rtcal.datasets import catalogue
     from rtcal.loop.positions import PositionsResult
     from rtcal.loop.predicted import predict_positions
@@ -97,7 +98,7 @@ def predict(
 
     # What the file of variants states is checked before anything is calibrated.
     known = saved(room, measured, also)
-    before = Room.from_file(room) if known is None else getattr(known, "prior", None)
+    before = read_room(room) if known is None else getattr(known, "prior", None)
     if before is None:
         raise DataError(f"{room} is no folder of `rtcal calibrate` or `rtcal fit`")
     variants, target = read_changes(
@@ -107,7 +108,7 @@ def predict(
     )
     if not isinstance(known, PositionsResult):
         if known is None and (measured is not None or also):
-            known = calibrated(room, measured, also, equation)
+            known = calibrated(before, measured, also, equation)
         if known is None:
             told(compare(before, variants, equation=equation, target=target), out)
             return
@@ -144,17 +145,16 @@ def saved(room: str, measured: str | None, also: tuple[tuple[str, str], ...]) ->
 
 
 def calibrated(
-    room: str, measured: str | None, also: tuple[tuple[str, str], ...], equation: LinearEquation
+    room: Room, measured: str | None, also: tuple[tuple[str, str], ...], equation: LinearEquation
 ) -> CalibrationResult:
     """Return the calibration of a room to its measured T, and to that of further states."""
-    from rtcal.acoustics.room import Room
     from rtcal.calibration.measured import tell_data
     from rtcal.calibration.methods import calibrate
     from rtcal.calibration.unknowns import Configurations
 
     if measured is None:
         raise DataError("MEASURED is missing: T of the room before the change")
-    rooms = [Room.from_file(path) for path in (room, *(path for path, _ in also))]
+    rooms = [room, *(read_room(path) for path, _ in also)]
     times = [read_measured(path, quietly=True) for path in (measured, *(path for _, path in also))]
     for state, heard in zip(rooms, times, strict=True):
         tell_data(state, heard)
@@ -205,7 +205,8 @@ def design(
     from rtcal.datasets import catalogue
     from rtcal.prediction.designed import design as cheapest
 
-    result = saved(room, measured, also) or calibrated(room, measured, also, equation)
+    result = saved(room, measured, also)
+    result = result or calibrated(read_room(room), measured, also, equation)
     if not isinstance(result, CalibrationResult):
         raise DataError(f"{room} is no folder of `rtcal calibrate`")
     stated, target, in_file = read_changes(

@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 from typing import Any
 
-import numpy as np
-
-from rtcal.acoustics.marks import OFF_VOLUME
 from rtcal.acoustics.room import Directivity, Room
 from rtcal.io import balloon, obj, units
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.path_tracing import PathTracing, area_doubt, volume_doubt
+from rtcal.simulators.path_tracing import (
+    PathTracing,
+    area_doubt,
+    refuse_powers_of_ten,
+    volume_doubt,
+)
 from rtcal.simulators.shoebox import box_of
 from rtcal.support import checks
 from rtcal.support.errors import DataError
@@ -47,8 +49,7 @@ def mesh_doubt(room: Room) -> str:
     """Return in a sentence where a room's areas or volume are not those of its mesh; "" if they are.
 
     A room that states no mesh has none to differ from. A mesh that cannot be read is a doubt, too.
-    DataError where volume or surface is a power of ten times that of the mesh: a wrong unit, or a
-    decimal point. Nothing that is computed with it could be right.
+    DataError as `rtcal.simulators.path_tracing.refuse_powers_of_ten`.
 
     Examples
     --------
@@ -64,22 +65,7 @@ def mesh_doubt(room: Room) -> str:
         raise
     except DataError as error:
         return f"the room's areas and volume are not compared with its mesh: {error}"
-    rows = room.material_rows([*dict.fromkeys(geometry.materials)])
-    both = {
-        "volume": (room.volume, geometry.volume, "m³"),
-        "areas": (float(room.areas[rows].sum()), float(geometry.face_areas.sum()), "m²"),
-    }
-    for name, (own, of_mesh, unit) in both.items():
-        power = round(float(np.log10(own / of_mesh)))
-        if not power or abs(own / of_mesh / 10.0**power - 1) > OFF_VOLUME:
-            continue
-        hint = "check its decimal point and unit"
-        if name == "volume" and power % 3 == 0:
-            hint = (
-                f"with unit = {room.scene.unit * 10.0 ** (power // 3):g} in [geometry] both agree"
-            )
-        times = f"10^{power} times the {of_mesh:.4g} {unit} of the mesh"
-        raise DataError(f"{name} = {own:.4g} {unit} is {times}: {hint}")
+    refuse_powers_of_ten(geometry, room)
     return ". ".join(filter(None, (volume_doubt(geometry, room), area_doubt(geometry, room))))
 
 

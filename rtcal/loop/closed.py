@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics.bands import label, labels, span
 from rtcal.acoustics.bands import notes as notes_of_bands
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.marks import TrustMark, explained, gap_jnd, in_room, of_row, rms
+from rtcal.acoustics.marks import TrustMark, explained, gap_jnd, of_input, of_row, rms
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, TARGET, observable, parameter_label
 from rtcal.acoustics.room import Room, refuse_repeated_data
@@ -186,6 +186,8 @@ _CLOSE_TARGETS = np.log(1.1)
 then known within 10 %, two JND."""
 _STUCK_STEPS = 3
 """Steps with different coefficients and the same T20 after which T does not depend on alpha."""
+_LEAST_SLOPE = 0.1
+"""Change of ln T over the equation's below which a table is hardly of the coefficients written last."""
 _AT_LIMIT = 1e-9  # relative; rounding of a target that was set to the limit
 _FROM_BOUNDS = 1e-3
 """Share of the range of S'alpha that a target keeps from its ends: at the bounds T may be 0, or
@@ -555,21 +557,56 @@ class Loop(Result):
         """Means over the pairs: measured, before and after, of each parameter that is simulated."""
         return {p: g.means for p, g in self.gaps.items() if np.isfinite(g.means["before"]).any()}
 
+    @cached_property
+    def doubts(self) -> tuple[TrustMark, ...]:
+        """The marks of the input: likely typing errors of the room and of what is matched."""
+        name = self.matched.label.removeprefix("the ")
+        mistyped = of_row(self.prior.centre_frequencies, self.wanted, name, " s")
+        return of_input(self.prior, self.wanted, mistyped)
+
     @property
     def trust_marks(self) -> tuple[TrustMark, ...]:
-        """Likely typing errors, and bands of the `outcome` at a bound or against the prior (z over 2).
+        """The `doubts`, and bands of the `outcome` at a bound or against the prior (z over 2).
 
         Also bands whose measured decay is bent, and those of `low` that no modes carry.
         A simulator can be brought to almost any T: a small gap confirms nothing.
         """
-        name = self.matched.label.removeprefix("the ")
         return (
-            *of_row(self.prior.centre_frequencies, self.wanted, name, " s"),
-            *in_room(self.prior),
+            *self.doubts,
+            *(self.unit_of(self.steps[0], None) if self.steps else ()),
             *(m for m in self.outcome.trust_marks if m.kind in ("at_bound", "implausible")),
             *self.bent,
             *(self.low.loop_marks if self.low else ()),
         )
+
+    def _expected(self, step: Step, last: Step | None) -> Array:
+        """Return T in s for a step's coefficients: the equation's, or as it changes the ``last`` T."""
+        own = self.equation.time(self.prior, self.prior.areas @ step.alpha)
+        if last is None:
+            return own
+        return last.simulated * own / self.equation.time(self.prior, self.prior.areas @ last.alpha)
+
+    def unit_of(self, step: Step, last: Step | None) -> list[TrustMark]:
+        """Return the mark of a simulated T that is a power of ten from the one expected; [] without.
+
+        ``last`` is the step before, from which T is expected, or None for the equation's T.
+        """
+        of = "the one that the coefficients give by the equation"
+        return of_unit(step.simulated, self._expected(step, last), "simulated T", of)
+
+    def follows(self, step: Step, last: Step) -> bool:
+        """Whether T of a step followed its coefficients, where these change T by more than a JND.
+
+        Followed: by a tenth of the equation's change at least, all bands together. In halls with
+        concentrated absorption it is a half (`_SLOPES`).
+        """
+        with np.errstate(invalid="ignore", divide="ignore"):
+            wanted = np.log(self._expected(step, last) / last.simulated)
+            got = np.log(step.simulated / last.simulated)
+        both = np.isfinite(wanted) & np.isfinite(got)
+        if not both.any() or rms(wanted[both]) < TARGET.jnd_of(1.0):
+            return True
+        return bool(got[both] @ wanted[both] >= _LEAST_SLOPE * (wanted[both] @ wanted[both]))
 
     # The next simulation
 
@@ -1176,14 +1213,14 @@ def record(
     table, state, out : str
         Paths of the simulated table, the state and the room that was to be simulated.
     again : bool
-        Whether to accept a table with the same T20 as the last step's, or at first as the measured T.
+        Whether to accept a table that is likely another one: see DataError.
 
     Raises
     ------
     DataError
-        If the end of the loop was simulated already, the table is no measurement, or it repeats the
-        last step's or has the measured T itself. Also if the room at ``out`` is not the one to
-        simulate.
+        If the end of the loop was simulated already, the table is no measurement, or the room at
+        ``out`` is not the one to simulate. Also if T is about ten times what the coefficients give,
+        or a tenth, is the measured one itself or that of an earlier step, or does not follow alpha.
     """
     if loop.after is not None:
         raise DataError(
@@ -1202,21 +1239,34 @@ def record(
         after = loop.record(alpha, simulated)
     except DataError as error:
         raise DataError(f"{table}: {error}") from error
-    *_, last, step = (None, *loop.steps, after.steps[-1] if after.after is None else after.ends[1])
-
-    def repeats(times: Array) -> bool:
-        return not again and np.array_equal(step.simulated, times, equal_nan=True)
-
-    if last is None and repeats(loop.wanted):
-        raise DataError(
-            f"{table}: every T20 is the measured one to the last digit: is it the measurement itself, "
-            "and not what was simulated? (--again takes it all the same)"
+    step = after.steps[-1] if after.after is None else after.ends[1]
+    doubt, last = "", loop.steps[-1] if loop.steps else None
+    same = [
+        n
+        for n, earlier in enumerate(loop.steps, 1)
+        if np.array_equal(step.simulated, earlier.simulated, equal_nan=True)
+        and not np.array_equal(step.alpha, earlier.alpha)
+    ]
+    if marks := loop.unit_of(step, last):
+        doubt = marks[0].sentence
+    elif last is None and np.array_equal(step.simulated, loop.wanted, equal_nan=True):
+        doubt = (
+            "every T20 is the measured one to the last digit: is it the measurement itself, and not "
+            "what was simulated?"
         )
-    if last is not None and not np.array_equal(alpha, last.alpha) and repeats(last.simulated):
-        raise DataError(
-            f"{table}: the table is the last step's, though alpha changed: was the room that was "
-            "written last simulated? (--again takes it all the same)"
+    elif same:
+        step_is = "the last step's" if same[-1] == len(loop.steps) else f"that of step {same[-1]}"
+        doubt = (
+            f"the table is {step_is}, though alpha changed: was the room that was written last "
+            "simulated?"
         )
+    elif last is not None and not loop.follows(step, last):
+        doubt = (
+            "T is about that of the last step, though alpha changed: was the room that was written last "
+            "simulated, and with its coefficients?"
+        )
+    if doubt and not again:
+        raise DataError(f"{table}: {doubt} (--again takes it all the same)")
     return after
 
 

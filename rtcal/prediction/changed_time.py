@@ -40,6 +40,7 @@ from scipy.special import ndtr, ndtri
 
 from rtcal.acoustics.changes import DIRECTIONS, FREE, UNKNOWN, Placed, placed
 from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.marks import TrustMark, of_input
 from rtcal.acoustics.room import Room, is_calibrated
 from rtcal.acoustics.room_errors import (
     Assumptions,
@@ -109,6 +110,8 @@ class KnownRoom:
         Standard uncertainty of ln of the measured T; NaN where none is stated, or T is missing.
     others : tuple of MeasuredState
         Further measured states.
+    doubts : tuple of TrustMark
+        Those of the input, such as likely typing errors; see `rtcal.acoustics.marks.of_input`.
     """
 
     room: Room
@@ -122,6 +125,7 @@ class KnownRoom:
     exact: bool
     log_uncertainty: Array
     others: tuple[MeasuredState, ...] = ()
+    doubts: tuple[TrustMark, ...] = ()
 
     @property
     def n_measured(self) -> int:
@@ -147,6 +151,7 @@ class KnownRoom:
             measured=np.zeros(room.n_bands, dtype=bool),
             exact=False,
             log_uncertainty=np.full(room.n_bands, np.nan),
+            doubts=of_input(room),
         )
 
 

@@ -559,6 +559,7 @@ class Design(Result):
         drawn = "" if made.known.n_measured > 1 else ", at most 0.01 off"
         return [
             Note(f"{self.model.before.name}, target: {target.source}"),
+            *map(Note, made.heads[1:-1]),
             Note(needed),
             Table(columns, treatments, corner="treatment"),
             Table(bands.labels(made.after.centre_frequencies), [*made.rows, *made.within(target)]),

@@ -17,7 +17,6 @@ from scipy.special import ndtri
 from rtcal.acoustics import bands
 from rtcal.acoustics.changes import Change, Target, Variant, placed
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.marks import in_room, of_row, of_unit
 from rtcal.acoustics.room import Room, is_calibrated, refuse_repeats
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.files.disk import json_numbers
@@ -254,14 +253,10 @@ class Prediction(TimeChange, Result):
         return words.headline(labels, self.time_before, self.mean, self.interval)
 
     @property
-    def doubts(self) -> list[str]:
-        """Likely typing errors in the room and in T before, a sentence each."""
-        room, known = self.known.room, self.known.measured
-        t = np.where(known, self.known.time, np.nan)
-        marks = [*of_row(room.centre_frequencies, t, "T before", " s"), *in_room(room)]
-        if not is_calibrated(room):
-            marks += of_unit(t, self.known.equation.reverberation_time(room))
-        return [as_sentence(each.sentence) for each in marks]
+    def heads(self) -> list[str]:
+        """What stands above the table: the names, likely typing errors, and the change."""
+        doubts = [as_sentence(each.sentence) for each in self.known.doubts]
+        return [f"{self.before.name}: {self.name}", *doubts, self.headline]
 
     @property
     def sentences(self) -> list[str]:
@@ -324,9 +319,8 @@ class Prediction(TimeChange, Result):
     def blocks(self) -> list[Block]:
         """Return what the prediction says."""
         labels = bands.labels(self.after.centre_frequencies)
-        heads = [f"{self.before.name}: {self.name}", self.headline, *self.doubts]
         parts = ("the interval", self.parts)
-        return words.blocks_of(heads, labels, self.rows, parts, self.sentences)
+        return words.blocks_of(self.heads, labels, self.rows, parts, self.sentences)
 
     # What a table of variants and a page show
 

@@ -591,8 +591,10 @@ _ANSWERS = {"means": _of_means, "positions": _at_positions, "states": _of_states
 def cautions(f: Finding) -> list[str]:
     """Return reasons to doubt the answer, and likely typing errors in what was read."""
     room, off = f.case.room, f.coefficients
-    typed = [error.sentence for error in marks.in_room(room)]
-    typed += [doubt for measured in _measurements(f) for doubt in unusual(measured)]
+    typed = list[str]()
+    for measured in _measurements(f):
+        t = measured.in_bands(room.centre_frequencies).reverberation_time
+        typed += [doubt.sentence for doubt in marks.of_input(room, t)] + [*unusual(measured)]
     said = [str(r) for r in f.reasons if r is not f.leading and r.code != OWN_FIELD]
     if f.kind == "positions":
         said = [*without_place(f.case.measured, f.case.simulator.pairs), *said]

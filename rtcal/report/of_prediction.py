@@ -27,7 +27,9 @@ def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Pag
     else:
         variants = (result,)
     if not isinstance(result, Design):
-        summary = [Note(f"{v.name}: {v.headline}") for v in variants if isinstance(v, Prediction)]
+        by_equation = [v for v in variants if isinstance(v, Prediction)]
+        summary = [Note(each) for v in by_equation[:1] for each in v.heads[1:-1]]
+        summary += [Note(f"{v.name}: {v.headline}") for v in by_equation]
     room = variants[0].before
     f, shown = room.centre_frequencies, [v.shown for v in variants]
     ends = None if target is None else (target.low, target.high)
@@ -38,7 +40,7 @@ def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Pag
 
     def of(variant: Any) -> list[Any]:
         """Return what a prediction prints below its title."""
-        blocks = variant.blocks()[2 if isinstance(variant, Prediction) else 1 :]
+        blocks = variant.blocks()[len(variant.heads) if isinstance(variant, Prediction) else 1 :]
         if isinstance(result, Design):  # which has said the rest
             blocks = [*tables(blocks)][1:]
         elif target is not None:

@@ -199,12 +199,44 @@ def check_seconds(seconds: float) -> float:
 def check_walls(geometry: Polyhedron, room: Room) -> NDArray[np.int64]:
     """Return the number of each face's material, (n_faces,).
 
-    DataError for a wall material that the room lacks, or a volume off by `OFF_VOLUME`.
+    DataError for a wall material that the room lacks, a volume off by `OFF_VOLUME`, and as
+    `refuse_powers_of_ten`.
     """
     rows = room.material_rows(geometry.materials)
+    refuse_powers_of_ten(geometry, room)
     if doubt := volume_doubt(geometry, room):
         raise DataError(doubt)
     return read_only(rows)
+
+
+def refuse_powers_of_ten(geometry: Polyhedron, room: Room) -> None:
+    """Raise DataError where the volume or an area is a power of ten times that of the geometry.
+
+    A unit or a decimal point is wrong, and nothing that is computed with it could be right.
+    """
+    sizes = [("volume", "m³", room.volume, geometry.volume)]
+    sizes += [
+        (f'area of "{room.materials[i]}"', "m²", float(room.areas[i]), own)
+        for i, own in enumerate(_face_areas(geometry, room).tolist())
+    ]
+    for name, unit, stated, own in sizes:
+        power = round(float(np.log10(stated / own))) if stated and own else 0
+        if not power or abs(stated / own / 10.0**power - 1) > OFF_VOLUME:
+            continue
+        hint = "check its decimal point and unit"
+        if unit == "m³" and power % 3 == 0:
+            hint = (
+                f"with unit = {room.scene.unit * 10.0 ** (power // 3):g} in [geometry] both agree"
+            )
+        raise DataError(
+            f"{name} = {stated:.4g} {unit} is 10^{power} times the {own:.4g} {unit} of the mesh: {hint}"
+        )
+
+
+def _face_areas(geometry: Polyhedron, room: Room) -> Array:
+    """Return the area of each material in a geometry, (n_materials,)."""
+    rows = np.array(room.material_rows(geometry.materials))
+    return np.bincount(rows, geometry.face_areas, room.n_materials)
 
 
 def volume_doubt(geometry: Polyhedron, room: Room) -> str:
@@ -222,8 +254,7 @@ def area_doubt(geometry: Polyhedron, room: Room) -> str:
 
     Of materials that the geometry lacks, such as small objects, nothing is said.
     """
-    rows = np.array(room.material_rows(geometry.materials))
-    own = np.bincount(rows, geometry.face_areas, room.n_materials)
+    own = _face_areas(geometry, room)
     off = [i for i in np.flatnonzero(own).tolist() if abs(room.areas[i] / own[i] - 1) > OFF_VOLUME]
     if not off:
         return ""

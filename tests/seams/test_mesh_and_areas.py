@@ -81,7 +81,12 @@ def test_a_mesh_that_cannot_be_read_is_said_and_stops_no_equation(
             "with unit = 1 in [geometry] both agree",
         ),
         ("volume = 179.20000000000002", "volume = 17.92", "volume = 17.92 m³ is 10^-1 times"),
-        (r"area = ([\d.]+)", r"area = \g<1>e2", "areas = 2.208e+04 m² is 10^2 times"),
+        (r"area = ([\d.]+)", r"area = \g<1>e2", 'area of "parquet" = 5600 m² is 10^2 times'),
+        (
+            "area = 12.8",
+            "area = 128",
+            'area of "glass" = 128 m² is 10^1 times the 12.8 m² of the mesh',
+        ),
     ],
 )
 def test_a_power_of_ten_between_room_and_mesh_is_refused(
@@ -93,8 +98,17 @@ def test_a_power_of_ten_between_room_and_mesh_is_refused(
     changed = re.sub(old, new, text)
     assert changed != text
     path.write_text(changed)
-    with pytest.raises(SystemExit) as stop:
-        main(["calibrate", str(path), str(files / "pairs.csv"), "--out", str(files / "made")])
-    assert stop.value.code == 2
-    assert said in " ".join(capsys.readouterr().err.split())
-    assert not (files / "made").exists()
+    made = ["--out", str(files / "made")]
+    commands = {
+        "calibrate": made,
+        "fit": made,
+        "find": made,
+        "predict": ["--change", str(path), *made],
+        "loop start": ["--state", str(files / "state.json"), *made],
+    }
+    for command, options in commands.items():
+        with pytest.raises(SystemExit) as stop:
+            main([*command.split(), str(path), str(files / "pairs.csv"), *options])
+        assert stop.value.code == 2
+        assert said in " ".join(capsys.readouterr().err.split())
+        assert not (files / "made").exists()
