@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics.bands import label, labels, span
 from rtcal.acoustics.bands import notes as notes_of_bands
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.marks import TrustMark, explained, gap_jnd, of_input, of_row, rms
+from rtcal.acoustics.marks import TrustMark, explained, gap_jnd, of_input, of_row, of_unit, rms
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, TARGET, observable, parameter_label
 from rtcal.acoustics.room import Room, refuse_repeated_data
@@ -1262,7 +1262,7 @@ def record(
         )
     elif last is not None and not loop.follows(step, last):
         doubt = (
-            "T is about that of the last step, though alpha changed: was the room that was written last "
+            "T is about that of the last step, though alpha changed: was the room written last "
             "simulated, and with its coefficients?"
         )
     if doubt and not again:
