@@ -292,12 +292,12 @@ class CalibrationProblem(Composition, Generic[R]):
                     f"{certificate.dual_residual:.1e}, gap {certificate.duality_gap:.1e}"
                 )
         except InfeasibleError as error:
-            doubts = [
+            said: list[str] = [
                 as_sentence(doubt.sentence)
                 for one, there in zip(rooms.rooms, times, strict=True)
                 for doubt in of_input(one, there.reverberation_time, there.mistyped)
             ]
-            error.args = (" ".join([*dict.fromkeys(doubts), str(error)]),)
+            error.args = (" ".join([*dict.fromkeys(said), str(error)]),)
             raise
         u = program.unknowns(numbers, point.v)
         active = problem.unknowns_at(numbers, point.at)

@@ -186,6 +186,8 @@ _CLOSE_TARGETS = np.log(1.1)
 then known within 10 %, two JND."""
 _STUCK_STEPS = 3
 """Steps with different coefficients and the same T20 after which T does not depend on alpha."""
+_JND = 0.05
+"""One JND of T, as a share of it."""
 _LEAST_SLOPE = 0.1
 """Change of ln T over the equation's below which a table is hardly of the coefficients written last."""
 _AT_LIMIT = 1e-9  # relative; rounding of a target that was set to the limit
@@ -604,7 +606,7 @@ class Loop(Result):
             wanted = np.log(self._expected(step, last) / last.simulated)
             got = np.log(step.simulated / last.simulated)
         both = np.isfinite(wanted) & np.isfinite(got)
-        if not both.any() or rms(wanted[both]) < TARGET.jnd_of(1.0):
+        if not both.any() or rms(wanted[both]) < _JND:
             return True
         return bool(got[both] @ wanted[both] >= _LEAST_SLOPE * (wanted[both] @ wanted[both]))
 

@@ -236,7 +236,7 @@ def refuse_powers_of_ten(geometry: Polyhedron, room: Room) -> None:
 def _face_areas(geometry: Polyhedron, room: Room) -> Array:
     """Return the area of each material in a geometry, (n_materials,)."""
     rows = np.array(room.material_rows(geometry.materials))
-    return np.bincount(rows, geometry.face_areas, room.n_materials)
+    return np.asarray(np.bincount(rows, geometry.face_areas, room.n_materials), dtype=float)
 
 
 def volume_doubt(geometry: Polyhedron, room: Room) -> str:
