@@ -303,8 +303,6 @@ def test_lost_paths_are_dropped_and_the_others_weigh_more():
 def test_bad_input(diffuse):
     with pytest.raises(DataError, match="n_materials, n_bands"):
         diffuse.energy(np.zeros((2, 1)), np.zeros(1), BIN)
-    with pytest.raises(DataError, match="same place"):
-        trace(BOX, SOURCE, SOURCE, 0.5, 0.1)
 
 
 def test_jackknife_of_a_mean_is_its_standard_error():

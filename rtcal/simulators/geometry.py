@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.measurement import SAME_PLACE
 from rtcal.acoustics.room import AXES, Surface
 from rtcal.files.disk import write_text
 from rtcal.support import checks
@@ -268,6 +269,24 @@ class Polyhedron:
             if not free:
                 raise DataError(f'{kind} "{name}" = {_place(place)} is outside the room')
         return places
+
+    def positions(
+        self, sources: Mapping[str, Any], receivers: Mapping[str, Any]
+    ) -> tuple[Array, Array]:
+        """Return the positions of sources and receivers, (n, 3) each.
+
+        Raises DataError as `require_inside`, and for a source and a receiver at one place, within a
+        centimetre: their direct sound has no limit.
+        """
+        of_sources = self.require_inside("source", sources)
+        of_receivers = self.require_inside("receiver", receivers)
+        apart = np.linalg.norm(of_sources[:, np.newaxis] - of_receivers, axis=2)
+        for s, r in np.argwhere(apart <= SAME_PLACE)[:1].tolist():
+            raise DataError(
+                f'source "{[*sources][s]}" and receiver "{[*receivers][r]}" are at the same place, '
+                f"{_place(of_sources[s])}"
+            )
+        return of_sources, of_receivers
 
 
 def _points(place: str, values: Any) -> Array:

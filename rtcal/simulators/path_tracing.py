@@ -84,9 +84,9 @@ class Tracer(RoomSimulator, ABC):
     def __post_init__(self) -> None:
         checks.instance("room", self.room, Room)
         checks.instance("geometry", self.geometry, Polyhedron)
-        for kind in ("sources", "receivers"):
-            points = checks.mapped(kind, getattr(self, kind))
-            self.geometry.require_inside(kind[:-1], points)
+        of_kinds = {k: checks.mapped(k, getattr(self, k)) for k in ("sources", "receivers")}
+        self.geometry.positions(**of_kinds)
+        for kind, points in of_kinds.items():
             places = {str(name): tuple(map(float, point)) for name, point in points.items()}
             object.__setattr__(self, kind, places)
         checks.whole("n_batches", self.n_batches, 1)
@@ -847,8 +847,6 @@ def direct_lengths(geometry: Polyhedron, sources: Array, receivers: Array) -> Ar
     for s, source in enumerate(sources):
         vectors = receivers - source
         lengths[s] = np.linalg.norm(vectors, axis=1)
-        if not lengths[s].all():
-            raise DataError("a source and a receiver are at the same place")
         directions = vectors / lengths[s][:, np.newaxis]
         origins = np.tile(source, (len(vectors), 1))
         _, t = first_hit(origins, directions, walls, sides)
@@ -912,8 +910,8 @@ class PathTracing(Tracer):
     Raises
     ------
     DataError
-        For positions outside the room, walls of other materials, another volume, or a number
-        outside its range.
+        For positions outside the room, a source at a receiver, walls of other materials, another
+        volume, or a number outside its range.
 
     Notes
     -----

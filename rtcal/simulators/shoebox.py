@@ -176,15 +176,14 @@ def shoebox_of(room: Room, sources: Mapping[str, Point], receivers: Mapping[str,
                 f"{' x '.join(f'{d:g}' for d in np.ptp(box.vertices, axis=0))} m have "
                 f"{box.areas.get(material, 0.0):.4g} m²"
             )
+    of_sources, of_receivers = box.positions(sources, receivers)
     made = Shoebox(
         dimensions=np.ptp(box.vertices, axis=0),
         walls=np.array([room.material_index(material) for material in box.materials]),
-        sources=box.require_inside("source", sources),
-        receivers=box.require_inside("receiver", receivers),
+        sources=of_sources,
+        receivers=of_receivers,
         pairs=tuple((s, r) for s in sources for r in receivers),
     )
-    if any((made.receivers == source).all(axis=1).any() for source in made.sources):
-        raise DataError("a source and a receiver are at the same place")
     for values in made[:4]:
         values.setflags(write=False)
     return made

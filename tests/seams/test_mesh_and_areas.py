@@ -58,6 +58,30 @@ def test_another_volume_hides_no_area(files: Path, capsys: pytest.CaptureFixture
     assert "not compared" not in said
 
 
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("S1", 'source "S1" and receiver "R1" are at the same place'),
+        ("99, 1, 1", 'receiver "R1" = (99, 1, 1) m is outside the room'),
+    ],
+)
+def test_a_position_that_cannot_be_is_refused_before_anything_is_simulated(
+    files: Path, capsys: pytest.CaptureFixture[str], place: str, said: str
+) -> None:
+    """A receiver in the source was refused after the minutes of the simulations."""
+    path = files / "room.toml"
+    scene = rt.Room.from_file(str(path)).scene
+    of_source = ", ".join(f"{x:g}" for x in scene.sources["S1"])
+    point = of_source if place == "S1" else place
+    path.write_text(re.sub(r"(?m)^R1 = .*$", f"R1 = [{point}]", path.read_text()))
+    for command in ("fit", "find"):
+        with pytest.raises(SystemExit) as stop:
+            main([command, str(path), str(files / "pairs.csv")])
+        assert stop.value.code == 2
+        assert said in " ".join(capsys.readouterr().err.split())
+        assert not (files / ".rtcal_cache").exists()
+
+
 def test_a_mesh_that_cannot_be_read_is_said_and_stops_no_equation(
     files: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
