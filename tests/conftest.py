@@ -46,7 +46,7 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder for control runs and weighings, one for all tests and processes of a run.
+    """A folder for reference simulations and weighings, one for all tests and processes of a run.
 
     What is kept has the name of all that it depends on, and is written whole: no process waits.
     """
@@ -64,7 +64,7 @@ def found(kept: Path) -> Finding:
 
 @pytest.fixture(scope="module")
 def runs_kept(kept: Path) -> Iterator[None]:
-    """Let commands keep control rooms in `kept`, instead of beside each test's own files."""
+    """Let commands keep reference rooms in `kept`, instead of beside each test's own files."""
     from rtcal.finder.means import engines
 
     with pytest.MonkeyPatch.context() as patch:

@@ -1,4 +1,4 @@
-"""The simulator's error without the noise that the control runs' finite paths make."""
+"""The simulator's error without the noise that the reference simulations' finite paths make."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ RUNS = 400
 
 
 def runs(rng, noise, common=0.03, own=0.02):
-    """Return control runs with a known error, and the noise of their paths on top."""
+    """Return reference simulations with a known error, and the noise of their paths on top."""
     shape = (RUNS, 2, len(PAIRS), 3)
     errors = common * rng.standard_normal((RUNS, 2, 1, 3)) + own * rng.standard_normal(shape)
     return ControlRuns(

@@ -96,7 +96,7 @@ def case_with(t20: np.ndarray, **more: np.ndarray) -> Case:
 
 
 def controls_of(case: Case, spread: float = 0.02) -> list[ControlRooms]:
-    """Control rooms without an engine: what the model errs by, drawn."""
+    """Reference rooms without an engine: what the model errs by, drawn."""
     rng = np.random.default_rng(1)
     shape = (40, len(case.configurations), 5, case.room.n_bands)
     scale = np.array([1, 1, 0.7, 20, 20])[:, None] * spread

@@ -58,7 +58,7 @@ def measurement(values: dict[str, np.ndarray]) -> rt.Measurement:
 
 
 def controls() -> list[ControlRooms]:
-    """Control rooms without an engine."""
+    """Reference rooms without an engine."""
     scale = 0.02 * np.array([1, 1, 0.7, 20, 20])[:, None]
     rng = np.random.default_rng(1)
     return [ControlRooms(n, scale * rng.standard_normal((40, 1, 5, 6))) for n in ("one", "other")]

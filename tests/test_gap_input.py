@@ -346,7 +346,7 @@ def test_a_saved_case_keeps_what_its_measurement_is(tmp_path: Path) -> None:
     refused(lambda: find(loaded, controls=controls_of(case)), "it can only be planned")
 
 
-# Control rooms that were simulated before.
+# Reference rooms that were simulated before.
 
 
 @pytest.mark.long

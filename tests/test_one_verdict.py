@@ -119,7 +119,7 @@ def test_what_is_drawn_belongs_to_a_name() -> None:
 
 @pytest.mark.long
 def test_other_control_rooms_hardly_move_the_evidence() -> None:
-    """Over six sequences of control rooms the standard deviation was 0.014 and 0.39 nats."""
+    """Over six sequences of reference rooms the standard deviation was 0.014 and 0.39 nats."""
     case = rt.datasets.hidden_room()[0]
     found = [rt.find(case, controls=control_rooms(case, seed)) for seed in range(4)]
     assert np.std([f.families["added absorption"] for f in found], ddof=1) < 0.01

@@ -192,7 +192,7 @@ def test_the_scattering_is_fitted_to_what_was_measured(case, result):
     )
     told = rt.calibrate_positions(tracing(room), room, measured, match=MATCH, controls=few)
     assert told.scattering is None  # four runs do not tell what the other model adds
-    assert "too few control runs" in str(told)
+    assert "too few reference simulations" in str(told)
 
 
 def test_what_was_measured_tells_the_scattering_of_each_material():
@@ -242,7 +242,7 @@ def test_a_second_calibration_traces_no_control_run(case, result, tmp_path, monk
     assert runs == [(n, 4) for n in range(1, 5)]
     second = calibrate()
     assert runs[4:] == []  # they were kept
-    # The control runs made the first one's decays longer, by which Ts changes a little.
+    # The reference simulations made the first one's decays longer, by which Ts changes a little.
     np.testing.assert_allclose(first.alpha, second.alpha, atol=1e-3)
     next(iter(tmp_path.iterdir())).write_bytes(b"broken")
     third = calibrate()

@@ -48,7 +48,7 @@ def measured():
 
 
 FOLDER: dict[str, Path] = {}
-"""The folder of control runs, for `calibrate`."""
+"""The folder of reference simulations, for `calibrate`."""
 
 
 @pytest.fixture(autouse=True)
@@ -178,7 +178,7 @@ def test_all_pairs_at_one_place_are_refused(measured):
 def test_control_runs_of_another_simulator_are_refused(tracer, measured):
     controls = calibrate(tracer, only(measured, [0, 1])).controls
     one = traced({"new": PLACES["receivers"]["R1"]})
-    with pytest.raises(DataError, match="the control runs lack S1 to new"):
+    with pytest.raises(DataError, match="the reference simulations lack S1 to new"):
         calibrate(one, only(measured, [0], [("S1", "new")]), controls=controls)
     with pytest.raises(DataError, match="at least 2 runs"):
         measured_pairs.ControlRuns(
@@ -244,7 +244,7 @@ def test_shoebox_simulators_hear_levels_and_are_calibrated(simulator):
         values={("g" if p == "level" else p): seen.natural(p) for p in MATCH},
     )
     result = rt.calibrate_positions(simulator, BOX, measured, match=MATCH)
-    # Its control runs are path tracings, so its own decays are not taken at their word.
+    # Its reference simulations are path tracings, so its own decays are not taken at their word.
     assert result.interval is not None
     assert result.certificate.worst < 1e-9
     assert result.sigma[0, 0] < 0.95 * BOX.sigma[0, 0]

@@ -94,7 +94,7 @@ def case_with(*effects: AppliedEffect) -> Case:
 
 
 def controls_of(case: Case) -> list[ControlRooms]:
-    """Control rooms without an engine: what the model errs by, drawn."""
+    """Reference rooms without an engine: what the model errs by, drawn."""
     rng = np.random.default_rng(1)
     shape = (40, len(case.configurations), len(FEATURES), case.room.n_bands)
     scale = 0.01 * np.array([1, 1, 0.7, 20, 20])[:, None]

@@ -140,16 +140,16 @@ def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(
     def stop(what: str, done: int, of: int) -> None:
         assert 0 < done <= of
         told.append(what)
-        if what != "control runs":
+        if what != "reference simulations":
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         rt.find(case, **tried, progress=stop)
-    assert told.count("control runs") > 1
+    assert told.count("reference simulations") > 1
     again: list[str] = []
     rt.find(case, **tried, progress=lambda what, done, of: again.append(what))
     assert again
-    assert "control runs" not in again
+    assert "reference simulations" not in again
     last: list[str] = []
     rt.find(case, **tried, progress=lambda what, done, of: last.append(what))
     assert not last

@@ -1,4 +1,4 @@
-"""The error of what `rtcal.finder.positions` compares, from control runs whose errors are known."""
+"""The error of what `rtcal.finder.positions` compares, by reference simulations of known errors."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def error_of(
 
 
 def with_noise(error: float, noise: float, more_paths: int = 1) -> Any:
-    """Return the error of control runs, the difference of two tracings of ``noise`` each."""
+    """Return the error of reference simulations, the difference of two tracings of ``noise`` each."""
     rng = np.random.default_rng(1)
     runs = error * rng.standard_normal((RUNS, *SHAPE))
     runs += noise * np.sqrt(2 / more_paths) * rng.standard_normal(runs.shape)

@@ -86,7 +86,7 @@ class Observable(ABC):
     teams: ClassVar[tuple[float, ...]]
     """Standard deviation between teams at one pair of positions, as observed, by `OCTAVES`."""
     unknown_error: ClassVar[float]
-    """Standard deviation of a simulator's error that no control run tells, as observed."""
+    """Standard deviation of a simulator's error that no reference simulation tells, as observed."""
     remeasured: ClassVar[float] = 0.01
     """Standard deviation by which all pairs of a band differ, as observed, if it is measured anew and
     nothing changed."""

@@ -527,11 +527,11 @@ def bar_wanted() -> bool:
 
 @contextmanager
 def control_bar() -> Iterator[Callable[[int, int], None]]:
-    """Show a bar of the simulator's control runs; it yields what counts them."""
+    """Show a bar of the simulator's reference simulations; it yields what counts them."""
     from rtcal.loop.measured_pairs import RUNS
     from rtcal.support.speed import bar, following
 
-    with bar(RUNS, "control run", bar_wanted(), said()) as shown:
+    with bar(RUNS, "reference simulation", bar_wanted(), said()) as shown:
         yield following(shown)
 
 

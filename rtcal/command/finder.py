@@ -298,8 +298,8 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     MEASURED has every pair of them, the answer says on which surface (docs/where.md). A CASE is one
     file that names a room, its equation, and measurements by configuration (docs/files.md).
 
-    The first search simulates control rooms, which takes a minute or more. They, what is found and its
-    verification are kept beside ROOM or CASE, in .rtcal_cache: the same search is made once.
+    The first search simulates reference rooms, which takes a minute or more. They, what is found and
+    its verification are kept beside ROOM or CASE, in .rtcal_cache: the same search is made once.
 
     With --most 3, sets of up to three effects are compared, and each effect has the probability that it
     is there at all. With --out the finding is kept: `rtcal verify`, `apply`, `plan` and `report` read

@@ -290,7 +290,7 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 MAX_BYTES = 2**28
-"""Largest size of a file; errors of 60 control rooms in 60 configurations have 1 MB."""
+"""Largest size of a file; errors of 60 reference rooms in 60 configurations have 1 MB."""
 
 
 def read(path: Path, limit: int = MAX_BYTES) -> Array | None:

@@ -32,7 +32,7 @@ from rtcal.support.errors import DataError
 NUMBERS = "result.json"
 """Name of a result's file in its folder."""
 MAX_BYTES = 2**28
-"""Largest size of a file in bytes: control runs of a large room have some 10 MB."""
+"""Largest size of a file in bytes: reference simulations of a large room have some 10 MB."""
 NOT_SAVED = {"saved": False}
 """Metadata of a dataclass field that is not stored, such as what was compiled."""
 _OBJECT = "object"

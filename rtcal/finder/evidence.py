@@ -72,12 +72,12 @@ def _whiten(factors: Array, rows: Array) -> None:
 
 DEGREES = 5.0
 """Degrees of freedom of the densities: Student's t of covariance C; infinite is the normal density. C
-is estimated from few control rooms, and other rooms differ from them, so its scale is uncertain.
+is estimated from few reference rooms, and other rooms differ from them, so its scale is uncertain.
 Chosen on development rooms of both worlds."""
 COARSENING = 50.0
 """Number of features at which the log likelihood counts half: its power is 50 / (50 + n).
 
-No model is exact, and the covariance of its errors is estimated from few control rooms, so n features
+No model is exact, and the covariance of its errors is estimated from few reference rooms, so n features
 say less than n independent ones would. A density of the data being near the model's, instead of equal
 to them, has this power (Miller & Dunson 2019, the coarsened posterior). Chosen on
 development rooms of both worlds."""

@@ -67,8 +67,8 @@ def find(
         Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, where the room's scene is
         traced: in place of a ``simulator``.
     seed : int
-        Of control runs, paths and the bootstrap at positions, and of two states. A search by means over
-        positions draws nothing: control rooms and null rooms are fixed sequences.
+        Of reference simulations, paths and the bootstrap at positions, and of two states. A search by
+        means over positions draws nothing: reference rooms and null rooms are fixed sequences.
     **options
         - ``effects``: sequence of `Effect`; the effects to try, by default the whole library. At
           positions those that stand on surfaces are sought on each of them (`Effect.stands_on`). Of two

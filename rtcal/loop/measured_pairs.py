@@ -5,11 +5,11 @@ of bandwidth B a response is noise-like: the energy within dt scatters by 1 / sq
 each pair, and every parameter follows. The second part is common to all pairs of a band: equipment and
 evaluation.
 
-The simulator's own error is that of control runs in the room's own geometry. A control run is a path
-tracing of the same room in which everything differs that is not known: how the walls scatter, where
-exactly sources and receivers stand, the random numbers, and alpha, which is drawn from the prior. Its
-values less the simulator's for the same alpha are an error as the simulator may have against the real
-room. The covariance of these errors says how far to trust it.
+The simulator's own error is that of reference simulations in the room's own geometry. A reference
+simulation is a path tracing of the same room in which everything differs that is not known: how the
+walls scatter, where exactly sources and receivers stand, the random numbers, and alpha, which is drawn
+from the prior. Its values less the simulator's for the same alpha are an error as the simulator may
+have against the real room. The covariance of these errors says how far to trust it.
 
 No input states how a room scatters as a tracer takes it. The traced paths give the dependence of every
 observation on the scattering of each material (`PathTracing.scattering_jacobian`), so the scattering
@@ -17,9 +17,9 @@ coefficients are unknowns as alpha is, with a wide prior around the input. A fir
 to the measurement. The room is traced once more with them, and the calibration's steps go on from
 there.
 
-Control runs differ in scattering, too. They show what the other meaning of the coefficients adds, and
-which error is left: it is larger where less is scattered. The noise of the control runs is no part of
-it, and runs far from the line count less.
+Reference simulations differ in scattering, too. They show what the other meaning of the coefficients
+adds, and which error is left: it is larger where less is scattered. The noise of the reference
+simulations is no part of it, and runs far from the line count less.
 """
 
 from __future__ import annotations
@@ -668,22 +668,22 @@ def sentences(gaps: Gaps, frequencies: Array) -> Iterator[str]:
 
 
 RUNS = 16
-"""Traces for the control runs."""
+"""Traces for the reference simulations."""
 SCATTERING = (0.1, 0.85)
-"""Scattering coefficients of the control runs: those of ordinary walls and furniture."""
+"""Scattering coefficients of the reference simulations: those of ordinary walls and furniture."""
 MODELS: tuple[ScatteringModel, ...] = ("random", "vector")
 _BETWEEN_MATERIALS = 0.12
 """Standard deviation of the materials' scattering coefficients around the level of a run."""
 _PATHS = 6000
-"""Most paths of a control run, per source, `DENSER` times as many where they are thinned."""
+"""Most paths of a reference simulation, per source, `DENSER` times as many where they are thinned."""
 
 Simulated = Callable[[Simulator, Array, int], Array]
 """The values of a simulator in another state of the room, (n_parameters, n_pairs, n_bands): for alpha
 (n_materials, n_bands) before the change, and a seed."""
 AHEAD = 3.0
 """How many times Eyring's T of the prior the paths of a simulator are followed. In ten development
-rooms T20 of the control runs' draws needed up to 2.2 times as much, in 40 rooms of other seeds at most
-3 times but for one."""
+rooms T20 of the reference simulations' draws needed up to 2.2 times as much, in 40 rooms of other seeds
+at most 3 times but for one."""
 _FIRST = 8.0
 """How many times Eyring's T the first run of each model follows the decays; it scatters least. The
 others scatter more and more, and follow them for as long as the four before needed."""
@@ -696,20 +696,20 @@ of 20 boxes with little scattering T20 of a run was above 12 times Eyring's T.""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlRuns:
-    """Errors of a simulator in reference simulations, called control runs here.
+    """Errors of a simulator in reference simulations, called reference simulations here.
 
     Attributes
     ----------
     parameters, pairs : tuple
         As in `rtcal.simulators.base.Observations`.
     errors : array (n_runs, n_parameters, n_pairs, n_bands)
-        Values of a control run less the simulator's for the same alpha.
+        Values of a reference simulation less the simulator's for the same alpha.
     levels : array (n_runs,), optional
         Mean scattering coefficient of each run over the surfaces, by area.
     models : tuple of str (n_runs,)
         Scattering model of each run.
     more_paths : int
-        Number of paths, over that in the control runs of a calibration; see `simulated_controls`.
+        Number of paths, over that in a calibration's reference simulations; see `simulated_controls`.
     """
 
     parameters: tuple[str, ...]
@@ -745,7 +745,9 @@ class ControlRuns:
         if missing := [p for p in parameters if p not in self.parameters] or [
             " to ".join(p) for p in pairs if p not in self.pairs
         ]:
-            raise DataError(f"the control runs lack {missing[0]}: they belong to another simulator")
+            raise DataError(
+                f"the reference simulations lack {missing[0]}: they belong to another simulator"
+            )
         rows = [self.parameters.index(p) for p in parameters]
         columns = [self.pairs.index(p) for p in pairs]
         return replace(
@@ -842,7 +844,7 @@ def simulated_controls(
     after: Sequence[tuple[Sequence[str], Simulated]] = (),
     more_paths: int = 1,
 ) -> ControlRuns | None:
-    """Return the errors of a simulator in `RUNS` control runs; None if it has no geometry to trace.
+    """Return the errors of a simulator in `RUNS` reference simulations; None without a geometry.
 
     `PathTracing`, `ScatteringDelayNetwork` and `ImageSource` have one.
 
@@ -957,11 +959,11 @@ def simulated_controls(
 
 
 GROUPS = 4
-"""Groups of paths whose differences tell the noise of a control run."""
+"""Groups of paths whose differences tell the noise of a reference simulation."""
 
 
 def noise_of_a_run(simulator: Any, groups: Array | None) -> Array:
-    """Return the variance of a control run's values by its finite paths, (n_parameters, n_bands).
+    """Return the variance of one's values by its finite paths, (n_parameters, n_bands).
 
     ``groups`` (n_groups, p, i, k) are the values of groups of the simulator's paths; None for none.
     """
@@ -1018,7 +1020,7 @@ def _varied(
 
 
 def paths_of_a_run(tracer: PathTracing) -> int:
-    """Return the number of paths per source of the control runs of a tracing."""
+    """Return the number of paths per source of the reference simulations of a tracing."""
     return min(_PATHS if tracer.thinned is None else DENSER * _PATHS, tracer.n_paths)
 
 
@@ -1091,7 +1093,7 @@ _COEFFICIENTS = 3
 """Of every value's dependence on scattering: a constant, one for the other model, and a slope. In ten
 development rooms polynomials of degree 2 for each model predicted unfitted pairs less well."""
 _PASSES = 2
-"""Times that the weights of the control runs are found anew."""
+"""Times that the weights of the reference simulations are found anew."""
 _POWERS = (-4.0, 0.5)
 """Limits of the power of the level that a variance is proportional to."""
 _RIDGE = 0.3
@@ -1245,7 +1247,7 @@ def fitted(tracer: PathTracing, log_odds: Array, posterior: Array) -> Scattering
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ErrorsByScattering:
-    """The simulator's errors as control runs tell them, by level and model of scattering.
+    """The simulator's errors as reference simulations tell them, by level and model of scattering.
 
     Attributes
     ----------
@@ -1283,7 +1285,7 @@ class ErrorsByScattering:
 
 
 def errors_by_scattering(controls: ControlRuns, noise: Array) -> ErrorsByScattering | None:
-    """Return how the errors of control runs depend on scattering, by weighted least squares.
+    """Return how the errors of reference simulations depend on scattering, by weighted least squares.
 
     None if the runs are too few, or do not differ in scattering. ``noise`` (n_parameters, n_bands) is
     the variance of a run's values by its finite number of paths.
@@ -1347,6 +1349,6 @@ def log_likelihood(residual: Array, covariance: Array) -> float:
 
 
 def basis(levels: ArrayLike, models: ArrayLike) -> Array:
-    """Return the columns that a value depends on, (n, 3): nearly orthogonal over the control runs."""
+    """Return the columns that a value depends on, (n, 3): nearly orthogonal over the simulations."""
     level, model = np.asarray(levels, dtype=float), np.asarray(models, dtype=float)
     return np.stack([np.ones_like(level), model - 0.5, level - np.mean(SCATTERING)], axis=1)

@@ -129,9 +129,9 @@ def unexplained_errors(
 ) -> Array:
     """Return each parameter's unexplained error in JND under which what was measured is likeliest.
 
-    The error differs from value to value: control runs vary what all pairs have in common, but no
-    furniture and no directivity that a pair alone meets. A common factor of the simulator's error would
-    also explain a T that is off at every pair, so that T would not be fitted.
+    The error differs from value to value: reference simulations vary what all pairs have in common, but
+    no furniture and no directivity that a pair alone meets. A common factor of the simulator's error
+    would also explain a T that is off at every pair, so that T would not be fitted.
 
     Parameters
     ----------
@@ -684,7 +684,7 @@ def calibrate_positions(
         simulator with a geometry (`rtcal.loop.measured_pairs`). For others it is not known, and no
         interval is stated.
     cache : path, optional
-        Folder in which the control runs are kept.
+        Folder in which the reference simulations are kept.
     position_uncertainty : float
         Root mean square distance of sources and receivers from where they are stated, in m; at
         most 1.
@@ -696,7 +696,7 @@ def calibrate_positions(
     seed : int
         Seed of all simulations.
     progress : callable, optional
-        Called with the number of finished control runs and their total.
+        Called with the number of finished reference simulations and their total.
 
     Raises
     ------
@@ -760,7 +760,7 @@ def calibrate_positions(
     if stated := in_words(room):
         notes = (*notes, f"The room is uncertain, and that counts: {stated}.")
     _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
-    # Of too few paths a warning comes before the control runs.
+    # Of too few paths a warning comes before the reference simulations.
     groups = able.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
     if groups is not None and tracer is not None:
         _tell_noise(groups, match, tracer)
@@ -965,7 +965,7 @@ def _kept(tracer: PathTracing, beyond: BeyondPrior | None) -> str:
         return 'The scattering stated was kept: only "random" paths tell what another would change.'
     if np.isin(tracer.scattering, (0.0, 1.0)).all():
         return "The scattering stated was kept: coefficients of 0 and 1 are not changed."
-    return "The scattering stated was kept: too few control runs tell what it changes."
+    return "The scattering stated was kept: too few reference simulations tell what it changes."
 
 
 def gap_table(
@@ -1023,7 +1023,7 @@ class PositionsResult(Result):
     scattering : Scattering or None
         The scattering that was fitted; None where the one stated was kept.
     simulations : int
-        Number of all evaluations of the simulator or its derivatives, without control runs.
+        Number of all evaluations of the simulator or its derivatives, without reference simulations.
         `PathTracing` weighs the same traced paths in each.
     measured : MeasuredPairs
         What was matched; its ``observations`` name parameters and pairs.
@@ -1036,8 +1036,8 @@ class PositionsResult(Result):
         What was measured at the pairs that were excluded, before and after; without the level.
     predicted : Observations
         The values at all positions of the simulator with the coefficients returned, also those that
-        were not measured. Where control runs tell the simulator's error, its mean given what was
-        measured is added: what all pairs have in common, such as other scattering.
+        were not measured. Where reference simulations tell the simulator's error, its mean given what
+        was measured is added: what all pairs have in common, such as other scattering.
     controls : ControlRuns or None
         The simulator's error, to be given to a second calibration. None if it is not known.
     unexplained : array (n_parameters,)
@@ -1139,7 +1139,7 @@ class PositionsResult(Result):
     def interval(self) -> tuple[Array, Array] | None:
         """Ends of the 90 % interval of alpha within [0, 1], each (n_materials, n_bands).
 
-        None if the simulator's error is not known: no control runs.
+        None if the simulator's error is not known: no reference simulations.
         """
         if self.controls is None:
             return None
@@ -1369,7 +1369,7 @@ class PositionsResult(Result):
             ),
             (
                 "No interval",
-                "" if self.controls else "No control run tells this simulator's error.",
+                "" if self.controls else "No reference simulation tells this simulator's error.",
                 "It is assumed to be 5 % of a time and 0.5 dB of a level. Use one with a geometry.",
             ),
             (

@@ -6,11 +6,11 @@ cover lies in one place, and r the errors of the measurement,
 
     measured = f(alpha, u) + e + r,    predicted = h(alpha, u) + e' + d.
 
-Control runs are simulated in both states, so they tell the covariance of e and e' together: what is
-common to both states was measured, and what is each state's own was not. Given what was measured,
-alpha, u, e and e' are jointly normal. h is linear around the calibrated coefficients, but along the
-change of alpha that T20 depends on most: there it is a parabola through three evaluations of the same
-paths.
+Reference simulations are simulated in both states, so they tell the covariance of e and e' together:
+what is common to both states was measured, and what is each state's own was not. Given what was
+measured, alpha, u, e and e' are jointly normal. h is linear around the calibrated coefficients, but
+along the change of alpha that T20 depends on most: there it is a parabola through three evaluations of
+the same paths.
 
 What was covered is another mixture of materials on the same walls. Where the new material lies on a
 surface is not known to the room: it is spread evenly over all walls of the material that it covers, so
@@ -258,7 +258,7 @@ class PositionsPrediction(Result):
         """What the prediction assumes."""
         said = (
             f"{self.simulator}, {len(self.pairs)} pairs of source and receiver. Its error is that of "
-            "its control runs, heard before and after the change."
+            "its reference simulations, heard before and after the change."
         )
         return [Note(said), Note(words.REMARK.format(""))]
 
@@ -528,8 +528,8 @@ def _ends(
 def _errors(before: State, after: State, controls: ControlRuns) -> Array:
     """Return the covariance of the simulator's errors before and after, of all values, (n, n).
 
-    What control runs tell, what the materials' scattering does, and the noise of the paths that are
-    weighed: all control runs have the same, so they do not tell it.
+    What reference simulations tell, what the materials' scattering does, and the noise of the paths
+    that are weighed: all reference simulations have the same, so they do not tell it.
     """
     tracer, of_states = before.simulator, [s.groups for s in (before, after)]
     known = [groups for groups in of_states if groups is not None]
@@ -684,7 +684,7 @@ def predict_positions(
     position_uncertainty: float = POSITION,
     progress: Progress | None = None,
 ) -> Predictions:
-    """Predict the values at every position after changes, which share the control runs.
+    """Predict the values at every position after changes, which share the reference simulations.
 
     Parameters
     ----------
@@ -699,13 +699,13 @@ def predict_positions(
     position_uncertainty : float
         As of `rtcal.calibrate_positions`.
     progress : callable, optional
-        Called with the number of finished control runs and their total.
+        Called with the number of finished reference simulations and their total.
 
     Raises
     ------
     DataError
         For a change that the simulator does not know the place of, two variants of one name, or a
-        simulator whose error no control run tells.
+        simulator whose error no reference simulation tells.
 
     Examples
     --------
@@ -777,8 +777,8 @@ def predict_positions(
         )
     if controls is None:
         raise DataError(
-            f"no control run tells the error of {result.simulator}: predict with a simulator that "
-            "has a geometry, or T by an equation"
+            f"no reference simulation tells the error of {result.simulator}: predict with a simulator "
+            "that has a geometry, or T by an equation"
         )
     before = State(result, rooms[0], result.parameters)
     as_it_is, *after_each = (

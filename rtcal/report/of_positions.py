@@ -104,7 +104,7 @@ def page(result: PositionsResult) -> Page:
                 f"The coefficients belong to {result.simulator}, and to no other simulator. The "
                 "interval "
                 "is that of a normal distribution. The simulator's error was learned from "
-                f"{runs} control runs."
+                f"{runs} reference simulations."
             ),
             Items(result.every_note),
             Section("How to reproduce", "reproduce"),

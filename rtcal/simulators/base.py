@@ -81,7 +81,7 @@ class RoomSimulator:
 
     @property
     def tracing(self) -> Any:
-        """A path tracing of the same room, for control runs; None without a geometry."""
+        """A path tracing of the same room, for reference simulations; None without a geometry."""
         return None
 
     @property

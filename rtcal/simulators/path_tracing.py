@@ -963,7 +963,7 @@ class PathTracing(Tracer):
 
     @property
     def tracing(self) -> PathTracing:
-        """The tracing itself, in which control runs are traced."""
+        """The tracing itself, in which reference simulations are traced."""
         return self
 
     @property

@@ -191,7 +191,7 @@ def test_a_change_without_a_place_is_refused(small) -> None:
 
 def test_what_can_be_checked_is_refused_before_anything_is_simulated(small) -> None:
     def told(done: int, total: int) -> None:
-        raise AssertionError("a control run was simulated")
+        raise AssertionError("a reference simulation was simulated")
 
     for change, said in (
         (

@@ -13,7 +13,7 @@ from rtcal.finder import PositionsCase
 from rtcal.finder.finding import Finding
 from tests.test_where import heard, stated, tracing
 
-pytestmark = pytest.mark.long  # three searches, each with control runs of its own sources
+pytestmark = pytest.mark.long  # three searches, each with reference simulations of its own sources
 
 LOBE = np.linspace(1, 8, 3)
 """dB per band."""

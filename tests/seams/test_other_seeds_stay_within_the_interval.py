@@ -1,6 +1,6 @@
 """Other random numbers move what a calibration to every position reports by little of its sigma.
 
-Those of the paths: the control runs are given.
+Those of the paths: the reference simulations are given.
 """
 
 from __future__ import annotations

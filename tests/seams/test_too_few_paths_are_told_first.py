@@ -1,4 +1,4 @@
-"""A law: too few paths are told before the control runs, and that more paths would help."""
+"""A law: too few paths are told before the reference simulations, and that more paths would help."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def tracer(n_paths: int) -> rt.simulators.PathTracing:
 
 @pytest.fixture
 def measured(monkeypatch: pytest.MonkeyPatch) -> rt.Measurement:
-    """Return what was measured; control runs are not to begin."""
+    """Return what was measured; reference simulations are not to begin."""
 
     def begun(*_: object, **__: object) -> None:
-        raise AssertionError("the control runs have begun")
+        raise AssertionError("the reference simulations have begun")
 
     heard = tracer(160).simulate(HALL.room.alpha * 1.1, seed=3)
     monkeypatch.setattr(positions, "simulated_controls", begun)

@@ -1,6 +1,6 @@
-"""Control rooms: rooms like the case's, without a missing effect, in two independent simulators.
+"""Reference rooms: rooms like the case's, without a missing effect, in two independent simulators.
 
-The difference between simulator and model is the model's error. A control room is a box of the case's
+The difference between simulator and model is the model's error. A reference room is a box of the case's
 volume. Its walls along each axis absorb as much as the case's materials that face along this axis.
 alpha is drawn from the prior; positions and scattering are drawn at random.
 """
@@ -56,10 +56,10 @@ _BIN = 0.001
 
 @dataclass(frozen=True, eq=False)
 class ControlRooms:
-    """The model's errors in the control rooms of one engine.
+    """The model's errors in the reference rooms of one engine.
 
     ``errors`` (n_controls, n_configurations, n_features, n_bands) are the engine's features minus the
-    model's for the same alpha; of a configuration with a run less those of another control room.
+    model's for the same alpha; of a configuration with a run less those of another reference room.
     """
 
     engine: str
@@ -76,9 +76,9 @@ class ControlRooms:
 def bias_estimates(controls: Sequence[ControlRooms]) -> Array:
     """Return each engine's estimate of the model's bias, (n_estimates, *one room's shape).
 
-    Image sources estimate none (`ENGINES`); control rooms from outside rtcal do. The last row is 0, the
-    model's own estimate. It draws the mean over the rows towards 0, since a second simulator confirms
-    only a part of the bias that the first one shows.
+    Image sources estimate none (`ENGINES`); reference rooms from outside rtcal do. The last row is 0,
+    the model's own estimate. It draws the mean over the rows towards 0, since a second simulator
+    confirms only a part of the bias that the first one shows.
     """
     means = [c.mean for c in controls if _estimates_bias(c)]
     return np.array([*means, np.zeros_like(controls[0].mean)])
@@ -124,7 +124,7 @@ def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
 
 
 def box(case: Case) -> tuple[Room, Polyhedron, Array]:
-    """Return the control room, with one material per axis, and the share of each material by axis.
+    """Return the reference room, with one material per axis, and the share of each material by axis.
 
     With the shares (n_materials, 3), the case's alpha gives the mean alpha of the walls of an axis.
     """
@@ -164,7 +164,7 @@ def box(case: Case) -> tuple[Room, Polyhedron, Array]:
 
 @dataclass(frozen=True)
 class ControlRoom:
-    """A control room with source and receivers; ``share`` (n_materials, 3) as `box` returns it."""
+    """A reference room with source and receivers; ``share`` (n_materials, 3) as `box` returns it."""
 
     room: Room
     geometry: Polyhedron
@@ -260,17 +260,17 @@ def _features(energy: Array, width: float) -> Array:
 
 @dataclass(frozen=True)
 class Engine:
-    """An independent simulator, and the control rooms that it simulates.
+    """An independent simulator, and the reference rooms that it simulates.
 
     Attributes
     ----------
     name : str
     simulator : function
-        Prepares a control room, from it and its number.
+        Prepares a reference room, from it and its number.
     stream : int
         Stream of the random numbers, so that engines draw different rooms.
     setups : int
-        Control rooms, each with a draw of alpha from the prior.
+        Reference rooms, each with a draw of alpha from the prior.
     duration : float
         Simulated time, in reverberation times.
     models : sequence of str
@@ -289,7 +289,7 @@ class Engine:
     estimates_bias: bool = True
 
     def run(self, case: Case, seed: int, progress: TaskProgress | None = None) -> ControlRooms:
-        """Simulate the control rooms of a case.
+        """Simulate the reference rooms of a case.
 
         With a run, another setup at the run's coefficients is the program, a tracer that scatters. What
         the equation errs by cancels then, and what two geometrical programs differ by is left.
@@ -381,7 +381,7 @@ ENGINES: Mapping[str, Engine] = {
 
 
 def checked_controls(case: Case, controls: object, least: int = 2) -> tuple[ControlRooms, ...]:
-    """Return control rooms of this case's shape and of ``least`` engines; DataError otherwise."""
+    """Return reference rooms of this case's shape and of ``least`` engines; DataError otherwise."""
     every = tuple(
         checks.instance("controls", c, ControlRooms) for c in checks.listed("controls", controls)
     )
@@ -411,7 +411,7 @@ def control_rooms(
     progress: TaskProgress | None = None,
     cache: str | os.PathLike[str] | None = None,
 ) -> tuple[ControlRooms, ...]:
-    """Simulate the case's control rooms with the two engines, or read them from a folder.
+    """Simulate the case's reference rooms with the two engines, or read them from a folder.
 
     They are a fixed sequence: positions and scattering are spread evenly, and what is drawn for a
     material belongs to its name. `rtcal.find` takes that of the seed 0. Another one shows how much a

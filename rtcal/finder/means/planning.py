@@ -173,7 +173,7 @@ def plan(
         Relative change of T20 in the band that the effect changes most, above 0 and at most 1. Each
         effect has the size that comes nearest to it.
     finding : Finding, optional
-        Of this case, as `find` returns it; its control rooms show how far the model errs, which is
+        Of this case, as `find` returns it; its reference rooms show how far the model errs, which is
         `GENERIC_UNCERTAINTY` without.
     costs : mapping of str to float, optional
         Hours that a measurement takes, in place of `rtcal.finder.means.planning.COSTS`:
@@ -485,7 +485,7 @@ COSTS: Mapping[str, float] = {
 that there are. G needs a calibrated source. "planned" are configurations that a user states."""
 MORE_POSITIONS = 4
 SAME_ERROR = 0.85
-"""Correlation of the model's error between two configurations of a room. Of control rooms of twelve
+"""Correlation of the model's error between two configurations of a room. Of reference rooms of twelve
 development rooms it is 0.72 to 0.99 by feature, T30/T20 apart."""
 _ABSORBER = {"thickness": 0.05, "flow_resistivity": 12e3}
 

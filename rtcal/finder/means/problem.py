@@ -7,7 +7,7 @@ of an effect is how well it explains the measurement, in closed form.
     C = J Sigma J' + R + D + M + B
 
 y are the features, J Sigma J' their covariance from the prior on alpha and R from the measurement.
-Bias and D are the model's error as control rooms showed it. M is the error of the effect's change, in
+Bias and D are the model's error as reference rooms showed it. M is the error of the effect's change, in
 proportion to it (after Kennedy & O'Hagan 2001): `misfit`. B is the change of the decay's
 shape that the effect's position causes (`SHAPE_CHANGE`). N is Student's t with covariance C
 (`rtcal.finder.evidence.student`). Each hypothesis is evaluated twice: with the coefficients as stated,
@@ -15,8 +15,8 @@ where C has the usual error F F' that they have in common, and off together, wit
 scale s (`rtcal.finder.evidence`).
 
 The threshold is the evidence that rooms without a missing effect give by chance, by a parametric
-bootstrap: each draw takes alpha from the prior, the model's error from the control rooms, and noise
-from the measurement. One half of the control rooms gives bias and covariance, and the draws use the
+bootstrap: each draw takes alpha from the prior, the model's error from the reference rooms, and noise
+from the measurement. One half of the reference rooms gives bias and covariance, and the draws use the
 other; the few of the image sources are not divided. T20 of the first configuration and all data have a
 threshold each (`steps`), since one scale of all data dilutes what T20 shows: 5 % of these rooms exceed
 either (the smallest p-value, Westfall & Young 1993).
@@ -704,7 +704,7 @@ of one engine does not show it; that between engines does."""
 COMMON_CORRELATION = 0.85
 """Its correlation from octave to octave."""
 SHRINKAGE = 0.4
-"""Weight of the diagonal in the model's covariance, which is estimated from few control rooms."""
+"""Weight of the diagonal in the model's covariance, which is estimated from few reference rooms."""
 INFLATION = 1.2
 """Factor on the model's covariance. Chosen on development rooms, so that the threshold also holds on an
 engine that it was not estimated from (docs/discrepancy.md)."""
@@ -732,7 +732,7 @@ def checked_discrepancy(case: Case, discrepancy: object) -> ModelDiscrepancy:
 
 
 def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelDiscrepancy:
-    """Return bias and covariance of the model's discrepancy from control rooms.
+    """Return bias and covariance of the model's discrepancy from reference rooms.
 
     The bias is the mean of `bias_estimates`. The covariance is the scatter within each engine plus the
     scatter between these estimates. A sample covariance of few rooms is shrunk towards its diagonal.
@@ -1198,7 +1198,7 @@ def thresholds(scores: Array) -> Array:
 
 
 _FEW = 16
-"""Number of an engine's control rooms below which they are not divided."""
+"""Number of an engine's reference rooms below which they are not divided."""
 
 
 def _part(controls: ControlRooms, fold: int) -> ControlRooms:

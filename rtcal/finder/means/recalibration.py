@@ -205,7 +205,7 @@ def recalibrate(
     ----------
     case : Case
     discrepancy : ModelDiscrepancy, optional
-        The model's error, from control rooms, whose bias is subtracted.
+        The model's error, from reference rooms, whose bias is subtracted.
     left_out : sequence of int
         Numbers of configurations that are predicted and not fitted; not the first.
 

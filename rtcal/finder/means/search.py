@@ -134,7 +134,7 @@ def find(
     Raises
     ------
     DataError
-        For control rooms of one engine, or of another case; if the room was
+        For reference rooms of one engine, or of another case; if the room was
         calibrated on one of the case's T already; for an effect that breaks a rule, which the message
         names; if ``most`` is out of its range.
 

@@ -15,8 +15,9 @@ How much the whole room scatters is not known, nor how far each material departs
 scattering depends on frequency. The first changes too much for a derivative: in a flat room T20 moves
 twice as far towards little scattering as towards much. So it is traced at several levels (`levels`).
 The traced paths tell what the others change (`PathTracing.scattering_jacobian`), with the prior of a
-calibration to every position (`rtcal.loop.measured_pairs`). Control runs tell the rest, without the
-noise of their few paths. What is compared has noise of its own, and so have the derivatives.
+calibration to every position (`rtcal.loop.measured_pairs`). Reference simulations tell the rest,
+without the noise of their few paths. What is compared has noise of its own, and so have the
+derivatives.
 
 The evidence is linear in the shifts and Gaussian in the errors:
 
@@ -743,11 +744,11 @@ def flat(values: NDArray[Any]) -> NDArray[Any]:
 UNKNOWN_SCALES = (4.0, 16.0)
 """Factors of the variance of the simulator's error if it misses something that no effect explains."""
 OWN = 0.1
-"""Share of the control runs' variance that is each value's own. Without it, combinations of values
-decide that hardly differ between so few runs."""
+"""Share of the reference simulations' variance that is each value's own. Without it, combinations of
+values decide that hardly differ between so few runs."""
 COMMON = 0.25
-"""Share of the variance common to all pairs that is assumed. Control runs scatter from hardly at all to
-nearly everything, by which T of the whole room differs most."""
+"""Share of the variance common to all pairs that is assumed. Reference simulations scatter from hardly
+at all to nearly everything, by which T of the whole room differs most."""
 BETWEEN_OCTAVES = 0.7
 """Correlation of the scattering's part of each band between bands an octave apart. Without that part
 what was measured in a flat room that scatters little was less likely by 8 to 11 nats."""
@@ -769,8 +770,9 @@ def simulator_error(
 ) -> Array:
     """Return the covariance of the error of the mean of some tracings, (n, n).
 
-    n = parameters x pairs x bands. It is that of the control runs without their noise, what is common
-    to all pairs as large as is assumed, of the scattering of the materials, and of the paths' noise.
+    n = parameters x pairs x bands. It is that of the reference simulations without their noise, what is
+    common to all pairs as large as is assumed, of the scattering of the materials, and of the paths'
+    noise.
 
     Parameters
     ----------
@@ -805,10 +807,10 @@ def simulator_error(
         of_noise = sum(runs_of(errors).covariance() / free for errors in by_material)
         return np.asarray(slope @ prior @ slope.T + of_noise)
 
-    # A control run is the difference of two tracings, whose noise is taken off. Errors as large as the
-    # noise of one are assumed instead: without them, what was measured was likelier by 5 nats in 27
-    # rooms, and the right surface less likely. In them all pairs are alike, so that no pattern of
-    # the paths counts.
+    # A reference simulation is the difference of two tracings, whose noise is taken off. Errors as
+    # large as the noise of one are assumed instead: without them, what was measured was likelier by 5
+    # nats in 27 rooms, and the right surface less likely. In them all pairs are alike, so that no
+    # pattern of the paths counts.
     runs = runs_of(controls.without_noise(2 * variance).errors)
     of_paths = runs_of(noise).alike() * len(noise) / free + runs_of(noise).covariance() / free
     between = bands.correlation(centre_frequencies, BETWEEN_OCTAVES)

@@ -89,14 +89,14 @@ from rtcal.support.speed import Progress, TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
 
 TEMPER = 1.25
-"""Divisor of log evidences: the mean square of a hypothesis' standardised projection in control rooms
-of development rooms. It would be 1 if few control runs gave their covariance without error."""
+"""Divisor of log evidences: the mean square of a hypothesis' standardised projection in reference rooms
+of development rooms. It would be 1 if few reference simulations gave their covariance without error."""
 
 
 TOLD_TEMPER = 2.0
 """Divisor of log evidences where effects and surfaces are told apart. Their probabilities are then as
 often right as they say in 79 rooms that had been read. The shifts of two
-surfaces differ by less than the simulator errs by, in ways that control runs do not show."""
+surfaces differ by less than the simulator errs by, in ways that reference simulations do not show."""
 
 
 MEANS_POWER = 0.5
@@ -200,8 +200,8 @@ exceeds it without level, and 1 with it."""
 
 
 OF_PROGRAMS = 13.0
-"""The same where another program's values are compared, which errs in ways that control runs do not
-show. Of 17 participants' models of PTB's studio as it was, an earlier version flagged one."""
+"""The same where another program's values are compared, which errs in ways that reference simulations
+do not show. Of 17 participants' models of PTB's studio as it was, an earlier version flagged one."""
 
 
 def evidence_of_means(
@@ -373,9 +373,9 @@ def tried(effects: Sequence[Effect]) -> tuple[str, ...]:
 
 
 MORE_PATHS = 3
-"""Factor of the number of paths of the control runs. Over 16 pairs of seeds the score of four empty
-development rooms had a standard deviation of at most 0.2 nats, and that of a room with an absorber one
-of 0.47. With 6 it had 0.32; the shipped room then takes 1.4 times as long."""
+"""Factor of the number of paths of the reference simulations. Over 16 pairs of seeds the score of four
+empty development rooms had a standard deviation of at most 0.2 nats, and that of a room with an
+absorber one of 0.47. With 6 it had 0.32; the shipped room then takes 1.4 times as long."""
 
 
 @single_threaded_blas()
@@ -411,7 +411,7 @@ def controls_of(
     cache: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
 ) -> ControlRuns:
-    """Return the control runs of a search."""
+    """Return the reference simulations of a search."""
     controls = simulated_controls(
         case.simulator,
         case.room,
@@ -422,7 +422,7 @@ def controls_of(
         progress=progress,
         more_paths=MORE_PATHS,
     )
-    if controls is None:  # a PathTracing has control runs always
+    if controls is None:  # a PathTracing has reference simulations always
         raise DataError(f"{case.simulator.name} has no geometry to trace")
     return controls
 
@@ -460,7 +460,8 @@ def find_by_positions(
 ) -> Finding:
     """Return what the positions say; ``means`` as `evidence_of_means`, None if they were not asked."""
     if controls is None:
-        controls = controls_of(case, seed, cache, progress and partial(progress, "control runs"))
+        named = progress and partial(progress, "reference simulations")
+        controls = controls_of(case, seed, cache, named)
     made = responses_of(case, seed, cache, progress)
     threshold = THRESHOLD if case.simulated is None else OF_PROGRAMS
 

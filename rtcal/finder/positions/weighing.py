@@ -431,7 +431,7 @@ class PairShifts:
         - "materials": where a material's alpha is larger by `STEP` of the way to 1;
         - "scattering": derivatives by the log odds of each material's scattering coefficient;
         - "noise": deviations of groups of paths from the mean of their tracing. Each group
-          has as many paths as the simulator in the control runs;
+          has as many paths as the simulator in the reference simulations;
         - "noise of scattering": the same of the derivatives, group by group.
     """
 
