@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder.positions.surfaces import of_geometry
 from rtcal.io import catt, obj, tables
-from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.support.errors import DataError
 from tests import fuzz
 
@@ -84,3 +86,13 @@ def test_native_files_are_bounded(tmp_path: Path) -> None:
     path.write_bytes(b"#" * (2**21 + 1))
     with pytest.raises(DataError, match="more than 2097152 bytes"):
         rt.Measurement.from_file(str(path))
+
+
+def test_faces_without_a_group_have_the_name_of_their_material() -> None:
+    """ "face 1" was named where the mesh says floor."""
+    materials = {**dict.fromkeys(SHOEBOX_WALLS, "plaster"), "floor": "parquet", "ceiling": "tiles"}
+    box = Polyhedron.shoebox((4, 5, 3), materials)
+    text = re.sub(r"(?m)^[go] .*\n", "", box.to_text())
+    read = obj.parse(text.encode())
+    assert read.names == ("plaster", "plaster 2", "plaster 3", "plaster 4", "parquet", "tiles")
+    assert [*of_geometry(read)] == [*read.names]

@@ -5,7 +5,8 @@ The keywords that are read:
 - ``v``: a corner x y z, in ``unit``;
 - ``f``: a face by the numbers of its corners; negative numbers count back;
 - ``usemtl``: the material of the faces that follow;
-- ``o`` and ``g``: the name of the faces that follow; "wall", "wall 2" and so on.
+- ``o`` and ``g``: the name of the faces that follow, in place of their material's; "wall", "wall 2"
+  and so on.
 
 Comments and lines continued by a backslash are allowed. Texture, normals, curves, material libraries
 and smoothing are ignored. The result is a polyhedron for the tracers: closed, with plane faces.
@@ -102,8 +103,9 @@ def drawn(
             if not 3 <= len(faces[-1]) <= 100:
                 raise DataError(f"{place}: a face of {len(faces[-1])} corners; 3 to 100 are read")
             materials.append(material)
-            members[group] += 1
-            names.append(_face_name(group, members[group], len(faces)))
+            name = group or material
+            members[name] += 1
+            names.append(name if members[name] == 1 else f"{name} {members[name]}")
         elif keyword == "usemtl":
             material = text_name(f"{place}: usemtl", arguments)
             if not material:
@@ -113,13 +115,6 @@ def drawn(
         elif keyword and keyword not in _IGNORED:
             raise DataError(f'{place}: "{shown(keyword)}" is no keyword of an OBJ file')
     return vertices, faces, materials, names, line
-
-
-def _face_name(group: str, member: int, number: int) -> str:
-    """Return the name of a group's face; ``number`` counts all faces."""
-    if not group:
-        return f"face {number}"
-    return group if member == 1 else f"{group} {member}"
 
 
 def _corner(token: str, n_vertices: int, place: str) -> int:
