@@ -51,13 +51,13 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
-from benchmarks.studies.fits.positions import MATCH
 from benchmarks.studies.geometric_world import load as geometric
 from benchmarks.studies.means import judged
 from benchmarks.studies.means.judging import one
 from benchmarks.studies.means.real_cases import every_case
 from benchmarks.studies.position_rooms import load as positions
 from rtcal.acoustics.equations import EQUATIONS
+from rtcal.acoustics.observables import MATCH
 from rtcal.calibration.methods import METHODS
 from rtcal.command.main import main as rtcal_command
 from rtcal.datasets import examples, halls

@@ -9,6 +9,7 @@ import pytest
 
 from rtcal.prediction.designed import Choice
 from rtcal.support.types import Array
+from tests.conftest import also
 
 N_FINE = 400
 
@@ -68,7 +69,7 @@ def exhaustive(choice: Choice, below: float = np.inf) -> Array | None:
 
 
 @pytest.mark.parametrize("bent", [0.0, 0.5])
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", [*range(12), *also(*range(12, 40))])
 def test_nothing_is_cheaper_by_one_percent_and_panels_are_whole(seed: int, bent: float) -> None:
     choice = problem(seed, bent)
     found = choice.cheapest()

@@ -61,9 +61,18 @@ LONG = {
         "where",
         "design",
         "qp",
+        "prediction",
+        "two_states",
         *(
             f"api/{n}"
-            for n in ("discrepancy", "independent_solvers", "other", "simulators", "where")
+            for n in (
+                "discrepancy",
+                "independent_solvers",
+                "other",
+                "simulators",
+                "studies",
+                "where",
+            )
         ),
     )
 }

@@ -19,7 +19,7 @@ from tests import coupled
 
 def answers(solver: str = "clarabel") -> Iterator[tuple[JointResult, np.ndarray]]:
     """Answers and their exact optima, without problems that have no accepted answer (0.1 %)."""
-    for seed in range(50):
+    for seed in range(30):
         with contextlib.suppress(SolverError):
             answer = coupled.solution(seed, solver)
             truth = coupled.optimum(answer)
@@ -39,8 +39,8 @@ def test_the_bound_holds_for_raw_and_final_answers_and_is_small(solver: str) -> 
             assert (error <= certificate.alpha_error_bound + 2e-16).all()
             off += error.max() > 1e-9
         widest.append(np.max(answer.certificate.alpha_error_bound))
-    assert off > (10 if solver == "clarabel" else 0)  # OSQP starts near the optimum
-    assert len(widest) > 40
+    assert off > (6 if solver == "clarabel" else 0)  # OSQP starts near the optimum
+    assert len(widest) > 24
     assert max(widest) < 1e-6
     assert np.median(widest) < 1e-10
 

@@ -302,17 +302,6 @@ def test_a_table_with_the_number_of_its_pairs(tmp_path: Path, capsys) -> None:
     assert '--where: "room" is not NAME=ENTRY' in capsys.readouterr().err
 
 
-def test_odeon_without_63_hz_on_request(tmp_path: Path, capsys) -> None:
-    room = imported(tmp_path, *BOTH).replace(scattering=None)
-    room.save(str(tmp_path / "r.toml"))
-    command = ("export", "odeon", tmp_path / "r.toml", tmp_path / "new.Li8")
-    assert run(*command) == 2
-    assert "needs 63 Hz" in capsys.readouterr().err
-    assert run(*command, "--missing-bands", "nearest") == 0
-    assert "63 Hz is not in the room: alpha as at 125 Hz" in capsys.readouterr().out
-    assert run("export", "bras", *command[2:], "--missing-bands", "nearest") == 2
-
-
 def test_a_room_goes_back_into_the_list_that_as_took_it_from(tmp_path: Path, capsys) -> None:
     listed = tmp_path / "list.Li8"
     row = "0.10 0.10 0.20 0.30 0.40 0.50 0.60 0.60"

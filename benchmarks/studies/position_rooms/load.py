@@ -51,19 +51,6 @@ class PositionRoom:
             **options,
         )
 
-    def measured_at(self, receivers: Sequence[str]) -> Measurement:
-        """Return the measurement at these receivers."""
-        return at(self.measured, receivers)
-
-
-def at(measured: Measurement, receivers: Sequence[str]) -> Measurement:
-    kept = [i for i, (_, r) in enumerate(measured.pairs) if r in receivers]
-    return Measurement(
-        centre_frequencies=measured.centre_frequencies,
-        values={p: v[kept] for p, v in measured.values.items()},
-        pairs=[measured.pairs[i] for i in kept],
-    )
-
 
 @lru_cache(maxsize=4)
 def stored(population: int, part: str) -> dict[int, dict[str, Any]]:
