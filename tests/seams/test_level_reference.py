@@ -85,6 +85,7 @@ def test_gains_that_are_off_by_source_and_band_name_nothing(seed: int, kept: Pat
     assert found.probabilities.get("coupled room", 0.0) < 0.2
 
 
+@pytest.mark.long
 def test_no_reference_of_another_programs_level_changes_a_finding(kept: Path) -> None:
     tracer = simulator()
     heard = tracer.observe(tracer.room.alpha, MATCH, seed=3)

@@ -14,6 +14,7 @@ from rtcal.report.finding_words import title
 from rtcal.report.of_finding import rests_on, to_do
 from tests.conftest import also
 from tests.seams.turned_panels import laboratory
+from tests.test_discrepancy import controls_of
 
 TURNED = 0.9
 
@@ -21,12 +22,14 @@ TURNED = 0.9
 FEW = ("covered surface", "opening", "porous", "area", "volume", "unknown")
 
 
-@pytest.mark.parametrize(("again", "only"), [(True, FEW), *also((False, ()), (True, ()))])
+@pytest.mark.parametrize(("again", "drawn"), [(True, True), *also((False, False), (True, False))])
 def test_turned_panels_are_named_added_and_verified(
-    again: bool, only: tuple[str, ...], tmp_path: Path, kept: Path
+    again: bool, drawn: bool, tmp_path: Path, kept: Path
 ) -> None:
+    """With control rooms that are simulated, or, in less time, drawn."""
     case = laboratory(TURNED, turned_back=again)
-    finding = find(case, only=only, cache=kept)
+    controls = controls_of(case, 0.05) if drawn else None
+    finding = find(case, only=FEW if drawn else (), controls=controls, cache=kept)
     assert (finding.verdict, finding.effect) == ("named", "covered surface")
     assert title(finding) == 'covered surface of "panels"'
     size = finding.size
