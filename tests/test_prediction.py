@@ -7,14 +7,18 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.changes import placed, read_variants
-from rtcal.prediction import Assumptions, Change, changed, predict
+from rtcal.prediction import Assumptions, Change, changed, changed_time, predict
 from rtcal.prediction.changed_time import DRAWS, TimeChange, probability_within
 from rtcal.prediction.predicted import Prediction
 from rtcal.support.errors import DataError, ModelError
+from tests.conftest import also
 
 BANDS = [250.0, 1000.0, 4000.0]
 METHODS = ("mle", "soft", "lse", "smooth", "robust")
 EQUATIONS = (rt.Eyring(), rt.Sabine(), rt.Kuttruff())
+OTHERS = ((m, e) for m in METHODS for e in EQUATIONS if m != "mle" and e.key != "eyring")
+QUICK = (("mle", EQUATIONS[1]), ("mle", EQUATIONS[2]), *((m, EQUATIONS[0]) for m in METHODS))
+EACH = pytest.mark.parametrize(("method", "equation"), [*QUICK, *also(*OTHERS)])
 PANEL = rt.Material("panel", [0.5, 0.85, 0.8], [0.05, 0.1, 0.1])
 SMALL = 0.01
 """m² of a panel in a hall."""
@@ -60,6 +64,12 @@ def calibrated(seed: int, method: str = "mle", equation: rt.Equation | None = No
     return rt.calibrate(room, measured_in(room, seed, equation), method, equation)
 
 
+@pytest.fixture
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For what holds in every draw, however many they are."""
+    monkeypatch.setattr(changed_time, "DRAWS", 1024)
+
+
 @pytest.fixture(scope="module")
 def result():
     return calibrated(0)
@@ -75,8 +85,8 @@ def same(one: Prediction, other: Prediction) -> None:
 # Laws ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("equation", EQUATIONS, ids=lambda e: e.key)
-@pytest.mark.parametrize("method", METHODS)
+@EACH
+@pytest.mark.usefixtures("few_draws")
 def test_nothing_changed_is_t_of_the_calibrated_room_exactly(method: str, equation) -> None:
     for seed in range(3):
         found = calibrated(seed, method, equation)
@@ -99,6 +109,7 @@ def test_nothing_changed_is_t_of_the_calibrated_room_exactly(method: str, equati
         assert made.before_is == ("measured" if method in ("mle", "lse") else "calibrated model")
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("named", [True, False])
 @pytest.mark.parametrize("method", METHODS)
 def test_the_width_grows_with_the_change_from_next_to_nothing(method: str, named: bool) -> None:
@@ -117,8 +128,8 @@ def test_the_width_grows_with_the_change_from_next_to_nothing(method: str, named
     assert (np.abs(tiny.change) < 0.2).all()
 
 
-@pytest.mark.parametrize("equation", EQUATIONS, ids=lambda e: e.key)
-@pytest.mark.parametrize("method", METHODS)
+@EACH
+@pytest.mark.usefixtures("few_draws")
 def test_adding_absorption_lengthens_t_in_no_draw(method: str, equation) -> None:
     for seed in range(3):
         found = calibrated(seed, method, equation, named=seed != 1)
@@ -142,6 +153,7 @@ def test_taking_absorption_out_shortens_t_in_no_draw(result) -> None:
     assert (made.samples >= np.log(made.time_before)[:, np.newaxis]).all()
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("named", [True, False])
 def test_two_changes_one_after_the_other_are_both_at_once(named: bool) -> None:
     for seed in range(3):

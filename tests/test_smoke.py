@@ -124,7 +124,7 @@ def test_each_exit_code(tmp_path, code: int, setting: str, arguments: list[str],
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no full device")
 def test_exit_code_of_a_full_output(tmp_path) -> None:
     with open("/dev/full", "w") as full:
-        done = command(tmp_path, CALIBRATE, "", stdout=full)
+        done = command(tmp_path, ["example", "room"], "", stdout=full)
     assert (done.returncode, done.stderr) == (5, "rtcal: cannot print: No space left on device\n")
 
 

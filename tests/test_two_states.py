@@ -120,7 +120,7 @@ def test_changes_that_cancel_have_one_orientation() -> None:
     assert forth.falls != back.falls
 
 
-@pytest.mark.parametrize(("noisy", "seeds"), [(1, 3), *also((0, 6), (1, 6))])
+@pytest.mark.parametrize(("noisy", "seeds"), [(1, 2), *also((0, 6), (1, 6))])
 def test_noise_is_no_change(noisy: int, seeds: int) -> None:
     """Also where one source is three times as noisy as theory says."""
     findings = [

@@ -117,6 +117,13 @@ def finding(kept: Path) -> rt.finder.Finding:
     return rt.find(case, cache=kept)
 
 
+@pytest.fixture(scope="module")
+def of_openings(kept: Path) -> rt.finder.Finding:
+    """The same of one effect alone, which is quick."""
+    case = rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(True))
+    return rt.find(case, only=["opening"], cache=kept)
+
+
 @pytest.mark.long
 def test_an_opening_is_found_on_its_wall(finding: rt.finder.Finding) -> None:
     assert finding.detected
@@ -240,10 +247,9 @@ def test_t30_is_matched_where_t20_is_absent(kept: Path) -> None:
     assert both.match == MATCH
 
 
-def test_the_user_says_where_on_which_surface(kept: Path) -> None:
+def test_the_user_says_where_on_which_surface(of_openings: rt.finder.Finding) -> None:
     """The most probable candidate on the surface at that place."""
-    case = rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(True))
-    finding = rt.find(case, only=["opening"], cache=kept)
+    finding = of_openings
     made = finding.apply(at=(7.0, 2.2, 1.4))
     assert made.added.surface == "east"
     hole = made.geometry.names.index(made.material)
@@ -441,9 +447,8 @@ def test_coefficients_that_are_all_off_are_no_surface(kept: Path) -> None:
     assert finding.surface is None
 
 
-def test_the_next_position_is_free_and_tells_something(
-    finding: rt.finder.Finding,
-) -> None:
+def test_the_next_position_is_free_and_tells_something(of_openings: rt.finder.Finding) -> None:
+    finding = of_openings
     places = rt.finder.positions.next_position(finding, number=6)
     assert len(places) == 6 * len(SOURCES)
     assert places[0].nats > places[-1].nats > 0
