@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-HIDDEN := rtcal/datasets/hidden_room
+SEMINAR := rtcal/datasets/seminar_room
 DEMO_VENV := .venv-demo
 DEMO_STAMP := $(DEMO_VENV)/.installed
 
@@ -20,14 +20,14 @@ $(DEMO_STAMP): pyproject.toml
 	$(DEMO_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[report]'
 	touch $(DEMO_STAMP)
 
-demo: $(DEMO_STAMP)  ## calibrate a real measured room; find what the model of a second room lacks
+demo: $(DEMO_STAMP)  ## calibrate a real measured room; diagnose a second one, in which something is hidden
 	$(DEMO_VENV)/bin/rtcal calibrate rtcal/datasets/bras_cr2/room.toml \
 		rtcal/datasets/bras_cr2/measured.csv --out demo
 	$(DEMO_VENV)/bin/rtcal report demo
-	@printf "\nA second room, simulated by code that is not rtcal's. Does its model lack anything?\n\n"
-	$(DEMO_VENV)/bin/rtcal find $(HIDDEN)/named.json
+	@printf "\nA second room, simulated by code that is not rtcal's. What does its model lack?\n\n"
+	$(DEMO_VENV)/bin/rtcal diagnose $(SEMINAR)/room.toml $(SEMINAR)/pairs.csv --out demo/diagnosis
 	@$(DEMO_VENV)/bin/python -c 'import json, sys; \
-		print("\nHidden in it:", json.load(open(sys.argv[1]))["hidden"])' $(HIDDEN)/named_truth.json
+		print("\nHidden in it:", json.load(open(sys.argv[1]))["hidden"])' $(SEMINAR)/truth.json
 
 # Two processes. Each takes a half of the tests in their order, so that a module's fixtures are made
 # once, and what is left of the other's half when it is done. Bytecode is kept, for the commands that

@@ -77,13 +77,15 @@ def test_the_command_writes_one_folder_that_apply_and_report_read(
 
 @pytest.mark.long
 def test_at_positions_the_corrected_model_is_fitted(tmp_path: Path, kept: Path) -> None:
-    for name, content in rt.datasets.examples.example("where").files.items():
+    for name, content in rt.datasets.examples.example("diagnose").files.items():
         (tmp_path / name).write_bytes(content)
     room = rt.Room.from_file(str(tmp_path / "room.toml"))
     measured = rt.Measurement.from_file(str(tmp_path / "pairs.csv"))
     result = rt.diagnose(room, measured, tracing={"n_paths": 2000}, cache=kept)
+    assert (result.finding.effect, result.finding.surface) == ("covered surface", "ceiling")
     assert isinstance(result.calibrated, PositionsResult)
-    assert (result.corrected is None) == (result.finding.undecided is not None)
+    assert result.corrected is not None
+    assert result.calibrated.prior.materials == result.corrected.room.materials
     assert result.verification is not None
-    as_given, calibrated, _ = result.verification.by_seed.mean(axis=1)
-    assert calibrated < 0.5 * as_given
+    as_stated, _, corrected = result.verification.by_seed.mean(axis=1)
+    assert corrected < 0.5 * as_stated

@@ -295,6 +295,7 @@ _PURPOSES = {
     "missing-effect": "a model that may lack something",
     "told": "two rooms: one effect named, one not",
     "where": "a mesh and twelve pairs: on which surface?",
+    "diagnose": "a mesh and eight pairs: where, what, added, calibrated",
 }
 _LIST = "\b\n" + "\n".join(f"    {name:16s}{text}" for name, text in _PURPOSES.items())
 

@@ -157,6 +157,12 @@ _EXAMPLES: Mapping[str, tuple[Mapping[str, str], tuple[str, ...]]] = {
             "rtcal apply page --effect curtain --out corrected",
         ),
     ),
+    # A room whose ceiling was covered, simulated by pyroomacoustics:
+    # `benchmarks/studies/pairs/seminar_room.py`.
+    "diagnose": (
+        {name: f"seminar_room/{name}" for name in ("room.toml", "room.obj", "pairs.csv")},
+        ("rtcal diagnose room.toml pairs.csv --out diagnosis",),
+    ),
 }
 """Files of each example that ship elsewhere, by name, and its commands. Its own are in ``examples``."""
 NAMES = tuple(_EXAMPLES)
