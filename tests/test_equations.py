@@ -104,7 +104,6 @@ def test_the_air_term_is_added() -> None:
     assert m == pytest.approx(6.83e-3, rel=1e-2)
 
 
-axes = st.sampled_from(["x", "y", "z"])
 alphas = st.floats(0.01, 0.85)
 ALL = [rt.Sabine(), rt.Eyring(), rt.Kuttruff(), rt.Millington(), rt.Fitzroy(), rt.ArauPuchades()]
 

@@ -97,8 +97,8 @@ of_finding.correct = lambda *_, **__: ("nothing to add", {}, {})
     [
         long(0, "", CALIBRATE, ""),
         (2, "", [], "Usage: rtcal"),
-        (2, "", ["nonsense"], "rtcal: No such command"),
-        (2, "", ["loop"], "Usage: rtcal loop"),
+        long(2, "", ["nonsense"], "rtcal: No such command"),
+        long(2, "", ["loop"], "Usage: rtcal loop"),
         (2, "", ["calibrate", "room.toml"], "rtcal: Missing argument"),
         long(2, "", ["calibrate", "room.toml", "none.csv"], "rtcal: none.csv: No such file"),
         (
@@ -150,7 +150,7 @@ def command(folder, arguments: list[str], setting: str, **streams) -> subprocess
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a POSIX shell closes the output")
 @pytest.mark.parametrize(
-    ("shell", "codes"), [long(">&-", {5}), long("| head -1", {0}), ("| true", {0})]
+    ("shell", "codes"), [long(">&-", {5}), long("| head -1", {0}), long("| true", {0})]
 )
 def test_an_output_that_the_shell_closes(tmp_path, shell: str, codes: set[int]) -> None:
     """The files are written first; what cannot be printed is said in one line."""
