@@ -16,12 +16,15 @@ import rtcal as rt
 from rtcal.finder import Finding
 from rtcal.finder.claim import Candidate
 
+settings.register_profile("rtcal", derandomize=True, deadline=None, max_examples=60)
+settings.register_profile("quick", settings.get_profile("rtcal"), max_examples=20)
+settings.load_profile("rtcal")
+
 
 def pytest_configure(config: pytest.Config) -> None:
     """Let the quick suite try fewer examples of each law."""
-    examples = 20 if "not long" in config.option.markexpr else 60
-    settings.register_profile("rtcal", derandomize=True, deadline=None, max_examples=examples)
-    settings.load_profile("rtcal")
+    if "not long" in config.option.markexpr:
+        settings.load_profile("quick")
 
 
 # xdist sets it in its processes, as some shells do: the commands would wrap their messages to it.
