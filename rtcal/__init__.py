@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from rtcal import studies as studies
     from rtcal.acoustics import priors as priors
     from rtcal.acoustics.air import Air as Air
+    from rtcal.acoustics.comparison import compare as compare
     from rtcal.acoustics.equations import ArauPuchades as ArauPuchades
     from rtcal.acoustics.equations import Eyring as Eyring
     from rtcal.acoustics.equations import Fitzroy as Fitzroy

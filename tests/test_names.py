@@ -155,4 +155,4 @@ def test_every_public_object_has_one_path() -> None:
     assert len(paths) > 100
     times = Counter(map(id, paths.values()))
     assert [name for name, value in paths.items() if times[id(value)] > 1] == []
-    assert len(rt.__all__) <= 44
+    assert len(rt.__all__) <= 45

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.command.main import main
+from rtcal.report import pages
+from rtcal.simulators.external import of_equation
 from rtcal.support.errors import DataError
 
 F = [500.0, 1000.0]
@@ -79,3 +82,142 @@ def test_a_run_of_another_room_is_refused(changed: dict[str, object], named: str
     run.refuse_other(box())
     with pytest.raises(DataError, match=named):
         run.refuse_other(box(**changed))
+
+
+def measurement(
+    rng: np.random.Generator, pairs: list[tuple[str, str]] | None = None
+) -> rt.Measurement:
+    shape = (1 if pairs is None else len(pairs), 2)
+    values = {
+        "t20": np.exp(rng.normal(0, 0.3, shape)),
+        "edt": np.exp(rng.normal(0, 0.3, shape)),
+        "c80": rng.normal(0, 3, shape),
+        "d50": rng.uniform(0.2, 0.8, shape),
+        "ts": rng.uniform(0.05, 0.2, shape),
+    }
+    more = {} if pairs is None else {"pairs": pairs}
+    return rt.Measurement(centre_frequencies=F, values=values, **more)
+
+
+@pytest.mark.parametrize("pairs", [None, PAIRS])
+def test_laws_of_a_comparison(pairs: list[tuple[str, str]] | None) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        one, other = measurement(rng, pairs), measurement(rng, pairs)
+        found = rt.compare(box(), one, rt.Run(box(), other))
+        mirrored = rt.compare(box(), other, rt.Run(box(), one))
+        for p, off in found.deviation.items():
+            np.testing.assert_allclose(off, -mirrored.deviation[p])
+        assert str(rt.compare(box(), one, rt.Run(box(), other))) == str(found)
+        assert max(map(len, str(found).split("\n"))) <= 100
+        assert str(found).count("\n") < 40
+        # The run itself, and a run with all times doubled.
+        same = rt.compare(box(), one, rt.Run(box(), one))
+        assert "agree with the measurement" in same.sentence
+        assert not any(at.any() for at in same.disagrees.values())
+        times = {p: 2 * v for p, v in one.values.items() if p in ("t20", "edt")}
+        twice = rt.Measurement(centre_frequencies=F, values=times, pairs=one.pairs)
+        doubled = rt.compare(box(), one, rt.Run(box(), twice))
+        assert "T20 is 100 % too long in all bands" in doubled.sentence
+        assert doubled.lacking == {"d50": "run", "c80": "run", "ts": "run"}
+
+
+def test_a_deviation_that_the_coefficients_explain_is_not_the_programs() -> None:
+    measured = rt.Measurement.from_values(F, t20=[1.0, 1.0], c80=[0.0, 0.0])
+    run = rt.Measurement.from_values(F, t20=[1.2, 1.2], c80=[-1.2, 3.0])
+    for relative, explained in ((0.3, True), (0.001, False)):
+        alpha = np.array([[0.1, 0.1], [0.2, 0.3]])
+        room = box(sigma=relative * alpha)
+        found = rt.compare(room, measured, rt.Run(room, run))
+        assert found.disagrees["t20"].all()
+        assert found.explained["t20"].tolist() == [explained] * 2
+        # C80 falls with a longer T: coefficients carry along what they do, and not a rise.
+        assert found.explained["c80"].tolist() == [explained, False]
+
+
+def test_positions_that_deviate_alike_are_said_so_and_others_named() -> None:
+    pairs = [("S1", f"R{i}") for i in range(1, 5)]
+    one = rt.Measurement(centre_frequencies=F, values={"t20": np.ones((4, 2))}, pairs=pairs)
+    for sizes, said in (
+        ([0.8] * 4, "20 % too short in all bands, at all positions alike"),
+        ([0.7, 0.7, 0.7, 0.3], "not at all positions alike"),
+        ([1, 1, 1, 0.4], "agrees with the measurement in the mean over the pairs"),
+    ):
+        values = {"t20": np.repeat(np.array(sizes)[:, None], 2, axis=1)}
+        run = rt.Run(box(), rt.Measurement(centre_frequencies=F, values=values, pairs=pairs))
+        found = rt.compare(box(), one, run)
+        assert said in found.sentence
+    assert "Largest at one pair: T20 from S1 to R4, -18.8 JND" in " ".join(str(found).split())
+
+
+def test_without_a_run_the_equation_is_compared() -> None:
+    measured = rt.Measurement.from_values(F, t20=1.5 * rt.Sabine().reverberation_time(box()))
+    found = rt.compare(box(), measured, equation=rt.Sabine())
+    assert found.sentence == "Sabine's T20 is 33 % too short in all bands."
+
+
+def test_the_command_writes_page_and_numbers(tmp_path, capsys) -> None:
+    room, measured, run = (str(tmp_path / n) for n in ("room.toml", "m.csv", "run.csv"))
+    box().save(room)
+    rt.Measurement.from_values(F, t20=[1.0, 1.0]).save(measured)
+    rt.Measurement.from_values(F, t20=[1.3, 1.0]).save(run)
+
+    def called(*more: str) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main(["compare", room, measured, *more])
+        return (ended.value.code or 0, *capsys.readouterr())
+
+    out = tmp_path / "gap"
+    code, text, _ = called("--simulated", run, "--out", str(out))
+    assert (code, text.split("\n")[0]) == (0, "The program's T20 is 30 % too long at 500 Hz.")
+    found = rt.load(out)
+    assert found.sentence in text
+    assert "disagree" in (out / "report.html").read_text("utf-8")
+    assert pages.page(found) == (out / "report.html").read_text("utf-8")
+    other = str(tmp_path / "other.toml")
+    box(volume=130).save(other)
+    assert "give --simulated" in called("--at", other)[2]
+    assert "volume = 130" in called("--simulated", run, "--at", other)[2]
+
+
+@pytest.mark.parametrize("equation", [rt.Millington(), rt.Kuttruff()])
+def test_a_loop_that_begins_with_a_run_needs_one_simulation_less(equation: rt.Eyring) -> None:
+    room = box(sigma=[[0.04, 0.04], [0.1, 0.1]])
+    program = of_equation(equation, room)
+    measured = program.simulate(np.array([[0.13, 0.08], [0.3, 0.2]]))
+    whole = rt.calibrate_simulator(program, room, measured)
+    run = rt.Run(room, program.simulate(room.alpha))
+    rest = rt.calibrate_simulator(program, room, measured, run=run)
+    assert rest.simulations == whole.simulations - 1
+    np.testing.assert_array_equal(rest.alpha, whole.alpha)
+    np.testing.assert_array_equal(rest.ends[0].simulated, whole.ends[0].simulated)
+    # The first step is the paper's: the equation's T as far off as the program's.
+    begun = rt.loop.start(room, measured, run=run)
+    eyring = rt.Eyring().reverberation_time(room)
+    target = begun.wanted * eyring / run.simulated.mean("t20")
+    np.testing.assert_allclose(begun.next_target, target)
+
+
+def test_loop_start_takes_a_run_once(tmp_path, capsys) -> None:
+    room, measured, run, state, out = (
+        str(tmp_path / n) for n in ("room.toml", "m.csv", "run.csv", "loop.json", "next.toml")
+    )
+    box().save(room)
+    rt.Measurement.from_values(F, t20=[0.9, 1.0]).save(measured)
+    rt.Measurement.from_values(F, t20=[1.3, 1.2]).save(run)
+    files = ["--state", state, "--out", out]
+
+    def called(*arguments: str) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main([*arguments, *files])
+        return (ended.value.code or 0, *capsys.readouterr())
+
+    code, _, error = called("loop", "start", room, measured, "--simulated", measured)
+    assert code == 2
+    assert "is it the measurement itself" in error
+    code, text, _ = called("loop", "start", room, measured, "--simulated", run)
+    assert code == 0
+    assert "first simulation" in text
+    code, _, error = called("loop", "next", room, run)
+    assert code == 2
+    assert "the table is the last step's" in error

@@ -62,7 +62,8 @@ def calibrate(
 
     Example: rtcal calibrate room.toml t20.csv --out calibrated
 
-    `rtcal report calibrated` makes a page of the results.
+    `rtcal report calibrated` makes a page of the results. The equation then has the measured T; for
+    the T of your own program, `rtcal loop start --simulated` begins with what it gave.
     """
     from rtcal.acoustics.changes import facing
     from rtcal.calibration import methods

@@ -292,6 +292,7 @@ _PURPOSES = {
     "program": "a CATT list and a table of T",
     "simulator": "a simulator in Python",
     "optimisation": "terms, solvers and the certificate",
+    "compare": "a simulation of your own and a measurement",
     "missing-effect": "a model that may lack something",
     "told": "two rooms: one effect named, one not",
     "where": "a mesh and twelve pairs: on which surface?",

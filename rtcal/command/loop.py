@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from rtcal.command.console import (
     choice,
@@ -13,6 +15,7 @@ from rtcal.command.console import (
     numbers,
     read_measured,
     read_room,
+    read_run,
     several,
     takes,
     tell,
@@ -20,8 +23,14 @@ from rtcal.command.console import (
 )
 from rtcal.files.disk import spare
 
+if TYPE_CHECKING:
+    from rtcal.loop import closed
+
 _STATE = file("state", "File of the loop's state (JSON).", required=True)
 _OUT = file("out", "Room to simulate next (TOML) to write.", required=True)
+_AGAIN = flag(
+    "again", "Accept a table that is likely the wrong one, such as that of an earlier step."
+)
 
 
 @click.group(short_help="The closed loop with a program that is run by hand.")
@@ -51,6 +60,9 @@ def loop() -> None:
     ),
     "decimals",
     "modes",
+    "simulated",
+    "at",
+    _AGAIN,
 )
 def start(
     room: str,
@@ -59,9 +71,15 @@ def start(
     out: str,
     weights: tuple[str, ...],
     modes: str | None,
+    simulated: str | None,
+    at: str | None,
+    again: bool,
     **stated: Any,
 ) -> None:
     """Write ROOM (TOML) with the coefficients to simulate first, for MEASURED (CSV).
+
+    With --simulated the loop begins with what the program gave already: what is written are the
+    coefficients with which the program's T, and not the equation's, is to be the measured one.
 
     A state that holds simulations is not overwritten: delete it to begin anew.
 
@@ -72,12 +90,16 @@ def start(
     from rtcal.loop import closed
     from rtcal.support import text
 
-    spare([state, out], [path for path in (room, measured, modes) if path is not None])
+    read = [path for path in (room, measured, modes, simulated, at) if path is not None]
+    spare([state, out], read)
     closed.refuse_progress(state)
     prior, data = read_room(room), read_measured(measured)
     weighted = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
     known = prior if modes is None else told_by_modes(prior, modes)
-    begun = closed.start(known, data, weights=weighted or None, **stated)
+    run = read_run(prior, simulated, at)
+    begun = closed.start(known, data, weights=weighted or None, run=run, **stated)
+    if simulated is not None and not again:
+        closed.refuse_doubtful(replace(begun, steps=()), begun.steps[0], simulated)
     unreachable = begun.calibrated(begun.wanted).unreachable
     record = {
         "state": state,
@@ -90,10 +112,17 @@ def start(
         f"Taken as the measured T: {begun.matched.time_label}.",
         *([f"Matched: {begun.matched.label}."] if weights else []),
         *record["unreachable"],
+        *([] if run is None else [_first(begun, str(simulated))]),
         *([] if begun.low is None else text.wrapped(begun.low.loop_note)),
         closed.write(begun, state, out),
     ]
     tell("\n".join(lines), record)
+
+
+def _first(begun: closed.Loop, simulated: str) -> str:
+    """Return how far off the run is with which a loop begins."""
+    worst = float(np.nanmax(np.abs(begun.gap)))
+    return f"{simulated} is the loop's first simulation, off by {worst:.1f} JND at most."
 
 
 @loop.command(name="next", short_help="Go on: read what was simulated.")
@@ -102,7 +131,7 @@ def start(
     "SIMULATED",
     _STATE,
     _OUT,
-    flag("again", "Accept a table that is likely the wrong one, such as that of an earlier step."),
+    _AGAIN,
 )
 def next_(room: str, simulated: str, state: str, out: str, again: bool) -> None:
     """Read what the program SIMULATED (CSV) and write what to simulate next.

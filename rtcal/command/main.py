@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import click
 
 from rtcal.command.calibrate import NOT_NEARER, calibrate, fit, learn, study
+from rtcal.command.compare import compare
 from rtcal.command.console import CannotPrint, printing, show_warning, warn
 from rtcal.command.diagnose import diagnose
 from rtcal.command.files import example, export, measure, report, table
@@ -72,6 +73,7 @@ def cli() -> None:
 
 for command in (
     example,
+    compare,
     calibrate,
     report,
     predict,

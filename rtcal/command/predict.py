@@ -94,7 +94,7 @@ def predict(
     from rtcal.datasets import catalogue
     from rtcal.loop.positions import PositionsResult
     from rtcal.loop.predicted import predict_positions
-    from rtcal.prediction.predicted import compare
+    from rtcal.prediction.predicted import predict_variants
 
     # What the file of variants states is checked before anything is calibrated.
     known = saved(room, measured, also)
@@ -110,11 +110,11 @@ def predict(
         if known is None and (measured is not None or also):
             known = calibrated(before, measured, also, equation)
         if known is None:
-            told(compare(before, variants, equation=equation, target=target), out)
+            told(predict_variants(before, variants, equation=equation, target=target), out)
             return
         if before.scene.sources and not is_quiet():
             warn("T is predicted by an equation; the folder of `rtcal fit` predicts every position")
-        told(compare(known, variants, target=target), out)
+        told(predict_variants(known, variants, target=target), out)
         return
     if target is not None:
         raise DataError(

@@ -135,6 +135,16 @@ _EXAMPLES: Mapping[str, tuple[Mapping[str, str], tuple[str, ...]]] = {
     # t.csv is a simulation with coefficients 1.2 times as large: `PathTracing(...).simulate(seed=7)`.
     "simulator": ({}, ("python calibrate.py",)),
     "optimisation": (_SEMINAR_ROOM, ("python compose.py",)),
+    # The room of "where"; run.csv is what simulate.py (pyroomacoustics 0.10) gave.
+    "compare": (
+        {name: f"where_room/{name}" for name in ("room.toml", "room.obj", "pairs.csv")},
+        (
+            "python simulate.py",
+            "rtcal compare room.toml pairs.csv --simulated run.csv --out gap",
+            "rtcal loop start room.toml pairs.csv --simulated run.csv --state loop.json "
+            "--out next.toml",
+        ),
+    ),
     "missing-effect": (
         {"case.json": "hidden_room/case.json", "closed.json": "hidden_room/closed.json"},
         (

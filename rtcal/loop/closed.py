@@ -38,6 +38,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, TARGET, observable, parameter_label
 from rtcal.acoustics.room import Room, refuse_repeated_data
 from rtcal.acoustics.room_errors import in_words
+from rtcal.acoustics.run import Run
 from rtcal.calibration.measured import data_history, tell_data, times_in_room
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
@@ -296,7 +297,7 @@ class Loop(Result):
         Coefficients of a loop that is over; `alpha` has them.
     before : Measurement, optional
         Simulated with the stated coefficients. If some band has no T20 with them, or fewer than three
-        simulations were allowed, with those of the equation's calibration.
+        simulations were allowed, with those of the equation's calibration. Of a run, what it gave.
     after : Measurement, optional
         Simulated with the coefficients returned.
     confirmation : Measurement, optional
@@ -721,7 +722,8 @@ class Loop(Result):
         without_t20 : sequence of int, optional
             Bands whose T20 in ``simulated`` belongs to other coefficients.
         stated : bool
-            Whether ``alpha`` is the prior's. Its target is the equation's own T.
+            Whether ``alpha`` is not of the loop's choice, but the prior's or a run's. Its target is the
+            equation's own T.
 
         Raises
         ------
@@ -741,7 +743,8 @@ class Loop(Result):
             lost[band] = True
         target = self.next_target
         if checks.flag("stated", stated):
-            own = np.clip(self.equation.reverberation_time(self.prior), *self._target_limits)
+            own = self.equation.time(self.prior, self.prior.areas @ check_alpha(self.prior, alpha))
+            own = np.clip(own, *self._target_limits)
             target = np.where(np.isfinite(self.wanted), own, np.nan)
         step = self._step(simulated, check_alpha(self.prior, alpha), target)
         number = self.simulations + 1
@@ -927,8 +930,9 @@ def start(
     decimals: int | None = None,
     tolerance: float = 1.0,
     weights: Weights | None = None,
+    run: Run | None = None,
 ) -> Loop:
-    """Return a loop before its first simulation.
+    """Return a loop before its first simulation, or after the run that one has.
 
     Parameters
     ----------
@@ -951,12 +955,16 @@ def start(
         A compromise of the mean T20 and the mean EDT: each band's target is moved until their weighted
         geometric mean is the measured one. `Loop.compromise` states what each lost. By default
         T20 alone is matched.
+    run : Run, optional
+        What the program gave already, at any coefficients. It is the first simulation of the loop, so
+        that the next one is the first step: the equation's target scaled by its T over the program's
+        (Bellows & Katz 2025, Eq. 39).
 
     Raises
     ------
     DataError
-        If an argument breaks its rule, or the room was calibrated to these data. Other bands and no air
-        are a warning.
+        If an argument breaks its rule, the room was calibrated to these data, or the run is of another
+        room or lacks a T20. Other bands and no air are a warning.
     """
     low = room.in_loop(measured) if isinstance(room, ModesResult) else None
     prior = room.prior if isinstance(room, ModesResult) else checks.instance("room", room, Room)
@@ -981,7 +989,12 @@ def start(
         low=low,
     )
     loop.calibrated(loop.wanted)  # warns of a room without air
-    return loop
+    if run is None:
+        return loop
+    checks.instance("run", run, Run).refuse_other(loop.prior)
+    # Bands without T keep their input, or what the room modes say.
+    alpha = np.where(np.isfinite(loop.wanted), run.room.alpha, loop.prior.alpha)
+    return loop.record(alpha, run.simulated, stated=True)
 
 
 def calibrate_simulator(
@@ -1017,7 +1030,8 @@ def calibrate_simulator(
     after_step : callable, optional
         Called with the loop after every step, for example to `Loop.save` it.
     options
-        ``weights``, ``method``, ``equation``, ``decimals`` and ``tolerance`` of `rtcal.loop.start`.
+        ``weights``, ``method``, ``equation``, ``decimals``, ``tolerance`` and ``run`` of
+        `rtcal.loop.start`. With a run the stated coefficients are not simulated.
 
     Returns
     -------
@@ -1072,7 +1086,7 @@ def calibrate_simulator(
     calls = _Calls(simulator, max(max_simulations - 1, 1), exclude)
     try:
         while calls.left and not loop.finished:
-            step = calls.stated(loop, seed) if not calls.number else None
+            step = calls.stated(loop, seed) if not (calls.number or loop.steps) else None
             step = step or calls.step(loop, seed)
             if step is None:
                 break
@@ -1084,7 +1098,8 @@ def calibrate_simulator(
     except RtcalError as error:
         error.loop = loop
         raise
-    return replace(loop, notes=(*notes, *lost_paths(simulator)))
+    first = loop.before if options.get("run") is None else options["run"].simulated
+    return replace(loop, before=first, notes=(*notes, *lost_paths(simulator)))
 
 
 def _without(measurement: Measurement, exclude: Sequence[Pair]) -> Measurement:
@@ -1202,6 +1217,41 @@ def refuse_progress(state: str) -> None:
         )
 
 
+def refuse_doubtful(loop: Loop, step: Step, table: str) -> None:
+    """Raise DataError if what was simulated after a loop is likely the wrong table.
+
+    Its T is the measured one to the last digit, that of an earlier step, a power of ten from the one
+    expected, or does not follow the coefficients.
+    """
+    doubt, last = "", loop.steps[-1] if loop.steps else None
+    same = [
+        n
+        for n, earlier in enumerate(loop.steps, 1)
+        if np.array_equal(step.simulated, earlier.simulated, equal_nan=True)
+        and not np.array_equal(step.alpha, earlier.alpha)
+    ]
+    if marks := loop.unit_of(step, last):
+        doubt = marks[0].sentence
+    elif last is None and np.array_equal(step.simulated, loop.wanted, equal_nan=True):
+        doubt = (
+            "every T20 is the measured one to the last digit: is it the measurement itself, and not "
+            "what was simulated?"
+        )
+    elif same:
+        step_is = "the last step's" if same[-1] == len(loop.steps) else f"that of step {same[-1]}"
+        doubt = (
+            f"the table is {step_is}, though alpha changed: was the room that was written last "
+            "simulated?"
+        )
+    elif last is not None and not loop.follows(step, last):
+        doubt = (
+            "T is about that of the last step, though alpha changed: was the room written last "
+            "simulated, and with its coefficients?"
+        )
+    if doubt:
+        raise DataError(f"{table}: {doubt} (--again takes it all the same)")
+
+
 def record(
     loop: Loop, simulated: Measurement, table: str, state: str, out: str, *, again: bool = False
 ) -> Loop:
@@ -1241,34 +1291,9 @@ def record(
         after = loop.record(alpha, simulated)
     except DataError as error:
         raise DataError(f"{table}: {error}") from error
-    step = after.steps[-1] if after.after is None else after.ends[1]
-    doubt, last = "", loop.steps[-1] if loop.steps else None
-    same = [
-        n
-        for n, earlier in enumerate(loop.steps, 1)
-        if np.array_equal(step.simulated, earlier.simulated, equal_nan=True)
-        and not np.array_equal(step.alpha, earlier.alpha)
-    ]
-    if marks := loop.unit_of(step, last):
-        doubt = marks[0].sentence
-    elif last is None and np.array_equal(step.simulated, loop.wanted, equal_nan=True):
-        doubt = (
-            "every T20 is the measured one to the last digit: is it the measurement itself, and not "
-            "what was simulated?"
-        )
-    elif same:
-        step_is = "the last step's" if same[-1] == len(loop.steps) else f"that of step {same[-1]}"
-        doubt = (
-            f"the table is {step_is}, though alpha changed: was the room that was written last "
-            "simulated?"
-        )
-    elif last is not None and not loop.follows(step, last):
-        doubt = (
-            "T is about that of the last step, though alpha changed: was the room written last "
-            "simulated, and with its coefficients?"
-        )
-    if doubt and not again:
-        raise DataError(f"{table}: {doubt} (--again takes it all the same)")
+    if not again:
+        step = after.steps[-1] if after.after is None else after.ends[1]
+        refuse_doubtful(loop, step, table)
     return after
 
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.changes import changed as changed
     from rtcal.acoustics.changes import din_18041 as din_18041
     from rtcal.acoustics.room_errors import Assumptions as Assumptions
-    from rtcal.prediction.predicted import compare as compare
     from rtcal.prediction.predicted import predict as predict
+    from rtcal.prediction.predicted import predict_variants as predict_variants
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

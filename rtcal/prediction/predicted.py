@@ -407,7 +407,7 @@ def predict(
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Predictions(Result):
-    """Predictions of several variants of one room, of T or at every position; `compare` makes it.
+    """Predictions of several variants of one room (`predict_variants`), of T or at every position.
 
     Attributes
     ----------
@@ -486,7 +486,7 @@ class Predictions(Result):
         return f"<Predictions: {', '.join(p.name for p in self.predictions)}>"
 
 
-def compare(
+def predict_variants(
     known: Known,
     variants: Sequence[Variant],
     *,
@@ -504,7 +504,7 @@ def compare(
     >>> import rtcal as rt
     >>> from rtcal.prediction import Change, Variant
     >>> result = rt.calibrate(*rt.datasets.bras_cr2())
-    >>> compare(result, [Variant("window open", (Change(open="windows", area=2.0),))])
+    >>> predict_variants(result, [Variant("window open", (Change(open="windows", area=2.0),))])
     <Predictions: window open>
     """
     refuse_repeats("variants", variants)

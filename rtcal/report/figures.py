@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.marks import gap_jnd, letters, rms
-from rtcal.acoustics.observables import TARGET
+from rtcal.acoustics.observables import TARGET, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.files.disk import make_folder, write_all, write_bytes
 from rtcal.files.saved import NUMBERS
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from rtcal.acoustics.comparison import Comparison
     from rtcal.calibration.result import CalibrationResult
     from rtcal.finder.finding import Finding
     from rtcal.finder.positions.places import Place
@@ -215,6 +216,39 @@ def gap(result: CalibrationResult) -> Any:
     axes.set_ylabel("Deviation of T (model - measured) / JND")
     axes.set_title(shown(result.prior.name, 70))
     axes.legend()
+    return figure
+
+
+def disagreement(comparison: Comparison) -> Any:
+    """Return the figure of a run's deviations in JND by band: the six parameters that deviate most."""
+    c, f = comparison, comparison.run.room.centre_frequencies
+    chosen = c.parameters[:_FEW]
+    abreast = min(3, len(chosen))
+    size = max(5.0, 3.1 * abreast), 2.7 * -(-len(chosen) // abreast) + 0.6
+    figure, grid = new_figure(*size, -(-len(chosen) // abreast), abreast)
+    every = [*np.atleast_1d(grid).ravel()]
+    for axes in every[len(chosen) :]:
+        axes.set_visible(False)
+    for axes, p in zip(every, chosen, strict=False):
+        band_axis(axes, f)
+        few = f[:: -(-len(f) // 4)]
+        axes.set_xticks(few, [f"{v:g}" for v in few], rotation=0)
+        axes.axhspan(-1, 1, color="0.85", label="1 JND")
+        axes.axhline(0, color=BLACK, linewidth=0.8)
+        off, (centre, open_) = c.deviation[p], c.coefficients[p]
+        style = {"color": ORANGE, "linewidth": 7, "alpha": 0.3}
+        axes.vlines(f, centre - 2 * open_, centre + 2 * open_, **style, label="coefficients")
+        style = {"color": "0.4", "marker": ".", "markersize": 3, "linestyle": "none"}
+        for pair in c.at_pairs.get(p, ()):
+            axes.plot(f, pair, **style, label="pairs")
+        error = 2 * np.nan_to_num(c.uncertainty[p])
+        style = {"color": BLUE, "marker": "o", "linestyle": "--", "capsize": 3}
+        axes.errorbar(f, off, yerr=error, **style, label="mean")
+        axes.set_title(parameter_label(p), fontsize=10)
+        axes.set_xlabel("Band / Hz", fontsize=9)
+    every[0].set_ylabel("run less measurement / JND", fontsize=9)
+    drawn = dict(zip(*reversed(every[0].get_legend_handles_labels()), strict=True))
+    figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=4, fontsize=9)
     return figure
 
 

@@ -23,6 +23,7 @@ _MODULES = {
     "calibration": "of_calibration",
     "modes": "of_modes",
     "loop": "of_loop",
+    "comparison": "of_comparison",
     "positions": "of_positions",
     **dict.fromkeys(
         ("prediction", "prediction at positions", "predictions", "design"), "of_prediction"
@@ -39,8 +40,8 @@ def blocks_of(result: Result) -> Page:
     if kind not in _MODULES:
         raise DataError(
             f'a result of the kind "{kind}" has no page. Pages '
-            "show a calibration, a loop, positions, modes, predictions, designs, findings, diagnoses "
-            "and what changed; `rtcal learn` prints an archive"
+            "show a calibration, a comparison, a loop, positions, modes, predictions, designs, "
+            "findings, diagnoses and what changed; `rtcal learn` prints an archive"
         )
     made: Page = import_module(f"rtcal.report.{_MODULES[kind]}").page(result)
     return made
@@ -53,7 +54,7 @@ def page(
 
     Parameters
     ----------
-    result : CalibrationResult, ModesResult, Loop, PositionsResult, Prediction, ...
+    result : CalibrationResult, Comparison, ModesResult, Loop, PositionsResult, Prediction, ...
         Also a design, several predictions, predictions at positions, a finding or its verification.
     heading : Heading, optional
         Title, author and date; by default the room's name and author.

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.prediction import Change, Target, Treatment, Variant, compare
+from rtcal.prediction import Change, Target, Treatment, Variant, predict_variants
 from rtcal.prediction.designed import Design
 from rtcal.report import figures, pages
 
@@ -31,7 +31,7 @@ def folder(result, tmp_path_factory) -> Path:
         Variant("window open", (Change(open="windows", area=2.0),)),
         Variant(EVIL, (Change(open="windows", area=4.0),)),
     ]
-    compare(result, variants).save(path)
+    predict_variants(result, variants).save(path)
     return path
 
 
@@ -74,7 +74,7 @@ def test_variants_have_cost_and_probability_of_a_target(result, tmp_path: Path) 
         Variant("four", (Change(open="windows", area=4.0),)),
     ]
     target = Target([0.5] * 6, [1.1] * 6)
-    found = compare(result, variants, target=target)
+    found = predict_variants(result, variants, target=target)
     found.save(tmp_path)
     html = re.sub(' data-of="[^"]*"', "", pages.page_of(tmp_path))
     for prediction in found.predictions:

@@ -1,0 +1,323 @@
+"""Where a simulation and a measurement disagree: by parameter, band and pair.
+
+A deviation is the run's value less the measured one, in just noticeable differences (JND). Of a
+parameter whose JND is a share of its value, such as T, it is ln(run / measured) / ln(1 + share): run
+and measurement exchanged give the same numbers with the other sign.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.marks import LARGE_Z
+from rtcal.acoustics.measurement import MAX_POSITIONS, Measurement, Pair
+from rtcal.acoustics.observables import (
+    OBSERVABLES,
+    REVERBERATION,
+    Observable,
+    decay_curve_db,
+)
+from rtcal.acoustics.room import Room, is_calibrated
+from rtcal.acoustics.room_errors import of_absorption, prior_covariance
+from rtcal.acoustics.run import Lacking, Run
+from rtcal.files.saved import Result
+from rtcal.support import checks
+from rtcal.support.blocks import Block
+from rtcal.support.errors import DataError
+from rtcal.support.types import Array
+
+WORDS = "rtcal.report.of_comparison"
+_LOG_JND = np.log1p(REVERBERATION[0].jnd)
+NOTICED = 1.0
+"""Deviation in JND from which on a parameter disagrees, unless its uncertainty is as large."""
+_BINS = 2000  # of an exponential decay over twice its T
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Comparison(Result):
+    """A run beside a measurement; each table is by parameter, (n_bands,) or (n_pairs, n_bands).
+
+    Attributes
+    ----------
+    run : Run
+        Of a program, or of the equation itself.
+    measured : Measurement
+    equation : LinearEquation
+    of_equation : bool
+        Whether the run is the equation's T.
+    """
+
+    record_kind: ClassVar[str] = "comparison"
+    in_file: ClassVar[str] = (
+        "room=run.room.name centre_frequencies=run.room.centre_frequencies sentence parameters pairs "
+        "deviation_jnd=deviation at_pairs_jnd=at_pairs uncertainty_jnd=uncertainty "
+        "coefficients_jnd=coefficients disagrees explained lacking equation_jnd=of_the_equation"
+    )
+
+    run: Run
+    measured: Measurement
+    equation: LinearEquation
+    of_equation: bool = False
+
+    def __post_init__(self) -> None:
+        _ = self.sides  # raises where nothing is in common
+
+    @cached_property
+    def sides(self) -> tuple[Measurement, Measurement]:
+        """Run and measurement with what both have (`Run.beside`)."""
+        return self.run.beside(self.measured)
+
+    @property
+    def lacking(self) -> dict[str, Lacking]:
+        """What is not compared, and which side lacks it (`Run.lacking`)."""
+        return {} if self.of_equation else self.run.lacking(self.measured)
+
+    @cached_property
+    def pairs(self) -> tuple[Pair, ...]:
+        """The pairs that both have, (n_pairs,); () where means are compared."""
+        run, measured = self.sides
+        return () if run.is_summary or run.pairs != measured.pairs else tuple(run.pairs)
+
+    @cached_property
+    def deviation(self) -> dict[str, Array]:
+        """Run less measured, of means, in JND, the largest first."""
+        run, measured = self.sides
+        found = {p: deviation(run.mean(p), measured.mean(p), p) for p in measured.values}
+        return dict(sorted(found.items(), key=lambda each: -np.nanmax(np.abs(each[1]))))
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """What is compared, the largest deviation first."""
+        return (*self.deviation,)
+
+    @cached_property
+    def at_pairs(self) -> dict[str, Array]:
+        """The same at each of `pairs`, (n_pairs, n_bands); {} without any."""
+        run, measured = self.sides
+        each = self.parameters if self.pairs else ()
+        return {p: deviation(run.values[p], measured.values[p], p) for p in each}
+
+    @cached_property
+    def pair_uncertainty(self) -> dict[str, Array]:
+        """Standard uncertainty in JND at one pair: the stated one, else what teams differ by there."""
+        found, measured = {}, self.sides[1]
+        for p in self.at_pairs:
+            kind, values = OBSERVABLES[p], measured.values[p]
+            teams = kind.of_value(kind.between_teams(measured.centre_frequencies), values)
+            common = np.nan_to_num(measured.common_uncertainty.get(p, 0.0))
+            stated = np.hypot(measured.uncertainty.get(p, np.nan), common)
+            found[p] = _in_jnd(np.where(np.isfinite(stated), stated, teams), values, kind)
+        return found
+
+    @cached_property
+    def uncertainty(self) -> dict[str, Array]:
+        """Standard uncertainty of a deviation in JND, (n_bands,); NaN where it is unknown.
+
+        The measurement's own, and what the run states. Where pairs are compared and the measurement
+        states none, the spread counts by which their deviations differ, and not that of the values,
+        which run and measurement share.
+        """
+        run, measured = self.sides
+        found = {}
+        for p in self.parameters:
+            kind, mean = OBSERVABLES[p], measured.mean(p)
+            stated = p in measured.uncertainty or p in measured.common_uncertainty
+            if self.pairs and not stated:
+                own = self._of_pairs(p)
+            else:
+                own = _in_jnd(measured.mean_uncertainty(p), mean, kind)
+            of_run = run.mean_uncertainty(p) if p in run.uncertainty else np.zeros_like(mean)
+            found[p] = np.hypot(own, _in_jnd(np.nan_to_num(of_run), mean, kind))
+        return found
+
+    def _of_pairs(self, parameter: str) -> Array:
+        """Return the standard error of the mean deviation over pairs in JND, at least ISO 3382-2's."""
+        off, kind, measured = self.at_pairs[parameter], OBSERVABLES[parameter], self.sides[1]
+        n, mean = np.isfinite(off).sum(axis=0), measured.mean(parameter)
+        effective = min(
+            max(len({*names}) for names in zip(*self.pairs, strict=True)), MAX_POSITIONS
+        )
+        with np.errstate(all="ignore"):
+            centred = off - np.nansum(off, axis=0) / n
+            spread = np.sqrt(np.nansum(centred**2, axis=0) / (n - 1) / effective)
+        iso = kind.variance_of_mean(measured.centre_frequencies, mean, np.minimum(n, MAX_POSITIONS))
+        return np.asarray(np.fmax(spread, _in_jnd(np.sqrt(iso), mean, kind)))
+
+    @cached_property
+    def coefficients(self) -> dict[str, Array]:
+        """Mean and standard deviation of the deviation that coefficients explain, in JND, (2, n_bands).
+
+        By the equation's T, of the sigma of the run's coefficients and of what coefficients of a source
+        have in common (`rtcal.acoustics.room_errors`). The mean of T20, or else T30, is 0. Others
+        follow T as in an exponential decay, so that their mean is what T's own deviation carries along.
+        A room that was calibrated leaves nothing open: its coefficients were chosen for T.
+        """
+        room = self.run.room
+        times, area = self.equation.reverberation_time(room), self._open_area
+        with np.errstate(all="ignore"):
+            slope = times * self.equation.target_sensitivity(room, times)
+            prior = np.nan_to_num(np.abs(area / slope)) / _LOG_JND  # of T, in JND
+        mean, left, own = np.zeros_like(prior), prior, [""] * room.n_bands
+        for o in reversed(REVERBERATION):
+            if o.key in self.deviation:
+                off, u = self.deviation[o.key], self.known(o.key)
+                with np.errstate(all="ignore"):
+                    share = np.nan_to_num(prior**2 / (prior**2 + u**2))
+                known = np.isfinite(off)
+                mean = np.where(known, share * off, mean)
+                left = np.where(known, np.sqrt(1 - share) * prior, left)
+                own = [o.key if k else key for k, key in zip(known, own, strict=True)]
+        found = {}
+        for p in self.parameters:
+            kind, values = OBSERVABLES[p], self.sides[1].mean(p)
+            by_log_time = np.array([_by_log_time(kind, t) for t in times])
+            per_jnd = _in_jnd(kind.of_value(by_log_time, values), values, kind) * _LOG_JND
+            first = np.array([key in ("", p) for key in own])
+            ends = np.where(first, [np.zeros_like(prior), prior], [mean, left])
+            found[p] = np.nan_to_num(np.array([per_jnd, np.abs(per_jnd)]) * ends)
+        return found
+
+    @property
+    def _open_area(self) -> Array:
+        """Standard deviation of S'alpha in m² at the run's coefficients, (n_bands,)."""
+        room, n = self.run.room, self.run.room.n_bands
+        if is_calibrated(room):
+            return np.zeros(n)
+        own = prior_covariance(room).reshape(room.n_materials, n, room.n_materials, n)
+        common = of_absorption(room.areas, room.alpha, room.sigma, room.centre_frequencies)
+        variance = np.einsum("m,mbnb,n->b", room.areas, own, room.areas)
+        return np.asarray(np.sqrt(variance + np.sum(common**2, axis=0)))
+
+    @cached_property
+    def disagrees(self) -> dict[str, NDArray[np.bool_]]:
+        """Where a deviation exceeds one JND and twice its uncertainty."""
+        return {
+            p: np.abs(d) > np.fmax(NOTICED, LARGE_Z * self.uncertainty[p])
+            for p, d in self.deviation.items()
+        }
+
+    @cached_property
+    def explained(self) -> dict[str, NDArray[np.bool_]]:
+        """Where the run disagrees and the `coefficients` explain it, within one JND or the rest."""
+        return {
+            p: where
+            & (
+                np.abs(self.deviation[p] - self.coefficients[p][0])
+                <= np.fmax(NOTICED, LARGE_Z * np.hypot(self.known(p), self.coefficients[p][1]))
+            )
+            & (self.coefficients[p] != 0).any(axis=0)
+            for p, where in self.disagrees.items()
+        }
+
+    def known(self, parameter: str) -> Array:
+        """Return the uncertainty in JND, (n_bands,), with 0 where it is unknown."""
+        return np.nan_to_num(self.uncertainty[parameter])
+
+    @cached_property
+    def of_the_equation(self) -> Array:
+        """The equation's T less the run's in JND, (n_bands,); NaN where the run has no T."""
+        run, times = self.run.simulated, self.equation.reverberation_time(self.run.room)
+        return deviation(times, run.reverberation_time, REVERBERATION[0].key)
+
+    @property
+    def sentence(self) -> str:
+        """The answer: what disagrees, by how much and where."""
+        words: str = import_module(WORDS).sentence(self)
+        return words
+
+    def blocks(self) -> list[Block]:
+        """Return what is printed: the answer, what coefficients explain, and the table."""
+        made: list[Block] = import_module(WORDS).blocks(self)
+        return made
+
+    def __repr__(self) -> str:
+        """Return one line: the answer."""
+        return f"<Comparison: {self.sentence}>"
+
+
+def deviation(run: Array, measured: Array, parameter: str) -> Array:
+    """Return run less measured in JND, of the same shape; NaN where either is missing.
+
+    Examples
+    --------
+    >>> print(deviation(np.array([1.05, 1.0]), np.array([1.0, 1.05]), "t20").round(6))
+    [ 1. -1.]
+    """
+    kind = OBSERVABLES[parameter]
+    with np.errstate(all="ignore"):
+        if kind.relative_jnd:
+            return np.asarray(np.log(run / measured) / np.log1p(kind.jnd))
+        return np.asarray((run - measured) / kind.jnd)
+
+
+def _in_jnd(uncertainty: Array, values: Array, kind: Observable) -> Array:
+    """Return an uncertainty of values in JND, to first order."""
+    one = np.log1p(kind.jnd) * values if kind.relative_jnd else kind.jnd
+    return np.asarray(uncertainty / one)
+
+
+def _by_log_time(kind: Observable, time: float) -> float:
+    """Return d observed / d ln T of the exponential decay of T in s."""
+    if not 0 < time < np.inf:
+        return 0.0
+    width = 2 * time / _BINS
+    nepers = 6 * np.log(10) / time * width * (np.arange(_BINS) + 0.5)
+    energy = np.exp(-nepers)
+    return float(kind.gradient(energy, decay_curve_db(energy), width) @ (energy * nepers))
+
+
+def compare(
+    room: Room,
+    measured: Measurement,
+    run: Run | None = None,
+    *,
+    equation: LinearEquation | None = None,
+) -> Comparison:
+    """Compare what a program gave with what was measured, by parameter, band and pair.
+
+    Parameters
+    ----------
+    room : Room
+    measured : Measurement
+    run : Run, optional
+        Of ``room``, with its coefficients or others. Without one the equation's T is the run.
+    equation : LinearEquation, optional
+        Says what the coefficients leave open; by default Eyring's.
+
+    Returns
+    -------
+    Comparison
+        It prints one sentence that says where they disagree, and one table.
+
+    Raises
+    ------
+    DataError
+        If the run is of another room, or run and measurement have nothing in common.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, measured = rt.datasets.bras_cr2()
+    >>> run = rt.Run(room, rt.Measurement.from_values(
+    ...     room.centre_frequencies, t20=1.2 * measured.reverberation_time))
+    >>> rt.compare(room, measured, run)
+    <Comparison: The program's T20 is 20 % too long in all bands.>
+    """
+    equation, by_equation = equation or Eyring(), run is None
+    checks.instance("measured", measured, Measurement).refuse_large_uncertainty()
+    if run is None:
+        times = equation.reverberation_time(checks.instance("room", room, Room))
+        if not np.isfinite(times).any():
+            raise DataError(f"{equation.name}'s T is infinite in every band: nothing absorbs")
+        each = {o.key: np.where(np.isfinite(times), times, np.nan) for o in REVERBERATION}
+        run = Run(room, Measurement.from_values(room.centre_frequencies, **each))
+    else:
+        checks.instance("run", run, Run).refuse_other(room)
+    return Comparison(run=run, measured=measured, equation=equation, of_equation=by_equation)

@@ -1,0 +1,55 @@
+"""``rtcal compare``: where a simulation and a measurement disagree."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rtcal.command.console import (
+    folder,
+    read_measured,
+    read_run,
+    takes,
+    tell,
+    without_air_warning,
+)
+from rtcal.files.disk import make_folder, spare, write_all
+
+
+@click.command(short_help="Where your simulation and the measurement disagree.")
+@takes(
+    "ROOM",
+    "MEASURED",
+    "simulated",
+    "at",
+    "equation",
+    folder("Folder for the page (report.html) and all numbers (result.json)."),
+)
+def compare(
+    room: str, measured: str, simulated: str | None, at: str | None, equation: Any, out: Path | None
+) -> None:
+    """Compare what a program gave for ROOM (TOML) with MEASURED (CSV), by parameter, band and pair.
+
+    Without --simulated the equation's T is compared. It prints one sentence and one table, the
+    largest deviation first, in JND and in standard deviations.
+
+    Example: rtcal compare room.toml measured.csv --simulated run.csv --out gap
+    """
+    from rtcal.acoustics.comparison import compare as compared
+    from rtcal.acoustics.room import Room
+    from rtcal.files.saved import NUMBERS
+    from rtcal.report import pages
+
+    files = {} if out is None else {name: out / name for name in (NUMBERS, "report.html")}
+    spare([*files.values()], [path for path in (room, measured, simulated, at) if path is not None])
+    stated = Room.from_file(room)
+    with without_air_warning():
+        run, data = read_run(stated, simulated, at), read_measured(measured)
+        found = compared(stated, data, run, equation=equation)
+    if out is not None:
+        make_folder(out)
+        texts = (found.to_json(out), pages.page(found))
+        write_all({path: text.encode() for path, text in zip(files.values(), texts, strict=True)})
+    tell(str(found), found.to_dict())

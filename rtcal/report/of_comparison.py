@@ -1,0 +1,300 @@
+"""A run beside a measurement in words, as a table and as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.comparison import NOTICED, Comparison
+from rtcal.acoustics.equations import Eyring
+from rtcal.acoustics.marks import LARGE_Z, rms
+from rtcal.acoustics.observables import OBSERVABLES, REVERBERATION, parameter_label
+from rtcal.acoustics.room import is_calibrated
+from rtcal.report import figures
+from rtcal.report.document import Code, Items, Page, Picture, Section, notes, tables
+from rtcal.support import __version__
+from rtcal.support.blocks import Block, Note, Row, Table
+from rtcal.support.text import listed, number, numbers
+from rtcal.support.types import Array
+
+_MOST = 3  # parameters of which the answer says where they disagree
+_STRONG = 5.0  # JND
+_LEAST = 1e-6  # JND; equal values at all positions do not show their uncertainty
+_LACKING = {
+    "run": "which the run lacks",
+    "measurement": "which the measurement lacks",
+    "reference": "whose reference is each source's own",
+}
+
+
+def sentence(c: Comparison) -> str:
+    """Return the answer: what disagrees, by how much and where, the largest first."""
+    whose = f"{c.equation.name}'s" if c.of_equation else "The program's"
+    wrong = [p for p in c.parameters if c.disagrees[p].any()]
+    right = listed([parameter_label(p) for p in c.parameters if p not in wrong])
+    if not wrong:
+        agree = f"{whose} {right} agree{'s' * (len(c.parameters) == 1)} with the measurement"
+        agree += " in the mean over the pairs" if c.pairs else ""
+        return f"{agree}, within {NOTICED:g} JND or twice the uncertainty in all bands."
+    said = [
+        f"{parameter_label(p)} is {_deviates(c, p)}{_positions(c, p) if p == wrong[0] else ''}"
+        for p in wrong[:_MOST]
+    ]
+    if more := [parameter_label(p) for p in wrong[_MOST:]]:
+        said.append(f"{listed(more)} disagree{'s' * (len(more) == 1)}, too")
+    if right:
+        said.append(f"{right} agree{'s' * (len(c.parameters) - len(wrong) == 1)}")
+    return f"{whose} {'; '.join(said)}."
+
+
+def _deviates(c: Comparison, parameter: str) -> str:
+    of_time = OBSERVABLES[parameter].unit == "s"
+    words = ("too short", "too long") if of_time else ("too low", "too high")
+    return _groups(c, c.deviation[parameter], c.disagrees[parameter], parameter, words)
+
+
+def _groups(
+    c: Comparison, deviation: Array, chosen: NDArray[np.bool_], parameter: str, words: Any
+) -> str:
+    """Return how much what is below and above deviates, and in which bands."""
+    f, known = c.run.room.centre_frequencies, np.isfinite(deviation)
+    said = []
+    for sign, word in zip((-1, 1), words, strict=True):
+        some = chosen & (np.sign(deviation) == sign)
+        if some.any():
+            said.append(f"{_amount(deviation[some], parameter)} {word} {where(f, some, known)}")
+    return " and ".join(said)
+
+
+def _amount(deviation: Array, parameter: str) -> str:
+    """Return the range of deviations in JND as percent, or in the parameter's unit."""
+    kind = OBSERVABLES[parameter]
+    if kind.relative_jnd:
+        sizes, unit, decimals = np.abs(100 * np.expm1(deviation * np.log1p(kind.jnd))), "%", 0
+    elif kind.unit == "s":
+        sizes, unit, decimals = 1000 * kind.jnd * np.abs(deviation), "ms", 0
+    else:
+        sizes, unit, decimals = kind.jnd * np.abs(deviation), kind.unit, max(kind.decimals, 1)
+    low, high = (f"{end:.{decimals}f}" for end in (sizes.min(), sizes.max()))
+    return f"{low if low == high else f'{low} to {high}'} {unit}".rstrip()
+
+
+def where(f: Array, chosen: NDArray[np.bool_], known: NDArray[np.bool_]) -> str:
+    """Return bands in words, among those that are known.
+
+    Examples
+    --------
+    >>> f, every = np.array([125.0, 250.0, 500.0]), np.ones(3, dtype=bool)
+    >>> [where(f, np.array(some), every) for some in ([1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 1])]
+    ['at 250 Hz and below', 'at 250 Hz and above', 'at 125 and 500 Hz', 'in all bands']
+    """
+    at, among = np.flatnonzero(chosen), np.flatnonzero(known)
+    if len(at) > 1 and np.array_equal(at, among):
+        return "in all bands"
+    if len(at) > 1 and np.array_equal(at, among[: len(at)]):
+        return f"at {f[at[-1]]:g} Hz and below"
+    if len(at) > 1 and np.array_equal(at, among[-len(at) :]):
+        return f"at {f[at[0]]:g} Hz and above"
+    return f"at {bands.hertz(f[at])}"
+
+
+def _positions(c: Comparison, parameter: str) -> str:
+    """Return whether all positions deviate alike; "" of means."""
+    if len(c.pairs) < 2:
+        return ""
+    each = _over_bands(c.at_pairs[parameter][:, c.disagrees[parameter]])
+    each = each[np.isfinite(each)]
+    alike = np.ptp(each) <= abs(each.mean())
+    return f", {'' if alike else 'not '}at all positions alike"
+
+
+def _over_bands(off: Array) -> Array:
+    """Return the mean over bands of what is there, (n_pairs,); NaN where nothing is."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.nansum(off, axis=1) / np.isfinite(off).sum(axis=1))
+
+
+def _largest_pair(c: Comparison) -> list[str]:
+    """Return which pair deviates most, and in what, on the average over the bands."""
+    if not c.pairs:
+        return []
+    each = {p: _over_bands(off) for p, off in c.at_pairs.items()}
+    worst = {p: int(np.nanargmax(np.abs(off))) for p, off in each.items()}
+    p = max(worst, key=lambda p: abs(each[p][worst[p]]))
+    i = worst[p]
+    z = float(_over_bands(c.at_pairs[p] / c.pair_uncertainty[p])[i])
+    return [
+        f"Largest at one pair: {parameter_label(p)} from {' to '.join(c.pairs[i])}, "
+        f"{number(float(each[p][i]), '+.1f')} JND or {number(z, '+.1f')} standard deviations on the "
+        "average over the bands."
+    ]
+
+
+def _coefficients(c: Comparison) -> list[str]:
+    """Return whether the coefficients explain what disagrees; [] where all agrees."""
+
+    def named(chosen: Callable[[str], NDArray[np.bool_]]) -> list[str]:
+        f = c.run.room.centre_frequencies
+        found = [(p, chosen(p)) for p in c.parameters]
+        known = {p: np.isfinite(c.deviation[p]) for p in c.parameters}
+        return [f"{parameter_label(p)} {where(f, at, known[p])}" for p, at in found if at.any()]
+
+    if not any(at.any() for at in c.disagrees.values()):
+        return []
+    if is_calibrated(c.run.room):
+        return ["The coefficients were calibrated for T, so they leave nothing open in it."]
+    yes = named(lambda p: c.explained[p])
+    no = named(lambda p: c.disagrees[p] & ~c.explained[p])
+    if not yes:
+        return ["What the input coefficients leave open does not explain it."]
+    if not no:
+        return ["What the input coefficients leave open can explain all of it."]
+    return [
+        f"What the input coefficients leave open can explain {listed(yes)}, but not {listed(no)}."
+    ]
+
+
+def _of_the_equation(c: Comparison) -> list[str]:
+    """Return by how much the equation's T differs from the program's, where that is noticed."""
+    differs = np.abs(c.of_the_equation) > NOTICED
+    if c.of_equation or not differs.any():
+        return []
+    how = _groups(c, c.of_the_equation, differs, REVERBERATION[0].key, ("shorter", "longer"))
+    said = f"Compared with the program's, {c.equation.name}'s T is {how}"
+    compared = [p for p in c.parameters if p in {o.key for o in REVERBERATION}]
+    if compared and not any((c.disagrees[p] & differs).any() for p in compared):
+        said += ", where the program agrees with the measurement"
+    return [said + "."]
+
+
+def _left_out(c: Comparison) -> list[str]:
+    said = []
+    for why, words in _LACKING.items():
+        if names := [parameter_label(p) for p, of in c.lacking.items() if of == why]:
+            said.append(f"Not compared: {listed(names)}, {words}.")
+    run, measured = c.run.simulated, c.measured
+    n = len(measured.pairs)
+    if c.pairs and len(c.pairs) < n:
+        said.append(f"{len(c.pairs)} of {n} measured pairs are compared: the run lacks the others.")
+    if not (c.pairs or run.is_summary or measured.is_summary):
+        said.append("Means are compared, since run and measurement have no pair in common.")
+    return said
+
+
+def _table(c: Comparison) -> Table:
+    """Return the deviations; of the parameters that disagree most in standard deviations, too."""
+    rows, left = list[Row](), _MOST
+    for p, off in c.deviation.items():
+        rows.append(Row(f"{parameter_label(p)} / JND", off, "+.1f", off / _STRONG))
+        if not c.disagrees[p].any() or not left:
+            continue
+        left -= 1
+        u, (centre, open_) = c.uncertainty[p], c.coefficients[p]
+        with np.errstate(all="ignore"):
+            if (sure := u > _LEAST).any():
+                own = np.where(sure, off / u, np.nan)
+                rows.append(Row("  in standard deviations", own, "+.1f"))
+            if open_.any():
+                whole = (off - centre) / np.hypot(c.known(p), open_)
+                rows.append(Row("  beyond coefficients", whole, "+.1f"))
+    return Table(
+        bands.labels(c.run.room.centre_frequencies),
+        rows,
+        f"{'Equation' if c.of_equation else 'Run'} less measurement, the largest first",
+    )
+
+
+def _by_pair(c: Comparison) -> list[Table]:
+    """Return the deviations by pair, the largest first."""
+    if not c.pairs:
+        return []
+    every = np.concatenate([*c.at_pairs.values()], axis=1)
+    order = np.argsort(-np.nan_to_num(rms(every, axis=1)), kind="stable")
+    columns, shades = {}, {}
+    for p, off in c.at_pairs.items():
+        mean, z = _over_bands(off)[order], _over_bands(off / c.pair_uncertainty[p])[order]
+        cells = zip(numbers(mean, "+.1f"), numbers(z, "+.1f"), strict=True)
+        columns[parameter_label(p)] = [f"{jnd} ({own})" for jnd, own in cells]
+        shades[parameter_label(p)] = np.nan_to_num(mean) / _STRONG
+    table = Table.of_columns([" to ".join(c.pairs[i]) for i in order], columns, shades)
+    title = "By pair: mean over the bands / JND (and in standard deviations), the largest first"
+    return [replace(table, title=title, detail=True)]
+
+
+def _values(c: Comparison) -> Table:
+    """Return the means that are compared, in their units."""
+    rows = [
+        Row(
+            f"{parameter_label(p)}, {who}{f' / {kind.unit}' if kind.unit else ''}",
+            side.mean(p),
+            f".{kind.decimals}f",
+        )
+        for p in c.parameters
+        for kind in (OBSERVABLES[p],)
+        for who, side in zip(
+            ("equation" if c.of_equation else "run", "measured"), c.sides, strict=True
+        )
+    ]
+    columns = bands.labels(c.run.room.centre_frequencies)
+    return Table(columns, rows, "Values: means over what both have", detail=True)
+
+
+def blocks(c: Comparison) -> list[Block]:
+    """Return what is printed: the answer, what explains it, the table, and what was left out."""
+    first = [sentence(c), *_largest_pair(c), *_coefficients(c), *_of_the_equation(c)]
+    detailed = [*_by_pair(c), _values(c)]
+    return [*map(Note, first), _table(c), *detailed, *map(Note, _left_out(c))]
+
+
+def section(c: Comparison) -> list[Any]:
+    """Return what a page shows first of a comparison: the answer, the picture, and what explains it."""
+    lead, *further = notes(c.blocks())
+    return [
+        Note(lead, kind="lead"),
+        Picture(
+            lambda: figures.disagreement(c),
+            "How far the run is from the measurement. Dots are pairs; bars are two standard deviations "
+            "of the measurement; orange is what the coefficients can explain, two standard deviations "
+            "and what T carries along; grey is one JND.",
+            lead,
+        ),
+        Items(further),
+    ]
+
+
+def page(c: Comparison) -> Page:
+    """Return the page of a comparison."""
+    room, simulated = c.run.room, "" if c.of_equation else " --simulated run.csv"
+    equation = "" if c.equation == Eyring() else f" --equation {c.equation.key}"
+    return Page(
+        room.name,
+        room.author,
+        "where simulation and measurement disagree",
+        [
+            Section("Summary", "summary"),
+            *section(c),
+            Section("Tables", "tables"),
+            *tables(c.blocks()),
+            Section("What was assumed", "assumed"),
+            Items(
+                [
+                    f"A parameter disagrees where it is off by more than {NOTICED:g} JND and by more "
+                    f"than {LARGE_Z:g} standard uncertainties of the measurement: its own, or that of "
+                    "ISO 3382-2 and of the spread over pairs. One JND of a decay time is a factor of "
+                    f"{1 + REVERBERATION[0].jnd:g}.",
+                    "At one pair, a value that states no uncertainty has that by which teams differ.",
+                    "What the coefficients leave open follows from their sigma, and from errors that "
+                    f"handbook values have in common, by {c.equation.name}'s equation. They explain of "
+                    "other parameters what they change with T in an exponential decay.",
+                ]
+            ),
+            Section("How to reproduce", "reproduce"),
+            Code(f"rtcal compare room.toml measured.csv{simulated}{equation}"),
+            Note(f"rtcal {__version__}."),
+        ],
+    )
