@@ -10,6 +10,7 @@ import click
 from rtcal.command.console import (
     folder,
     read_measured,
+    read_room,
     read_run,
     takes,
     tell,
@@ -38,13 +39,12 @@ def compare(
     Example: rtcal compare room.toml measured.csv --simulated run.csv --out gap
     """
     from rtcal.acoustics.comparison import compare as compared
-    from rtcal.acoustics.room import Room
     from rtcal.files.saved import NUMBERS
     from rtcal.report import pages
 
     files = {} if out is None else {name: out / name for name in (NUMBERS, "report.html")}
     spare([*files.values()], [path for path in (room, measured, simulated, at) if path is not None])
-    stated = Room.from_file(room)
+    stated = read_room(room)
     with without_air_warning():
         run, data = read_run(stated, simulated, at), read_measured(measured)
         found = compared(stated, data, run, equation=equation)

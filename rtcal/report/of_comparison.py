@@ -153,7 +153,7 @@ def _coefficients(c: Comparison) -> list[str]:
     if not yes:
         return ["What the input coefficients leave open does not explain it."]
     if not no:
-        return ["What the input coefficients leave open can explain all of it."]
+        return ["What the input coefficients leave open can explain all of it, band by band."]
     return [
         f"What the input coefficients leave open can explain {listed(yes)}, but not {listed(no)}."
     ]
@@ -173,10 +173,9 @@ def _of_the_equation(c: Comparison) -> list[str]:
 
 
 def _left_out(c: Comparison) -> list[str]:
-    said = []
-    for why, words in _LACKING.items():
-        if names := [parameter_label(p) for p, of in c.lacking.items() if of == why]:
-            said.append(f"Not compared: {listed(names)}, {words}.")
+    by = {why: [p for p, of in c.lacking.items() if of == why] for why in _LACKING}
+    each = [f"{listed([*map(parameter_label, p)])}, {_LACKING[why]}" for why, p in by.items() if p]
+    said = [f"Not compared: {', and '.join(each)}."] if each else []
     run, measured = c.run.simulated, c.measured
     n = len(measured.pairs)
     if c.pairs and len(c.pairs) < n:
