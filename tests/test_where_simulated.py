@@ -23,12 +23,13 @@ MATCH = ("t20", "edt", "c80", "ts")
 
 
 def read(folder: Path, measured: str = "measured.csv") -> rt.finder.PositionsCase:
+    room = rt.Room.from_file(str(folder / "room.toml"))
     return rt.finder.case_of(
-        rt.Room.from_file(str(folder / "room.toml")),
+        room,
         rt.Measurement.from_file(str(folder / measured)),
         tracing={"scattering": 0.4, "n_paths": 4800},
         match=MATCH,
-        simulated=rt.Measurement.from_file(str(folder / "simulated.csv")),
+        simulated=rt.Run(room, rt.Measurement.from_file(str(folder / "simulated.csv"))),
     )
 
 
@@ -109,7 +110,7 @@ def rows(folder: Path) -> list[str]:
         (lambda r: not r.startswith("S2,R3,"), "simulated lacks S2 to R3, which was measured"),
         (lambda r: ",C80," not in r, "simulated has no C80, which was measured; leave c80 out"),
         (lambda r: ",TS," not in r, "simulated has no Ts, which was measured; leave ts out"),
-        (lambda r: ",2000.0," not in r, "simulated has 2 bands, 500 to 1000 Hz; the room has 3"),
+        (lambda r: ",2000.0," not in r, "simulated lacks T20 from S1 to R1 at 2000 Hz"),
         (
             lambda r: not r.startswith("S1,R2,EDT,1000.0,"),
             "simulated lacks EDT from S1 to R2 at 1000 Hz, which was measured",

@@ -1154,6 +1154,8 @@ def case_of(
     """
     checks.instance("room", room, Room)
     of_pairs = not checks.instance("measured", measured, Measurement).is_summary
+    if simulated is not None:
+        checks.instance("simulated", simulated, Run)
     if before is not None:
         of_pairs &= not checks.instance("before", before, Measurement).is_summary
     if simulator is not None and simulator.room is not room:
