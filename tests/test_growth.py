@@ -117,6 +117,30 @@ def seconds_of_mending(n: int) -> float:
     return taken
 
 
+def seconds_of_joining(n: int) -> float:
+    """Processor time in s of mending a box whose walls are drawn as n x n pairs of triangles."""
+    box, at, polygons = Polyhedron.shoebox((20.0, 15.0, 8.0), "plaster"), np.arange(n) / n, []
+    halves = np.array([[0, 0], [1, 0], [1, 1]]), np.array([[0, 0], [1, 1], [0, 1]])
+    for a, b, _, d in (box.vertices[list(face)] for face in box.faces):
+        corners = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 1, 2)
+        polygons += [a + (corners + half / n) @ np.array([b - a, d - a]) for half in halves]
+    drawn = np.concatenate(polygons)
+    names = ["wall"] * len(drawn)
+    begin = time.process_time()
+    done = mend.mended(mend.Faces("box.obj", list(drawn), names, names))
+    assert len(done.geometry.faces) == 6
+    assert done.volume == pytest.approx(2400)
+    return time.process_time() - begin
+
+
+@pytest.mark.long
+def test_time_of_joining_triangles_grows_with_their_number() -> None:
+    """99,372 triangles took 58 s, as their number to the power of 1.5."""
+    seconds_of_joining(16)  # imports
+    small, large = (min(seconds_of_joining(n) for _ in range(2)) for n in (20, 60))
+    assert np.log(large / small) / np.log(9) < 1.2
+
+
 @pytest.mark.long
 def test_time_of_mending_grows_with_the_faces_not_with_their_square() -> None:
     seconds_of_mending(20)  # imports

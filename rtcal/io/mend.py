@@ -9,18 +9,19 @@ on walls, reflectors hang free, tables have no bottom. In this order
    are divided into triangles;
 3. small holes of the room's shell are closed, with the material of the face at their longest edge;
 4. a face on a larger one (a window on its wall, up to `OFFSET` before it) takes its area;
-5. an object that stands on a face with an open bottom takes its footprint from that face;
-6. a free panel becomes a reflector with two sides, `THICKNESS` thick;
-7. what lies outside the shell is left out, and a solid that reaches through it ends there;
-8. where a closed object touches a face, neither counts.
+5. corners of an object near a wall are moved onto it, up to `OFFSET` from its open bottom and up to
+   ``weld`` from a face;
+6. the room is the largest space between all faces, as thin plates, by manifold3d. What faces it counts:
+   not what lies outside, not the part of an object behind a wall, and neither of two faces that touch.
+   A panel that has the room on both sides becomes a reflector, `THICKNESS` thick.
 
 Each is a `Defect` with its number, area and effects on V and S. What cannot be mended safely is
 refused, and the message says how to mend it in the program that drew it. All other defects are listed
-with it, so that they can be mended in one go. Needs shapely
-(``rtcal[mesh]``) where a face is to be cut.
+with it, so that they can be mended in one go. Needs shapely and manifold3d (``rtcal[mesh]``) where a
+face is to be cut.
 
 Walls that are drawn as closed solids, as building models and CAD programs do, bound material: the room
-is the largest cavity in the union of all solids (manifold3d). The volume of a room whose faces do not
+is the largest space outside all solids. The volume of a room whose faces do not
 close is taken by lines through what is drawn: parallel lines in three directions cross the walls.
 Between its first and second crossing, its third and fourth, a line is in the room. A line with an odd
 number of crossings went through a hole, and takes the mean of its neighbours. Where holes face each
@@ -30,10 +31,9 @@ other a direction is wrong and the others are not, so their spread is the uncert
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, reduce
-from operator import add
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -50,10 +50,12 @@ from rtcal.simulators.geometry import (
     edge_owners,
     triangulate,
     vector_area,
+    vector_areas,
     winding_number,
 )
 from rtcal.simulators.geometry import WELD as FINE
 from rtcal.simulators.geometry import area as area_of
+from rtcal.simulators.geometry import welded as weld_vertices
 from rtcal.support import library
 from rtcal.support.errors import DataError
 from rtcal.support.text import listed, rounded
@@ -73,7 +75,6 @@ SAME = 1e-6
 """Distance in m, and area in m², below which two are one."""
 ANY_SHARE = 1 / np.sqrt(3)
 """Of an area of which any share may count, all shares alike: rms of what is missing or too much."""
-CONTACT = "faces of closed objects touch others: the room has neither there"
 _SHOWN = 1e-6
 """Smallest effect in m³ and m² that is printed: smaller ones are rounding."""
 _OF_ANY_SHARE = ("overlay", "contact")
@@ -243,23 +244,34 @@ def combined(parts: Iterable[tuple[str, float]]) -> dict[str, float]:
     return {name: u for name, u in total.items() if u > 0}
 
 
+_DONE = {
+    "bent": "faces that are not plane are divided into triangles",
+    "hole": "holes are closed with their neighbour's material",
+    "twice": "faces drawn twice are taken once",
+    "object": "closed objects stand by themselves",
+    "overlay": "faces on a larger one take its area",
+    "open bottom": "objects with an open bottom stand on a face, and take its area",
+    "panel": "free panels are reflectors with two sides",
+    "outside": "components outside the room are left out",
+    "partly outside": "components that reach through a wall are left out; their areas, and whether "
+    "the room has them, are uncertain",
+    "through": "objects that reach through a wall end there",
+    "contact": "faces of closed objects touch others: the room has neither there",
+}
+_LOOSE = "components hang free, or are walls that do not meet the others"
+
+
 class Mending:
     """One mesh while it is mended; ``points`` are the corners in m of all its parts.
 
-    ``buried`` are points (3,) of faces that two closed objects had in common.
+    ``repeated`` are faces that are drawn twice, and the materials that they have then.
     """
 
-    def __init__(
-        self,
-        drawn: Faces,
-        weld: float,
-        largest_hole: float | None = None,
-        points: Array | None = None,
-    ) -> None:
+    def __init__(self, drawn: Faces, weld: float, largest_hole: float | None = None) -> None:
         self.drawn, self.path = drawn, drawn.path
         self.weld, self.largest_hole = weld, largest_hole
-        self.points: Array = np.zeros((0, 3)) if points is None else np.array(points)
-        self.buried: list[Array] = []
+        self.points: Array = np.zeros((0, 3))
+        self.repeated = FaceSet(self), list[str]()
         self._found: dict[tuple[str, str], Defect] = {}
 
     @property
@@ -270,20 +282,21 @@ class Mending:
     def found(
         self,
         kind: str,
-        done: str,
         places: Sequence[str],
         area: float = 0.0,
         volume: float = 0.0,
         surface: float = 0.0,
+        *,
         uncertainty: float = 0.0,
         unsure: Iterable[tuple[str, float]] = (),
+        done: str = "",
     ) -> None:
         """Note a defect at these places, with its effects in m², m³ and m²; those of a kind are one.
 
         ``unsure`` are materials with a standard uncertainty of area in m² each.
         """
+        done, u, places = done or _DONE[kind], combined(unsure), tuple(places)
         none = self._found.get((kind, done)) or Defect(kind, 0, 0.0, 0.0, 0.0, 0.0, (), done)
-        u, places = combined(unsure), tuple(places)
         this = Defect(kind, len(places), area, volume, surface, uncertainty, places, done, u)
         self._found[kind, done] = none + this
 
@@ -296,11 +309,11 @@ class Mending:
         error.edges = self.points[np.array([*edges], dtype=int).reshape(-1, 2)]
         return error
 
-    def new_points(self, corners: Array) -> range:
+    def new_points(self, corners: Array) -> list[int]:
         """Add corners (n, 3) in m, and return their numbers."""
         first = len(self.points)
         self.points = np.concatenate([self.points, corners])
-        return range(first, len(self.points))
+        return [*range(first, len(self.points))]
 
     def place(self, corner: int) -> str:
         """Return a corner's coordinates in words."""
@@ -340,6 +353,12 @@ class Polygon:
         """Return the distance in m of points (..., 3) from the plane, above 0 along the normal."""
         return np.asarray((points - self._middle) @ self.normal)
 
+    @cached_property
+    def bend(self) -> float:
+        """The largest distance of a corner from the plane in m; 0.0 where it is rounding."""
+        bend = self.thickness(self.corners)
+        return bend if bend > SAME else 0.0
+
     def thickness(self, points: Array) -> float:
         """Return the largest distance in m of points from the plane."""
         return float(np.abs(self.away(points)).max())
@@ -352,10 +371,6 @@ class Polygon:
         """Return corners (n, 3) as a shape in the axes, made valid."""
         polygon = shapely().Polygon(corners @ self.axes.T)
         return polygon if polygon.is_valid else polygon.buffer(0)
-
-    def seen(self, shape: Any, other: Polygon) -> Any:
-        """Return a shape in the axes of another polygon's plane in these axes."""
-        return shapely().transform(shape, lambda flat: other.lifted(flat) @ self.axes.T)
 
     def beside(self, point: Array) -> float:
         """Return the distance in m in the plane of a point (3,) from the polygon."""
@@ -387,9 +402,9 @@ class FaceSet:
         self.mend = mend
         self.faces, self.materials, self.names = [*faces], [*materials], [*names]
 
-    def add(self, face: Iterable[int], material: str, name: str) -> None:
+    def add(self, face: Face, material: str, name: str) -> None:
         """Add a face of these corners."""
-        self.faces.append(list(face))
+        self.faces.append(face)
         self.materials.append(material)
         self.names.append(name)
 
@@ -407,7 +422,7 @@ class FaceSet:
         rows = [(self.faces[i], self.materials[i], self.names[i]) for i in index]
         return FaceSet(self.mend, *zip(*rows, strict=True)) if rows else FaceSet(self.mend)
 
-    def kept(self, which: Sequence[bool]) -> FaceSet:
+    def kept(self, which: Any) -> FaceSet:
         """Return the faces that are to be kept."""
         return self.of(np.flatnonzero(which).tolist())
 
@@ -421,14 +436,14 @@ class FaceSet:
         return [self.mend.points[face] for face in self.faces]
 
     @property
-    def areas(self) -> list[float]:
-        """The area of each face in m²."""
-        return [area_of(polygon) for polygon in self.polygons]
+    def areas(self) -> Array:
+        """The area of each face in m², (n,)."""
+        return np.asarray(np.linalg.norm(vector_areas(self.mend.points, self.faces), axis=1))
 
     @property
     def size(self) -> float:
         """The area in m²."""
-        return sum(self.areas)
+        return float(self.areas.sum())
 
     @property
     def points(self) -> Array:
@@ -440,10 +455,12 @@ class FaceSet:
         """Whether all corners are near one plane: a sheet."""
         return best_plane(self.points)[1] <= self.mend.weld
 
-    @property
-    def edges(self) -> list[Edge]:
-        """Each edge once, its lower corner first."""
-        return sorted({edge for face in self.faces for edge in edges_of(face)})
+    def triangles(self) -> tuple[Array, Array]:
+        """Return triangles that cover the faces, (n, 3, 3), and the number of each one's face."""
+        found = [(i, t) for i, p in enumerate(self.polygons) for t in triangulate(p)]
+        corners = [self.mend.points[[self.faces[i][k] for k in t]] for i, t in found]
+        index = np.array([i for i, _ in found], dtype=int)
+        return np.asarray(np.array(corners).reshape(-1, 3, 3)), index
 
     def owners(self) -> dict[Edge, list[int]]:
         """Return the numbers of the faces that meet at each edge, divided at all corners on it."""
@@ -454,13 +471,13 @@ class FaceSet:
         """Return the pieces of edges at which one face, or an odd number, meets; with one of them."""
         return {e: sides[0] for e, sides in self.owners().items() if len(sides) % 2}
 
-    def components(self) -> list[list[int]]:
+    def components(self) -> list[FaceSet]:
         """Return the faces of each component: faces are joined where two meet in an edge."""
         n = len(self.faces)
         pairs = np.array([s for s in self.owners().values() if len(s) == 2], dtype=int)
         links = coo_array((np.ones(len(pairs)), pairs.reshape(-1, 2).T), shape=(n, n))
         number, label = connected_components(links, directed=False)
-        return [np.flatnonzero(label == k).tolist() for k in range(number)]
+        return [self.kept(label == k) for k in range(number)]
 
     def polyhedron(self) -> Polyhedron:
         """Return the closed room of the faces; DataError if they do not close."""
@@ -498,11 +515,6 @@ def best_plane(corners: Array) -> tuple[Array, float]:
     return np.asarray(normal), float(np.abs(away @ normal).max())
 
 
-def is_flat(corners: Array) -> bool:
-    """Return whether a polygon is as plane as a room's face must be."""
-    return Polygon(corners).thickness(corners) <= PLANARITY * 0.9
-
-
 def extent_of(corners: Array) -> float:
     """Return the largest distance of two corners in m."""
     return float(np.linalg.norm(corners[:, np.newaxis] - corners[np.newaxis], axis=-1).max())
@@ -526,7 +538,7 @@ def shapely() -> Any:
 
 def edges_of(face: Sequence[int]) -> list[Edge]:
     """Return the edges of a face, each with its lower corner first."""
-    return [(min(a, b), max(a, b)) for a, b in zip([face[-1], *face[:-1]], face, strict=True)]
+    return [(a, b) if a < b else (b, a) for a, b in zip([face[-1], *face[:-1]], face, strict=True)]
 
 
 def simplified(face: Face) -> Face:
@@ -581,39 +593,50 @@ def _shortest(neighbours: Mapping[int, set[int]], first: int, second: int) -> Fa
     raise AssertionError("an edge of an even graph is in a loop")  # pragma: no cover
 
 
+# -- faces that nearly meet
+
+
 def welded(mend: Mending) -> FaceSet:
     """Return the faces with corners within ``weld`` of each other as one."""
     drawn = np.concatenate([np.asarray(p, dtype=float) for p in mend.drawn.polygons])
     if not np.isfinite(drawn).all():
         raise DataError(f"{mend.path}: a corner is not finite")
-    tree = cKDTree(drawn)
-    index = np.full(len(drawn), -1)
+    _, first, of_drawn, count = np.unique(
+        drawn, axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    label = np.full(len(first), -1)
     groups: list[list[int]] = []
-    for i in range(len(drawn)):
-        if index[i] < 0:
-            near = [k for k in tree.query_ball_point(drawn[i], mend.weld) if index[k] < 0]
-            index[near] = len(groups)
-            groups.append(near)
-    mend.points = np.array([drawn[g].mean(axis=0) for g in groups])
-    shifts = np.linalg.norm(mend.points[index] - drawn, axis=1)
-    moved = [k for k, g in enumerate(groups) if shifts[g].max() > 1e-4]
-    part, first, spread, unsure = FaceSet(mend), 0, 0.0, []
-    drawn_rows = zip(mend.drawn.polygons, mend.drawn.materials, mend.drawn.names, strict=True)
-    for polygon, material, name in drawn_rows:
-        corners = slice(first, first := first + len(polygon))
-        points = np.asarray(polygon)
-        spread += (area_of(points) * float(shifts[corners].mean())) ** 2
-        # A corner moves the area by half of its neighbours' distance; none is drawn better than others.
-        across = np.linalg.norm(np.roll(points, 1, axis=0) - np.roll(points, -1, axis=0)) / 2
-        unsure.append((material, float(np.sqrt(np.mean(shifts**2)) * across)))
-        part.add(map(int, index[corners]), material, name)
+    near = cKDTree(drawn[first]).query_ball_point(drawn[first], mend.weld)
+    for i in np.argsort(first).tolist():  # as they are drawn
+        if label[i] < 0:
+            groups.append([k for k in near[i] if label[k] < 0])
+            label[groups[-1]] = len(groups) - 1
+    order = label[of_drawn.ravel()]
+    sums = np.zeros((len(groups), 3))
+    np.add.at(sums, label, drawn[first] * count[:, np.newaxis])
+    mend.points = sums / np.bincount(label, count)[:, np.newaxis]
+    for k in np.flatnonzero(np.bincount(label) == 1):  # to the last bit
+        mend.points[k] = drawn[first[groups[k][0]]]
+    shifts = np.linalg.norm(mend.points[order] - drawn, axis=1)
+    ends = np.cumsum([len(p) for p in mend.drawn.polygons])
+    faces = [each.tolist() for each in np.split(order, ends[:-1])]
+    part = FaceSet(mend, faces, mend.drawn.materials, mend.drawn.names)
+    moved = np.unique(order[shifts > 1e-4]).tolist()
     if moved:
+        own = np.array([area_of(np.asarray(p)) for p in mend.drawn.polygons])
+        off = np.array([each.mean() for each in np.split(shifts, ends[:-1])])
+        # A corner moves the area by half of its neighbours' distance; none is drawn better than others.
+        across = [
+            np.linalg.norm(np.roll(p, 1, axis=0) - np.roll(p, -1, axis=0)) / 2
+            for p in map(np.asarray, mend.drawn.polygons)
+        ]
+        each = float(np.sqrt(np.mean(shifts**2)))
         mend.found(
             "joint",
-            f"corners that lay up to {2 * shifts.max() * 1000:.2g} mm apart are joined",
             [mend.place(k) for k in moved],
-            uncertainty=float(np.sqrt(spread)),
-            unsure=unsure,
+            done=f"corners that lay up to {2 * shifts.max() * 1000:.2g} mm apart are joined",
+            uncertainty=float(np.linalg.norm(own * off)),
+            unsure=[(m, each * float(a)) for m, a in zip(part.materials, across, strict=True)],
         )
     return cleaned(part)
 
@@ -622,25 +645,23 @@ def cleaned(part: FaceSet) -> FaceSet:
     """Return the faces without repeated corners, and without slivers."""
     mend = part.mend
     part = FaceSet(mend, map(simplified, part.faces), part.materials, part.names)
-    narrow = [
-        len(f) < 3 or area_of(mend.points[f]) < mend.weld * extent_of(mend.points[f]) / 2
-        for f in part.faces
-    ]
-    slivers = part.kept(narrow)
+    sizes, counts = part.areas, np.array([len(f) for f in part.faces])
+    corners, starts = mend.points[np.concatenate(part.faces)], np.cumsum(counts) - counts
+    low, high = (f.reduceat(corners, starts, axis=0) for f in (np.minimum, np.maximum))
+    narrow = (counts < 3) | (sizes < mend.weld * np.linalg.norm(high - low, axis=1) / 2)
+    for i in np.flatnonzero(narrow & (counts > 2)):
+        narrow[i] = sizes[i] < mend.weld * extent_of(mend.points[part.faces[i]]) / 2
+    slivers, areas = part.kept(narrow), sizes[narrow].tolist()
     if slivers.faces:
-        areas = [
-            area if len(f) > 2 else 0.0
-            for f, area in zip(slivers.faces, slivers.areas, strict=True)
-        ]
         mend.found(
             "sliver",
-            f"faces narrower than {mend.weld * 1000:g} mm are dropped",
             slivers.names,
             sum(areas),
             surface=-sum(areas),
+            done=f"faces narrower than {mend.weld * 1000:g} mm are dropped",
             unsure=[(m, ANY_SHARE * a) for m, a in zip(slivers.materials, areas, strict=True)],
         )
-    if all(narrow):
+    if narrow.all():
         corners = np.concatenate([np.asarray(p) for p in mend.drawn.polygons])
         across = np.linalg.norm(np.ptp(corners, axis=0))
         raise mend.refused(
@@ -648,76 +669,48 @@ def cleaned(part: FaceSet) -> FaceSet:
             f"the mesh is {across * 1000:.2g} mm across. State a larger --unit, such "
             "as 1 for a mesh drawn in m, or a smaller --weld"
         )
-    return part.kept(np.logical_not(narrow).tolist())
+    return part.kept(~narrow)
 
 
 def without_repetitions(part: FaceSet) -> FaceSet:
-    """Return the faces without those that are drawn twice.
-
-    Of two closed objects that stand on each other both faces go.
-    """
-    mend = part.mend
+    """Return the faces without those that are drawn twice, which are kept to be noted."""
     seen: dict[frozenset[int], int] = {}
     firsts = [seen.setdefault(frozenset(face), i) for i, face in enumerate(part.faces)]
-    pairs = [(first, i) for i, first in enumerate(firsts) if first != i]
-    common = _between_objects(part, firsts, Counter(first for first, _ in pairs)) if pairs else ()
-    kept = [first == i for i, first in enumerate(firsts)]
-    for first, i in pairs:
-        name, own, other = part.names[i], part.materials[i], part.materials[first]
-        area = area_of(part.corners(i))
-        if first in common:
-            kept[first] = False
-            mend.found(
-                "contact", CONTACT, [f'"{name}" on "{part.names[first]}"'], area, 0.0, -2 * area
-            )
-            mend.buried.append(part.corners(i).mean(axis=0))
+    again = [i for i, first in enumerate(firsts) if first != i]
+    part.mend.repeated = part.of(again), [part.materials[firsts[i]] for i in again]
+    return part.kept([first == i for i, first in enumerate(firsts)])
+
+
+def note_repetitions(mend: Mending, unseen: Collection[frozenset[int]] = ()) -> None:
+    """Note the faces that are drawn twice; those ``unseen``, which two objects share, are contacts."""
+    part, materials = mend.repeated
+    for row, other, area in zip(part.rows(), materials, part.areas.tolist(), strict=True):
+        face, own, name = row
+        if frozenset(face) in unseen:
+            mend.found("contact", [f'"{name}" on another'], area, 0.0, -2 * area)
             continue
         # Of two materials either may be the one that is meant.
         unsure = [(m, area / np.sqrt(2)) for m in (own, other) if own != other]
         name += f", {own} on {other}" if own != other else ""
-        mend.found(
-            "twice", "faces drawn twice are taken once", [name], area, 0.0, -area, 0.0, unsure
-        )
-    return part.kept(kept)
-
-
-def _between_objects(part: FaceSet, firsts: Sequence[int], copies: Counter[int]) -> set[int]:
-    """Return the first of each two faces that two closed objects, or one and the room, have in common.
-
-    Faces that are drawn twice are joined where no other face meets their edge. They are in common if
-    an even number of other faces, and some, meet in each edge around them.
-    """
-    group = {first: {first} for first in copies}
-    around: dict[int, list[int]] = {first: [] for first in copies}
-    for sides in part.owners().values():
-        drawn = [firsts[i] for i in sides]
-        own = {first for first in drawn if first in copies}
-        if len(own) > 1 and own.issuperset(drawn):
-            joined = set[int]().union(*(group[first] for first in own))
-            group.update(dict.fromkeys(joined, joined))
-            continue
-        for first in own:
-            around[first].append(sum(other != first for other in drawn))
-    common = set()
-    for first, members in group.items():
-        others = [n for member in members for n in around[member]]
-        once = all(copies[member] == 1 for member in members)
-        if once and others and all(n > 0 and n % 2 == 0 for n in others):
-            common.add(first)
-    return common
+        mend.found("twice", [name], area, 0.0, -area, unsure=unsure)
 
 
 def snapped(part: FaceSet) -> FaceSet:
     """Return the faces with corners that are near an edge moved onto it."""
     mend, before = part.mend, part.areas
-    moved = _snap(part)
+    moved: dict[int, float] = {}
+    for _ in range(4):
+        shift = _snap(part)
+        moved |= {v: max(moved.get(v, 0.0), distance) for v, distance in shift.items()}
+        if not shift:
+            break
     if moved:
         shifts = [float(np.mean([moved.get(v, 0.0) for v in face])) for face in part.faces]
         changes = np.subtract(before, part.areas).tolist()
         mend.found(
             "joint",
-            f"corners up to {max(moved.values()) * 1000:.2g} mm beside an edge are moved onto it",
             [mend.place(v) for v in moved],
+            done=f"corners up to {max(moved.values()) * 1000:.2g} mm beside an edge are moved onto it",
             uncertainty=float(np.linalg.norm(np.multiply(before, shifts))),
             unsure=zip(part.materials, changes, strict=True),
         )
@@ -726,17 +719,8 @@ def snapped(part: FaceSet) -> FaceSet:
 
 def _snap(part: FaceSet) -> dict[int, float]:
     """Move corners that are near an edge onto it, and return by how much in m each."""
-    moved: dict[int, float] = {}
-    for _ in range(4):
-        shift = _snap_once(part)
-        moved |= {v: max(moved.get(v, 0.0), distance) for v, distance in shift.items()}
-        if not shift:
-            break
-    return moved
-
-
-def _snap_once(part: FaceSet) -> dict[int, float]:
-    mend, edges = part.mend, part.edges
+    mend = part.mend
+    edges = sorted({edge for face in part.faces for edge in edges_of(face)})
     ends = mend.points[np.array(edges)]
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     near = cKDTree(mend.points).query_ball_point(ends.mean(axis=1), lengths / 2 + mend.weld)
@@ -758,78 +742,60 @@ def _snap_once(part: FaceSet) -> dict[int, float]:
     return {v: distance for v, (distance, _) in best.items()}
 
 
-def rejoined(part: FaceSet) -> FaceSet:
-    """Return the faces with the corners that cutting has made on older corners and edges nearby."""
-    mend = part.mend
-    used = sorted({v for face in part.faces for v in face})
-    tree = cKDTree(mend.points[used])
-    index: dict[int, int] = {}
-    for k, v in enumerate(used):
-        near = min(tree.query_ball_point(mend.points[v], mend.weld / 2))
-        index[v] = index.get(used[near], used[near]) if near < k else v
-    faces = [simplified([index[v] for v in face]) for face in part.faces]
-    is_face = [len(f) > 2 and area_of(mend.points[f]) > SAME for f in faces]
-    part = FaceSet(mend, faces, part.materials, part.names).kept(is_face)
-    _snap(part)
-    return part
-
-
-def settled(part: FaceSet) -> FaceSet:
-    """Return faces after cutting: joints closed, plane, and none so narrow that its corners are one."""
-    part = flattened(rejoined(part))
-    return part.kept([2 * area_of(p) > FINE * extent_of(p) for p in part.polygons])
-
-
 def joined(part: FaceSet) -> FaceSet:
-    """Return the faces with neighbours in one plane and of one material and name as one polygon."""
-    mend = part.mend
+    """Return the faces with neighbours in one plane and of one material and name as one polygon.
+
+    A group grows from its largest triangle, in whose plane all its corners are.
+    """
+    mend, points = part.mend, part.mend.points
     if len(part.faces) < 8 or not all(len(f) == 3 for f in part.faces):
         return part
-    sides: dict[tuple[int, int], list[int]] = {}
+    sides: dict[Edge, list[int]] = {}
     for i, face in enumerate(part.faces):
         for edge in edges_of(face):
             sides.setdefault(edge, []).append(i)
+    normals = vector_areas(points, part.faces)
+    sizes = np.linalg.norm(normals, axis=1)
+    normals /= sizes[:, np.newaxis]
     links: list[list[int]] = [[] for _ in part.faces]
     for i, j in (pair for pair in sides.values() if len(pair) == 2):
-        links[i].append(j)
-        links[j].append(i)
-    normals = np.array([normal_of(p) for p in part.polygons])
+        if part.materials[i] == part.materials[j] and abs(normals[i] @ normals[j]) > 0.99:
+            links[i].append(j)
+            links[j].append(i)
     done = [False] * len(part.faces)
     out = FaceSet(mend)
-    for first in range(len(part.faces)):
+    for first in np.argsort(-sizes, kind="stable").tolist():
         if done[first]:
             continue
         done[first] = True
-        members, corners = [first], set(part.faces[first])
+        members, normal = [first], normals[first]
+        offset = float(points[part.faces[first][0]] @ normal)
         for i in members:  # the list grows during the loop
             for j in links[i]:
-                if (
-                    not done[j]
-                    and part.materials[j] == part.materials[first]
-                    and abs(float(normals[j] @ normals[first])) > 0.99
-                    and best_plane(mend.points[[*corners, *part.faces[j]]])[1] < PLANARITY * 0.9
-                ):
-                    corners |= set(part.faces[j])
+                away = points[part.faces[j]] @ normal - offset
+                if not done[j] and np.abs(away).max() < PLANARITY * 0.45:
                     done[j] = True
                     members.append(j)
-        count = Counter(e for i in members for e in edges_of(part.faces[i]))
-        loops = loops_of([edge for edge, n in count.items() if n == 1])
-        if len(members) > 1 and loops is not None and len(loops) == 1:
-            out.add(_straightened(mend, loops[0]), part.materials[first], part.names[first])
-        else:
-            out.extend(part.of(members))
+        for face in outlined(mend, [part.faces[i] for i in members]):
+            out.add(face, part.materials[first], part.names[first])
     return out
 
 
-def _straightened(mend: Mending, loop: Face) -> Face:
-    """Return a polygon without corners on a straight line, which T-junctions find by themselves."""
-    kept = []
-    for k, v in enumerate(loop):
-        before, after = mend.points[loop[k - 1]], mend.points[loop[(k + 1) % len(loop)]]
-        a, b = mend.points[v] - before, after - mend.points[v]
-        if np.linalg.norm(np.cross(a, b)) > 1e-5 * np.linalg.norm(a) * np.linalg.norm(b):
-            kept.append(v)
-    return kept if len(kept) > 2 else loop
+def outlined(mend: Mending, faces: list[Face]) -> list[Face]:
+    """Return faces of one plane as one polygon; themselves if they have a hole, or lie apart."""
+    if len(faces) == 1:
+        return faces
+    count = Counter(edge for face in faces for edge in edges_of(face))
+    loops = loops_of([edge for edge, n in count.items() if n == 1])
+    if loops is None or len(loops) != 1:
+        return faces
+    (loop,) = loops
+    corners = mend.points[loop]
+    # T-junctions find corners on a straight line by themselves.
+    a, b = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
+    bent = np.linalg.norm(np.cross(a, b), axis=1)
+    bent = bent > 1e-5 * np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
+    return [np.array(loop)[bent].tolist() if bent.sum() > 2 else loop]
 
 
 def flattened(part: FaceSet) -> FaceSet:
@@ -837,22 +803,21 @@ def flattened(part: FaceSet) -> FaceSet:
     mend, out = part.mend, FaceSet(part.mend)
     for face, material, name in part.rows():
         corners = mend.points[face]
-        if is_flat(corners):
+        off = Polygon(corners).thickness(corners)
+        if off <= PLANARITY * 0.9:
             out.add(face, material, name)
             continue
         pieces = [[face[k] for k in piece] for piece in triangulate(corners)]
         for piece in pieces:
             out.add(piece, material, name)
-        off = np.abs((corners - corners.mean(axis=0)) @ normal_of(corners)).max()
         if off > mend.weld:  # else it is a joint's, noted already
             area, folded = area_of(corners), sum(area_of(mend.points[piece]) for piece in pieces)
-            done = "faces that are not plane are divided into triangles"
-            mend.found("bent", done, [name], area, unsure=[(material, folded - area)])
+            mend.found("bent", [name], area, unsure=[(material, folded - area)])
     return out
 
 
-_THICKEST = 0.6
-"""Mean distance in m between two closed surfaces up to which they are both sides of the walls."""
+# -- the shell, and its holes
+
 _HOLE_SHARE = 0.01
 """Largest area of a hole that is closed, over the area of the shell."""
 _NEAR = 0.2
@@ -861,34 +826,25 @@ _LOOPS = "close the hole with a face, or delete the faces around it"
 
 
 def shell_of(part: FaceSet) -> tuple[FaceSet, list[FaceSet]]:
-    """Return the shell of the room, which may have holes, and the other components."""
+    """Return the shell of the room, which may have holes, and the other components.
+
+    The shell encloses all: its box is the largest, and no flat component's is a room's. A face between
+    it and an object is its, too.
+    """
     mend = part.mend
-    parts = [part.of(members) for members in part.components()]
+    parts = part.components()
     points = [p.points for p in parts]
     boxes = [float(np.prod(np.sort(np.ptp(p, axis=0))[1:])) for p in points]
-    # The shell encloses all: its box is the largest, and no flat component's is a room's.
     solid = [i for i, p in enumerate(points) if best_plane(p)[1] > 5 * mend.weld]
     if not solid:
         raise mend.refused("no faces enclose a volume: draw the walls, the floor and the ceiling")
     main = max(solid, key=lambda i: (round(boxes[i], 3), parts[i].size))
-    outer = _volume(parts[main])
-    low, high = points[main].min(axis=0), points[main].max(axis=0)
-    for i in solid:
-        is_within = (low < points[i].min(axis=0)).all() and (points[i].max(axis=0) < high).all()
-        if i != main and 2 * boxes[i] > boxes[main] and is_within:
-            inner = _volume(parts[i])
-            if outer > inner > outer / 2 and outer - inner < _THICKEST * parts[i].size:
-                main = i  # the walls are drawn with their thickness
-                break
-    return parts[main], [p for i, p in enumerate(parts) if i != main]
-
-
-def _volume(part: FaceSet) -> float:
-    """Return the volume in m³ of a component; 0.0 if it is open."""
-    try:
-        return float(part.polyhedron().volume)
-    except DataError:
-        return 0.0
+    shell, others = parts[main], [p for i, p in enumerate(parts) if i != main]
+    missing = {*shell.open_edges()}
+    for part in others if missing else ():
+        if {*part.open_edges()} <= missing and len(part.faces) == 1:
+            shell.extend(part)
+    return shell, [p for p in others if p.faces[0] not in shell.faces]
 
 
 def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
@@ -922,12 +878,10 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
     for loop, area in zip(loops, areas.values(), strict=True):
         ends = mend.points[[*loop, loop[0]]]
         longest = int(np.argmax(np.linalg.norm(np.diff(ends, axis=0), axis=1)))
-        material = part.materials[
-            missing[edges_of([loop[longest], loop[longest - len(loop) + 1]])[0]]
-        ]
+        beside = edges_of([loop[longest], loop[longest - len(loop) + 1]])[0]
+        material = part.materials[missing[beside]]
         mend.found(
             "hole",
-            "holes are closed with their neighbour's material",
             [f"at {mend.place(loop[0])}, {material}"],
             area,
             surface=area,
@@ -968,7 +922,7 @@ def as_drawn(shell: FaceSet, others: Sequence[FaceSet], error: MeshError) -> Mes
     """
     areas: dict[str, float] = {}
     for part in (shell, *others):
-        for area, material in zip(part.areas, part.materials, strict=True):
+        for area, material in zip(part.areas.tolist(), part.materials, strict=True):
             areas[material] = areas.get(material, 0.0) + area
     is_whole = 2 * shell.size > sum(areas.values())
     crossed = [p for p in others if not is_whole or not p.open_edges()]
@@ -1060,66 +1014,52 @@ def _along(corners: Array) -> tuple[float, float]:
     return float(total * step.prod()), float(unknown.sum() / (unknown | known).sum())
 
 
+# -- what is in the room
+
 _FACING = -0.999
 """Largest product of the normals of faces that face each other."""
 _BEFORE = 5e-4
-"""Distance in m before a face at which there is air, or behind it at which there is none."""
+"""Distance in m before a face at which there is air."""
 COVERED = 0.95
 """Share of a face that lies on others from which it lies on them."""
 THICKNESS = 0.002
 """Thickness in m of a panel with two sides. A tracer needs it; its edges add 0.1 % to S at most."""
+_LEAST_ENCLOSED = 0.99
+"""Least share of the shell's volume that spaces between faces have, if no face has a gap around it."""
 _MOST_OF_ROOM = 1 / 3
-"""Largest share of the walls that an object covers; faces that cover more divide a room in two."""
-_DONE = {
-    "object": "closed objects stand by themselves",
-    "overlay": "faces on a larger one take its area",
-    "open bottom": "objects with an open bottom stand on a face, and take its area",
-    "panel": "free panels are reflectors with two sides",
-    "outside": "components outside the room are left out",
-    "partly outside": "components that reach through a wall are left out; their areas, and whether "
-    "the room has them, are uncertain",
-    "through": "objects that reach through a wall end there",
-}
-_LOOSE = "components hang free, or are walls that do not meet the others"
-Cut = tuple[Any, str | None, str]
-"""A shape on a face, with the material and the name of what lies there; None where an object stands."""
-Foot = list[tuple[int, Any]]
-"""The faces on which an object stands, and the shape of it on each."""
+"""Largest share of the walls that an object has behind it: faces that have more divide a room."""
+Cut = tuple[Any, str, str]
+"""A shape on a face, with the material and the name of what lies there."""
 
 
 class Walls:
-    """The faces of a shell and of the objects on it, to be found by where they are."""
+    """The faces of a shell and of the objects in it, to be found by where they are.
 
-    def __init__(self, shell: FaceSet) -> None:
-        self.mend, self.shell = shell.mend, FaceSet(shell.mend)
-        self.planes, self.size = list[Polygon](), 0.0
-        self._boxes, self._part_of = np.zeros((0, 2, 3)), np.zeros(0, dtype=int)
-        self.add(shell)
+    ``outward`` are normals out of the room's air (n, 3), and 0 where both sides may be in it.
+    """
 
-    def add(self, part: FaceSet) -> None:
+    def __init__(self, shell: FaceSet, normals: Array) -> None:
+        self.mend, self.all = shell.mend, FaceSet(shell.mend)
+        self.planes, self.outward = list[Polygon](), np.zeros((0, 3))
+        self._boxes = np.zeros((0, 2, 3))
+        self.add(shell, normals)
+
+    def add(self, part: FaceSet, normals: Array | None = None) -> None:
         """Add the faces of the shell, or of an object in it."""
         # An object that stands on a wall is moved onto it by as much as the offset.
         margin = 2 * OFFSET + self.mend.weld
         boxes = [(p.min(axis=0) - margin, p.max(axis=0) + margin) for p in part.polygons]
-        number = self._part_of.max(initial=-1) + 1
         self._boxes = np.concatenate([self._boxes, boxes])
-        self._part_of = np.concatenate([self._part_of, np.full(len(boxes), number)])
         self.planes += map(Polygon, part.polygons)
-        self.shell.extend(part)
-        self.size += part.size
+        outward = np.zeros((len(boxes), 3)) if normals is None else normals
+        self.outward = np.concatenate([self.outward, outward])
+        self.all.extend(part)
 
     def near(self, corners: Array) -> list[tuple[int, Polygon]]:
         """Return the number and the plane of each face that may touch what has these corners."""
-        return [(i, self.planes[i]) for i in np.flatnonzero(self._near(corners)).tolist()]
-
-    def of_parts_near(self, corners: Array) -> list[tuple[int, Polygon]]:
-        """Return all faces of the shell and of each object of which one may touch these corners."""
-        near = np.isin(self._part_of, self._part_of[self._near(corners)])
-        return [(i, self.planes[i]) for i in np.flatnonzero(near).tolist()]
-
-    def _near(self, corners: Array) -> Array:
         low, high = corners.min(axis=0), corners.max(axis=0)
-        return np.asarray(((self._boxes[:, 0] <= high) & (low <= self._boxes[:, 1])).all(axis=1))
+        near = ((self._boxes[:, 0] <= high) & (low <= self._boxes[:, 1])).all(axis=1)
+        return [(i, self.planes[i]) for i in np.flatnonzero(near).tolist()]
 
 
 def overlaid_on(walls: Walls, part: FaceSet) -> list[tuple[int, list[Cut], float]] | None:
@@ -1151,7 +1091,211 @@ def common(wall: Polygon, corners: Array, snap: float) -> Any:
     return shapely().snap(wall.polygon(corners), wall.shape, snap).intersection(wall.shape)
 
 
-def add_piece(part: FaceSet, wall: Polygon, piece: Any, material: str, name: str) -> None:
+def put_on_walls(walls: Walls, part: FaceSet, outward: Array, n_shell: int) -> FaceSet:
+    """Return a closed object whose faces within ``weld`` of a wall that they face are moved onto it.
+
+    So are those that reach through it by up to `OFFSET`: contacts. Wider gaps up to `OFFSET`, over a
+    whole face and to one of the ``n_shell`` faces of the shell, are noted. ``outward`` are the faces'
+    normals out of the air.
+    """
+    mend, gaps, widest = part.mend, list[tuple[str, float]](), 0.0
+    for i, normal in enumerate(outward):
+        size = area_of(part.corners(i))
+        for j, wall in walls.near(part.corners(i)):
+            corners, of_wall = part.corners(i), walls.outward[j]
+            away = -(corners - wall.corners.mean(axis=0)) @ of_wall
+            if not of_wall.any():  # of an open object, on either of whose sides this one may be
+                of_wall = wall.normal * -np.sign(wall.normal @ normal)
+                away = np.abs(wall.away(corners))
+            deepest = mend.weld + OFFSET * (j < n_shell)
+            if of_wall @ normal > _FACING or away.min() < -deepest:
+                continue
+            shapes = polygons_of(common(wall, corners, FINE))
+            shapes = [s for s in shapes if s.area > mend.weld * extent_of(ring_of(s)) / 2]
+            shared, gap = sum(float(s.area) for s in shapes), float(away.max())
+            place = f'"{part.names[i]}" %s "{walls.all.names[j]}"'
+            if shapes and gap <= mend.weld:
+                # What the object's other faces have gained or lost there.
+                longer = ANY_SHARE * wall.thickness(corners) * sum(float(s.length) for s in shapes)
+                mend.points[part.faces[i]] = wall.onto(corners) + wall.bend * of_wall
+                unsure = [(part.materials[i], longer)]
+                mend.found("contact", [place % "on"], shared, 0.0, -2 * shared, unsure=unsure)
+            elif shared > COVERED * size and gap <= OFFSET and j < n_shell:
+                gaps.append((place % "before", size))
+                widest = max(widest, gap)
+    if gaps:
+        mend.found(
+            "gap",
+            [place for place, _ in gaps],
+            sum(size for _, size in gaps),
+            done=f"faces of closed objects are up to {widest * 1000:.2g} mm before a wall, and both "
+            f"count; state --weld {1.1 * widest:.2g} if they touch",
+        )
+    return flattened(part)
+
+
+def stood_on_walls(walls: Walls, part: FaceSet) -> tuple[FaceSet, list[tuple[str, float]]]:
+    """Return an open object whose open edges within `OFFSET` of walls are moved onto them.
+
+    Its faces gain or lose what lies between them and the wall: of each material there the standard
+    uncertainty of its area in m².
+    """
+    mend, edges, middle = part.mend, part.open_edges(), part.points.mean(axis=0)
+    for corners in part.faces:
+        for i, _, far in overlaid_on(walls, FaceSet(mend, [corners], [""], [""])) or ():
+            if far <= mend.weld:
+                mend.points[corners] = walls.planes[i].onto(mend.points[corners])
+    shift: dict[int, float] = {}
+    for v in sorted({v for edge in edges for v in edge}):
+        point, used = mend.points[v], list[Polygon]()
+        near = [
+            (abs(float(wall.away(point))), i, wall) for i, wall in walls.near(point[np.newaxis])
+        ]
+        for away, _, wall in sorted(near, key=lambda each: each[:2]):
+            is_near = away <= OFFSET and wall.beside(point) <= OFFSET
+            if is_near and all(abs(float(wall.normal @ other.normal)) < 0.99 for other in used):
+                used.append(wall)
+        for wall in 4 * used:
+            point = wall.onto(point)
+        point = point - sum(np.sign(w.away(middle)) * w.bend * w.normal for w in used)
+        shift[v] = float(np.linalg.norm(point - mend.points[v]))
+        mend.points[v] = point
+    unsure: dict[str, float] = {}  # its open edges are all as far off, so their parts add
+    for (a, b), face in edges.items():
+        gained = ANY_SHARE * extent_of(mend.points[[a, b]]) * max(shift[a], shift[b])
+        unsure[part.materials[face]] = unsure.get(part.materials[face], 0.0) + gained
+    return flattened(part), [*unsure.items()]
+
+
+_PLATE = 1e-5
+"""Thickness in m of the plates that faces are made of: far above rounding, and below `FINE`."""
+
+
+@dataclass
+class Cell:
+    """A space between faces, or a surface in it, whose ``volume`` in m³ is below 0 then.
+
+    ``triangles`` (n, 3, 3) are corners in m. ``sides`` (n,) are 2 i for the front of face i, which its
+    normal leaves, 2 i + 1 for its back, and -1 for edges.
+    """
+
+    volume: float
+    triangles: Array
+    sides: Array
+
+    def seen(self, n: int) -> Array:
+        """Return the area in m² of the front and the back of each of n faces around it, (n, 2)."""
+        edges = self.triangles[:, 1:] - self.triangles[:, :1]
+        sizes = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2
+        known = self.sides >= 0
+        areas = np.bincount(self.sides[known], sizes[known], 2 * n)
+        return np.asarray(areas, dtype=float).reshape(n, 2)
+
+
+def cells_of(part: FaceSet) -> list[Cell]:
+    """Return the spaces that faces enclose, the largest first.
+
+    Each triangle is a thin plate, which reaches over its neighbours' edges. The spaces are the cavities
+    in the union of all plates.
+    """
+    needed = (
+        "objects in a room, and walls drawn as solids, need manifold3d: pip install 'rtcal[mesh]'"
+    )
+    manifold = library(needed, "manifold3d")
+    corners, index = part.triangles()
+    edges = np.roll(corners, -1, axis=1) - corners
+    edges /= np.linalg.norm(edges, axis=2, keepdims=True)
+    normals = np.cross(edges[:, 0], edges[:, 1])[:, np.newaxis]
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    after = np.cross(edges, normals)
+    before = np.roll(after, 1, axis=1)
+    sharp = np.maximum(1 + np.sum(after * before, axis=2, keepdims=True), 0.05)
+    corners = corners + _PLATE / 10 * (after + before) / sharp
+    half = _PLATE / 2 * normals
+    plates = np.concatenate([corners + half, corners - half], axis=1)
+    # Each plane of each plate has a number: triangles of one number may become one.
+    planes = 5 * np.arange(len(index))[:, np.newaxis] + np.array([0, 1, 2, 2, 3, 3, 4, 4])
+    faces = [[0, 1, 2], [3, 5, 4], [0, 3, 4], [0, 4, 1], [1, 4, 5], [1, 5, 2], [2, 5, 3], [2, 3, 0]]
+    made = [
+        manifold.Manifold(manifold.Mesh64(plate, np.array(faces, np.uint64), face_id=of))
+        for plate, of in zip(plates, planes.astype(np.uint64), strict=True)
+    ]
+    surfaces = []
+    for surface in manifold.Manifold.batch_boolean(made, manifold.OpType.Add).decompose():
+        mesh = surface.to_mesh64()
+        found = np.asarray(mesh.vert_properties)[:, :3][np.asarray(mesh.tri_verts, int)]
+        of, plane = np.divmod(np.asarray(mesh.face_id, np.int64), 5)
+        sides = np.where(plane < 2, 2 * index[of] + plane, -1)
+        surfaces.append(Cell(-surface.volume(), found, sides))
+    cells = sorted((s for s in surfaces if s.volume > 0), key=lambda s: s.volume)
+    inner = [s for s in surfaces if s.volume < 0]
+    for cell in cells:  # what hangs free is in the smallest cell around it
+        points = np.array([s.triangles[0, 0] for s in inner]).reshape(-1, 3)
+        around = np.abs(winding_number(points, cell.triangles)) > 0.5
+        held = [
+            s for s, is_in in zip(inner, around, strict=True) if is_in and -s.volume < cell.volume
+        ]
+        inner = [s for s in inner if not any(s is other for other in held)]
+        cell.volume += sum(s.volume for s in held)
+        cell.triangles = np.concatenate([cell.triangles, *[s.triangles for s in held]])
+        cell.sides = np.concatenate([cell.sides, *[s.sides for s in held]])
+    return sorted(cells, key=lambda cell: -cell.volume)
+
+
+def faces_around(cell: Cell, part: FaceSet, cuts: Mapping[int, Sequence[Cut]]) -> FaceSet:
+    """Return what of some faces is around a cell, with what lies on them in its place.
+
+    Of a face with the cell on both sides a plate of `THICKNESS` is made.
+    """
+    mend, out = part.mend, FaceSet(part.mend)
+    flat = cell.triangles.reshape(-1, 3)
+    away, number = cKDTree(mend.points).query(flat)
+    is_new = away > max(FINE, mend.weld / 10)
+    new, of_new = weld_vertices(flat[is_new])
+    number[is_new] = len(mend.points) + of_new
+    number = number.reshape(-1, 3)
+    # Where plates cross, a corner is off by half of their thickness.
+    edges = cell.triangles - np.roll(cell.triangles, 1, axis=1)
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    sizes, longest = (np.linalg.norm(x, axis=-1) for x in (normals, edges))
+    wide = (cell.sides >= 0) & (sizes > FINE * longest.max(axis=1))
+    at: dict[int, list[tuple[Array, float]]] = {}
+    for k in np.flatnonzero(wide & (number >= len(mend.points)).any(axis=1)):
+        normal = normals[k] / sizes[k]
+        for v in number[k]:
+            plane = normal, float(cell.triangles[k, 0] @ normal) - _PLATE / 2
+            at.setdefault(v - len(mend.points), []).append(plane)
+    for v, planes in at.items():
+        if v >= 0:
+            of_planes, offsets = map(np.array, zip(*planes, strict=True))
+            new[v] += np.linalg.lstsq(of_planes, offsets - of_planes @ new[v], rcond=1e-2)[0]
+    mend.new_points(new)
+    around: dict[int, tuple[list[Face], list[Face]]] = {}
+    for face, side in zip(number.tolist(), cell.sides.tolist(), strict=True):
+        if side >= 0 and len({*face}) == 3:
+            around.setdefault(side // 2, ([], []))[side % 2].append(face)
+    for i, both in sorted(around.items()):
+        material, name = part.materials[i], part.names[i]
+        if i not in cuts and not all(both):
+            for face in outlined(mend, both[0] or both[1]):
+                out.add(face, material, name)
+            continue
+        wall = Polygon(part.corners(i))
+        front, back = (
+            shapely().union_all([wall.polygon(mend.points[face]) for face in side]) for side in both
+        )
+        for piece in polygons_of(front.intersection(back), mend.weld**2):
+            _add_plate(out, wall, piece, material, name)
+        once, taken = front.symmetric_difference(back), shapely().Polygon()
+        smaller = sorted(cuts.get(i, ()), key=lambda c: float(c[0].area))
+        for shape, own, called in [*smaller, (once, material, name)]:
+            for piece in polygons_of(shape.intersection(once).difference(taken), mend.weld**2):
+                _add_piece(out, wall, piece, own, called)
+            taken = taken.union(shape)
+    return flattened(out.kept([2 * area_of(p) > FINE * extent_of(p) for p in out.polygons]))
+
+
+def _add_piece(part: FaceSet, wall: Polygon, piece: Any, material: str, name: str) -> None:
     """Add a piece in a wall's plane, in triangles if it has holes."""
     whole = not piece.interiors
     rings = [piece] if whole else polygons_of(shapely().constrained_delaunay_triangles(piece))
@@ -1159,510 +1303,194 @@ def add_piece(part: FaceSet, wall: Polygon, piece: Any, material: str, name: str
         part.add(part.mend.new_points(wall.lifted(ring_of(ring))), material, name)
 
 
-def cut(shell: FaceSet, cuts: Mapping[int, Sequence[Cut]]) -> FaceSet:
-    """Return the shell with what lies on its faces in their place, the smaller first."""
-    mend, out = shell.mend, FaceSet(shell.mend)
-    for i, (face, material, name) in enumerate(shell.rows()):
-        if i not in cuts:
-            out.add(face, material, name)
-            continue
-        wall = Polygon(mend.points[face])
-        taken = shapely().Polygon()
-        smaller = sorted(cuts[i], key=lambda c: float(c[0].area))
-        for shape, own, called in [*smaller, (wall.shape, material, name)]:
-            for piece in polygons_of(shape.difference(taken), mend.weld**2):
-                if own is not None:
-                    add_piece(out, wall, piece, own, called)
-            taken = taken.union(shape)
-    return out
-
-
-def standing_on(
-    walls: Walls, part: FaceSet
-) -> tuple[Foot, FaceSet, list[tuple[str, float]]] | None:
-    """Return the footprint of an open object on each wall, its faces there, and how sure they are.
-
-    It stands on the walls if its open edges lie on them and it rises from them: a panel's do not. Its
-    faces that lie on a wall go. Its others gain or lose what lies between them and the wall: of each
-    material there the standard uncertainty of its area in m².
-    """
-    if part.is_plane:
-        return None  # a sheet, whose boundary its open edges are
-    mend = part.mend
-    on = [overlaid_on(walls, FaceSet(mend, [face], [""], [""])) for face in part.faces]
-    part = part.kept([o is None or any(far > mend.weld for *_, far in o) for o in on])
-    edges = part.open_edges()
-    if not loops_of(edges) or part.is_plane:
-        return None
-    foot = _foot_of(walls, part, edges)
-    if foot is None:
-        return None
-    found, moved = foot
-    shift = {v: float(np.linalg.norm(point - mend.points[v])) for v, point in moved.items()}
-    unsure: dict[str, float] = {}  # its open edges are all as far off, so their parts add
-    for (a, b), face in edges.items():
-        gained = ANY_SHARE * extent_of(mend.points[[a, b]]) * max(shift[a], shift[b])
-        unsure[part.materials[face]] = unsure.get(part.materials[face], 0.0) + gained
-    for v, point in moved.items():
-        mend.points[v] = point
-    return found, flattened(part), [*unsure.items()]
-
-
-def ends_at_walls(walls: Walls, part: FaceSet) -> bool:
-    """Return whether all open edges of a component are at walls: they are meant to close with them."""
-    corners = {v for edge in part.open_edges() for v in edge}
-    return not part.is_plane and all(_on_walls(walls, v)[1] for v in corners)
-
-
-def _on_walls(walls: Walls, corner: int) -> tuple[Array, list[Polygon]]:
-    """Return a corner moved onto the walls near it, one of each direction, and these."""
-    point = walls.mend.points[corner]
-    near = [(abs(float(wall.away(point))), i, wall) for i, wall in walls.near(point[np.newaxis])]
-    used = list[Polygon]()
-    for away, _, wall in sorted(near, key=lambda each: each[:2]):
-        is_near = away <= OFFSET and wall.beside(point) <= OFFSET
-        if is_near and all(abs(float(wall.normal @ other.normal)) < 0.99 for other in used):
-            used.append(wall)
-    for wall in 4 * used:
-        point = wall.onto(point)
-    return point, used
-
-
-def _foot_of(
-    walls: Walls, part: FaceSet, edges: Mapping[Edge, int]
-) -> tuple[Foot, dict[int, Array]] | None:
-    """Return what an object covers of each wall to which it is open, and its corners there.
-
-    Its open edges divide the walls into pieces. Neighbours are of one side, but for those that meet at
-    an open edge; the side of less area is covered. None if the open edges are not all on walls.
-    """
-    moved = {v: _on_walls(walls, v)[0] for v in sorted({v for e in edges for v in e})}
-    mend = Mending(part.mend.drawn, part.mend.weld, points=part.mend.points)
-    for v, point in moved.items():
-        mend.points[v] = point
-    lines = dict[int, list[Any]]()
-    for edge in edges:
-        on = _walls_of(walls, mend.points[[*edge]])
-        if not on:
-            return None
-        for i, line in on:
-            lines.setdefault(i, []).append(line)
-    scene, pieces = FaceSet(mend), Foot()
-    for i, wall in walls.of_parts_near(part.points):
-        if i not in lines:
-            scene.add(mend.new_points(wall.corners), "", str(len(pieces)))
-            pieces.append((i, wall.shape))
-            continue
-        net = shapely().union_all([wall.shape.boundary, *lines[i]])
-        for piece in polygons_of(shapely().polygonize([net]), SAME):
-            if wall.shape.contains(piece.representative_point()):
-                for ring in (piece.exterior, *piece.interiors):
-                    scene.add(mend.new_points(wall.lifted(ring_of(ring))), "", str(len(pieces)))
-                pieces.append((i, piece))
-    for face in part.faces:
-        scene.add(face, "", _OBJECT)
-    covered = _covered(scene, [float(piece.area) for _, piece in pieces])
-    if not 0 < sum(float(pieces[k][1].area) for k in covered) <= _MOST_OF_ROOM * walls.size:
-        return None
-    return [pieces[k] for k in covered], moved
-
-
-_OBJECT = "object"
-
-
-def _walls_of(walls: Walls, ends: Array) -> list[tuple[int, Any]]:
-    """Return the walls on which an edge (2, 3) lies, with its line in each one's axes.
-
-    The line is as much longer at both ends as corners may lie apart, so that it divides the wall.
-    """
-    weld, found = walls.mend.weld, []
-    for i, wall in walls.near(ends):
-        flat = ends @ wall.axes.T
-        line = shapely().LineString(flat)
-        on = line.intersection(wall.shape.buffer(FINE))
-        if wall.thickness(ends) <= weld and float(on.length) > 0.5 * line.length:
-            along = (flat[1] - flat[0]) * (weld + SAME) / line.length
-            found.append((i, shapely().LineString([flat[0] - along, flat[1] + along])))
-    return found
-
-
-def _covered(scene: FaceSet, areas: Sequence[float]) -> list[int]:
-    """Return the pieces of walls that an object covers; none if it does not divide them in two."""
-    scene = rejoined(scene)
-    n, pairs = len(areas), []
-    for faces in scene.owners().values():
-        of_walls = [int(scene.names[k]) for k in faces if scene.names[k] != _OBJECT]
-        if len(of_walls) == 2:
-            (first, second), is_crossed = of_walls, len(faces) % 2
-            # A piece has two nodes, one for each side that it may be on.
-            pairs += [(first, second + n * is_crossed), (first + n, second + n * (1 - is_crossed))]
-    links = coo_array((np.ones(len(pairs)), np.array(pairs, int).reshape(-1, 2).T), (2 * n, 2 * n))
-    _, label = connected_components(links, directed=False)
-    if (label[:n] == label[n:]).any():
-        return []
-    sizes = np.bincount(label[:n], areas, 2 * n)  # of the pieces on each side
-    return np.flatnonzero(sizes[label[:n]] < sizes[label[n:]]).tolist()
-
-
-def _within_walls(room: Polyhedron, part: FaceSet) -> FaceSet | None:
-    """Return what is in the room of an object that reaches through walls; None where that is unclear.
-
-    It is cut at a wall unless the wall's plane crosses it elsewhere in the room, too.
-    """
-    mend, is_cut = part.mend, False
-    limit = OFFSET + mend.weld
-    for numbers in room.faces:
-        wall = Polygon(room.vertices[list(numbers)])
-        away, own = wall.away(mend.points), wall.away(part.points)
-        edges = [(a, b) for a, b in part.edges if away[a] * away[b] < 0]
-        if not own.min() < -limit < limit < own.max() or not edges:
-            continue  # what was before this wall may be cut off already
-        start, end = np.array(edges).T
-        shares = (away[start] / (away[start] - away[end]))[:, np.newaxis]
-        crossing = mend.points[start] + shares * (mend.points[end] - mend.points[start])
-        on = [wall.beside(point) <= mend.weld for point in crossing]
-        section = shapely().MultiPoint(crossing @ wall.axes.T).convex_hull
-        elsewhere = room.contains(crossing) & ~np.array(on)
-        if elsewhere.any() or not section.intersects(wall.shape):
-            continue
-        new = dict(zip(edges, mend.new_points(crossing), strict=True))
-        part, is_cut = _before(part, away, new), True
-    return part if is_cut and part.faces else None
-
-
-def _before(part: FaceSet, away: Array, new: Mapping[Edge, int]) -> FaceSet:
-    """Return the faces of an object before a plane; ``new`` are the corners where its edges cross."""
-    out = FaceSet(part.mend)
-    for face, material, name in part.rows():
-        left: Face = []
-        for a, b in zip([face[-1], *face[:-1]], face, strict=True):
-            if (edge := (min(a, b), max(a, b))) in new:
-                left.append(new[edge])
-            if away[b] <= 0:
-                left.append(b)
-        if len(left) > 2:
-            out.add(left, material, name)
-    return out
-
-
-def _volume_over(walls: Walls, stood: FaceSet, feet: Foot) -> float:
-    """Return the volume in m³ between the faces of an object and its footprints."""
-    whole = stood.of(range(len(stood.faces)))
-    for i, piece in feet:
-        add_piece(whole, walls.planes[i], piece, "", "")
-    try:
-        return float(whole.polyhedron().volume)
-    except DataError:  # the footprint was drawn a little beside it
-        return volume_by_rays(whole.polygons)[0]
-
-
-def _add_slab(shell: FaceSet, face: Face, material: str, name: str) -> None:
+def _add_plate(part: FaceSet, plane: Polygon, shape: Any, material: str, name: str) -> None:
     """Add a panel of two sides: a closed plate, as much narrower as its edges add to its area."""
-    mend = shell.mend
-    plane = Polygon(mend.points[face])
-    half = plane.normal * THICKNESS / 2
-    for piece in polygons_of(plane.shape.buffer(-THICKNESS / 2, join_style="mitre")):
+    mend, half = part.mend, plane.normal * THICKNESS / 2
+    for piece in polygons_of(shape.buffer(-THICKNESS / 2, join_style="mitre")):
         corners = plane.lifted(ring_of(piece))
         front, back = mend.new_points(corners + half), mend.new_points(corners - half)
-        shell.add(front, material, name)
-        shell.add(back[::-1], material, f"{name} back")
+        part.add(front, material, name)
+        part.add(back[::-1], material, f"{name} back")
         for k in range(len(front)):
-            shell.add((front[k], front[k - 1], back[k - 1], back[k]), material, f"{name} edge")
-
-
-def _kind_of(walls: Walls, part: FaceSet) -> tuple[str, Any]:
-    """Return what a component is beside these walls, with its pieces or its foot on them."""
-    if not part.open_edges():
-        return "object", None
-    if (pieces := overlaid_on(walls, part)) is not None:
-        return "overlay", pieces
-    if (foot := standing_on(walls, part)) is not None:
-        return "open bottom", foot
-    return "panel", None
+            part.add([front[k], front[k - 1], back[k - 1], back[k]], material, f"{name} edge")
 
 
 def note_loose(shell: FaceSet, others: Sequence[FaceSet]) -> None:
     """Note what else there is where the shell is open; nothing is cut, since nothing is in a room."""
-    walls = Walls(shell)
+    walls = Walls(shell, np.zeros((len(shell.faces), 3)))
     for part in others:
-        kind, _ = _kind_of(walls, part)
-        done = _LOOSE if kind == "panel" else _DONE[kind]
-        shell.mend.found(kind, done, part.names[:1], part.size)
+        kind = "panel" if part.open_edges() else "object"
+        kind = "overlay" if kind == "panel" and overlaid_on(walls, part) else kind
+        shell.mend.found(kind, part.names[:1], part.size, done=_LOOSE * (kind == "panel"))
 
 
-def with_others(shell: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
-    """Return the shell with overlays, objects and panels; what lies outside is left out."""
-    if not others:
-        return shell
-    mend, hull, walls = shell.mend, shell.polyhedron(), Walls(shell)
-    cuts: dict[int, list[Cut]] = {}
-    panels, outside = list[FaceSet](), FaceSet(mend)
+@dataclass
+class _Placed:
+    """A component in the room: its ``faces`` among all, and whether it is open, and within the walls.
 
-    def note(
-        kind: str, part: FaceSet, volume: float = 0.0, surface: float = 0.0, unsure: Any = ()
-    ) -> None:
-        mend.found(kind, _DONE[kind], part.names[:1], part.size, volume, surface, 0.0, unsure)
+    ``unsure`` are standard uncertainties of area in m² by material.
+    """
 
-    for part in _in_order([_ending_at_walls(hull, part) for part in others]):
-        if not is_within(mend, hull, part.points):
+    part: FaceSet
+    faces: slice
+    is_open: bool
+    is_in: bool
+    unsure: Sequence[tuple[str, float]]
+
+
+def room_of(
+    shell: FaceSet, others: Sequence[FaceSet], as_it_is: Polyhedron | None = None
+) -> Polyhedron:
+    """Return the room in a closed shell, with the objects, panels and overlays in it.
+
+    ``as_it_is`` is the room itself if no object touches another face. Raises DataError if the faces
+    around it do not close.
+    """
+    mend, hull = shell.mend, shell.polyhedron()
+    for part in others:
+        if 2 * _volume(part) > hull.volume and hull.contains(part.points).all():
+            outer, shell, hull = shell, part, part.polyhedron()
+            others = [outer, *(p for p in others if p is not part)]
+            break  # the walls are drawn with their thickness
+    walls, cuts = Walls(shell, hull.normals), dict[int, list[Cut]]()
+    placed, outside = list[_Placed](), list[FaceSet]()
+    for part in sorted(others, key=lambda p: (p.is_plane, 0.0 if p.is_plane else -p.size)):
+        is_in, is_plane, is_open = is_within(hull, part), part.is_plane, bool(part.open_edges())
+        unsure, outward = list[tuple[str, float]](), None
+        if is_plane and not is_in:
             reaches = _reaches_into(hull, part)
-            shares = zip(part.materials, np.multiply(ANY_SHARE, part.areas), strict=True)
-            note("partly outside" if reaches else "outside", part, unsure=shares if reaches else ())
-            if part.open_edges():
-                outside.extend(part)
+            kind = "partly outside" if reaches else "outside"
+            shares = zip(part.materials, (reaches * ANY_SHARE * part.areas).tolist(), strict=True)
+            mend.found(kind, part.names[:1], part.size, unsure=shares)
+            outside.append(part)
             continue
-        kind, on = _kind_of(walls, part)
-        if kind == "object":
-            walls.add(part)
-        elif kind == "overlay":
+        if is_open and (on := overlaid_on(walls, part)) is not None:
             for wall, pieces, _ in on:
                 cuts.setdefault(wall, []).extend(pieces)
-            rows = [(*piece, far) for _, pieces, far in on for piece in pieces]
-            moved = sum(far * float(shape.area) for shape, *_, far in rows)
+            each = [(shape, m, far) for _, pieces, far in on for shape, m, _ in pieces]
+            moved = sum(far * float(shape.area) for shape, _, far in each)
             # The reveal from the wall to the face is not drawn; it may be of the face's material.
-            reveals = [(m, ANY_SHARE * far * float(shape.length)) for shape, m, _, far in rows]
-            note(kind, part, moved, -part.size, reveals)
-        elif kind == "open bottom":
-            feet, stood, unsure = on
-            for wall, footprint in feet:
-                cuts.setdefault(wall, []).append((footprint, None, ""))
-            covered = sum(float(footprint.area) for _, footprint in feet)
-            note(kind, part, -_volume_over(walls, stood, feet), stood.size - covered, unsure)
-            walls.add(stood)
-        elif ends_at_walls(walls, part):
-            raise mend.refused(
-                f'"{part.names[0]}" and the faces joined to it end at walls on all sides, and what '
-                "they enclose with them is not found, or is over a third of the room: draw the missing "
-                "faces, or, if they divide the room, leave the other side out"
+            reveals = [(m, ANY_SHARE * far * float(shape.length)) for shape, m, far in each]
+            mend.found("overlay", part.names[:1], part.size, moved, -part.size, unsure=reveals)
+            continue
+        if not is_open:
+            part = put_on_walls(walls, part, -part.polyhedron().normals, len(shell.faces))
+            outward = -part.polyhedron().normals
+        elif not is_plane:
+            part, unsure = stood_on_walls(walls, part)
+        first = len(walls.planes)
+        walls.add(part, outward)
+        faces = slice(first, len(walls.planes))
+        placed.append(_Placed(part, faces, is_open, is_in, unsure))
+    if as_it_is is not None and not any(d.kind == "contact" for d in mend.defects):
+        return as_it_is
+    triangles, faces_of = shell.triangles()
+    cell, unseen = Cell(hull.volume, triangles, 2 * faces_of), set[frozenset[int]]()
+    if placed:
+        cell, *enclosed = cells_of(walls.all)
+        if cell.volume + sum(c.volume for c in enclosed) < _LEAST_ENCLOSED * hull.volume:
+            raise DataError(
+                "the walls do not close: there is a gap between faces of objects or walls"
             )
-        else:
-            panels.append(part)
-            note(kind, part, -THICKNESS * part.size, part.size)
-    shell = walls.shell
+        _require_one_room(mend, [cell, *enclosed], walls, len(shell.faces))
+        around = cell.seen(len(walls.planes)).sum(axis=1)
+        rows = zip(walls.all.faces, around.tolist(), strict=True)
+        unseen = {frozenset(face) for face, seen in rows if seen < SAME}
+        outside += _noted(placed, cell, enclosed, len(walls.planes))
+    note_repetitions(mend, unseen)
     _require_shell(shell, outside)
-    if cuts:
-        shell = settled(cut(shell, cuts))
-    for part in panels:
-        for row in part.rows():
-            _add_slab(shell, *row)
-    return shell
+    return faces_around(cell, walls.all, cuts).polyhedron()
 
 
-def _ending_at_walls(hull: Polyhedron, part: FaceSet) -> FaceSet:
-    """Return a component, or of an object that reaches through the walls what is in the room."""
-    mend = part.mend
-    if part.is_plane or is_within(mend, hull, part.points):
-        return part
-    inside = _within_walls(hull, part)
-    if inside is None or not is_within(mend, hull, inside.points):
-        return part
-    mend.found("through", _DONE["through"], part.names[:1], part.size - inside.size)
-    return inside
+def _volume(part: FaceSet) -> float:
+    """Return the volume in m³ of a component; 0.0 if it is open."""
+    try:
+        return 0.0 if part.open_edges() else float(part.polyhedron().volume)
+    except DataError:
+        return 0.0
 
 
-def _require_shell(shell: FaceSet, outside: FaceSet) -> None:
+def _require_one_room(mend: Mending, cells: Sequence[Cell], walls: Walls, n_shell: int) -> None:
+    """Raise MeshError if two spaces each have much of the walls around all, and nothing beyond them."""
+    n = len(walls.planes)
+    seen = [cell.seen(n) for cell in cells]
+    beyond = np.sum(seen, axis=0)[:, ::-1]
+    most = _MOST_OF_ROOM * float(walls.all.areas[:n_shell].sum())
+    alone = [float(np.clip(own - beyond, 0, None).sum()) for own in seen]
+    for cell, own, around in zip(cells[1:], seen[1:], alone[1:], strict=True):
+        divides = min(alone[0], around) > most and 2 * cell.volume > cells[0].volume
+        if divides and own[:n_shell].sum() > SAME:
+            sizes = f"{rounded(cells[0].volume, 3)} and {rounded(cell.volume, 3)} m³"
+            raise mend.refused(
+                f"two closed rooms have a wall in common, of {sizes}: leave one of them out, or delete "
+                "that wall; if faces end at walls on all sides, if they divide the room, leave the "
+                "other side out"
+            )
+
+
+def _noted(
+    placed: Sequence[_Placed], room: Cell, enclosed: Sequence[Cell], n: int
+) -> list[FaceSet]:
+    """Note what the components are by which of their sides the room has; return those outside it."""
+    volume, covered = np.zeros(len(placed)), np.zeros(len(placed))
+    for cell in enclosed:
+        seen = cell.seen(n).sum(axis=1)
+        shares = [float(seen[p.faces].sum()) for p in placed]
+        k = int(np.argmax(shares))
+        volume[k] += cell.volume
+        covered[k] += seen.sum() - shares[k]
+    outside, of_room = list[FaceSet](), room.seen(n)
+    for k, p in enumerate(placed):
+        mend, names, size = p.part.mend, p.part.names[:1], p.part.size
+        both = 2 * float(of_room[p.faces].min(axis=1).sum())
+        once = float(of_room[p.faces].sum()) - both
+        if once + both < SAME:
+            if frozenset(p.part.faces[0]) not in map(frozenset, mend.repeated[0].faces):
+                mend.found("outside", names, size)
+                outside += [p.part] * p.is_open
+            continue
+        if not p.is_in:
+            mend.found("through", names, size - once - both / 2)
+        if both > mend.weld**2:
+            mend.found("panel", names, both / 2, -THICKNESS * both / 2, both / 2)
+        if p.is_open and once > both:
+            surface = once - float(covered[k])
+            mend.found("open bottom", names, size, -float(volume[k]), surface, unsure=p.unsure)
+    return outside
+
+
+def _require_shell(shell: FaceSet, outside: Sequence[FaceSet]) -> None:
     """Raise MeshError if what is left out as outside are the walls, and the shell is an object."""
-    if not outside.faces:
+    if not outside:
         return
-    around, held = outside.points, shell.points
+    around, held = np.concatenate([p.points for p in outside]), shell.points
     encloses = (around.min(axis=0) <= held.min(axis=0)).all()
     encloses &= (around.max(axis=0) >= held.max(axis=0)).all()
-    if encloses and outside.size > shell.size:
+    size = sum(p.size for p in outside)
+    if encloses and size > shell.size:
         raise shell.mend.refused(
             f'the largest closed part, which begins with "{shell.names[0]}", is no room: faces of '
-            f"{rounded(outside.size, 3)} m² lie around it and do not close. Draw each wall once, and "
+            f"{rounded(size, 3)} m² lie around it and do not close. Draw each wall once, and "
             "let neighbours have the same corners"
         )
 
 
-def _in_order(parts: Sequence[FaceSet]) -> list[FaceSet]:
-    """Return closed objects first, then open ones from large to small, then plane ones as drawn.
-
-    Each may stand or lie on those before.
-    """
-
-    def key(part: FaceSet) -> tuple[bool, bool, float]:
-        return bool(part.open_edges()), part.is_plane, 0.0 if part.is_plane else -part.size
-
-    return sorted(parts, key=key)
-
-
-def is_within(mend: Mending, hull: Polyhedron, corners: Array) -> bool:
+def is_within(hull: Polyhedron, part: FaceSet) -> bool:
     """Return whether a component is in the room: its corners, but for those at the walls, are."""
-    outside = corners[~hull.contains(corners)]
-    return not (hull.wall_distance(outside) > OFFSET + mend.weld).any()
+    outside = part.points[~hull.contains(part.points)]
+    return not (hull.wall_distance(outside) > OFFSET + part.mend.weld).any()
 
 
 def _reaches_into(hull: Polyhedron, part: FaceSet) -> bool:
     """Return whether an edge of a component is in the room, and not merely at its walls."""
-    ends = part.mend.points[part.edges]
+    ends = part.mend.points[[edge for face in part.faces for edge in edges_of(face)]]
     shares = np.linspace(0, 1, 9)[:, np.newaxis, np.newaxis]
     points = (ends[:, 0] + shares * (ends[:, 1] - ends[:, 0])).reshape(-1, 3)
     inside = points[hull.contains(points)]
     return bool((hull.wall_distance(inside) > OFFSET + part.mend.weld).any())
 
 
-@dataclass
-class _Contact:
-    """A face of an object before a face of a larger one, or of the room: the wall.
-
-    ``gap`` is the width in m of the air between them; below 0 where the object reaches through.
-    ``area`` is what both share in m².
-    """
-
-    face: int
-    wall: int
-    plane: Polygon
-    gap: float
-    area: float
-
-
-def _of_geometry(mend: Mending, geometry: Polyhedron) -> FaceSet:
-    """Return the faces of a room, whose vertices become the points."""
-    mend.points = np.array(geometry.vertices)
-    return FaceSet(mend, map(list, geometry.faces), geometry.materials, geometry.names)
-
-
-def objects_are_within(mend: Mending, geometry: Polyhedron) -> bool:
-    """Return whether every closed object of a room is in it."""
-    shell, objects = shell_of(_of_geometry(mend, geometry))
-    if not objects:
-        return True
-    hull = shell.polyhedron()
-    return all(is_within(mend, hull, part.points) for part in objects)
-
-
-def without_contacts(mend: Mending, geometry: Polyhedron) -> Polyhedron:
-    """Return a room without the parts of its faces on which closed objects stand or lie.
-
-    A face of an object that is up to ``weld`` before a face of the room or of a larger object, or that
-    reaches through it by up to `OFFSET`, is moved onto it. What they share is taken from both. A
-    wider gap up to `OFFSET` is noted.
-    """
-    part = _of_geometry(mend, geometry)
-    groups = _by_size(part)
-    contacts = [*_contacts(part, geometry, groups)]
-    touching = [c for c in contacts if c.gap <= mend.weld]
-    _note_gaps(part, [c for c in contacts if c.gap > mend.weld], groups[0] if groups else ())
-    moved = []
-    for c in touching:
-        own = part.corners(c.face)
-        moved.append(c.plane.thickness(own))
-        mend.points[part.faces[c.face]] = c.plane.onto(own)
-    cuts: dict[int, list[Cut]] = {}
-    area, places, unsure = 0.0, [], []
-    for c, distance in zip(touching, moved, strict=True):
-        wall, own_plane = Polygon(part.corners(c.wall)), Polygon(part.corners(c.face))
-        shapes = _shared(wall, part.corners(c.face), mend.weld)
-        cuts.setdefault(c.wall, []).extend((shape, None, "") for shape in shapes)
-        seen = [own_plane.seen(shape, wall) for shape in shapes]
-        cuts.setdefault(c.face, []).extend((shape, None, "") for shape in seen)
-        area += sum(float(shape.area) for shape in shapes)
-        places += [f'"{part.names[c.face]}" on "{part.names[c.wall]}"'] * bool(shapes)
-        # What the object's other faces have gained or lost there.
-        longer = ANY_SHARE * distance * sum(float(shape.length) for shape in shapes)
-        unsure.append((part.materials[c.face], longer))
-    if not cuts:
-        return geometry
-    try:
-        mended = _without(part, cuts)
-    except DataError as error:
-        raise mend.refused(
-            f"closed objects touch other faces, and both faces cannot be cut there ({error}). Draw the "
-            f"objects without those faces: {'; '.join(places[:MOST_PLACES])}"
-        ) from error
-    volume = mended.volume - geometry.volume
-    surface = float(np.sum(mended.face_areas) - np.sum(geometry.face_areas))
-    mend.found("contact", CONTACT, places, area, volume, surface, unsure=unsure)
-    return mended
-
-
-def _without(part: FaceSet, cuts: Mapping[int, Sequence[Cut]]) -> Polyhedron:
-    """Return the room without some shapes of its faces; its joints may be as rough as ``weld``."""
-    for weld in (2 * FINE, part.mend.weld):
-        fine = Mending(part.mend.drawn, weld, points=part.mend.points)
-        left = settled(cut(FaceSet(fine, *zip(*part.rows(), strict=True)), cuts))
-        try:
-            return left.polyhedron()
-        except DataError as error:
-            refused = error
-    raise refused
-
-
-def _by_size(part: FaceSet) -> list[list[int]]:
-    """Return the faces of each closed surface: the room's first, then the objects', large to small."""
-
-    def volume(members: Sequence[int]) -> float:
-        polygons = [part.corners(i) - part.mend.points[0] for i in members]
-        return abs(sum(float(p[0] @ vector_area(p)) for p in polygons))
-
-    return sorted(part.components(), key=lambda members: (-volume(members), members))
-
-
-def _contacts(
-    part: FaceSet, geometry: Polyhedron, groups: Sequence[Sequence[int]]
-) -> Iterator[_Contact]:
-    """Yield the faces of objects that face one of the room's or of a larger object nearby.
-
-    Of one closed surface, they are those that lie on each other with no air between them.
-    """
-    mend, polygons = part.mend, part.polygons
-    walls = [Polygon(polygon) for polygon in polygons]
-    low = np.array([p.min(axis=0) for p in polygons])
-    high = np.array([p.max(axis=0) for p in polygons])
-    rank = np.empty(len(polygons), dtype=int)
-    for k, members in enumerate(groups):
-        rank[list(members)] = k
-    through = OFFSET + mend.weld
-    limits = -through, max(OFFSET, mend.weld)
-    for k, members in enumerate(groups):
-        solid = geometry.triangles[np.isin(geometry.triangle_faces, members)]
-        for i in members:
-            near = ((low - through <= high[i]) & (low[i] <= high + through)).all(axis=1)
-            near &= (rank < k) | ((rank == k) & (np.arange(len(rank)) < i))
-            near &= geometry.normals @ geometry.normals[i] < _FACING
-            for j in np.flatnonzero(near).tolist():
-                wall, into, is_same = walls[j], -geometry.normals[j], rank[j] == k
-                away = (polygons[i] - polygons[j].mean(axis=0)) @ into
-                least, most = (-FINE, FINE) if is_same else limits
-                if not least <= away.min() <= away.max() <= most:
-                    continue
-                shapes = _shared(wall, polygons[i], mend.weld)
-                if not shapes:
-                    continue
-                area = sum(float(shape.area) for shape in shapes)
-                point = max(shapes, key=lambda p: float(p.area)).representative_point()
-                inner = wall.lifted(np.array(point.coords))
-                # A thin object on the other side of a thin wall is not behind this face of it.
-                behind = inner + (max(away.max(), 0.0) + _BEFORE) * into
-                if is_same:
-                    before = inner - _BEFORE * geometry.normals[[i, j]]
-                    if not geometry.contains(before).any():
-                        yield _Contact(i, j, wall, 0.0, area)
-                elif abs(float(winding_number(behind, solid)[0])) > 0.5:
-                    yield _Contact(i, j, wall, float(away.max()), area)
-
-
-def _shared(wall: Polygon, corners: Array, weld: float) -> list[Any]:
-    """Return the shapes, in the wall's axes, that both faces have; not those as narrow as a sliver."""
-    shape = common(wall, corners, FINE)
-    return [p for p in polygons_of(shape) if p.area > weld * extent_of(ring_of(p)) / 2]
-
-
-def _note_gaps(part: FaceSet, contacts: Sequence[_Contact], shell: Sequence[int]) -> None:
-    """Note the objects that are as near to a wall as a window may be, over a whole face."""
-    areas = part.areas
-    near = [c for c in contacts if c.wall in shell and c.area > COVERED * areas[c.face]]
-    if near:
-        widest = max(c.gap for c in near)
-        part.mend.found(
-            "gap",
-            f"faces of closed objects are up to {widest * 1000:.2g} mm before a wall, and both count; "
-            f"state --weld {1.1 * widest:.2g} if they touch",
-            [f'"{part.names[c.face]}" before "{part.names[c.wall]}"' for c in near],
-            sum(areas[c.face] for c in near),
-        )
-
+# -- walls that are drawn as solids
 
 _THIN = 0.8
 """Mean chord in m, 4 V / S, below which a solid is a wall or a slab: that of a wall is twice its
@@ -1683,7 +1511,7 @@ def room_between(part: FaceSet) -> FaceSet | None:
     MissingDependencyError
         Without manifold3d.
     """
-    mend, drawn = part.mend, part.mend.drawn
+    mend = part.mend
     groups = _solids(part.faces)
     if groups is None or len(groups) < 2:
         return None
@@ -1694,37 +1522,43 @@ def room_between(part: FaceSet) -> FaceSet | None:
     thin = [4 * s.volume < _THIN * float(np.sum(s.face_areas)) for s in solids]
     if not any(thin):
         return None
-    cavities = _cavities(solids, groups)
+
+    def is_air(cell: Cell) -> bool:
+        """Return whether a space is in no solid, just before its largest triangle."""
+        a, b, c = np.moveaxis(cell.triangles, 1, 0)
+        normals = np.cross(b - a, c - a)  # out of the plates, and so into the space
+        k = int(np.argmax(np.linalg.norm(normals, axis=1)))
+        point = cell.triangles[k].mean(axis=0) + _BEFORE * normal_of(cell.triangles[k])
+        return all(abs(winding_number(point[np.newaxis], s.triangles)[0]) < 0.5 for s in solids)
+
+    cavities = [cell for cell in cells_of(part) if is_air(cell)]
     box = float(np.prod(np.ptp(mend.points, axis=0)))
     if not cavities or cavities[0].volume < _LEAST_SHARE * box:
         if not all(thin):
             return None
         raise MeshError(
-            f"{drawn.path}: the faces bound {len(solids)} solids, such as walls and slabs, and these "
+            f"{mend.path}: the faces bound {len(solids)} solids, such as walls and slabs, and these "
             "enclose no cavity: what is inside them is material and not air, so no room can be made. "
             "In your program, close the openings and gaps between the solids, or draw the room's "
             f"inner faces; --weld {rounded(10 * mend.weld, 2)} closes gaps of that width in m"
         )
     room, *others = cavities
-    materials, names = ([of[i] for i in room.faces] for of in (part.materials, part.names))
     done = f"closed solids: the room is the cavity of {rounded(room.volume, 4)} m³ between them"
     if others:
         sizes = listed([f"{rounded(c.volume, 3)} m³" for c in others])
         done += f", the largest; {'another' if len(others) == 1 else 'others'} of {sizes} left out"
-    faces = Faces(drawn.path, list(room.triangles), materials, names, drawn.notes, drawn.unit)
-    mend = Mending(faces, mend.weld, mend.largest_hole)
-    mend.found("solids", done, [part.names[group[0]] for group in groups])
-    return welded(mend)
+    mend.found("solids", [part.names[group[0]] for group in groups], done=done)
+    return faces_around(room, part, {})
 
 
-def _solids(faces: Sequence[Sequence[int]]) -> list[list[int]] | None:
+def _solids(faces: Sequence[Face]) -> list[list[int]] | None:
     """Return the faces of each solid: in the file's order, until each edge has two faces.
 
     None if some edge has one face only in the end.
     """
     solids: list[list[int]] = []
     solid: list[int] = []
-    open_edges: set[tuple[int, int]] = set()
+    open_edges: set[Edge] = set()
     for i, face in enumerate(faces):
         solid.append(i)
         open_edges.symmetric_difference_update(edges_of(face))
@@ -1732,50 +1566,6 @@ def _solids(faces: Sequence[Sequence[int]]) -> list[list[int]] | None:
             solids.append(solid)
             solid = []
     return None if solid else solids
-
-
-@dataclass(frozen=True)
-class _Cavity:
-    """A cavity in the union of solids, and the free solids in it.
-
-    ``volume`` is in m³, without the free solids. ``triangles`` (n, 3, 3) are corners in m, ``faces``
-    the number of the face that each is a part of.
-    """
-
-    volume: float
-    triangles: Array
-    faces: list[int]
-
-
-def _cavities(solids: Sequence[Polyhedron], groups: Sequence[Sequence[int]]) -> list[_Cavity]:
-    """Return the cavities in the union of solids, the largest first; ``groups`` are their faces."""
-    manifold = library(
-        "walls that are drawn as solids need manifold3d: pip install 'rtcal[mesh]'", "manifold3d"
-    )
-    made = []
-    for solid, group in zip(solids, groups, strict=True):
-        # A solid's normals point out of it, as manifold3d asks.
-        corners, index = np.unique(solid.triangles.reshape(-1, 3), axis=0, return_inverse=True)
-        of_face = np.array(group)[solid.triangle_faces].astype(np.uint64)
-        of_corners = index.reshape(-1, 3).astype(np.uint64)
-        made.append(manifold.Manifold(manifold.Mesh64(corners, of_corners, face_id=of_face)))
-    surfaces = []
-    for surface in reduce(add, made).decompose():  # one by one: all at once leaves spikes at joints
-        mesh = surface.to_mesh64()
-        corners = np.asarray(mesh.vert_properties)[:, :3][np.asarray(mesh.tri_verts, int)]
-        surfaces.append(_Cavity(-surface.volume(), corners, np.asarray(mesh.face_id, int).tolist()))
-    found = []
-    for cavity in (s for s in surfaces if s.volume > 0):  # around it normals point inward
-        held = [
-            s
-            for s in surfaces
-            if s.volume < 0 and abs(winding_number(s.triangles[0, :1], cavity.triangles)[0]) > 0.5
-        ]
-        whole = [cavity, *held]
-        triangles = np.concatenate([s.triangles for s in whole])
-        faces = [face for s in whole for face in s.faces]
-        found.append(_Cavity(sum(s.volume for s in whole), triangles, faces))
-    return sorted(found, key=lambda cavity: -cavity.volume)
 
 
 def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = None) -> Mended:
@@ -1797,7 +1587,7 @@ def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = Non
     MeshError
         For a mesh without a closed room. It names the defect, where, and how to mend it.
     MissingDependencyError
-        Without shapely, if a face must be cut.
+        Without shapely or manifold3d, if a face must be cut or something is in the room.
     """
     for name, value, unit in (("weld", weld, "m"), ("largest_hole", largest_hole or 0.0, "m²")):
         if not 0 <= value < np.inf:
@@ -1810,32 +1600,20 @@ def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = Non
         return closed
     drawn = welded(Mending(faces, max(weld, SAME), largest_hole))
     part = room_between(drawn) or drawn
-    mend = part.mend
     part = flattened(snapped(joined(without_repetitions(part))))
-    shell, others = shell_of(part)
-    geometry = _closed(shell, others)
-    if any(geometry.contains([point])[0] for point in mend.buried):
-        raise mend.refused(
-            "two closed rooms have a wall in common: leave one of them out, or delete that wall"
-        )
-    return mend.result(without_contacts(mend, geometry))
-
-
-def _closed(shell: FaceSet, others: Sequence[FaceSet]) -> Polyhedron:
-    """Return the room of its shell and the other components; MeshError with the room as drawn."""
-    mend = shell.mend
+    mend, (shell, others) = part.mend, shell_of(part)
     try:
         shell = without_holes(shell, others)
     except MeshError as error:
+        note_repetitions(mend)
         note_loose(shell, others)
         refused = mend.refused(error.reason)
         refused.edges = error.edges
         raise as_drawn(shell, others, refused) from None
     try:
-        part = with_others(shell, others)
         if len(part.faces) > MOST_FACES:
             raise mend.refused(f"{len(part.faces)} faces; at most {MOST_FACES}: simplify the model")
-        return part.polyhedron()
+        return mend.result(room_of(shell, others))
     except DataError as error:
         refused = error if isinstance(error, MeshError) else mend.refused(f"after mending, {error}")
         raise as_drawn(shell, others, refused) from error
@@ -1849,8 +1627,12 @@ def _closed_as_drawn(faces: Faces, weld: float) -> Mended | None:
     polygons = zip(numbered(faces.names), faces.materials, faces.polygons, strict=True)
     try:
         geometry = Polyhedron.from_polygons(list(polygons))
+        mend.points = np.array(geometry.vertices)
+        part = FaceSet(mend, map(list, geometry.faces), geometry.materials, geometry.names)
+        shell, others = shell_of(part)
+        hull = shell.polyhedron()
+        if not all(is_within(hull, other) for other in others):
+            return None
+        return mend.result(room_of(shell, others, geometry))
     except DataError:  # not closed, or a defect that is named later
         return None
-    if not objects_are_within(mend, geometry):
-        return None
-    return mend.result(without_contacts(mend, geometry))

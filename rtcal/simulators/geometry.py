@@ -467,7 +467,12 @@ def vector_area(polygon: Array) -> Array:
 
 def vector_areas(vertices: Array, faces: Sequence[Sequence[int]]) -> Array:
     """Return the `vector_area` of each face of these vertices, (n_faces, 3)."""
-    return np.array([vector_area(vertices[list(face)]) for face in faces])
+    sizes = np.array([len(face) for face in faces], dtype=int)
+    starts = np.cumsum(sizes) - sizes
+    corners = vertices[np.array([v for face in faces for v in face], dtype=int)]
+    local = corners - np.repeat(corners[starts], sizes, axis=0)
+    after = np.roll(local, -1, axis=0)  # each first corner is 0, as the last one's next
+    return np.asarray(0.5 * np.add.reduceat(np.cross(local, after), starts, axis=0))
 
 
 def triangulate(polygon: Array) -> list[tuple[int, int, int]]:
