@@ -36,6 +36,8 @@ def on_files(files: Files, config: Any) -> Files:
         notebook = nbformat.read(path, as_version=4)
         body, resources = MarkdownExporter().from_notebook_node(notebook, dict(keys))
         page = _linked(_with_words(body, notebook)).replace("](../../docs/", "](../../")
+        if path.parent.name == "studies":  # for reviewers: linked, and not found by a search
+            page = f"---\nsearch:\n  exclude: true\n---\n{page}"
         files.append(File.generated(config, f"{folder}/{path.stem}.md", content=page))
         for name, content in resources["outputs"].items():
             files.append(File.generated(config, f"{folder}/{name}", content=content))

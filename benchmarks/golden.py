@@ -107,8 +107,8 @@ ROUNDING = 1e-12
 SHIPPED_CASES = {
     "case": lambda: rt.datasets.hidden_room()[0],
     "closed": lambda: rt.datasets.hidden_room("closed")[0],
-    "named": lambda: rt.datasets.hidden_room("named")[0],
-    "not told": lambda: rt.datasets.hidden_room("not_told")[0],
+    "named": lambda: rt.datasets.hidden_room("identified")[0],
+    "not told": lambda: rt.datasets.hidden_room("not_identified")[0],
 }
 HALLS = ("lecture_hall", "hard_hall", "theatre", "corridor")
 CRASHED = "crashed"

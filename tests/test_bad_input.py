@@ -82,7 +82,7 @@ def test_air(values: dict, message: str) -> None:
 @pytest.mark.parametrize(
     ("t", "message"),
     [
-        ([1.0], r"measured T has shape \(1,\); the room asks for \(2,\)"),
+        ([1.0], r"measured T has shape \(1,\); the room has 2 bands, so that it must be \(2,\)"),
         ([1.0, 0.0], r"T\[1000 Hz\] = 0 s is not finite and above 0"),
         ([1.0, -2.0], r"T\[1000 Hz\] = -2 s"),
         ([1.0, float("inf")], r"T\[1000 Hz\] = inf s"),
@@ -95,11 +95,28 @@ def test_times(t: list, message: str) -> None:
         rt.calibrate(rt.Room(**GOOD), t)
 
 
+@pytest.mark.parametrize("call", [rt.calibrate, rt.find, rt.calibrate_modes])
+def test_exchanged_arguments_are_named(call: Callable[..., object]) -> None:
+    room, measured = rt.datasets.bras_cr2()
+    with pytest.raises(DataError, match=r"not a rtcal.Room, but a rtcal.Measurement.*exchanged"):
+        call(measured, room)
+    with pytest.raises(DataError, match=r"'room.toml' is not a rtcal.Room: rtcal.Room.from_file"):
+        call("room.toml", measured)
+
+
+@pytest.mark.parametrize(
+    "call", [rt.report.pages.page, rt.finder.verify, rt.finder.plan], ids=["page", "verify", "plan"]
+)
+def test_a_room_in_place_of_a_result_is_refused_by_type(call: Callable[..., object]) -> None:
+    with pytest.raises(DataError, match=r"<Room .* is (no result|not a rtcal.finder)"):
+        call(rt.Room(**GOOD))
+
+
 def test_t_beyond_reach_says_by_how_much_and_which_would_do() -> None:
     room = rt.Room(**GOOD, air=rt.Air())
     message = (
-        r"T\[1000 Hz\] = 90 s is beyond reach: it asks the surfaces for -0.251 m², the bounds allow "
-        r"0 to 100 m², 0.251 m² too little; T from .* to 37.48 s would do"
+        r"T\[1000 Hz\] = 90 s is beyond reach: the absorption area of the surfaces must be -0.251 m², "
+        r"and the bounds allow 0 to 100 m², 0.251 m² too little; T from .* to 37.48 s is possible"
     )
     with pytest.raises(InfeasibleError, match=message):
         rt.calibrate(room, [0.5, 90.0])

@@ -39,7 +39,7 @@ def test_saved_it_prints_the_same(named: Diagnosis, tmp_path: Path) -> None:
 
 
 def test_where_nothing_is_missing_the_model_is_calibrated_as_given(kept: Path) -> None:
-    case, _ = rt.datasets.hidden_room("not_told")
+    case, _ = rt.datasets.hidden_room("not_identified")
     result = rt.diagnose(case, cache=kept)
     assert result.corrected is None
     assert result.verification is None

@@ -63,17 +63,7 @@ LONG = {
         "qp",
         "prediction",
         "two_states",
-        *(
-            f"api/{n}"
-            for n in (
-                "discrepancy",
-                "independent_solvers",
-                "other",
-                "simulators",
-                "studies",
-                "where",
-            )
-        ),
+        *(f"api/{n}" for n in ("discrepancy", "independent_solvers", "other", "simulators")),
     )
 }
 """Pages whose blocks take more than two seconds of processor time."""

@@ -34,7 +34,7 @@ def run_line(line: str) -> None:
     [
         pytest.param(n, marks=[pytest.mark.long] if n in ("change", "responses") else [])
         for n in _PURPOSES
-        if n not in ("missing-effect", "told", "where", "diagnose")
+        if n not in ("missing-effect", "identified", "where", "diagnose")
     ],
 )
 def test_the_printed_commands_run(

@@ -253,7 +253,7 @@ def test_a_t_that_the_prior_cannot_explain_is_said_first_and_not_bent_into_scatt
     result = fit("paths", room, data)
     first = " ".join(str(result).split()).split(". ")[0]
     assert first.startswith(
-        "The stated coefficients and their sigma cannot explain the measured T20"
+        "The input coefficients and their sigma cannot explain the measured T20"
     )
     beyond = result.beyond
     assert beyond.bands == beyond.of_bands == 2

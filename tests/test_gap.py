@@ -162,7 +162,7 @@ def finding(folder: Path, kept: Path) -> Finding:
 def unsure(finding: Finding) -> Finding:
     """The same, where a material's area explains the data best and the opening hardly less."""
     area, opening = candidates_of("area", "opening")
-    size = Size(1.4, 1.2, 1.6, "of the stated area").fields
+    size = Size(1.4, 1.2, 1.6, "of the input area").fields
     area = replace(area, parameters={"material": 1.0, "ratio": 1.4}, **size)
     return replace(
         finding,
@@ -294,7 +294,7 @@ def test_a_sound_model_is_no_input_error(folder: Path) -> None:
     path, out = folder / "sound.json", folder / "never"
     four = [("S", f"R{i}") for i in range(4)]
     sound = {
-        "name": "as stated",
+        "name": "input",
         "measured": {"pairs": four, "values": {"t20": [seen.tolist()] * 4}},
     }
     path.write_text(json.dumps(case.to_dict() | {"configuration": [sound]}))

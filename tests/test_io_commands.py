@@ -253,7 +253,7 @@ def test_an_entry_that_is_stated_wins_and_unknown_names_are_refused(tmp_path: Pa
         assert words in said
         assert not out.exists()
     assert run(*command, "--as", "wall=hard wall", "--catalogue", "wall=brickwork") == 2
-    assert '"wall" is stated by --as and by --catalogue' in capsys.readouterr().err
+    assert '"wall" is in --as and in --catalogue' in capsys.readouterr().err
     assert run(*command, "--as", "wall=hard wall") == 0
     assert "Left out, without area: wall" in capsys.readouterr().out
     assert rt.Room.from_file(out).alpha.tolist() == [[0.02] * 3]

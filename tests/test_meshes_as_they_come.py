@@ -632,7 +632,7 @@ def test_a_unit_that_the_file_contradicts_is_told() -> None:
     assert unit_notes(0.0254, 0.0254, 0.0254) == ["the file's unit is 0.0254 m"]
     assert unit_notes(1.0, 0.0254, None) == []
     (said,) = unit_notes(1.0, 0.0254, 1.0)
-    assert said == "the file states a unit of 0.0254 m, and 1 m was stated and taken"
+    assert said == "the file states a unit of 0.0254 m, and 1 m was given and taken"
 
 
 # -- commands

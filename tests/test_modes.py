@@ -172,7 +172,7 @@ def test_decays_that_are_all_off_by_a_factor_are_told(factor):
     )
     result = rt.calibrate_modes(sure, off)
     (mark,) = [m for m in result.trust_marks if m.kind == "implausible_modes"]
-    assert "times as fast as stated coefficients make them (z = " in mark.text
+    assert "times as fast as the input coefficients make them (z = " in mark.text
     assert "are T and decays called so" in " ".join(result.every_note)
 
 

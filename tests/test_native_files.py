@@ -250,7 +250,11 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
         ("R = [1, 2, 2]", "R = [1, 2, inf]", 'receivers["R"][2] = inf is not finite'),
         ('mesh = "room.obj"', "mesh = 3", "geometry.mesh = 3 is not a text"),
         ('mesh = "room.obj"', 'mesh = " "', "mesh = ' ' is not the name of a mesh's file"),
-        ('mesh = "room.obj"', "unit = 0.001", "unit = 0.001 is that of a mesh, and none is stated"),
+        (
+            'mesh = "room.obj"',
+            "unit = 0.001",
+            "unit = 0.001 is that of a mesh, and no mesh is given",
+        ),
         ('mesh = "room.obj"', "position_uncertainty = 0", "position_uncertainty = 0 m"),
         ('["face 3", "face 7"]', "3", 'geometry.surfaces["south"] = 3 is not a list of texts'),
         (
@@ -350,7 +354,7 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
         (
             "high = 1.0",
             'standard = "DIN 18041"\ngroup = "A3"\nhigh = 1',
-            "and high are both stated",
+            "and high are both given",
         ),
         ("high = 1.0", 'standard = "DIN 18041"', 'group = "" is not one of A1'),
         ("high = 1.0", 'standard = "ANSI S12.60"\ngroup = "A3"', 'group = "A3" is of DIN 18041'),

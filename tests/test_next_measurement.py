@@ -103,7 +103,7 @@ def test_a_plan_proposes_what_tells_most_per_hour_and_then_goes_on() -> None:
     assert {p.kind for p in before.proposals} >= {"EDT and T30", "C80", "G", "removed"}
     dear = plan(case, costs=dict.fromkeys(COSTS, 1.0) | {before.proposals[0].kind: 1e6})
     assert dear.proposals[-1].kind == before.proposals[0].kind
-    assert "settled per hour" in str(before)
+    assert "removed per hour" in str(before)
     assert "nats" not in str(before)
     assert json.loads(json.dumps(before.to_dict(), allow_nan=False))["sequence"]
 

@@ -76,7 +76,7 @@ def test_a_simulator_that_is_farther_from_the_measurement_than_before_is_not_to_
     said = " ".join(str(astray).split())
     after = astray.gap_after[0]
     warning = said.index("the calibrated simulator is farther from what was measured")
-    assert warning < said.index("rms gap / JND")  # it stands before the tables, and once
+    assert warning < said.index("rms deviation / JND")  # it stands before the tables, and once
     assert said.count("is farther from what was measured") == 1
     assert "try another seed" in said
     old, new = (np.sqrt(np.mean(r**2)) for r in (result.gap_before[0], after))

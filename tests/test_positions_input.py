@@ -287,7 +287,9 @@ def test_the_command_writes_room_and_record_whole(folder):
     kept_as_stated = fit(folder, "--match", "t20", "--keep-scattering", "--json")
     assert json.loads(kept_as_stated.stdout)["scattering"] is None
     vectors = fit(folder, "--match", "t20", "--scattering-model", "vector")
-    assert 'The scattering stated was kept: only "random" paths' in " ".join(vectors.output.split())
+    assert 'The input scattering was kept: only the model "random"' in " ".join(
+        vectors.output.split()
+    )
     without = fit(folder, "--exclude", "S1:R1", "--match", "t20", "--match", "edt")
     assert without.exit_code == 0
     assert "Left out, as asked for: S1 to R1" in without.output

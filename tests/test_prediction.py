@@ -338,7 +338,7 @@ def test_without_a_measurement_the_error_of_t_before_counts() -> None:
     room = a_room(2)
     found = calibrated(2).predict(Change(add=PANEL, area=5))
     stated = predict(room, Change(add=PANEL, area=5))
-    assert stated.before_is == "stated coefficients"
+    assert stated.before_is == "input coefficients"
     assert (stated.half_width > 1.5 * found.half_width).all()
     assert stated.mean == pytest.approx(found.uncalibrated.mean)
     # One band without T: there it is as without any.
@@ -621,9 +621,9 @@ def test_changes_that_do_not_fit_are_refused(change, said: str) -> None:
 def test_a_calibrated_room_s_t_is_not_called_a_stated_one(result: rt.CalibrationResult) -> None:
     """Its file alone predicts: what is printed says whose T before it is."""
     file = rt.Room.from_text(result.room.to_text(), "room.toml")
-    for room, kind in ((file, "calibrated room"), (result.prior, "stated coefficients")):
+    for room, kind in ((file, "calibrated room"), (result.prior, "input coefficients")):
         made = predict(room, Change(cover="walls", by=PANEL, area=3), equation=result.equation)
         shown = str(made)
         assert made.before_is == kind
         assert f"T before ({kind})" in shown
-        assert ("stated coefficients" in shown) == (kind == "stated coefficients")
+        assert ("input coefficients" in shown) == (kind == "input coefficients")

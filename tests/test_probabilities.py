@@ -206,7 +206,7 @@ def test_what_states_no_uncertainty_gets_it_from_theory_and_reproducibility() ->
     assert (np.diff(spread[0]) < 0).all()
     assert "not stated" in str(observed.origin)
     stated, _ = observe(case_of(room(), room()))
-    assert str(stated.origin) == "Uncertainty of T20, EDT, T30: as stated"
+    assert str(stated.origin) == "Uncertainty of T20, EDT, T30: as given"
 
 
 def test_a_stated_climate_is_a_measurement() -> None:

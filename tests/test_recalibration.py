@@ -52,7 +52,7 @@ def test_a_time_five_times_as_long_is_matched() -> None:
 
 def test_a_band_beyond_reach_spoils_no_other() -> None:
     """Steps to ln T with a weight of 1e10 left these T off by up to 1.7 %."""
-    case, _ = rt.datasets.hidden_room("named")
+    case, _ = rt.datasets.hidden_room("identified")
     calibrated = plain(case)
     measured = case.configurations[0].measured.mean("t20")
     times = np.exp(calibrated.features[0, 0])

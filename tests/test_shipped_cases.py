@@ -12,7 +12,7 @@ import rtcal as rt
 from benchmarks.studies.hidden_world.populations import build
 from benchmarks.studies.means.shipped_cases import POPULATION, kinds
 
-ROOMS = ("named", "not_told")
+ROOMS = ("identified", "not_identified")
 
 
 @pytest.mark.parametrize("name", ROOMS)
@@ -45,12 +45,12 @@ def test_the_true_coefficients_are_as_far_off_as_is_stated(name: str) -> None:
 
 
 @pytest.mark.long
-def test_one_is_named_and_one_is_not_told() -> None:
+def test_one_is_identified_and_one_is_not() -> None:
     """It fails where the finder is changed: run `benchmarks.studies.means.shipped_cases`."""
-    case, truth = rt.datasets.hidden_room("named")
+    case, truth = rt.datasets.hidden_room("identified")
     finding = rt.find(case)
     assert (finding.verdict, finding.effect) == ("named", truth["hidden"])
-    case, truth = rt.datasets.hidden_room("not_told")
+    case, truth = rt.datasets.hidden_room("not_identified")
     assert truth["hidden"] not in ("", "nothing")
     assert rt.find(case).verdict in ("none", "hint")
 

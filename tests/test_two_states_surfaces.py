@@ -78,7 +78,7 @@ def finding(states: tuple[rt.Measurement, rt.Measurement]) -> Finding:
 
 @pytest.mark.long
 def test_the_wall_that_changed_is_claimed_and_no_other(finding: Finding) -> None:
-    assert finding.claimed_surfaces == ("east",)
+    assert finding.identified_surfaces == ("east",)
     assert 'The change is on "east".' in headline(finding)
     assert finding.surfaces["east"] == max(finding.surfaces.values())
     np.testing.assert_allclose(sum(finding.sets.values()), 1, rtol=1e-9)
@@ -92,7 +92,7 @@ def test_in_the_other_order_it_is_the_same_wall(
     back = rt.find(finding.case.room, states[0], model, before=states[1])
     assert back.family is not None
     assert back.family.startswith("removed")
-    assert back.claimed_surfaces == ("east",)
+    assert back.identified_surfaces == ("east",)
     assert dict(back.surfaces) == pytest.approx(dict(finding.surfaces), rel=1e-9)
 
 

@@ -75,7 +75,7 @@ class Target:
     low, high : array (n_bands,)
         In s; NaN where an end is open.
     source : str
-        Where the range comes from.
+        Source of the range.
 
     Raises
     ------
@@ -116,7 +116,7 @@ class Target:
         return np.asarray(np.isfinite(self.low) | np.isfinite(self.high))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the ends in s and their source as plain numbers and text."""
+        """Return both ends of the range in s and their source as plain numbers and text."""
         ends = {"low": json_numbers(self.low), "high": json_numbers(self.high)}
         return {**ends, "source": self.source}
 
@@ -202,7 +202,7 @@ def target_of(table: TargetTable, volume: float, frequencies: Array) -> Target:
     stated = [key for key, end in ends.items() if end is not None]
     if table.standard is not None and stated:
         raise DataError(
-            f'target: standard = "{table.standard}" and {stated[0]} are both stated; a target has one'
+            f'target: standard = "{table.standard}" and {stated[0]} are both given; a target has one'
         )
     if table.standard == "DIN 18041":
         return din_18041(table.group or "", volume, frequencies)
@@ -248,7 +248,7 @@ class Change:
     cover : str
         A material of the room: what lies below no longer absorbs, and the total surface stays.
     by : Material or str
-        What covers it; a str is a material of the room. Its area is as uncertain as that below it.
+        Covering material; a str is a material of the room. Its area is as uncertain as that below it.
     add : Material or str
         Something free-standing: the total surface grows, and nothing is covered.
     remove : str
@@ -331,7 +331,7 @@ class Change:
         return self.add if self.by is None else self.by
 
     def exchanged(self, room: Room) -> tuple[float, Material | None]:
-        """Return the area in m² that goes of `surface`, and what comes in, with its area.
+        """Return the area of `surface` in m² that goes, and the material that comes with its area.
 
         Raises DataError if the room has less of the surface, or for more than `MOST_ADDED`.
         """
@@ -588,7 +588,7 @@ class NewMaterial(FileTable):
         if catalogue is None:
             raise DataError(f'{place}: no catalogue to look "{self.catalogue}" up in')
         if both := [key for key in ("alpha", "sigma") if getattr(self, key) is not None]:
-            raise DataError(f"{place}: catalogue and {both[0]} are both stated; a material has one")
+            raise DataError(f"{place}: catalogue and {both[0]} are both given; a material has one")
         try:
             found = catalogue(self.catalogue, room.centre_frequencies)
         except DataError as error:

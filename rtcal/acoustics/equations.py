@@ -74,7 +74,7 @@ class ReverberationEquation(ABC):
         """Raise ModelError: T does not determine S'alpha in this equation."""
         raise ModelError(
             f"{self.name}'s equation is not a function of the mean absorption coefficient, so T does "
-            "not tell S'alpha; calibrate it in the closed loop with calibrate_simulator"
+            "not determine S'alpha; calibrate it in the closed loop with calibrate_simulator"
         )
 
     def room_constant(self, room: Room) -> float:

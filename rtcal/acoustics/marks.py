@@ -540,7 +540,7 @@ which on a decimal point or a unit is wrong. Empty and furnished rooms differ by
 
 
 def of_unit(
-    times: Array, stated: Array, name: str = "T", of: str = "that of the stated coefficients"
+    times: Array, stated: Array, name: str = "T", of: str = "that of the input coefficients"
 ) -> list[TrustMark]:
     """Return the mark of a T that is far from that of the stated coefficients in every band alike.
 
@@ -554,7 +554,7 @@ def of_unit(
     Examples
     --------
     >>> of_unit(np.array([11.0, 9.0]), np.array([1.0, 1.0]))[0].text
-    'T is 9 to 11 times that of the stated coefficients in every band'
+    'T is 9 to 11 times that of the input coefficients in every band'
     >>> of_unit(np.array([3.0, 0.9]), np.array([1.0, 1.0]))
     []
     """

@@ -176,14 +176,14 @@ class Measurement:
         Names, (n_pairs,). The single pair ``("*", "*")`` is a summary: means over several pairs.
         ``("S1", "R1#2")`` is a repeat of ``("S1", "R1")``: the repeats' mean is kept, as one pair.
     standard_deviation : mapping of str to array (n_bands,)
-        Of a summary: the spread over its pairs (not the uncertainty of the mean).
+        Standard deviation over the pairs of a summary (not the uncertainty of the mean).
     uncertainty : mapping of str to array (n_pairs, n_bands)
         Stated standard uncertainty of each value, where the measurer knows it.
     common_uncertainty : mapping of str to array (n_bands,)
         Beside it, the standard uncertainty that all pairs of a band have in common: equipment,
         evaluation, climate. It does not average out.
     n_sources, n_receivers : int, optional
-        Of a summary: numbers of sources and receivers that it averages.
+        Numbers of sources and receivers that a summary averages.
 
     Raises
     ------
@@ -299,7 +299,7 @@ class Measurement:
         if self.standard_deviation and None in counts.values():
             raise DataError(
                 "measurement: a standard deviation over pairs needs the numbers of sources and "
-                "receivers, else it does not tell how uncertain the mean is"
+                "receivers, without which the uncertainty of the mean is unknown"
             )
         for name in ("uncertainty", "common_uncertainty", "standard_deviation"):
             for parameter in getattr(self, name):
@@ -340,7 +340,7 @@ class Measurement:
         return blocks.notebook(self._description, [Table(labels, rows, corner="mean ± u")])
 
     def refuse_large_uncertainty(self) -> None:
-        """Raise DataError if a stated uncertainty is larger than the value, or than its whole range.
+        """Raise DataError if an uncertainty is larger than the value, or than its whole range.
 
         Functions that take measured data call this method. Simulated data are not checked, because a
         simulation with few paths may be as uncertain as that.
@@ -457,7 +457,7 @@ class Measurement:
         """Return the standard uncertainty u of `mean`, (n_bands,), NaN where it is unknown.
 
         If all values of a band state their uncertainty, u follows from it with independent errors.
-        If a common uncertainty is stated beside it, u² = max(that, s² / n_eff) + common².
+        If a common uncertainty is given beside it, u² = max(that, s² / n_eff) + common².
         Else, for T20 and T30, u² = max(s² / n_eff, ISO 3382-2's variance), with s
         the standard deviation over pairs. n_eff is the larger of the numbers of sources and
         receivers, since pairs that share a source are not independent. ISO 3382-2:2008, Eqs. 4 and

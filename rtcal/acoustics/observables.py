@@ -100,7 +100,7 @@ class Observable(ABC):
 
     @abstractmethod
     def value(self, energy: Array, bin_width: float) -> Array:
-        """Return the value of energy decays (..., n_bins), (...); not finite where one lacks it."""
+        """Return the value of energy decays (..., n_bins), of shape (...); NaN where there is none."""
 
     @abstractmethod
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
@@ -159,7 +159,7 @@ class Observable(ABC):
         return self.jnd * values if self.relative_jnd else self.jnd
 
     def decay_time(self, values: Array) -> Array:
-        """Return the T in s of an exponential decay with these values; NaN if they do not tell it."""
+        """Return the T in s of an exponential decay with these values; NaN if unknown."""
         return np.full(np.shape(values), np.nan)
 
     def between_teams(self, frequencies: Array) -> Array:
@@ -236,7 +236,7 @@ O = TypeVar("O", bound=Observable)  # noqa: E741
 
 
 def register(kind: type[O]) -> type[O]:
-    """Name an observable in `OBSERVABLES`; a class decorator.
+    """Add an observable to `OBSERVABLES` (a class decorator).
 
     Raises
     ------

@@ -90,12 +90,12 @@ class Scene:
     unit : float
         Length of the mesh's unit in m.
     sources, receivers : mapping of str to (x, y, z)
-        Positions in m, by the names of the measurement's pairs. Both are stated, or neither.
+        Positions in m, by the names of the measurement's pairs. Give both, or neither.
     directivity : mapping of str to Directivity or "unknown"
-        By source. A source that is not stated is taken as omnidirectional. A file's path is as the
+        Directivity of each source. One without is taken as omnidirectional. A file's path is as the
         mesh's.
     position_uncertainty : float
-        Root mean square distance of the positions from those stated, in m.
+        Root mean square error of the positions, in m.
     surfaces : mapping of str to sequence of str
         Names of each surface's faces, where coplanar faces of one material are not the surfaces.
 
@@ -129,7 +129,7 @@ class Scene:
                 raise DataError(f"mesh = {self.mesh!r} is not the name of a mesh's file")
         put("unit", checks.positive("unit", self.unit, "m"))
         if self.mesh is None and self.unit != 1:
-            raise DataError(f"unit = {self.unit:g} is that of a mesh, and none is stated")
+            raise DataError(f"unit = {self.unit:g} is that of a mesh, and no mesh is given")
         for kind, other in (_POINTS, _POINTS[::-1]):
             put(kind, _points(kind, getattr(self, kind)))
             if getattr(self, kind) and not getattr(self, other):
@@ -174,7 +174,7 @@ class Scene:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return its tables as plain values, without those that are not stated."""
+        """Return its tables as plain values, without empty ones."""
         stated = {name: getattr(self, name) for name in GeometryTable.__struct_fields__}
         stated["surfaces"] = {name: list(faces) for name, faces in self.surfaces.items()}
         unstated = msgspec.structs.asdict(GeometryTable())
@@ -233,9 +233,9 @@ _PARALLEL = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Directivity:
-    """The energy that a loudspeaker radiates in each direction: an index's lobe, or a balloon.
+    """Energy that a loudspeaker radiates in each direction, by an index and an axis, or a balloon.
 
-    One of index, gains and file is stated.
+    One of index, gains and file is given.
 
     The energy of a lobe at the angle theta from the axis, over that of an omnidirectional source of the
     same power, is (n + 1) ((1 + cos theta) / 2)^n with n = 10^(index / 10) - 1 (docs/path_tracing.md).
@@ -451,7 +451,9 @@ def directivities(
         place = f'directivity["{text_name("directivity", name)}"]'
         if name not in sources:
             known = ", ".join(sources) or "none"
-            raise DataError(f"{place} is of a source that is not stated; the sources are: {known}")
+            raise DataError(
+                f"{place} is of a source that the room does not have; its sources are: {known}"
+            )
         if not isinstance(of, Directivity) and of != UNKNOWN:
             raise DataError(f'{place} = {checks.shown(of)} is not a Directivity or "{UNKNOWN}"')
         made[name] = of
@@ -486,7 +488,7 @@ class Material:
     scattering : float or sequence (n_bands,), optional
         Random-incidence scattering coefficients, 0 to 1; only simulators use them.
     source : str
-        Where the coefficients come from.
+        Source of the coefficients.
     area : float, optional
         In m², of a room's material without surfaces.
     area_sigma : float or str, optional
@@ -593,19 +595,19 @@ class Room:
     air : Air, optional
         Without it the air absorbs nothing, which is wrong above about 1 kHz.
     alpha_min : array (n_materials, n_bands), optional
-        Lower bounds of the calibrated coefficients; 0 if not stated.
+        Lower bounds of the calibrated coefficients; 0 by default.
     scattering : array (n_materials, n_bands), optional
         Scattering coefficients, 0 to 1, for simulators.
     scattering_model : {"random", "vector"}
-        What they mean; see `rtcal.simulators.path_tracing.ScatteringModel`.
+        Meaning of the scattering coefficients; see `rtcal.simulators.path_tracing.ScatteringModel`.
     surfaces : sequence of Surface
-        The single surfaces, if stated: the areas are their sums.
+        The single surfaces, if given: the areas are their sums.
     dimensions : (x, y, z), optional
-        Of a shoebox, in m, for simulators.
+        Length, width and height of a shoebox, in m, for simulators.
     scene : Scene
-        Mesh, sources and receivers, for simulators; empty unless stated.
+        Mesh, sources and receivers, for simulators; empty by default.
     sources : mapping of str to str
-        By material, where its coefficients come from.
+        Source of the coefficients of each material.
     band_correlation : float
         Prior correlation of one material's errors in bands an octave apart, 0 to below 1; it falls as
         band_correlation ** octaves.
@@ -734,7 +736,7 @@ class Room:
         ends = zip(climate, ((20, "K"), (50, "%")), strict=True)
         put(climate_sigma=tuple(checks.between("climate_sigma", v, 0, *of) for v, of in ends))
         if self.air is None and any(self.climate_sigma):
-            raise DataError("climate_sigma is stated, but no air that it belongs to")
+            raise DataError("climate_sigma is given, but no air that it belongs to")
 
     def _check_names(self) -> None:
         """Raise DataError for no material, and for names that are blank, given twice or look alike."""
@@ -927,7 +929,7 @@ class Room:
 
     @property
     def as_exact(self) -> Room:
-        """The room with its volume, areas and climate as stated and taken as exact."""
+        """The room with its volume, areas and climate, all taken as exact."""
         if not self.is_uncertain:
             return self
         return self.replace(
@@ -1097,7 +1099,7 @@ class Room:
         return cls.from_surfaces(volume=geometry.volume, surfaces=geometry.surfaces, **stated)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the tables of the room's file as plain values, without those that are not stated.
+        """Return the tables of the room's file as plain values, without empty ones.
 
         What was above 1 stands clipped in alpha.
         """

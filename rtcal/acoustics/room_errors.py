@@ -39,7 +39,7 @@ class Assumptions:
         Relative errors of V, and of the area of each material, where the room states none.
     common : float
         Error of ln T that the equation makes in all states of a room alike. It also stands for
-        handbook coefficients that are wrong together: T alone cannot tell the two apart.
+        handbook coefficients that are wrong together: T alone cannot distinguish the two.
     factor : float
         Standard deviation of ln of what the equation errs by of each material's absorption, the same in
         all states of the room.

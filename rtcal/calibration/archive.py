@@ -286,7 +286,7 @@ class Archive(Result):
     materials : tuple of str
     centre_frequencies : array (n_bands,)
     table, table_sigma : array (n_materials, n_bands)
-        What the rooms had stated: the mean of their entries, and the largest sigma.
+        Input of the rooms: the mean of their entries, and the largest sigma.
     alpha, sigma : array (n_materials, n_bands)
         The library: mean and standard deviation of a coefficient in the next room.
     mean_sigma : array (n_materials, n_bands)
@@ -526,7 +526,7 @@ class Archive(Result):
         }
         rooms = Table.of_columns([lesson.room for lesson in self.lessons], of_rooms)
         notes = [
-            f"An entry is off by {spread.table:.2g} of its stated sigma, a material differs between "
+            f"An entry is off by {spread.table:.2g} of its input sigma, a material differs between "
             f"rooms by {spread.between:.2g} of it. Rooms differ by {100 * spread.room:.0f} %, the "
             f"equation by {100 * spread.equation:.0f} % per band (standard deviations). All tables "
             f"are off together by {100 * self.together:+.0f} ± {100 * self.together_sigma:.0f} %.",
@@ -594,7 +594,7 @@ def learn(rooms: Sequence[Calibrated], names: Mapping[str, str] | None = None) -
     alpha of material i in room r is the material's mean, an error of the room's own and a factor of the
     room, the same in all states of the room; see `rtcal.calibration.archive`. How
     far a material differs between rooms, how far the tables are off, alone and together, follow by
-    marginal likelihood; the means by one linear step, cut to 0 to 1 after it. Only the rooms' stated
+    marginal likelihood; the means by one linear step, cut to 0 to 1 after it. Only the rooms' input
     priors and measured T count, not how they were calibrated. Nothing leaves the machine.
 
     Parameters

@@ -20,6 +20,8 @@ from rtcal.calibration.unknowns import Flags, Numbers
 from rtcal.support.errors import InfeasibleError, ModelError
 from rtcal.support.types import Array
 
+_SHOWN = 3
+"""Most bands beyond reach that a message has in full."""
 _MARGIN = 1e-9
 """Relative tolerance within which the bounds count as reaching the equation's largest b. It equals the
 primal residual that an answer may have."""
@@ -43,7 +45,7 @@ class Unreachable:
     longest: float
 
     def __str__(self) -> str:
-        asked = "more absorption than any" if np.isnan(self.target) else f"{self.target:.4g} m²"
+        needed = "more than any surface has" if np.isnan(self.target) else f"{self.target:.4g} m²"
         off = ""
         if self.target < self.lowest:
             off = f", {self.lowest - self.target:.4g} m² too little"
@@ -51,8 +53,9 @@ class Unreachable:
             off = f", {self.target - self.highest:.4g} m² too much"
         return (
             f"T[{bands.label(self.frequency)}] = {self.reverberation_time:.4g} s is beyond reach: "
-            f"it asks the surfaces for {asked}, the bounds allow {self.lowest:.4g} to "
-            f"{self.highest:.4g} m²{off}; T from {self.shortest:.4g} to {self.longest:.4g} s would do"
+            f"the absorption area of the surfaces must be {needed}, and the bounds allow "
+            f"{self.lowest:.4g} to {self.highest:.4g} m²{off}; T from {self.shortest:.4g} to "
+            f"{self.longest:.4g} s is possible"
         )
 
 
@@ -173,7 +176,8 @@ def restrict_to_reach(
             )
         )
     if beyond and unreachable == "raise":
-        raise InfeasibleError("; ".join(map(str, beyond)))
+        more = [f"{len(beyond) - _SHOWN} more bands are beyond reach"] * (len(beyond) > _SHOWN)
+        raise InfeasibleError("; ".join([*map(str, beyond[:_SHOWN]), *more]))
     at_low = asked & (too_low | (np.abs(target - low) <= tolerance))
     at_high = asked & (too_high | (np.abs(target - top) <= tolerance)) & ~at_low
     reached = np.where(at_low, low, np.where(at_high, top, target))

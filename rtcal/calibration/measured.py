@@ -136,7 +136,10 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
     except DataError as error:
         raise DataError(f"measured is not a list of T in s: {error}") from error
     if times.shape != (room.n_bands,):
-        raise DataError(f"measured T has shape {times.shape}; the room asks for ({room.n_bands},)")
+        raise DataError(
+            f"measured T has shape {times.shape}; the room has {room.n_bands} bands, so that it must "
+            f"be ({room.n_bands},)"
+        )
     if (bad := np.isinf(times) | (times <= 0)).any():
         k = int(np.argmax(bad))
         raise DataError(

@@ -23,6 +23,7 @@ from rtcal.calibration.terms import (
     SoftMatch,
 )
 from rtcal.calibration.unknowns import Configurations
+from rtcal.support import checks
 from rtcal.support.errors import DataError, ModelError
 
 _TIME_UNCERTAINTY = 0.05
@@ -155,7 +156,7 @@ def calibrate(
     measured : Measurement, or T in s, (n_bands,)
         Per band T20, else T30. A band with NaN keeps its prior.
     method : {"mle", "lse", "soft", "smooth", "robust", "joint"}
-        ``mle``: by the stated sigmas. ``lse``: all sigmas alike. ``soft``: T within its uncertainty.
+        ``mle``: by the input sigmas. ``lse``: all sigmas alike. ``soft``: T within its uncertainty.
         ``smooth``: soft, with neighbouring bands alike. ``robust``: soft, and a single sigma may be
         wrong. ``joint``: soft, of several configurations.
     equation : Equation, optional
@@ -193,8 +194,8 @@ def calibrate(
     >>> bool(abs(result.gap_after).max() < 1e-9)
     True
     """
-    if not isinstance(room, (Room, Configurations)):
-        raise DataError(f"room = {room!r} is not a rtcal.Room (Room.from_file reads one)")
+    if not isinstance(room, Configurations):
+        checks.instance("room", room, Room)
     if measured is None:
         raise DataError("measured = None: there is no T to calibrate to")
     calibration = preset(method, room if isinstance(room, Room) else room.union)

@@ -115,7 +115,7 @@ def distribution(result: Any, n_samples: int = 1024, seed: int = 0) -> Posterior
 
     The prior is normal with the room's sigma, truncated to the bounds. The error of b is normal with
     the standard deviation u_b, 0 where it is unknown. With an exact match T alone says what S'alpha is,
-    to within u_b, and the prior how it is shared. With a soft match both are weighed.
+    to within u_b, and the prior how it is shared. With a soft match both count.
 
     Parameters
     ----------

@@ -919,7 +919,7 @@ class CalibrationResult(Result):
         )
 
     def blocks(self) -> list[Block]:
-        """Return the tables of the bands and the coefficients, shaded by gap and by shift."""
+        """Return the tables of the bands and the coefficients, shaded by deviation and by shift."""
         return blocks_of(self.to_dict())
 
 

@@ -164,7 +164,7 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
     cautions = explained(_trust_marks(record))
     return [
         Note(f"{heading}. {evidence}"),
-        *(Note(f"Caution {caution}") for caution in cautions),
+        *(Note(f"Caution{'' if said[0] == '[' else ':'} {said}") for said in cautions),
         *map(Note, remarks(record)),
         Table(labels, band_rows(record), note=SIGNS),
         Table(
@@ -390,9 +390,10 @@ def _evidence(record: Mapping[str, Any]) -> tuple[str, str, float | None, str]:
     q = f"Q = {found['q']:.1f}, {free} degree{'s' * (free != 1)} of freedom"
     if p is not None:
         q += f", p = {p:.2g}"
-    where = bands.hertz(_far(record))
+    far = _far(record)
+    where = "in every band" if 1 < len(far) == free else f"at {bands.hertz(far)}"
     asks = (
-        f"{f'at {where} T needs' if where else 'in no band does T need'} "
+        f"{f'{where} T needs' if far else 'in no band does T need'} "
         "an absorption more than two standard deviations from the input"
     )
     together = ""

@@ -235,7 +235,7 @@ class Term(_Summand, ABC):
         """Return the cvxpy expression to be minimised."""
 
     def convexity(self, numbers: Numbers) -> float:
-        """Return m, at most the curvature by each deviation x; 0 claims nothing."""
+        """Return m, at most the curvature by each deviation x; 0 if unknown."""
         return 0.0
 
     def structure(self) -> Term:
@@ -313,7 +313,7 @@ class PriorDeviation(Term):
 
     @property
     def correlated(self) -> bool:
-        """Whether any correlation was stated, or a part that all coefficients have in common."""
+        """Whether there is any correlation, or a part that all coefficients have in common."""
         return bool(self.band_correlation or self.material_correlation or self.common)
 
     def __call__(self, m: Model) -> Any:
@@ -370,7 +370,7 @@ class HuberDeviation(Term):
 
     h(x) = x²/2 for |x| <= t, t |x| - t²/2 beyond (Huber 1964, Eq. 2.4).
 
-    When to use it: when some stated sigma may be plain wrong (a material taken for another): one
+    When to use it: when some sigma may be wrong (a material taken for another): one
     coefficient may then move far at a bounded price, and the others need not follow. Huber's own
     minimiser is not unique, so a small strictly convex part, e = 0.01 of the square, is mixed in.
 
@@ -427,7 +427,7 @@ class ExactMatch:
 class MatchWithin(ExactMatch):
     """|T - T measured| <= tolerance, in just noticeable differences of 5 %.
 
-    When to use it: when nobody would hear a smaller gap, so that coefficients should not move for
+    When to use it: when nobody would hear a smaller deviation, so that coefficients should not move for
     it. The answer is the nearest to the prior that is within the tolerance.
 
     Parameters
@@ -479,7 +479,7 @@ class SoftMatch(Term):
 
     u_b = |db/dT| u_T. docs/modelling.md compares it with other terms.
 
-    When to use it: whenever the uncertainty of T is known, or can be stated; with several
+    When to use it: whenever the uncertainty of T is known, or can be given; with several
     configurations always. It keeps the noise of T out of alpha. Weight 1 is the right one: then
     with `PriorDeviation` the answer is the most probable one.
 
@@ -570,7 +570,7 @@ class LinearObservations(Term):
     ``problem.solve(measured, observed={term: Observed(...)})``. So the problem is compiled once,
     whatever the number of observations, and solved for each of them.
 
-    When to use it: where measurements tell more of alpha than one T per band does. J and y come from
+    When to use it: where measurements determine more of alpha than one T per band. J and y come from
     a simulator's derivatives in `rtcal.calibrate_positions`; weight 1 is then the right one.
 
     Parameters
@@ -712,7 +712,7 @@ class Fixed(Bounds):
     """alpha = value (its prior mean if not given): a coefficient that the measurement may not move.
 
     When to use it: for a material that was measured in the laboratory, or whose answer must stay
-    comparable. Alpha is as with sigma = 0 in the room. Unlike there, its stated sigma still counts in z
+    comparable. Alpha is as with sigma = 0 in the room. Unlike there, its input sigma still counts in z
     and Q, in correlations with other bands, and in the coefficients' uncertainty.
 
     Parameters

@@ -55,7 +55,7 @@ class Configurations:
         One per configuration, each with its volume, air and areas. Materials of the same name are
         one unknown, so all rooms must state the same alpha and sigma for them.
     names : sequence of str, optional
-        Names of the configurations; the rooms' names if not stated.
+        Names of the configurations; the rooms' names by default.
 
     Raises
     ------
@@ -335,7 +335,7 @@ class Observed:
         Alpha row by row, the bands last. Materials that share a coefficient have their own columns.
     values : array (n_observations,)
     covariance : array (n_observations, n_observations)
-        Of the errors; positive definite.
+        Covariance of the errors; positive definite.
 
     Raises
     ------

@@ -207,7 +207,7 @@ def told_by_modes(
     from rtcal.support.speed import bar
 
     with expecting(TABLE, path):
-        modes = sofa.read(path) if sofa.claims(path) else tables.read(path)
+        modes = sofa.read(path) if sofa.recognises(path) else tables.read(path)
     with bar(1, "calculation", False, said()) as shown:
         shown.set_description("room modes, minutes where a mesh has hundreds of them")
         return calibrate_modes(room, modes, measured, equation=equation)

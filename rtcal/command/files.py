@@ -294,7 +294,7 @@ _PURPOSES = {
     "optimisation": "terms, solvers and the certificate",
     "compare": "a simulation of your own and a measurement",
     "missing-effect": "a model that may lack something",
-    "told": "two rooms: one effect named, one not",
+    "identified": "two rooms: one effect identified, one not",
     "where": "a mesh and twelve pairs: on which surface?",
     "diagnose": "a mesh and eight pairs: where, what, added, calibrated",
 }

@@ -116,7 +116,7 @@ _ROOM = (
 
 @click.group("import", short_help="A program's material list and a mesh to a room.")
 def import_room() -> None:
-    """Make a room of a program's materials and a mesh, or stated areas and volume.
+    """Make a room of a program's materials and a mesh, or given areas and volume.
 
     `rtcal import check MESH` looks at a mesh alone.
     """
@@ -197,7 +197,7 @@ def _imported(
     chosen = texts("--catalogue", in_catalogue, "NAME=ENTRY")
     renamed = texts("--as", entries, "MATERIAL=ENTRY")
     if both := [name for name in renamed if name in chosen]:
-        raise DataError(f'"{both[0]}" is stated by --as and by --catalogue; state one of them')
+        raise DataError(f'"{both[0]}" is in --as and in --catalogue; give one of them')
     place = "--area" if mesh is None else mesh
     own = _entries("--as", listed, renamed, used, place)
     listed = listed.with_spellings(used)
@@ -229,10 +229,10 @@ def _imported(
     in_use = {listed.listed(name).name for name in used if name not in others}
     in_use |= {material.name for material in own.values()}
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
-    notes = [f"{rule}; stated: {', '.join(sigma)}" if sigma else f"Assumed: {rule}"]
+    notes = [f"{rule}; from the file: {', '.join(sigma)}" if sigma else f"Assumed: {rule}"]
     if room.air is None:
         notes.append(
-            "No air is stated, so alpha will include what the air absorbs: state --temperature and "
+            "No air is given, so alpha will include what the air absorbs: give --temperature and "
             "--humidity."
         )
     else:
@@ -252,7 +252,7 @@ def _add_import(program: str) -> None:
     def command(**stated: Any) -> None:
         _imported(program, **stated)
 
-    command.__doc__ = f"""Make a room of {source} and a mesh, or stated areas and volume.
+    command.__doc__ = f"""Make a room of {source} and a mesh, or given areas and volume.
 
     The room's file names the mesh. Add [sources] and [receivers] to it for what needs positions. A mesh
     that does not close is mended where that is safe: every defect is listed with its effect on V and S,
@@ -341,10 +341,10 @@ def _volume_and_surfaces(
             return model.volume, stated_surfaces(model.geometry)
         return model.volume, [Surface(name, name, area) for name, area in model.areas.items()]
     if as_drawn:
-        raise DataError("--open is for a mesh: state --mesh, or leave it out")
+        raise DataError("--open is for a mesh: give --mesh, or leave it out")
     if volume is None or not areas:
         raise DataError(
-            "how large is the room? State --mesh room.obj, or --volume M3 and --area MATERIAL=M2 for "
+            "how large is the room? Give --mesh room.obj, or --volume M3 and --area MATERIAL=M2 for "
             f"each material in it. The list has: {shortened(', '.join(names), 200)}"
         )
     stated = numbers("--area", areas, "NAME=M2")

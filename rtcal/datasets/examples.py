@@ -47,7 +47,12 @@ def bras_cr2() -> tuple[Room, Measurement]:
     )
 
 
-_HIDDEN = {"case": "truth", "closed": "truth", "named": "named_truth", "not_told": "not_told_truth"}
+_HIDDEN = {
+    "case": "truth",
+    "closed": "truth",
+    "identified": "identified_truth",
+    "not_identified": "not_identified_truth",
+}
 
 
 def hidden_room(which: str = "case") -> tuple[Case, dict[str, Any]]:
@@ -58,11 +63,11 @@ def hidden_room(which: str = "case") -> tuple[Case, dict[str, Any]]:
 
     Parameters
     ----------
-    which : {"case", "closed", "named", "not_told"}
+    which : {"case", "closed", "identified", "not_identified"}
         "case": a room of six materials as it is, and with one material covered with another one;
-        "closed": the same room, and everything closed or taken out that can be. "named": the first
-        room by the rule of `benchmarks/studies/means/shipped_cases.py` in which the finder names what
-        is hidden, and "not_told": the first in which it claims nothing.
+        "closed": the same room, and everything closed or taken out that can be. "identified":
+        the first room by the rule of `benchmarks/studies/means/shipped_cases.py` in which the finder
+        names what is hidden, and "not_identified": the first in which it names nothing.
 
     Raises
     ------
@@ -153,10 +158,13 @@ _EXAMPLES: Mapping[str, tuple[Mapping[str, str], tuple[str, ...]]] = {
             "rtcal verify gap",
         ),
     ),
-    # Two cases that `benchmarks/studies/means/shipped_cases.py` drew: one is named, one is not.
-    "told": (
-        {"named.json": "hidden_room/named.json", "not_told.json": "hidden_room/not_told.json"},
-        ("rtcal find named.json", "rtcal find not_told.json"),
+    # Two cases that `benchmarks/studies/means/shipped_cases.py` drew: one is identified, one is not.
+    "identified": (
+        {
+            "identified.json": "hidden_room/identified.json",
+            "not_identified.json": "hidden_room/not_identified.json",
+        },
+        ("rtcal find identified.json", "rtcal find not_identified.json"),
     ),
     # A room with a curtain that its model lacks, measured by another tracer
     # (`benchmarks/studies/pairs`).

@@ -33,7 +33,7 @@ from rtcal.calibration.methods import calibrate
 from rtcal.files import disk
 from rtcal.files.disk import make_folder, write_all
 from rtcal.finder.case import Case, Configuration, PositionsCase, StatesCase
-from rtcal.finder.claim import Candidate, amount
+from rtcal.finder.claim import Candidate, Reason, amount
 from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.means.problem import predict_in, state, with_applied
 from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions
@@ -66,10 +66,10 @@ class Corrected:
         what the size's interval and the spectrum leave open. With a patch a box states no dimensions,
         since simulators of boxes know one material per wall. The mesh is ``geometry``.
     geometry : Polyhedron or None
-        None where no surface is claimed.
+        None where no surface is identified.
     surfaces : tuple of str
         Those that have changed, each with a material of its own; empty where all materials share it.
-    notes : tuple of str
+    notes : tuple of Reason
         What the room does not hold: decay shape, noise, equation. Why the form is another than the one
         that was asked for, and what was assumed.
     added : Candidate or None
@@ -90,7 +90,7 @@ class Corrected:
     room: Room
     geometry: Polyhedron | None = None
     surfaces: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[Reason, ...] = ()
     added: Candidate | None = None
     material: str = ""
     form: str = ""
@@ -114,7 +114,7 @@ class Corrected:
         Raises
         ------
         DataError
-            If no surface is claimed; if ``make``'s simulator cannot represent an effect: a coupled
+            If no surface is identified; if ``make``'s simulator cannot represent an effect: a coupled
             room, a noise floor, a custom effect on the decay, or an area or volume other than its
             geometry's.
         """
@@ -124,7 +124,7 @@ class Corrected:
             raise DataError("make is of means over positions: here the case has a simulator")
         tracer = None if isinstance(self.case, Case) else self.case.simulator
         if self.geometry is None or tracer is None:
-            raise DataError("no surface is claimed: the room has no geometry of its own")
+            raise DataError("no surface is identified: the room has no geometry of its own")
         scattering = self.room.scattering
         return replace(tracer, room=self.room, geometry=self.geometry, scattering=scattering)
 
@@ -136,7 +136,7 @@ class Corrected:
             "effects": [p.to_dict() for p in case.applied] if isinstance(case, Case) else [],
             "form": self.form,
             "surfaces": list(self.surfaces),
-            "notes": list(self.notes),
+            "notes": [note.to_dict() for note in self.notes],
             "caution": self.caution,
             "lists": {
                 name: {"notes": list(report.notes), "lost": list(report.lost)}
@@ -159,7 +159,7 @@ class Corrected:
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write its files into a folder, all or none, and return their paths.
 
-        ``room.toml`` and, where a surface is claimed, its mesh ``room.obj`` are for rtcal and any
+        ``room.toml`` and, where a surface is identified, its mesh ``room.obj`` are for rtcal and any
         program that reads a mesh; of means ``case.json`` is the case. At positions ``catt.txt``
         and ``odeon.txt`` are lists of materials. Octaves that the room lacks have the coefficients of
         the nearest one there.
@@ -235,11 +235,8 @@ _STEP = 1e-4
 """Step of alpha for a derivative."""
 _HELD = ("volume", "areas", "alpha", "air", "speed_of_sound", "covering", "objects", "equation")
 """Parts of a state that a room, or the equation that is named beside it, represents."""
-_DECAY = "a room has surfaces and air only"
-_NO_AIR = "its air is not that of a climate (ISO 9613-1)"
-_TOO_MUCH = "no area of a further material absorbs so much"
-_HIDES = "it hides wall that absorbs more than it does, which the stated areas keep, at"
-_TAKES = "it takes absorption away, and no stated surface is known that loses it"
+_DECAY, _NO_AIR, _TOO_MUCH = "decay not in a room", "air of no climate", "absorbs too much"
+"""Codes of the reasons for which a simulator of the room cannot represent an effect either."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -253,8 +250,8 @@ class CaseModel(RoomSimulator):
         With further materials for what absorbs, and with the stated ones alone.
     whole : RoomState
         The model's state at the room's coefficients.
-    absent : mapping of str to list of str
-        Why a room cannot represent an effect.
+    absent : mapping of str to list of Reason
+        Why a room cannot represent an effect, by the effect's name.
     inner : Simulator or None
         A simulator of the stated materials over whose walls the absorbers are spread. None: T20, EDT,
         T30, C80 and G of the case's first configuration, by the model itself.
@@ -264,7 +261,7 @@ class CaseModel(RoomSimulator):
     room: Room
     stated: Room
     whole: RoomState
-    absent: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    absent: Mapping[str, Sequence[Reason]] = field(default_factory=dict)
     inner: Simulator | None = None
 
     @property
@@ -328,10 +325,12 @@ class CaseModel(RoomSimulator):
         if not callable(make):
             raise DataError(f"make = {make!r} is not a function of a room")
         for p in self.case.applied:
-            absent = self.absent.get(p.name, ())
-            why = next((cause for cause in (_DECAY, _NO_AIR, _TOO_MUCH) if cause in absent), "")
-            if why and p.effect.not_in_simulator is not None:
-                raise DataError(f"{p.name}: {p.effect.not_in_simulator if why == _DECAY else why}")
+            absent = {why.code: why for why in self.absent.get(p.name, ())}
+            why = next(
+                (absent[code] for code in (_DECAY, _NO_AIR, _TOO_MUCH) if code in absent), None
+            )
+            if why is not None and (words := p.effect.not_in_simulator) is not None:
+                raise DataError(f"{p.name}: {words}" if why.code == _DECAY else str(why))
         inner, room = make(self.stated), self.case.room
         if not isinstance(inner, Simulator):
             raise DataError(
@@ -386,7 +385,7 @@ def corrected_case(case: Case) -> Corrected:
     base = replace(case.configurations[0], changes={}, suspect_removed=False, air=None)
     room, air, last_air = case.room, case.room.air, "air"
     first = after = state(replace(case, applied=()), base)
-    absent: dict[str, list[str]] = {}
+    absent: dict[str, list[Reason]] = {}
     gains: list[tuple[AppliedEffect, Array]] = []
     sources = dict(room.sources)
     for p in case.applied:
@@ -404,13 +403,13 @@ def corrected_case(case: Case) -> Corrected:
             for f in fields(RoomState)
             if f.name not in _HELD
         ):
-            absent[p.name] = [_DECAY]
+            absent[p.name] = [Reason(_DECAY, {"effect": p.name})]
         climate = p.effect.air(air, p.parameters)
         air = climate if _is_air(climate, after) else air
         if not np.array_equal(after.air, before.air):
             last_air = p.name
     if not _is_air(air, after):
-        absent[last_air] = [_NO_AIR]
+        absent[last_air] = [Reason(_NO_AIR, {"effect": last_air})]
     stated = room.replace(
         air=air,
         alpha=after.alpha,
@@ -431,27 +430,25 @@ def corrected_case(case: Case) -> Corrected:
     return Corrected(case=case, room=made, notes=tuple(_not_in_room(model)), model=model)
 
 
-def _not_in_room(model: CaseModel) -> list[str]:
-    """Return, in words, what a room cannot represent: decay shape, noise, equation, surfaces."""
+def _not_in_room(model: CaseModel) -> list[Reason]:
+    """Return what a room cannot represent: decay shape, noise, equation, surfaces."""
     stated, room, whole = model.case.room, model.room, model.whole
-    out = [f"{name}: {'; '.join(why)}" for name, why in model.absent.items()]
+    out = [why for each in model.absent.values() for why in each]
     if whole.equation != model.case.equation:
-        out.append(f"formula: a room names no equation; calibrate it with {whole.equation}")
+        out.append(Reason("equation", {"equation": str(whole.equation)}))
     speed, own = whole.speed_of_sound, room.speed_of_sound
     if speed != own:
-        out.append(
-            f"speed of sound: the model has {speed:.1f} m/s, the room {own:.1f} m/s, that of its air; "
-            f"so its T is {abs(100 * (speed / own - 1)):.1f} % {'shorter' if own > speed else 'longer'}"
-        )
+        off = {"model": speed, "room": own, "by": 100 * (speed / own - 1)}
+        out.append(Reason("speed of sound", off))
     lost = [n for n in ("surfaces", "dimensions") if getattr(stated, n) and not getattr(room, n)]
-    resized = []
+    if lost:
+        out.append(Reason("no place", {"lost": lost}))
     if room.volume != stated.volume:
-        resized = [f"the volume is {room.volume:.4g} m³ and was {stated.volume:.4g}"]
+        out.append(Reason("volume changed", {"now": room.volume, "before": stated.volume}))
     for name, was, area in zip(stated.materials, stated.areas, room.areas, strict=False):
         if area != was:
-            resized.append(f'the area of "{name}" is {area:.4g} m² and was {was:.4g}')
-    if resized:
-        out.append(f"{listed([*lost, 'areas as stated'])}: {listed(resized)}")
+            resized = {"material": name, "now": float(area), "before": float(was)}
+            out.append(Reason("area changed", resized))
     return out
 
 
@@ -459,7 +456,7 @@ def _absorbers(
     stated: Room,
     whole: RoomState,
     gains: Sequence[tuple[AppliedEffect, Array]],
-    absent: dict[str, list[str]],
+    absent: dict[str, list[Reason]],
 ) -> list[Material]:
     """Return a material for each effect that adds absorption; ``absent`` gets what none represents.
 
@@ -479,7 +476,9 @@ def _absorbers(
         gain = (_absorbing(at) - _absorbing(before)) / walls
         if (gain <= _NO_ABSORPTION).all():
             if (gain < -_NO_ABSORPTION).any():
-                absent.setdefault(p.name, []).insert(0, _TAKES)
+                absent.setdefault(p.name, []).insert(
+                    0, Reason("takes absorption", {"effect": p.name})
+                )
             continue
 
         def standing(
@@ -494,15 +493,15 @@ def _absorbers(
 
         least = _smallest(standing, top, walls)
         if least is None:
-            absent.setdefault(p.name, []).insert(0, _TOO_MUCH)
+            absent.setdefault(p.name, []).insert(0, Reason(_TOO_MUCH, {"effect": p.name}))
             continue
         spread = p.size_sigma / max(abs(p.size), 1e-9)
         larger = _smallest(standing, top / (1 + NORMAL_90 * spread), walls) or least
         size = max(least, min(larger, _LARGEST_SHARE * walls))
         h = standing(size)
         if (h < 0).any():
-            places = listed(bands.labels(stated.centre_frequencies[h < 0]))
-            absent.setdefault(p.name, []).insert(0, f"{_HIDES} {places}")
+            hidden = {"effect": p.name, "bands": bands.labels(stated.centre_frequencies[h < 0])}
+            absent.setdefault(p.name, []).insert(0, Reason("hides wall", hidden))
         h = np.clip(h, 0, top)
         alpha = equation.coefficient(h)
         names.append(new_name(names, p.name))
@@ -595,7 +594,7 @@ def corrected_geometry(
         raise DataError('at is the middle of a patch; form = "material" is the whole surface')
     room, faces = case.room, case.faces[added.surface]
     name = new_name(room.materials, f"{added.effect} on {added.surface}")
-    geometry, notes = None, list[str]()
+    geometry, notes = None, list[Reason]()
     if form == "patch":
         wanted = added.size * max(1.0, float(added.spectrum.max()) / HEADROOM)
         middle = added.middle if at is None else at
@@ -603,18 +602,13 @@ def corrected_geometry(
         geometry = patched(case.geometry, faces, wanted, name, name, place)
         if geometry is None:
             form = "material"
-            notes.append(
-                f'A patch of {wanted:.3g} m² does not fit on "{added.surface}" of '
-                f"{case.areas[added.surface]:.3g} m²: the whole surface is the new material."
-            )
+            ends = {"patch": wanted, "surface": added.surface, "area": case.areas[added.surface]}
+            notes.append(Reason("patch too large", ends))
     if geometry is None:
         geometry = _with_material(case.geometry, name, faces)
     area = geometry.areas[name]
     if form == "patch" and not np.isclose(area, added.size, rtol=1e-3):
-        notes.append(
-            f"The patch is drawn with {area:.3g} m² for {added.size:.3g} m², and its coefficients are "
-            "lower for it: so a calibration can make it absorb more as well as less."
-        )
+        notes.append(Reason("patch drawn larger", {"drawn": area, "size": added.size}))
     # The rest of what is larger than the size absorbs as the wall does.
     behind = _behind(room, case.geometry, geometry) / area
     below, share = behind @ room.alpha, min(added.size / area, 1.0)
@@ -629,7 +623,7 @@ def corrected_geometry(
         np.clip(alpha, 0.0, 1.0).tolist(),
         np.clip(np.sqrt(variance), _LEAST_SIGMA, 1.0).tolist(),
         scattering=(behind @ case.simulator.scattering).tolist(),
-        source=" ".join([f"rtcal find: {added.title}, {added.in_words}.", *drawn]),
+        source=" ".join([f"rtcal find: {added.title}, {added.in_words}.", *map(str, drawn)]),
     )
     # Simulators of boxes know one material per wall.
     stated = room.replace(dimensions=None) if form == "patch" else room
@@ -736,7 +730,7 @@ def changed_room(
     area, change : array (n_bands,), (3, n_bands)
         Absorption area before and its change in m², as of `Finding`.
     surfaces : sequence of str
-        Those that are claimed.
+        Those that are identified.
     kinds : sequence of str
         What may have changed.
     """
@@ -750,8 +744,8 @@ def changed_room(
     mean, spread = change[0], (change[2] - change[1]) / (2 * NORMAL_90)
     notes = []
     if not case.known.all():
-        at = listed([label for label, known in zip(labels, case.known, strict=True) if not known])
-        notes.append(f"Nothing is known of {at}: there the room is that of the first state.")
+        at = [label for label, known in zip(labels, case.known, strict=True) if not known]
+        notes.append(Reason("bands unknown", {"bands": at}))
     geometry, tracer = None, case.simulator
     names, rows = list(before.materials), [*np.diag(before.areas)]
     if surfaces and tracer is not None:
@@ -787,23 +781,16 @@ def changed_room(
         for i in np.flatnonzero((alpha != before.alpha).any(axis=1)).tolist():
             changed[names[i]] = sources[i]
         room = before.replace(alpha=alpha, sigma=sigma, sources=changed)
-        notes.append("Where it changed is not told: every material has its share.")
+        notes.append(Reason("surface unknown"))
     off = before.areas @ before.alpha - area
     for k, label in enumerate(labels):
         if abs(lacking[k]) > _NOTED * abs(mean[k]):
-            notes.append(
-                f"At {label} {abs(lacking[k]):.1f} m² of the change of {mean[k]:+.1f} m² do not fit on "
-                "what has changed."
-            )
+            part = {"band": label, "rest": float(abs(lacking[k])), "change": float(mean[k])}
+            notes.append(Reason("change does not fit", part))
         if abs(off[k]) > _NOTED * area[k]:
-            notes.append(
-                f"At {label} no coefficients of the room give T before: its absorption area is off by "
-                f"{off[k]:+.1f} m²."
-            )
+            notes.append(Reason("T before out of reach", {"band": label, "off": float(off[k])}))
     if len(kinds) > 1:
-        notes.append(
-            f"What it is made of is not told ({listed(kinds)}): its amount is in the room."
-        )
+        notes.append(Reason("kind unknown", {"kinds": tuple(kinds)}))
     on = () if geometry is None else tuple(surfaces)
     return Corrected(case=case, room=room, geometry=geometry, surfaces=on, notes=tuple(notes))
 

@@ -462,10 +462,11 @@ class Case:
     applied : sequence of AppliedEffect
         Effects that `Finding.apply` has added.
     climate_uncertainty : (float, float)
-        Standard uncertainties of a stated climate: K, and % of relative humidity.
+        Standard uncertainties of the room's climate: K, and % of relative humidity.
     program : {"", "geometrical"}
-        What made the runs. A geometrical program computes no equation (`Effect.in_geometry`), and its
-        field is as uneven as it is told (`rtcal.finder.claim.of_program`): neither is the room's error.
+        Kind of program that made the runs. A geometrical program computes no equation
+        (`Effect.in_geometry`), and its field is as uneven as its model's
+        (`rtcal.finder.claim.of_program`): neither is the room's error.
 
     Raises
     ------
@@ -588,7 +589,7 @@ class Case:
         write_text(path, self.to_json())
 
     def to_json(self, caution: str = "") -> str:
-        """Return the text that `save` writes; a ``caution`` stands at its head."""
+        """Return the text that `save` writes, with a ``caution`` at its head."""
         head = {"caution": caution} if caution else {}
         return json.dumps(head | self.to_dict(), indent=1, allow_nan=False) + "\n"
 
@@ -727,7 +728,7 @@ class PositionsCase:
         source where ``g`` was measured. A measured ``level`` has any reference that all receivers of a
         source share.
     simulated : Measurement, optional
-        What another program gave for the model as stated, in the room's bands, for every value that
+        Values that another program gave for the input, in the room's bands, for every value that
         was measured. The disagreement is then that program's. How it depends on the surfaces is still
         what the simulator says.
     exclude : sequence of (source, receiver)
@@ -735,7 +736,7 @@ class PositionsCase:
     surfaces : mapping of str to sequence of str, optional
         Names of each surface's faces. By default the coplanar faces of one material are one surface.
     position_uncertainty : float
-        Of sources and receivers, in m.
+        Root mean square error of the positions of sources and receivers, in m.
     notes : sequence of str
         Sentences on the data, which the finding prints; which pairs are repeats of one place is added.
 
@@ -918,24 +919,24 @@ class StatesCase:
         Turns T into an absorption area; Eyring's unless given. Sabine's overstates the change of a
         room that absorbs much.
     simulator : PathTracing, optional
-        Of the same room, with every source's directivity: then surfaces are told apart, by the
+        Simulator of the same room, with every source's directivity: surfaces are then compared, by the
         parameters of `MATCH` that both states have. Both levels have one reference.
     climate_uncertainty : (float, float)
-        Standard uncertainties of a stated climate in K and in percent of relative humidity, in each of
-        the two states. A room whose air is not stated may have any indoor climate in either.
+        Standard uncertainties of the room's climate in K and in % of relative humidity, in each of
+        the two states. A room without air may have any indoor climate in either.
 
     Attributes
     ----------
     states : two Measurement
-        What is compared: the pairs that both have, in the room's bands.
+        Pairs that both measurements have, in the room's bands.
     times : array (2, n_bands)
         Mean T20, or else T30, in s over these pairs, before and after.
     change : array (n_pairs, n_bands)
         ln(T after / T before); NaN where one is missing.
     variance : array (n_pairs, n_bands)
-        Of the noise of ``change``, of both states. A pair's is the larger of what is stated and of what
-        theory expects of one decay, 0.88 / sqrt(B T) for T20. The noise of a decay does not cancel:
-        another absorption is another field. Measured in a laboratory whose panels were turned, the
+        Variance of the noise of ``change``, of both states: for each pair the larger of the given one
+        and of what theory expects of one decay, 0.88 / sqrt(B T) for T20. The noise of a decay does
+        not cancel: another absorption is another field. In a laboratory whose panels were turned, the
         differences scatter by 0.9 to 1.3 times the theory of both states.
     notes : tuple of str
         Bands and pairs that one state lacks, what is converted, and where the uncertainties
@@ -945,8 +946,7 @@ class StatesCase:
     ------
     DataError
         If no pair, or no T20 or T30 in a band of the room, is in both; if the simulator is of another
-        room, or lacks a measured pair; for an uncertainty of a climate that is not stated, which would
-        have no effect.
+        room, or lacks a measured pair; for an uncertainty of a climate that the room does not have.
 
     Examples
     --------
@@ -982,9 +982,7 @@ class StatesCase:
         checks.instance("equation", self.equation, LinearEquation)
         put("climate_uncertainty", checked_climate_uncertainty(self.climate_uncertainty))
         if self.room.air is None and self.climate_uncertainty != CLIMATE_UNCERTAINTY:
-            raise DataError(
-                "climate_uncertainty is that of a stated climate, and the room states no air"
-            )
+            raise DataError("climate_uncertainty belongs to the room's air, and the room has none")
         notes = self._compare_pairs(put)
         put("notes", (*notes, *self._compare_times(put)))
         if self.simulator is not None:
@@ -1097,7 +1095,7 @@ class StatesCase:
 
     @property
     def sources_unstated(self) -> tuple[str, ...]:
-        """The measured sources whose directivity is not stated, or unknown."""
+        """The measured sources whose directivity is not given, or unknown."""
         if self.simulator is None:
             return ()
         stated = self.simulator.directivity
@@ -1130,13 +1128,13 @@ def case_of(
     room : Room
     measured, before : Measurement
     simulator : PathTracing, optional
-        Of the room; by default the one that the room's scene states, if it states one.
+        Simulator of the room; by default a path tracing of the room's scene, if it has one.
     tracing : mapping, optional
         Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, where the scene is traced.
     simulated : Run, optional
-        What a program gave, in place of the equation or, at the room's coefficients, of the tracing.
+        Values of a program, in place of the equation or, at the room's coefficients, of the tracing.
     program : str
-        Of means, as of a `Case`.
+        Kind of program, as of a `Case` of means.
     **stated
         Further parameters of `PositionsCase`.
 

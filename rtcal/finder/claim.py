@@ -309,12 +309,12 @@ def amount(value: float, unit: str, interval: tuple[float, float] | None = None)
 
     Examples
     --------
-    >>> amount(2.0, "of the stated area"), amount(12.3, "m²", (8.0, 17.0))
-    ('2 times the stated area', '12.3 m² (90 %: 8 to 17)')
+    >>> amount(2.0, "of the input area"), amount(12.3, "m²", (8.0, 17.0))
+    ('2 times the input area', '12.3 m² (90 %: 8 to 17)')
     >>> amount(0.875, "of its area covered", (0.47, 1.0))
     '0.875 of its area covered (90 %: 0.47 to 1)'
     """
-    times = unit.replace("of the stated ", "times the stated ")
+    times = unit.replace("of the input ", "times the input ")
     ends = "" if interval is None else f" (90 %: {interval[0]:.3g} to {interval[1]:.3g})"
     return f"{value:.3g} {times}{ends}"
 
@@ -471,7 +471,7 @@ class Detection:
     ----------
     score : float
     threshold : float
-        Score that few rooms exceed in which nothing is other than stated.
+        Score that few rooms with nothing missing exceed.
     noise : float or None
         Of positions, that a single pair is noisier than assumed and nothing else is other; None where
         that was not tried.
@@ -498,8 +498,8 @@ class Detection:
             value = getattr(self, name)
             if value is not None and not np.isfinite(value):
                 raise ModelError(
-                    f"the evidence that something is other than stated ({name}) is {value} nats, no "
-                    "finite number: the errors of the model or of the measurement cannot be weighed"
+                    f"the ln Bayes factor for a model other than the input ({name}) is {value}, no "
+                    "finite number: check the uncertainties of coefficients and measurement"
                 )
 
     @property

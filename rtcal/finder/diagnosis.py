@@ -101,9 +101,9 @@ def diagnose(
     Parameters
     ----------
     room, measured, simulator, cache, progress
-        As `rtcal.find` takes them.
+        Room or case, and measurement, as `rtcal.find` takes them.
     seeds : sequence of int
-        Of the simulator, over which a verification at positions is repeated.
+        Seeds of the simulator, over which a verification at positions is repeated.
     **options
         Further ones of `rtcal.find`.
 

@@ -89,7 +89,7 @@ class Effect(ABC):
     unit : str
         The size's unit, as text that follows the value.
     parameters : mapping of str to Parameter
-        Those that are listed are stated with every effect that is added.
+        Parameters that are listed with every effect that is added.
     neutral : float
         The size that changes nothing. NaN where there is none: the effect then has no size interval.
     removable : bool
@@ -102,7 +102,7 @@ class Effect(ABC):
     family : str
         The effects that change the measurement alike; "added absorption, ..." names three of one kind.
     alone : bool
-        Whether the effect is claimed by its own name. Otherwise its family is: in development rooms of
+        Whether the effect is identified by its own name. Otherwise its group is: in rooms of
         benchmarks/studies/second_world, a coupled room and a non-diffuse field pass for each other at
         any probability, since both formulas are rough.
     odds : float
@@ -154,7 +154,7 @@ class Effect(ABC):
 
     @property
     def discrete(self) -> list[str]:
-        """The parameters without values between those of the grid."""
+        """Names of the parameters that have no values between those of the grid."""
         return [name for name, of in self.parameters.items() if of.discrete]
 
     @property
@@ -188,9 +188,9 @@ class Effect(ABC):
         return 1.0
 
     def limits(self, room: Room | None) -> Limits:
-        """Return where the physics of the parameters ends, in this room; None: in any room.
+        """Return the physical limits of the parameters in this room, or in any room if None.
 
-        A size is sought and stated within them, and a case refuses parameters outside. A parameter
+        A size is sought within them, and a case refuses parameters outside. A parameter
         that is not among them may have any value.
         """
         return {name: of.within for name, of in self.parameters.items()}
@@ -227,7 +227,7 @@ class Effect(ABC):
         )
 
     def contradicts(self, room: Room) -> bool:
-        """Return whether it replaces what the room states, as an area, instead of adding to it."""
+        """Return whether the effect replaces a value of the room, such as an area."""
         return False
 
     def air(self, stated: Air | None, parameters: Parameters) -> Air | None:
@@ -626,7 +626,7 @@ class WrongArea(WrongStatement):
 
     name: ClassVar[str] = "area"
     size: ClassVar[str] = "ratio"
-    unit: ClassVar[str] = "of the stated area"
+    unit: ClassVar[str] = "of the input area"
     parameters: ClassVar[Mapping[str, Parameter]] = {
         "material": _MATERIAL,
         "ratio": Parameter(within=RATIOS),
@@ -681,7 +681,7 @@ class WrongVolume(WrongStatement):
     steps: ClassVar[int] = 18
     name: ClassVar[str] = "volume"
     size: ClassVar[str] = "ratio"
-    unit: ClassVar[str] = "of the stated volume"
+    unit: ClassVar[str] = "of the input volume"
     parameters: ClassVar[Mapping[str, Parameter]] = {"ratio": Parameter(within=RATIOS)}
     neutral: ClassVar[float] = 1.0
     size_error: ClassVar[float] = 0.04

@@ -84,24 +84,24 @@ class Finding(Result):
         Of "none", "coefficients", "unknown" and each effect, and of each family, that it is there; the
         most probable first. "added absorption" has the families whose names begin with it.
     detection : Detection
-        The evidence that something is other than stated, and its threshold.
+        ln Bayes factor for a model that differs from the input, and its threshold.
     reasons : tuple of Reason
         Why what is most probable is not identified, or not by its name; `rtcal.finder.claim.LEAVES` has
         what each leaves. ``str`` of a reason is its sentence.
     notes : tuple of Reason or str
-        What was dropped and assumed, and reasons to doubt the result, whatever it is. A text is a note
+        Notes on what was left out and assumed, and reasons to doubt the result. A text is a note
         of the measurement's or of the simulator's.
     effects : mapping of str to Effect
         The effects that were tried, by name.
     candidates : tuple of Candidate
-        What explains the data, the most probable first. Of means, the members, then what explains the
+        Candidates, the most probable first. Of means, the members, then what explains the
         data in place of one, or single effects that hold 0.9 of what is not "none". At positions, every
         effect in every place. Of two states, the kinds of change with 0.03 and more: "added porous",
         each with the change of the absorption area in m², mean over the bands of ``middle``.
     named : tuple of str
-        The effects that are claimed.
+        The effects that are identified.
     left_out : tuple of str
-        What was left out on request; of means it is among the ``notes``.
+        Names that were left out on request; of means they are among the ``notes``.
     mistake : Reason or None
         The doubt that T is twice or half the model's, of means also among the ``reasons``.
     surfaces : mapping of str to float
@@ -113,13 +113,13 @@ class Finding(Result):
         Of the best effect; of two states the change of the absorption area in m², mean over the bands
         of ``middle``.
     named_families, named_set, members : tuple of str
-        Of means. The families that are claimed; those of two or three effects that are claimed together
+        Of means. The groups that are identified; those of two or three that are identified together
         (`rtcal.finder.means.search.TWO`); the effects of the most probable set, in the order in which
         they act: what `apply` adds.
     stand_ins : mapping of str to tuple of str
-        Of each of two or more members, the effects that explain the data as well in its place.
+        Effects that explain the data as well as a member in its place, by member.
     evidence : mapping of str to float
-        Log evidence over "none" in nats, by effect alone, of "coefficients" and of "unknown".
+        ln Bayes factor over "none", by effect alone, of "coefficients" and of "unknown".
     likely : sequence of (tuple of AppliedEffect, float)
         The most probable sets with their parameters, and their probabilities, which sum to 1: what
         `rtcal.finder.plan` goes on from.
@@ -130,7 +130,7 @@ class Finding(Result):
     advice : Reason or None
         The next measurement that would decide; None where the data show nothing that is missing.
     residuals : array (n_configurations, n_features, n_bands)
-        Modelled less measured, as every gap, over its standard deviation: amount (ln T20), shape
+        Modelled less measured, over its standard deviation: amount (ln T20), shape
         (EDT/T20, T30/T20), level (C80, G). NaN where nothing was measured.
     discrepancy : ModelDiscrepancy
         Bias and covariance of the model's error.
@@ -138,8 +138,8 @@ class Finding(Result):
         Effects that were not tried, since the room does not state what they act by: each with the
         reason.
     surface : str or None
-        At positions, the surface that is claimed: something stands on it with a probability of at least
-        0.9, and the checks agree.
+        At positions, the surface that is identified: something stands on it with a probability of
+        0.9 or more, and the checks agree.
     groups : tuple of tuples of str
         Surfaces that these positions do not distinguish.
     map : array (n_parameters, n_pairs, n_bands)
@@ -148,7 +148,7 @@ class Finding(Result):
     controls : ControlRuns
         The simulator's error, to be given to another search or calibration.
     unexplained : float
-        Probability that something is other than stated that no effect explains, alone or beside one.
+        Probability that the model differs by something that no effect explains, alone or beside one.
     area : array (n_bands,)
         Of two states, the surfaces' absorption area before in m², by the equation; NaN where T is
         missing.
@@ -247,17 +247,17 @@ class Finding(Result):
 
     @property
     def score(self) -> float:
-        """The evidence in nats that must exceed the ``threshold``."""
+        """ln Bayes factor for something missing, which must exceed the ``threshold``."""
         return self.detection.score
 
     @property
     def threshold(self) -> float:
-        """Score that few rooms exceed in which nothing is other than stated."""
+        """Score that few rooms with nothing missing exceed."""
         return self.detection.threshold
 
     @property
     def detected(self) -> bool:
-        """Whether something is other than stated, whatever it is."""
+        """Whether something is missing, whatever it is."""
         return self.verdict not in ("none", "hint")
 
     @property
@@ -272,7 +272,7 @@ class Finding(Result):
 
     @property
     def likely_sets(self) -> dict[Names, float]:
-        """The sets that are probable enough to be printed; {} where each has one effect."""
+        """Sets of effects that are probable enough to be printed; empty if each has one effect."""
         return {s: p for s, p in self.sets.items() if p >= SAID} if self.more_than_one else {}
 
     @property
@@ -287,7 +287,7 @@ class Finding(Result):
         return None if of is None else of.coefficients
 
     def candidate(self, effect: str | None) -> Candidate | None:
-        """Return the most probable candidate of an effect; None where it is none."""
+        """Return the most probable candidate of an effect, or None."""
         return next((c for c in self.candidates if c.effect == effect), None)
 
     @property
@@ -324,8 +324,8 @@ class Finding(Result):
         return first if most >= MOST * rest > 0 else None
 
     @property
-    def claimed_surfaces(self) -> Names:
-        """The surfaces of two states that are claimed: each changed, at a probability of 0.9."""
+    def identified_surfaces(self) -> Names:
+        """The surfaces that changed between two states, each with a probability of 0.9."""
         return tuple(name for name, p in self.surfaces.items() if p >= CLAIMED)
 
     @property
@@ -350,9 +350,9 @@ class Finding(Result):
 
     @property
     def can_be_verified(self) -> bool:
-        """Whether `rtcal.finder.verify` can compare the gap with and without what was found.
+        """Whether `rtcal.finder.verify` can compare the deviation with and without what was found.
 
-        Of means for one effect that is probable; else for pairs of which half can predict the others.
+        By means: one probable effect. At positions: enough pairs for half to predict the others.
         """
         if self.kind == "means":
             return self.can_be_added and len(self.members) == 1 and self._least >= LEAST_ADDED
@@ -415,8 +415,8 @@ class Finding(Result):
         Raises
         ------
         DataError
-            If there is nothing to add; if ``effect`` is no candidate; if none is stated and the most
-            probable one has less than 0.3; for a volume that is not claimed; if ``at`` is on no
+            If there is nothing to add; if ``effect`` is no candidate; if none is chosen and the most
+            probable one has less than 0.3; for a volume that is not identified; if ``at`` is on no
             surface, or on one on which nothing was found; for what belongs to another kind of data.
 
         Examples
@@ -445,7 +445,7 @@ class Finding(Result):
             raise DataError(str(self.refusal))
         if self.kind == "states":
             kinds = [c.effect for c in self.candidates]
-            return changed_room(self.case, self.area, self.change, self.claimed_surfaces, kinds)
+            return changed_room(self.case, self.area, self.change, self.identified_surfaces, kinds)
         best = self._candidate(at, effect)
         made = corrected_geometry(self.case, best, form or "patch", at)
         return replace(made, support=str(support(self, best)))
@@ -531,7 +531,7 @@ _RECORDED = {
     "positions": "surface unexplained surfaces likely_surfaces groups parameters pairs map "
     "nats_of_noise=detection.noise nats_of_means=detection.means "
     "centre_frequencies=case.room.centre_frequencies",
-    "states": "surfaces claimed_surfaces change shift climate bands_of_size=middle "
+    "states": "surfaces identified_surfaces change shift climate bands_of_size=middle "
     "absorption_area_before=area times=case.times pairs=case.pairs "
     "centre_frequencies=case.room.centre_frequencies",
 }

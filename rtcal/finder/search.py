@@ -9,7 +9,7 @@ from typing import Any
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.run import Run
-from rtcal.finder.case import AnyCase, Case, case_of
+from rtcal.finder.case import AnyCase, case_of
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions.search import find as find_at_positions
@@ -52,9 +52,9 @@ def find(
     measured : Measurement
         In a `Room`.
     simulator : PathTracing, optional
-        Of the room; by default the one that the room's scene states, if it states one.
+        Simulator of the room; by default a path tracing of the room's scene, if it has one.
     before : Measurement, optional
-        Of the same positions, before something was changed: then what changed is found, instead of what
+        Measurement at the same positions before a change: the change is then found, instead of what
         the model lacks (`rtcal.finder.states`). The room's coefficients do not count. Neither
         ``controls``, ``cache`` nor ``progress`` belongs to such a search.
     simulated : Run, optional
@@ -67,8 +67,8 @@ def find(
         Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, where the room's scene is
         traced: in place of a ``simulator``.
     seed : int
-        Of reference simulations, paths and the bootstrap at positions, and of two states. A search by
-        means over positions draws nothing: reference rooms and null rooms are fixed sequences.
+        Seed of the random numbers at positions and of two states. A search by means over positions
+        draws nothing: reference rooms and null rooms are fixed sequences.
     **options
         - ``effects``: sequence of `Effect`; the effects to try, by default the whole library. At
           positions those that stand on surfaces are sought on each of them (`Effect.stands_on`). Of two
@@ -102,6 +102,8 @@ def find(
     none
     """
     checks.whole("seed", seed, 0)
+    if not isinstance(room, AnyCase):
+        checks.instance("room", room, Room)
     if isinstance(room, Room):
         if measured is None:
             raise DataError("measured is missing: a room is compared with what was measured in it")
@@ -114,7 +116,7 @@ def find(
             "holds its own"
         )
     else:
-        case = room if isinstance(room, AnyCase) else checks.instance("case", room, Case)
+        case = room
     search, kind = _SEARCHES[case.kind]
     possible = inspect.signature(search).parameters
     for name, value in options.items():

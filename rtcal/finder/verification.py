@@ -369,7 +369,7 @@ def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verifi
         "positions": _at_positions,
         "states": _of_states,
     }
-    compare = of_kind[finding.kind]
+    compare = of_kind[checks.instance("finding", finding, Finding).kind]
     options |= {} if case is None else {"case": case}
     for name in options.keys() - inspect.signature(compare).parameters.keys():
         raise DataError(f"{name} is not of a verification of {DATA[finding.kind]}")
@@ -696,7 +696,7 @@ def _at_positions(
     return at_positions(finding, gaps, added, halves)
 
 
-MODELS = ("as stated", "calibrated", "corrected and calibrated")
+MODELS = ("input", "calibrated", "corrected and calibrated")
 """The models whose gaps are compared at positions."""
 
 

@@ -61,11 +61,11 @@ def read(
     Parameters
     ----------
     path : path
-        Of SOFA (``rtcal[sofa]``), or CLF's text.
+        Path of a SOFA file (``rtcal[sofa]``), or of CLF's text.
     frequencies : sequence of float (n_bands,)
         Octave bands in Hz.
     aim, up : (x, y, z)
-        Where the loudspeaker's axis and its top point in the room's coordinates.
+        Directions of the loudspeaker's axis and of its top in the room's coordinates.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def read(
     """
     place = os.fspath(checks.path("path", path))
     wanted = np.atleast_1d(checks.array("frequencies", frequencies)).ravel().tolist()
-    of_sofa = sofa.claims(path)
+    of_sofa = sofa.recognises(path)
     gains = np.array(_from_sofa(place, wanted) if of_sofa else _from_text(place, wanted))
     try:
         made = Directivity(gains=gains, aim=aim, up=up)

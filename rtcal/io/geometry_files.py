@@ -70,7 +70,7 @@ def mesh_doubt(room: Room) -> str:
 
 
 def path_tracing(room: Room, **options: Any) -> PathTracing:
-    """Return a path tracing of a room that states its scene; ``options`` as of `PathTracing`.
+    """Return a path tracing of a room with a scene; ``options`` are those of `PathTracing`.
 
     The balloons of its sources are read. Raises DataError as `read`, `rtcal.io.balloon.read` and
     `PathTracing` do, and for a room without sources and receivers.

@@ -117,7 +117,7 @@ def read(
     Raises
     ------
     DataError
-        For a file that cannot be read, and for several channels where ``channels`` is not stated;
+        For a file that cannot be read, and for several channels without ``channels``;
         the message names file and rule.
     """
     paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
@@ -126,7 +126,7 @@ def read(
     responses: dict[tuple[str, str], _Response] = {}
     doubts = list[str]()
     for file in paths:
-        of_sofa = sofa.claims(file)
+        of_sofa = sofa.recognises(file)
         for source, receiver, every in _of_sofa(file) if of_sofa else _of_sound(file, doubts):
             text_name(f"{file}: a position", source + receiver)
             for name, response in _chosen(every, receiver, channels, os.fspath(file)):
@@ -150,8 +150,8 @@ class Floor(Enum):
 
     NOISE = "It is {} dB."
     CUT = "It is {} dB at the end of the response, which is cut off before the noise."
-    END = "It is {} dB at the end of the response, be it noise or a cut decay."
-    FLAT = "No decay of 10 dB stands out of the end of the response, be it noise or a cut decay."
+    END = "It is {} dB at the end of the response, where noise begins or the decay is cut off."
+    FLAT = "The decay begins less than 10 dB above the end of the response (noise, or a cut decay)."
     SHORT = "The response is silent or shorter than 50 ms."
     LATE = (
         "The energy arrives late, as in a recording of a sweep, of interrupted noise or of two sounds: "

@@ -38,7 +38,7 @@ _STRAIGHT = 0.98
 _MOST_BENT = 6
 
 
-def claims(content: bytes) -> bool:
+def recognises(content: bytes) -> bool:
     """Return whether a file is the text of one of these programs."""
     of_others = _XL2 in content[:200] or _AURORA in content[:200] or _is_of_dirac(content)
     return _is_of_rew(content) or of_others

@@ -181,7 +181,7 @@ def _stated_table(sheet: Sheet, columns: str, otherwise: str) -> _Table:
     if short := [n for n, cells in rows if len(cells) != len(made)]:
         raise DataError(f"{sheet.place}, line {short[0]}: not {len(made)} cells, as columns states")
     if not rows:
-        raise DataError(f"{sheet.place}: no row with a value in the lines that are stated")
+        raise DataError(f"{sheet.place}: no row with a value in these lines")
     at, left_out = [k for k, column in enumerate(made) if column.kind == "product"], list[str]()
     if at:
         rows, left_out = _rows_of_products(sheet.place, rows, at[0], otherwise)
@@ -474,7 +474,7 @@ def _material(
             doubt = (
                 f'{place}: {shown(name)}: "{shown(unit or name)}" names absorption areas in m², and no '
                 "coefficients: multiply one by the number of objects, and divide by the area that is "
-                "stated for them"
+                "given for them"
             )
         elif unit not in ("", "-", "1") and not _PERCENT.fullmatch(unit.strip()):
             raise DataError(

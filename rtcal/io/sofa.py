@@ -105,7 +105,7 @@ class Responses:
         return "\n".join(rows)
 
 
-def claims(path: str | os.PathLike[str]) -> bool:
+def recognises(path: str | os.PathLike[str]) -> bool:
     """Return whether a file is HDF5, as SOFA files are."""
     if not checks.path("path", path).is_file():
         return False
@@ -118,7 +118,7 @@ class _File:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = os.fspath(checks.path("path", path))
-        if not claims(path):
+        if not recognises(path):
             raise DataError(f"{path}, byte 0: not a SOFA (HDF5) file")
         budget.require(Path(path).stat().st_size, MAX_BYTES, "bytes", self.path)
         netcdf = library("SOFA files need netCDF4: pip install 'rtcal[sofa]'", "netCDF4")

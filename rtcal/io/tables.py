@@ -102,7 +102,7 @@ _BARE_NUMBER = re.compile(r"[\d.,]+")
 _LINES = re.compile(r"\s*from line (\d+)(?: to (\d+))?:(.*)", re.DOTALL)
 
 FORMATS: list[Any] = [workbook, instruments]
-"""Formats beside text with separators. Each has ``claims(content)`` and
+"""Formats beside text with separators. Each has ``recognises(content)`` and
 ``sheets(content, path, where)``; one of your own is appended (docs/extending.md)."""
 
 Key = tuple[str, str, str, float]
@@ -246,7 +246,7 @@ def measurement(path: str | os.PathLike[str]) -> MeasuredTable:
     be looked at first, with ``rtcal table``. ``columns`` is empty for the native file.
     """
     content = read_bytes(path, MAX_BYTES)
-    if any(module.claims(content) for module in FORMATS):
+    if any(module.recognises(content) for module in FORMATS):
         return read(path)
     return MeasuredTable(Measurement.from_file(os.fspath(path)), ())
 
@@ -266,12 +266,12 @@ def sheets_of(
     where: Mapping[str, str] | None = None,
     extra: Collection[str] = (),
 ) -> list[Sheet]:
-    """Return the sheets of a file by the first of `FORMATS` that claims it, else of its text.
+    """Return the sheets of a file by the first of `FORMATS` that recognises it, else of its text.
 
     ``where`` selects the widths of bands of REW's text, ``extra`` are headers that may be unknown.
     """
     for module in FORMATS:
-        if module.claims(content):
+        if module.recognises(content):
             sheets: list[Sheet] = module.sheets(content, path, where or {})
             return sheets
     likely = sheets_of_text(decode(content, path), path)
@@ -453,7 +453,7 @@ def _stated_table(sheet: Sheet, options: _Options) -> _Table:
             raise DataError(f"{sheet.place}: columns, {k + 1}: {error}") from error
         columns.append(replace(column, header=name or column.header))
     body = [row for row in sheet.rows if row[0] in lines]
-    notes = [sheet.note, "columns are as stated", *sheet.notes]
+    notes = [sheet.note, "columns are as given", *sheet.notes]
     return _Table(sheet, columns, max(len(above) - 1, 0), body, [], notes, options)
 
 
@@ -735,7 +735,7 @@ class _Table:
         self.has_positions = bool(placed or position[1])
         if self.options.counts and self.has_positions:
             raise DataError(
-                f"{self.place}: numbers of sources and receivers are stated for means, but the table "
+                f"{self.place}: numbers of sources and receivers are given for means, but the table "
                 "has single positions"
             )
         self.pair = (position[0] or "S1", position[1] or "R1")
@@ -797,7 +797,7 @@ class _Table:
         key = self._closed(named, place)
         if stated not in (None, key):
             raise DataError(
-                f'{place}: parameter="{stated}" is stated, and the table\'s name '
+                f'{place}: parameter="{stated}" is given, and the table\'s name '
                 f'"{shown(self.sheet.name)}" says {parameter_label(key)}; state only what is so'
             )
         return replace(named, parameter=key)

@@ -60,10 +60,10 @@ def notes(length: float, in_file: float | None, stated: float | None) -> list[st
     """Return the notes on the unit in m that was taken, and on one that the file contradicts.
 
     >>> notes(1.0, 0.0254, 1.0)
-    ['the file states a unit of 0.0254 m, and 1 m was stated and taken']
+    ['the file states a unit of 0.0254 m, and 1 m was given and taken']
     """
     if stated is not None and in_file is not None and stated != in_file:
-        return [f"the file states a unit of {in_file:g} m, and {stated:g} m was stated and taken"]
+        return [f"the file states a unit of {in_file:g} m, and {stated:g} m was given and taken"]
     return [f"the file's unit is {length:g} m"] if length != 1.0 else []
 
 

@@ -44,7 +44,7 @@ _OTHERS = {
 _NOT_IN_NAMES = dict.fromkeys(map(ord, "[]:*?/\\"), " ")
 
 
-def claims(content: bytes) -> bool:
+def recognises(content: bytes) -> bool:
     """Return whether a file is a workbook, or another format that is no text."""
     return content.startswith((_ZIP, *_OTHERS))
 

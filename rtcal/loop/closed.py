@@ -256,6 +256,14 @@ class ParameterGap:
     lost: Array
 
 
+def _worst(gap: Array, names: Sequence[str]) -> str:
+    """Return the largest deviation in JND and its band, as the end of a sentence about T."""
+    if not np.isfinite(gap).any():
+        return " was compared in no band"
+    k = int(np.nanargmax(np.abs(gap)))
+    return f" deviates from the measured T by up to {abs(gap[k]):.1f} JND ({names[k]})"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Loop(Result):
     """A closed loop: its simulations so far, what to simulate next, and what came of it.
@@ -269,7 +277,7 @@ class Loop(Result):
     prior : Room
         Its alpha and sigma are the prior.
     matched : Matched
-        What is matched: the measured T20, or its compromise with EDT.
+        Target: the measured T20, or its compromise with EDT.
     data : str
         Fingerprints of the data, for the record of the calibrated room.
     rule : {"secant", "safeguarded"}
@@ -296,7 +304,7 @@ class Loop(Result):
     returned : array (n_materials, n_bands), optional
         Coefficients of a loop that is over; `alpha` has them.
     before : Measurement, optional
-        Simulated with the stated coefficients. If some band has no T20 with them, or fewer than three
+        Simulated with the input coefficients. If some band has no T20 with them, or fewer than three
         simulations were allowed, with those of the equation's calibration. Of a run, what it gave.
     after : Measurement, optional
         Simulated with the coefficients returned.
@@ -304,7 +312,7 @@ class Loop(Result):
         Simulated with the coefficients returned and another seed. None for a deterministic
         simulator, and if no band converged.
     notes : tuple of str
-        What is to be known of data and simulations, such as paths that left through gaps of the mesh.
+        Notes on data and simulations, such as paths that left through gaps of the mesh.
 
     Examples
     --------
@@ -377,12 +385,12 @@ class Loop(Result):
     def _gaps(self) -> Array:
         """Gap of every step in JND, (n_steps, n_bands)."""
         if not self.steps:
-            raise DataError("the loop has no simulation yet, and so no gap")
+            raise DataError("the loop has no simulation yet, and so no deviation")
         return np.array([gap_jnd(step.simulated, self.wanted) for step in self.steps])
 
     @property
     def best(self) -> NDArray[np.int64]:
-        """Number of the step with the smallest gap, per band, (n_bands,)."""
+        """Number of the step with the smallest deviation, per band, (n_bands,)."""
         return np.asarray(np.argmin(np.nan_to_num(np.abs(self._gaps), nan=np.inf), axis=0))
 
     @cached_property
@@ -408,8 +416,8 @@ class Loop(Result):
     def goal(self) -> Array:
         """Gap in JND at which each band is done, (n_bands,): the tolerance less the simulator's noise.
 
-        At least half the tolerance, since no gap below a large noise can be shown. Unknown noise counts
-        as large.
+        At least half the tolerance, since no deviation below a large noise can be shown. Unknown noise
+        counts as large.
         """
         noise = self.steps[-1].noise / TARGET.jnd_of(self.wanted)
         return np.fmax(self.tolerance - noise, self.tolerance / 2)
@@ -459,7 +467,7 @@ class Loop(Result):
     def ends(self) -> tuple[Step, Step]:
         """The first simulation, and the last: `final`, or what each band has in its best step."""
         if not self.steps:
-            raise DataError("the loop has no simulation yet, and so no gap")
+            raise DataError("the loop has no simulation yet, and so no deviation")
         first = self.steps[0]
         if self.before is not None:
             first = self._step(self.before, self.prior.alpha)
@@ -504,15 +512,15 @@ class Loop(Result):
 
     @property
     def gap(self) -> Array:
-        """Gap of what is matched, of the last of `ends`, in JND, (n_bands,); NaN without T."""
+        """Deviation from the matched T after the last simulation, in JND, (n_bands,); NaN without T."""
         return gap_jnd(self.ends[1].simulated, self.wanted)
 
     @property
     def status(self) -> tuple[str, ...]:
         """Status of each band: one of `STATUSES`.
 
-        A converged band is confirmed if the noise of `final` is within the tolerance, and the gap is
-        within tolerance plus noise. A larger noise would confirm any gap.
+        A converged band is confirmed if the noise of `final` is within the tolerance, and the deviation
+        is within tolerance plus noise. A larger noise would confirm any deviation.
         """
         status = self._status_of_steps
         if self.final is None:
@@ -572,7 +580,7 @@ class Loop(Result):
         """The `doubts`, and bands of the `outcome` at a bound or against the prior (z over 2).
 
         Also bands whose measured decay is bent, and those of `low` that no modes carry.
-        A simulator can be brought to almost any T: a small gap confirms nothing.
+        A simulator can be brought to almost any T: a small deviation confirms nothing.
         """
         return (
             *self.doubts,
@@ -617,7 +625,7 @@ class Loop(Result):
     def next_target(self) -> Array:
         """T in s to calibrate the equation to next, (n_bands,), NaN without a measured T.
 
-        If any band needs another simulation, converged bands with a gap above half their goal are
+        If any band needs another simulation, converged bands with a deviation above half their goal are
         moved too. That costs no simulation, and each band keeps its best step. A band without any T20
         so far takes the equation's T for the prior. A target goes at most halfway towards one without
         a T20.
@@ -707,7 +715,7 @@ class Loop(Result):
         *,
         stated: bool = False,
     ) -> Loop:
-        """Return the loop after a simulation of `next_alpha`, or of the stated coefficients.
+        """Return the loop after a simulation of `next_alpha`, or of the input coefficients.
 
         A band may lack a T20 that it had in an earlier step. Its target then moves back towards one
         with a T20. Once the loop is finished, one more simulation of the coefficients at which it ended
@@ -816,21 +824,21 @@ class Loop(Result):
 
     @property
     def status_now(self) -> tuple[str, ...]:
-        """`status` as a user reads it: while the loop goes on, nothing has failed."""
+        """Status of each band as it is printed; while the loop goes on, no band has failed."""
         on = self.final is None and not self.finished
         return tuple("not yet" if on and s == "not converging" else s for s in self.status)
 
     def blocks(self) -> list[Block]:
-        """Return what the loop has; DataError without a simulation."""
+        """Return the tables that are printed; DataError without a simulation."""
         first, last = (step.simulated for step in self.ends)
         gaps, goals = zip(*map(_apart, self.gap, self.goal), strict=True)
         rows = [
             Row("T wanted / s", self.wanted, ".3f"),
             Row("first / s", first, ".3f"),
             Row("simulated / s", last, ".3f"),
-            Row("first gap / JND", gap_jnd(first, self.wanted), "+.1f"),
+            Row("first deviation / JND", gap_jnd(first, self.wanted), "+.1f"),
             Row(
-                "gap / JND",
+                "deviation / JND",
                 self.gap,
                 shade=np.nan_to_num(self.gap) / _STRONGEST_SHADE,
                 shown=gaps,
@@ -844,8 +852,8 @@ class Loop(Result):
             name = parameter_label(parameter)
             rows += [
                 Row(f"{name}, share of the weights", part.share, ".2f"),
-                Row(f"{name} gap / JND before", part.before, "+.1f"),
-                Row(f"{name} gap / JND after", part.after, "+.1f"),
+                Row(f"{name} deviation / JND before", part.before, "+.1f"),
+                Row(f"{name} deviation / JND after", part.after, "+.1f"),
                 Row(f"{name} lost / JND", part.lost, ".1f"),
             ]
         others = [
@@ -858,7 +866,10 @@ class Loop(Result):
         names, n = labels(self.prior.centre_frequencies), self.simulations
         of = self.simulator or "the program that was run by hand"
         return [
-            Note(f"Coefficients only for {of}; {n} simulation{'s' * (n != 1)}"),
+            Note(
+                f"After {n} simulation{'s' * (n != 1)}, T{_worst(self.gap, names)}. The coefficients "
+                f"are valid for {of} alone."
+            ),
             Table(names, rows, "By band"),
             *([Table(names, others, "Means over the pairs, not matched alone")] if others else []),
             *(Note(n, hanging="       " if n.startswith(" ") else "    ") for n in self.every_note),
@@ -870,15 +881,15 @@ class Loop(Result):
         notes = [*sentences(self.gaps_beside, self.prior.centre_frequencies)]
         if "not confirmed" in self.status:
             notes.append(
-                "Not confirmed: simulated once more, the gap exceeds tolerance plus noise, or the "
-                "noise exceeds the tolerance. Simulate with less noise (more paths)."
+                "Not confirmed: simulated once more, the deviation exceeds tolerance plus noise, or "
+                "the noise exceeds the tolerance. Simulate with less noise (more paths)."
             )
         notes += explained(self.trust_marks)
         if self.prior.is_uncertain:
             notes.append(
                 f"The room is uncertain ({in_words(self.prior)}). These coefficients serve the "
-                "simulator in the room as stated, and carry the room's error, too. Those of the "
-                "materials are in result.of_uncertain_room."
+                "simulator with volume and areas of its file, and carry the room's error, too. Those "
+                "of the materials are in result.of_uncertain_room."
             )
         return [*notes, *([] if self.low is None else [self.low.loop_note]), *self.notes]
 
@@ -945,12 +956,12 @@ def start(
     rule : {"secant", "safeguarded"}
         See `RULES`.
     method, equation
-        Of the equation's calibration; see `rtcal.calibrate`.
+        Method of the equation's calibration; see `rtcal.calibrate`.
     decimals : int, optional
         Decimals of alpha that the program reads.
     tolerance : float
-        In JND. A band is done if its gap is within the tolerance less the simulator's noise. It is
-        confirmed if its gap with another seed is within the tolerance plus the noise.
+        In JND. A band is done if its deviation is within the tolerance less the simulator's noise, and
+        confirmed if its deviation with another seed is within the tolerance plus the noise.
     weights : mapping of "t20" and "edt" to a number or one per band, optional
         A compromise of the mean T20 and the mean EDT: each band's target is moved until their weighted
         geometric mean is the measured one. `Loop.compromise` states what each lost. By default
@@ -1011,14 +1022,14 @@ def calibrate_simulator(
 ) -> Loop:
     """Calibrate a room's coefficients so that a simulator has the measured mean T20.
 
-    The stated coefficients are simulated first, so that no band ends farther away than it began.
+    The input coefficients are simulated first, so that no band ends farther away than it began.
     `calibrate_positions` matches the values at every position.
 
     Parameters
     ----------
     simulator : Simulator
     room, measured, rule
-        As of `rtcal.loop.start`.
+        See `rtcal.loop.start`.
     exclude : sequence of (source, receiver)
         Measured pairs that are left out, of what is simulated, too.
     max_simulations : int

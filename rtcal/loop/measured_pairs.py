@@ -492,16 +492,16 @@ class BeyondPrior:
         times = f"{ratio:.1f} times as long" if ratio > 1 else f"{1 / ratio:.1f} times shorter"
         sigma = abs(self.z) / _REACH
         needed = (
-            f"a mean coefficient of {self.needed:.2f} where {self.stated:.2f} is stated"
+            f"a mean coefficient of {self.needed:.2f} where the input has {self.stated:.2f}"
             if self.needed > 0
             else "a mean coefficient below 0"
         )
         return (
-            f"The stated coefficients and their sigma cannot explain the measured {name}: at "
-            f"{label(self.frequency)} it is {self.measured:.2f} s, the simulation of the stated room "
+            f"The input coefficients and their sigma cannot explain the measured {name}: at "
+            f"{label(self.frequency)} it is {self.measured:.2f} s, the simulation of the input "
             f"has {self.simulated:.2f} s, {times}, and coefficients within {_REACH:g} sigma reach "
             f"{self.reached:.2f} s ({self.bands} of {self.of_bands} bands are beyond). Needed would be "
-            f"{needed}, {abs(self.z):.0f} standard deviations away: state a sigma "
+            f"{needed}, {abs(self.z):.0f} standard deviations away: enter a sigma "
             f"{sigma:.0f} times as large where the coefficients are guesses, or look for what the room "
             "lacks (rtcal find)."
         )
@@ -696,7 +696,7 @@ of 20 boxes with little scattering T20 of a run was above 12 times Eyring's T.""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlRuns:
-    """Errors of a simulator in reference simulations, called reference simulations here.
+    """Errors of a simulator in reference simulations.
 
     Attributes
     ----------
@@ -1136,7 +1136,7 @@ class Scattering:
         if self.limited:
             names = ", ".join(materials[i] for i in self.limited)
             notes.append(
-                f"The scattering of {names} moved as far as it may: the data do not tell it."
+                f"The scattering of {names} moved as far as it may: the data do not determine it."
             )
         return notes
 

@@ -657,9 +657,9 @@ def calibrate_positions(
 ) -> PositionsResult:
     """Calibrate a room's coefficients so that a simulator has the values at every position.
 
-    The gap over all that is matched, and the objective, are at most those of the room as given: else
-    that room is returned, and the result's ``refused`` says so. Where a gap above 0.5 JND is left, of
-    the coefficients whose objective is within half a nat of its minimum those with a smaller gap are
+    The deviation over all that is matched, and the objective, are at most those of the input room;
+    else that room is returned, with ``refused``. Where a deviation above 0.5 JND is left, of the
+    coefficients whose objective is within 0.5 of its minimum those with a smaller deviation are
     returned.
 
     Parameters
@@ -671,7 +671,7 @@ def calibrate_positions(
         in place of what was measured below the Schroeder frequency: coefficients stay there as it left
         them.
     measured : Measurement
-        Of pairs that the simulator has, too.
+        Measurement of pairs that the simulator has, too.
     match : sequence of str
         Keys of `rtcal.acoustics.observables`, each matched at every pair. "g" is the measured G, and
         "level" one whose reference all positions of a source share.
@@ -686,17 +686,17 @@ def calibrate_positions(
     cache : path, optional
         Folder in which the reference simulations are kept.
     position_uncertainty : float
-        Root mean square distance of sources and receivers from where they are stated, in m; at
+        Root mean square error of the positions of sources and receivers, in m; at
         most 1.
     fit_scattering : bool
         Whether the scattering coefficients of a `PathTracing` are fitted, too. Its model is
-        "random". If not, those stated are kept, and are uncertain.
+        "random". If not, the input is kept, and is uncertain.
     more_paths : int
         Factor of the number of paths of a `PathTracing`, besides that of `PathTracing.denser`.
     seed : int
         Seed of all simulations.
     progress : callable, optional
-        Called with the number of finished reference simulations and their total.
+        Function that is called with the numbers of finished and of all reference simulations.
 
     Raises
     ------
@@ -864,7 +864,7 @@ def _calibrated(
     answer = ended.path.answer
     record = CalibrationRecord(
         method="positions",
-        equation=f"every position heard by {name}",
+        equation=f"every position of {name}",
         measured=" ".join([*history(room), *data.fingerprints]),
         solver=answer.solver,
         version=__version__,
@@ -959,13 +959,13 @@ def _kept(tracer: PathTracing, beyond: BeyondPrior | None) -> str:
     """Return why the scattering was not fitted."""
     if beyond is not None:
         return (
-            "The scattering stated was kept: no scattering makes up for absorption that is lacking."
+            "The input scattering was kept: no scattering makes up for absorption that is lacking."
         )
     if tracer.scattering_model != "random":
-        return 'The scattering stated was kept: only "random" paths tell what another would change.'
+        return 'The input scattering was kept: only the model "random" has its derivatives.'
     if np.isin(tracer.scattering, (0.0, 1.0)).all():
-        return "The scattering stated was kept: coefficients of 0 and 1 are not changed."
-    return "The scattering stated was kept: too few reference simulations tell what it changes."
+        return "The input scattering was kept: coefficients of 0 and 1 are not changed."
+    return "The input scattering was kept: there are too few reference simulations."
 
 
 def gap_table(
@@ -973,7 +973,7 @@ def gap_table(
     pairs: Sequence[Pair],
     before: Array,
     after: Array,
-    title: str = "rms gap / JND",
+    title: str = "rms deviation / JND",
     misfit: Array | None = None,
 ) -> Table:
     """Return the rms gap before and after by parameter, of each pair and of all.
@@ -993,7 +993,7 @@ def gap_table(
 
 
 _REFUSED = (
-    "No step led nearer to what was measured: the start is returned, and nothing was fitted. State "
+    "No step led nearer to what was measured: the start is returned, and nothing was fitted. Enter "
     "larger sigmas or more paths, or look for what the room lacks (rtcal find)."
 )
 _MISFIT = 2.0
@@ -1272,7 +1272,7 @@ class PositionsResult(Result):
             gap_table(
                 self.parameters, self.pairs, self.gap_before, self.gap_after, misfit=self.misfit
             ),
-            *([gap_table(more, self.pairs, *ends, "not matched: gap / JND")] if more else []),
+            *([gap_table(more, self.pairs, *ends, "not matched: deviation / JND")] if more else []),
             self._material_table(),
             *(Note(note, hanging="    ") for note in self.every_note[bool(self.warning) :]),
         ]
@@ -1313,7 +1313,7 @@ class PositionsResult(Result):
             start = "The"
             if self.scattering is not None:
                 start = (
-                    "The fitted scattering may have ended at a poor fit: try another seed, or state "
+                    "The fitted scattering may have ended at a poor fit: try another seed, or enter "
                     "other scattering. Else the"
                 )
             said.append(f"{start} model misses something, or a constraint keeps alpha away.")
@@ -1365,17 +1365,17 @@ class PositionsResult(Result):
             (
                 "Misses more than expected",
                 unexplained and f"A value differs by a further {unexplained} (standard deviation).",
-                "Check volume, mesh and stated sigma. Something may be missing in the room.",
+                "Check volume, mesh and sigma. Something may be missing in the room.",
             ),
             (
                 "No interval",
-                "" if self.controls else "No reference simulation tells this simulator's error.",
+                "" if self.controls else "No reference simulation shows this simulator's error.",
                 "It is assumed to be 5 % of a time and 0.5 dB of a level. Use one with a geometry.",
             ),
             (
                 "Coefficient at a bound",
                 text.first_of(bound, 5),
-                "That is a warning and no result. State a smaller sigma or a floor.",
+                "That is a warning and no result. Enter a smaller sigma or a lower limit (alpha_min).",
             ),
             (
                 "Not settled",

@@ -258,7 +258,7 @@ class PositionsPrediction(Result):
         """What the prediction assumes."""
         said = (
             f"{self.simulator}, {len(self.pairs)} pairs of source and receiver. Its error is that of "
-            "its reference simulations, heard before and after the change."
+            "its reference simulations, evaluated before and after the change."
         )
         return [Note(said), Note(words.REMARK.format(""))]
 
@@ -307,7 +307,7 @@ class ChangedRoom:
         for change in changes:
             if change.kind not in ("cover", "open", "air"):
                 raise DataError(
-                    f"{change}: a simulator does not know where; state the changed room's own mesh, or "
+                    f"{change}: a simulator does not know where; give the changed room's own mesh, or "
                     "predict T by an equation"
                 )
         self.before, self.changes = before, tuple(changes)
@@ -697,15 +697,15 @@ def predict_positions(
         Its ``changed`` is the least sigma of a new material, ``areas`` the relative error of the area
         of a partial cover. The others are the equation's.
     position_uncertainty : float
-        As of `rtcal.calibrate_positions`.
+        See `rtcal.calibrate_positions`.
     progress : callable, optional
-        Called with the number of finished reference simulations and their total.
+        Function that is called with the numbers of finished and of all reference simulations.
 
     Raises
     ------
     DataError
         For a change that the simulator does not know the place of, two variants of one name, or a
-        simulator whose error no reference simulation tells.
+        simulator without reference simulations.
 
     Examples
     --------
@@ -777,7 +777,7 @@ def predict_positions(
         )
     if controls is None:
         raise DataError(
-            f"no reference simulation tells the error of {result.simulator}: predict with a simulator "
+            f"no reference simulation shows the error of {result.simulator}: predict with a simulator "
             "that has a geometry, or T by an equation"
         )
     before = State(result, rooms[0], result.parameters)

@@ -201,7 +201,7 @@ def below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:
 
 CARRIED = 3
 """Modes from which a band's mark falls away: in it, or for the lowest one up to an octave below."""
-_HEADER = ["mode / Hz", "T / s", "before", "after", "tells most of"]
+_HEADER = ["mode / Hz", "T / s", "before", "after", "most about"]
 P_MODES = 0.01
 """p-value of the modes below which they and what was stated contradict each other."""
 _ALIKE = 0.02  # share of the largest by which walls that a mode tells as much of may differ
@@ -392,7 +392,7 @@ class ModesResult(Result):
         f, p = float(self.modes.frequencies[self.used[strangest]]), found.p_value
         text = (
             f"decays of {len(self.used)} modes have Q = {found.q:.1f}, p = {p:.1g}; {f:.1f} Hz "
-            f"contributes most; together they are {1 + together:.2g} times as fast as stated "
+            f"contributes most; together they are {1 + together:.2g} times as fast as the input "
             f"coefficients make them (z = {z:.1f})"
         )
         return (mark("implausible_modes", None, text),)

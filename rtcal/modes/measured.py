@@ -105,7 +105,7 @@ class MeasuredModes:
     decay_uncertainty : array (n_modes,)
         Standard uncertainty of delta in 1/s, above 0.
     frequency_uncertainty : array (n_modes,), optional
-        Hz; a hundredth of a hertz where it is not stated.
+        Hz; 0.01 Hz by default.
     amplitudes : complex array (n_modes, n_pairs), optional
         Complex amplitude of each mode at each pair of positions: its pattern over them.
     calculated : int array (n_modes,), optional
@@ -422,7 +422,7 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
         raise DataError(
             f"{count or 'none'} of the {n} measured modes is surely one calculated mode: none is near, "
             f"or two are. Of random frequencies {chance.mean():.1f} are. Check frequencies, dimensions "
-            "and temperature, then stated coefficients and uncertainties"
+            "and temperature, then input coefficients and uncertainties"
         )
     doubts = []
     if (chance >= count).mean() > _BY_CHANCE:
@@ -821,7 +821,7 @@ def find_modes(
     Parameters
     ----------
     room : Room
-        It states geometry and positions. Its coefficients are where the search begins.
+        Room with geometry and positions. The search begins at its coefficients.
     responses : array (n_pairs, n_samples)
         All in one unit and on one time axis, which begins when the sound begins.
     rate : float
@@ -924,7 +924,7 @@ def _without_prior(
     chosen = chosen[np.argsort(fit.frequencies[chosen], kind="stable")]
     notes = [
         f"Modes of {fit.own.shape[1]} pairs: {len(chosen)} of {int(inside.sum())} calculated from "
-        f"{lowest:g} to {highest:g} Hz were heard. Together they leave {fit.unexplained:.1%} of the "
+        f"{lowest:g} to {highest:g} Hz were found. Together they leave {fit.unexplained:.1%} of the "
         f"responses' power, and the patterns {fit.strange:.1%} of the amplitudes'."
     ]
     for some, why in (

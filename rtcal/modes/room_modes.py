@@ -95,7 +95,7 @@ class RoomModes:
     largest : float
         Frequency in Hz up to which modes are wanted; those above it complete the others' shapes.
     shapes : function
-        Of points (n_points, 3) in m: the modes' values there, (n_points, n_modes + 1), in m^(-3/2).
+        Function of points (n_points, 3) in m: the modes' values, (n_points, n_modes + 1) in m^(-3/2).
     known : dict
         The last poles that were asked, by the coefficients: kept for the next responses.
 
@@ -273,7 +273,7 @@ def modes_of(
     speed_of_sound : float
         m/s.
     spacing : float, optional
-        Of the mesh in m: then finite elements are used for a box, too.
+        Edge length of the mesh in m: finite elements are then used for a box, too.
 
     Raises
     ------

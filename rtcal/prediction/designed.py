@@ -589,15 +589,15 @@ def design(
     Parameters
     ----------
     result : CalibrationResult
-        Of several configurations every measured T counts.
+        Calibration of the room; of several configurations every measured T counts.
     treatments : sequence of Treatment
         Their order changes nothing; each has a name of its own.
     target : Target
-        A stated range, or `din_18041` or `ansi_s12_60`.
+        Range of T: a `Target`, or `din_18041` or `ansi_s12_60`.
     probability : float
-        Of each band, 0.8 to 0.99.
+        Required probability in each band, 0.8 to 0.99.
     assumptions : Assumptions, optional
-        By default the usual ones.
+        Assumed spreads; the usual ones by default.
 
     Raises
     ------

@@ -339,7 +339,7 @@ class Prediction(TimeChange, Result):
                 "deviations, unless said otherwise:"
             ),
             [f"{words.ASSUMED[k]}: {v:g}" for k, v in asdict(self.assumptions).items()],
-            Note(words.REMARK.format(" and for the T before that is stated")),
+            Note(words.REMARK.format(" and for the T before that is given")),
         ]
 
 
@@ -356,14 +356,14 @@ def predict(
     Parameters
     ----------
     known : CalibrationResult or Room
-        With a Room nothing was measured: its stated coefficients alone predict. Several measured states
+        With a Room nothing was measured: its input coefficients alone predict. Several measured states
         are a calibration of `rtcal.Configurations`, one of whose ``results`` is the state that changes.
     changes : Change, sequence of Change, or Room
         A Room is the changed room itself.
     equation : LinearEquation, optional
-        Of a Room; `rtcal.Eyring` if not given. A calibration has its own.
+        Equation for a Room; `rtcal.Eyring` by default. A calibration has its own.
     assumptions : Assumptions, optional
-        By default the usual ones.
+        Assumed spreads; the usual ones by default.
     name : str
         By default what is changed.
 
@@ -392,6 +392,8 @@ def predict(
     if isinstance(changes, Room):
         default = changes.name
     else:
+        if isinstance(changes, str):
+            raise DataError(f"changes = {changes!r} is no rtcal.prediction.Change or list of them")
         made = (changes,) if isinstance(changes, Change) else checks.listed("changes", changes)
         default = "; ".join(map(str, made)) or "no change"
     prediction = Prediction(

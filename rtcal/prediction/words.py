@@ -16,7 +16,7 @@ EQUATION = "the equation"
 SIZES = "volume, areas and climate"
 MEASUREMENT = "the measured T"
 BEFORE = "T before, which was not measured"
-MEASURED, MODEL, STATED = "measured", "calibrated model", "stated coefficients"
+MEASURED, MODEL, STATED = "measured", "calibrated model", "input coefficients"
 CALIBRATED = "calibrated room"
 """What T before is."""
 ALIKE, CHANGED_ALONE = (
@@ -26,14 +26,14 @@ ALIKE, CHANGED_ALONE = (
 COVERS, PLACES = "the covered areas", "where the cover lies"
 
 _ADVICE = {
-    STAYS: "measure T in a second state of the room: it tells what stays from what changes",
+    STAYS: "measure T in a second state of the room: it separates what stays from what changes",
     EQUATION: "measure T in a second state of the room, or take a simulator: the equation's error "
     "shows between two states",
     BEFORE: "measure T in the room as it is",
     SIZES: "survey the volume and the areas, and measure the climate if it is uncertain",
     MEASUREMENT: "measure T at more positions",
     ALIKE: "measure at more positions",
-    CHANGED_ALONE: "measure with the first part of the change: only that tells it",
+    CHANGED_ALONE: "measure with the first part of the change: only that shows it",
     COVERS: "measure the areas that are covered",
     PLACES: "say where the cover lies: give its place a material of its own in mesh and room",
 }
@@ -66,19 +66,19 @@ ASSUMED = {
 }
 """What the numbers of `rtcal.prediction.Assumptions` are."""
 REMARK = (
-    "The interval is for a measurement without error{}, and as good as these numbers and the stated "
+    "The interval is for a measurement without error{}, and as good as these numbers and the input "
     "sigma. One JND of T is 5 % of it."
 )
 NOTHING_CHANGES = "Nothing changes: T stays as it was before, whatever is not known of the room."
-NOTHING_MEASURED = "Nothing was measured: the interval is that of the stated coefficients."
+NOTHING_MEASURED = "Nothing was measured: the interval is that of the input coefficients."
 CALIBRATED_BEFORE = (
     "T before is that of the calibrated room, and the interval that of its coefficients' sigma. Give "
     "the room as it was before its calibration, and what was measured: T before then counts as that."
 )
-GIVEN = "T before is given: its own uncertainty is stated apart and is no part of the interval."
+GIVEN = "T before is given: its own uncertainty stands apart and is no part of the interval."
 UNPLACED = (
     "The room does not say which way the surfaces face that change. The interval allows for all of "
-    "them on one pair of walls, where T falls less. To narrow it, state the axis of each "
+    "them on one pair of walls, where T falls less. To narrow it, give the axis of each "
     "surface, or the dimensions, or name the surfaces floor, ceiling and wall."
 )
 

@@ -204,7 +204,7 @@ def reverberation_time(result: CalibrationResult) -> Any:
 
 
 def gap(result: CalibrationResult) -> Any:
-    """Return the figure of the gap to the measured T, before and after, in JND by band."""
+    """Return the figure of the deviation from the measured T, before and after, in JND by band."""
     figure, axes = new_figure(7.0, 3.2)
     at = band_places(axes, result.prior.centre_frequencies)
     axes.axhspan(-1, 1, color="0.85", label="within 1 JND (5 %)")

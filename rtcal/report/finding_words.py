@@ -145,18 +145,18 @@ SENTENCES: dict[str, str] = {
     "no surface": "Nothing to add: what was found stands on no surface.",
     "second room": "{best:name}: {why}",
     "no change to add": "Nothing to add: no change was identified.",
-    "climate changed": "Nothing to add: the climate of the air changed. State temperature and humidity "
+    "climate changed": "Nothing to add: the climate of the air changed. Enter temperature and humidity "
     "in the room's file.",
-    "effect undecided": "No effect is stated, and the most probable one has less than {least:p}. "
-    "Candidates: {candidates:options}. State one: effect = NAME.",
-    "place undecided": "Neither an effect nor a place is stated, and the most probable group on one "
-    "surface has less than {least:p}. Candidates: {candidates:options}. State one: effect = NAME, or "
+    "effect undecided": "No effect is chosen, and the most probable one has less than {least:p}. "
+    "Candidates: {candidates:options}. Choose one: effect = NAME.",
+    "place undecided": "Neither an effect nor a place is chosen, and the most probable group on one "
+    "surface has less than {least:p}. Candidates: {candidates:options}. Choose one: effect = NAME, or "
     "its place: at = X,Y,Z.",
     "volume undecided": "effect = volume has {probability:p}, and the room's volume is changed only "
-    "from {least:p} on. Measure the volume and state it in the room's file, or state another effect: "
+    "from {least:p} on. Measure the volume and enter it in the room's file, or choose another effect: "
     "{others:or}.",
     "volume alone undecided": "effect = volume has {probability:p}, and the room's volume is changed "
-    "only from {least:p} on. Measure the volume and state it in the room's file.",
+    "only from {least:p} on. Measure the volume and enter it in the room's file.",
     "support": "{best}; {others:and} cannot be distinguished (verdict {verdict})",
     "sole": "{best} (verdict {verdict})",
     "not predicted": "with their uncertainty, the odds that these data give for it are {nats:odds}; "
@@ -178,7 +178,7 @@ SENTENCES: dict[str, str] = {
     "{most:.0f} %).",
     "run lacks": '"{configuration}": {parameters:and} left out, which the run lacks.',
     EQUATION_OFF: "{equation}'s T is {by:range} {side} than the program's at {bands}.",
-    "no air": "The room states no air, so the model's air absorbs nothing.",
+    "no air": "The room has no air, so the model's air absorbs nothing.",
     "means alone": "Means over positions identify {effect:name} ({probability:p}), which the "
     "differences between positions do not confirm.",
     "not tried": "Not tried, since they stand on no surface: {effects:and}. A search by means over "
@@ -187,16 +187,16 @@ SENTENCES: dict[str, str] = {
     "by band (odds of {nats:odds}). It counts as far as it is right. If its reference is not sure, "
     'name it "level".',
     "lobes": "Directional sources explain the measurement better than what the room may lack (odds of "
-    "{nats:odds}), so the sources are not taken as omnidirectional. State them with [directivity]; an "
+    "{nats:odds}), so the sources are not taken as omnidirectional. Enter their [directivity]; an "
     "omnidirectional source has the index 0.",
     "lobes possible": "Directional sources may explain the measurement better than what the room may "
-    "lack (odds of {nats:odds}), and count as far as they are likely. State them with [directivity]; "
+    "lack (odds of {nats:odds}), and count as far as they are likely. Enter their [directivity]; "
     "an omnidirectional source has the index 0.",
     "index off": "Other directivities explain the measurement better than what the room may lack (odds "
-    "of {nats:odds}), so the directivity index of {sources:few} is not relied on. State measured "
+    "of {nats:odds}), so the directivity index of {sources:few} is not relied on. Enter measured "
     "balloons to use all parameters.",
     "nothing explains the level": "Nothing that is tried explains the level and the early parameters, "
-    "so the directivity index of {sources:few} is not relied on. State measured balloons to use all "
+    "so the directivity index of {sources:few} is not relied on. Enter measured balloons to use all "
     "parameters.",
     "no geometry": "T alone does not show on which surface something changed.",
     # What could be measured next.
@@ -208,15 +208,42 @@ SENTENCES: dict[str, str] = {
     "covered": '"{material}" covered with {thickness:.0f} mm of mineral wool of known coefficients',
     "removed": "without all that can be taken out or closed: objects, people, openings",
     "planned": 'configuration "{configuration}"',
-    "no directivity": "The directivity of {sources:few} is not stated, so no surface is identified. "
+    "no directivity": "The directivity of {sources:few} is not given, so no surface is identified. "
     "Give every source a directivity, with index = 0 for an omnidirectional one.",
+    # What a corrected room does not hold, and what was assumed for it.
+    "decay not in a room": "{effect:name}: a room's file has surfaces and air only.",
+    "air of no climate": "{effect:name}: its air is not that of a climate (ISO 9613-1).",
+    "absorbs too much": "{effect:name}: no area of a further material absorbs so much.",
+    "hides wall": "{effect:name}: it covers wall that absorbs more than it does at {bands:and}. The "
+    "room keeps the absorption of this wall.",
+    "takes absorption": "{effect:name}: it takes absorption away, "
+    "and it is unknown from which surface.",
+    "equation": "The equation: a room's file names none. Calibrate the room with {equation}.",
+    "speed of sound": "The speed of sound: the model has {model:.1f} m/s, and the room, by its air, "
+    "{room:.1f} m/s, so that its T differs by {by:+.1f} %.",
+    "no place": "The {lost:and}: they do not have the areas or the volume that were found.",
+    "volume changed": "The input volume: it is {now:.4g} m³ now, and was {before:.4g} m³.",
+    "area changed": 'The input area of "{material}": it is {now:.4g} m² now, and was {before:.4g} m².',
+    "patch too large": 'A patch of {patch:.3g} m² does not fit on "{surface}" of {area:.3g} m²: the '
+    "whole surface gets the new material.",
+    "patch drawn larger": "The patch has {drawn:.3g} m² in the mesh for the {size:.3g} m² that were "
+    "found, and lower coefficients, so that a calibration can make it absorb more as well as less.",
+    "bands unknown": "T was not measured in both states at {bands:and}: there the room has the "
+    "coefficients of the first state.",
+    "surface unknown": "It is unknown on which surface something changed: every material has "
+    "its share.",
+    "change does not fit": "At {band} the surfaces that changed cannot hold {rest:.1f} m² of the "
+    "change of {change:+.1f} m².",
+    "T before out of reach": "At {band} no coefficients of the room give T before: its absorption area "
+    "is off by {off:+.1f} m².",
+    "kind unknown": "It is unknown what was changed ({kinds:or}): the room has the amount alone.",
     # Why a verification does not support a finding.
     "gains little": "only a decrease by more than {least:.2f} JND counts",
     "misses": "the corrected model misses what it was matched to",
     "halves differ": "the halves of the pairs found another thing than all pairs",
     "still missed": "with it these data are still missed by {gap:.2f} JND on average",
-    "grows": "the gap of {quantity} grows from {before:.2f} to {after:.2f} JND",
-    "nothing claimed": "no effect and no family of effects is claimed",
+    "grows": "the deviation of {quantity} grows from {before:.2f} to {after:.2f} JND",
+    "nothing claimed": "no effect and no group of effects is identified",
 }
 """The sentence of each code of a `rtcal.finder.claim.Reason`; `_Forms` has the forms of its values."""
 
@@ -230,8 +257,8 @@ _CLAUSES = (
 
 
 _ORIGINS = {
-    "stated": "as stated",
-    "made": "not stated; made from scatter over pairs, theory and reproducibility",
+    "stated": "as given",
+    "made": "not given; made from scatter over pairs, theory and reproducibility",
 }
 """Where uncertainties come from."""
 
@@ -576,8 +603,8 @@ def _of_states(f: Finding) -> list[str]:
     said = [f"The room changed: {_change(f)}."]
     if f.family is not None:
         said.append(f"Group identified: {f.family} ({percent(f.families[f.family])}).")
-    if f.claimed_surfaces:
-        places = listed([f'"{name}"' for name in f.claimed_surfaces])
+    if f.identified_surfaces:
+        places = listed([f'"{name}"' for name in f.identified_surfaces])
         said.append(f"The change is on {places}.")
     return said
 
@@ -716,9 +743,11 @@ def evidence(f: Finding) -> str:
             part.threshold,
             f", those of {words} (all data give less)",
         )
+    required = odds(threshold)
+    required = "more than even odds" if required == "even" else f"odds of more than {required}"
     said = (
         f'Verdict "{f.verdict}": by the data alone{of}, the odds that something {what} are '
-        f"{odds(score)}; required: {odds(threshold)}. With the prior odds of each effect, the "
+        f"{odds(score)}; required are {required}. With the prior odds of each effect, the "
         f"probability that nothing {what} is {nothing}."
     )
     found = f.detection
@@ -899,7 +928,7 @@ def added(f: Finding, members: tuple[str, ...]) -> str:
         return f"Added: {some}, the most probable set ({percent(f.sets[members])})."
     others = listed([likely(n, f.probabilities.get(n, 0.0)) for n in f.names if n not in members])
     beside = f" Other candidates: {others}." if others else ""
-    return f"Added{'' if members == f.members else ', as stated'}: {some}.{beside}"
+    return f"Added{'' if members == f.members else ', as chosen'}: {some}.{beside}"
 
 
 # A plan.
@@ -926,12 +955,12 @@ def of_plan(p: Plan) -> list[Block]:
     measured, enough = listed([parameter_label(n) for n in p.parameters]), odds(DISTINCT_NATS)
     out: list[Block] = [
         Note(
-            f"What {measured} would show of each effect, if it alone were in the room. Each has the "
-            f"size whose change of T is nearest to {100 * p.change:g} %. Odds of {enough} are enough "
-            "to see it.",
+            f"How clearly {measured} would show each effect, if nothing else were missing. Each effect "
+            f"has the size that changes T by about {100 * p.change:g} %; odds of {enough} are enough "
+            "to detect it.",
             hanging="",
         ),
-        Table(["change of T", "odds against the model", "seen"], seen, corner="effect"),
+        Table(["change of T", "odds against the model", "detected"], seen, corner="effect"),
         Note(
             "What each may be taken for: the odds of the effect against each of these are expected to "
             f"be less than {enough}.",
@@ -956,12 +985,12 @@ def of_plan(p: Plan) -> list[Block]:
         *out,
         Note(""),
         Note(
-            "What to measure next: how much of the question which effects are there each measurement "
-            "is expected to settle, and the hours that it takes. As much is open now as between "
-            f"{np.exp(p.uncertainty):.1f} effects of equal probability.",
+            "What to measure next: the share of the uncertainty about the effects that each "
+            "measurement is expected to remove, and the hours that it takes. The uncertainty is now "
+            f"that between {np.exp(p.uncertainty):.1f} effects of equal probability.",
             hanging="",
         ),
-        Table(["settled", "time", "settled per hour"], rows, corner="measurement"),
+        Table(["removed", "time", "removed per hour"], rows, corner="measurement"),
         Note("Best one after the other:"),
         *(
             Note(f"{number}. {m.measurement} ({share(m.information)} more)", "  ", "     ")
@@ -987,7 +1016,7 @@ def effects_of(r: Recalibrated) -> list[str]:
 def of_recalibration(r: Recalibrated, plain: Recalibrated | None = None) -> list[Block]:
     """Return each material's alpha, as stated and as calibrated, and the effects."""
     room, beside = (plain or r).case.room, {} if plain is None else {"plain": plain}
-    alphas = {"prior": (room.alpha, NORMAL_90 * room.sigma)}
+    alphas = {"input": (room.alpha, NORMAL_90 * room.sigma)}
     for name, c in {**beside, "corrected": r}.items():
         alphas[name] = (c.alpha, np.subtract(*c.interval[::-1]) / 2)
     rows = [

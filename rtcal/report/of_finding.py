@@ -161,7 +161,7 @@ def chosen(finding: Finding, found: str = "FOUND") -> str:
     """Return what must be chosen before `apply`, with the command that takes it; "" if nothing."""
     if finding.undecided is None:
         return ""
-    what, _, _ = str(finding.undecided).partition(" State one: ")
+    what, _, _ = str(finding.undecided).partition(" Choose one: ")
     place = " or --place X,Y,Z" if finding.kind == "positions" else ""
     add = f" To add one: rtcal apply {found} --effect NAME{place} --out corrected."
     return what + add
@@ -252,7 +252,7 @@ def _of_states(finding: Finding, drawn: list[Picture]) -> list[Any]:
     """Return what it may be, on which surface, and both states by band."""
     kinds, n = words.candidates(finding), len(finding.case.pairs)
     rows = [
-        Row(name, [f"{100 * p:.0f}", "identified" if name in finding.claimed_surfaces else ""])
+        Row(name, [f"{100 * p:.0f}", "identified" if name in finding.identified_surfaces else ""])
         for name, p in finding.surfaces.items()
     ]
     return [
@@ -460,7 +460,7 @@ def correct(
     if made.added is not None:
         what = f"{made.added.title}, {made.added.in_words}, as {made.form}"
         lines.append(f'Added: {what}, material "{made.material}" ({made.support}).')
-    lines += made.notes
+    lines += map(str, made.notes)
     for name, report in made.reports.items():
         lines += [f"{name}: {'. '.join(report.notes)}."] if report.notes else []
         lines += [f"{name} lacks: {', '.join(report.lost)}."] if report.lost else []

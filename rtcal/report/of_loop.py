@@ -35,7 +35,7 @@ _STATUS_IN_WORDS = {
     "by modes": "lay below the Schroeder frequency: room modes stand there in place of T",
     "too few modes": "lay below the Schroeder frequency, where fewer than three room modes were used",
     "not confirmed": "came within the goal, but not with fresh random numbers, or the simulator's "
-    "noise is too large to tell: simulate with less of it (more paths)",
+    "noise is too large to decide: simulate with less of it (more paths)",
 }
 
 

@@ -62,7 +62,7 @@ def page(result: ModesResult) -> Page:
             Section("Modes", "modes"),
             *tables(blocks),
             Note(
-                "“Tells most of” names the walls whose sigma moves the mode's decay most. "
+                "“Most about” names the walls whose sigma moves the mode's decay most. "
                 "Opposite walls of a box are alike to every mode: the decays determine what both "
                 "absorb together, and the input coefficients share it between them."
             ),

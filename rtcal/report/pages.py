@@ -13,6 +13,7 @@ from rtcal.files.disk import write_bytes
 from rtcal.files.saved import Result, load
 from rtcal.io import workbook
 from rtcal.report.document import Box, Heading, Items, Page, flat, render
+from rtcal.support import checks
 from rtcal.support.blocks import Note, Table
 from rtcal.support.errors import DataError
 
@@ -36,6 +37,11 @@ _MODULES = {
 
 def blocks_of(result: Result) -> Page:
     """Return what the page of a result shows; DataError for a result that has no page."""
+    if not hasattr(result, "record_kind"):
+        raise DataError(
+            f"{checks.shown(result)} is no result, so it has no page: calibrate the room first, and "
+            "give what rtcal.calibrate returns"
+        )
     kind = result.record_kind.rstrip(" 0123456789")
     if kind not in _MODULES:
         raise DataError(

@@ -101,9 +101,9 @@ _LEGEND = (
     "paper: the score in Bellows & Katz (2025).",
 )
 _SAMPLINGS: dict[Sampling, str] = {
-    "sigma_r": "sampling: the stated alpha lie between 2 sigma_R and 1 - 2 sigma_R. This gives the "
+    "sigma_r": "sampling: the input alpha lie between 2 sigma_R and 1 - 2 sigma_R. This gives the "
     "paper's Table 2, and is inferred from it alone. Its text says 2 sigma_n: --sampling sigma_n.",
-    "sigma_n": "sampling: the stated alpha lie between 2 sigma_n and 1 - 2 sigma_n, with the surface's "
+    "sigma_n": "sampling: the input alpha lie between 2 sigma_n and 1 - 2 sigma_n, with the surface's "
     "own sigma_n, as the paper's text reads. Its Table 2 agrees with --sampling sigma_r.",
 }
 _HEADINGS = {

@@ -69,7 +69,7 @@ def _found_again(v: Verification) -> tuple[str, str]:
     """Return what halves of the pairs found that is other, and what a support leaves open."""
     if v.plain is not None:
         alike = [c.effect for c in rivals(v.finding)]
-        return "", f", but not told apart from {listed(alike)}" if alike else ""
+        return "", f", but not distinguished from {listed(alike)}" if alike else ""
     found, (others, in_kind) = v.finding.likeliest, v.found_elsewhere
     if not others or found is None:
         return "", ""
@@ -92,13 +92,13 @@ def _of_time(v: Verification) -> str:
     if v.corrected is not None and v.corrected.off > _MET:
         return (
             f"The corrected model does not meet the fitted {time}: it is {v.corrected.off:.1f} times "
-            "as far off as the uncertainty of T allows. So no coefficients near the stated ones go "
+            "as far off as the uncertainty of T allows. No coefficients near the input agree "
             "with this effect and size."
         )
     how = "exactly" if gap < _EXACT else f"to {gap:.2f} JND"
     return (
-        f"Plain calibration meets the fitted {time} {how}. The corrected one meets it as closely as "
-        "the uncertainty of T allows."
+        f"The calibration without the effect meets the fitted {time} {how}. The corrected "
+        "one meets it as closely as the uncertainty of T allows."
     )
 
 
@@ -108,11 +108,11 @@ def _of_pairs(v: Verification) -> list[str]:
     stated, plainly = mean_of_known(np.abs(v.gaps[:2]), (1, 2, 3, 4)).tolist()
     out = [
         f"± is the standard error over {len(v.places)} pairs and {seeds} seed{'s' * (seeds != 1)} of "
-        f"the simulator. As stated, the gap is {stated:.2f} JND."
+        f"the simulator. With the input, the deviation is {stated:.2f} JND."
     ]
     if stated < plainly:
         out.append(
-            "Calibrated, the model is no better there than as stated: do not simulate with it."
+            "Calibrated, the model is no better there than with the input: do not simulate with it."
         )
     for half, what in zip(v.halves, v.added, strict=True):
         names = ", ".join(" to ".join(pair) for pair in half)
@@ -152,7 +152,7 @@ def gaps(v: Verification) -> Table:
             used = "held out" if v.counted[q, p] else used
             row(f"{quantity} of {place}{f' ({used})' if used else ''}", sizes[:, :, q, p])
     row("all that was held out", v.by_seed)
-    return Table(v.models, rows, corner="mean gap / JND")
+    return Table(v.models, rows, corner="mean deviation / JND")
 
 
 def blocks(v: Verification) -> list[Block]:

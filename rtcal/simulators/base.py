@@ -219,7 +219,7 @@ def lost_paths(simulator: Simulator) -> tuple[str, ...]:
         return ()
     return (
         f"{100 * share:.2g} % of the paths left through gaps between the faces. They were dropped, and "
-        "the others weigh the more.",
+        "the weight of the others was raised.",
     )
 
 

@@ -882,7 +882,7 @@ class PathTracing(Tracer):
     sources, receivers : mapping of str to (x, y, z)
         Positions in m, inside the room.
     directivity : mapping of str to Directivity or "unknown"
-        By source: a lobe, or a balloon (`rtcal.io.balloon.read`). Sources that are not stated, and
+        Directivity of each source (`rtcal.io.balloon.read` for a balloon). Sources without, and
         unknown ones, radiate alike in all directions.
     n_paths : int
         Paths per source. 8000 give the mean T20 over four receivers of a 334 m³ hall a standard
@@ -973,7 +973,7 @@ class PathTracing(Tracer):
 
     @property
     def unknown_sources(self) -> tuple[str, ...]:
-        """The sources whose directivity is stated to be unknown."""
+        """The sources whose directivity is "unknown"."""
         return tuple(name for name, of in self.directivity.items() if isinstance(of, str))
 
     @cached_property
@@ -1036,9 +1036,9 @@ class PathTracing(Tracer):
         )
 
     def aimed(self, directivity: Mapping[str, Directivity]) -> PathTracing:
-        """Return the tracing with other directivities of some sources, and the paths it has traced.
+        """Return the tracing with other directivities of some sources; its paths are kept.
 
-        They have a value per band.
+        Each has a value per band.
         """
         for name, of in checks.mapped("directivity", directivity).items():
             checks.instance(f"directivity[{checks.shown(name)}]", of, Directivity)
@@ -1108,7 +1108,7 @@ class PathTracing(Tracer):
     def observe(
         self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0, again: bool = True
     ) -> Observations:
-        """Return what each position hears for alpha (n_materials, n_bands).
+        """Return the values at each position for alpha (n_materials, n_bands).
 
         The level is G of a source whose power is known. Raises as `simulate` does, and
         `TooShortError` where paths that were traced end too early and are not to be traced ``again``.
@@ -1123,7 +1123,7 @@ class PathTracing(Tracer):
     def observe_in_groups(
         self, alpha: Array, number: int, match: Sequence[str] = MATCH, *, seed: int = 0
     ) -> Array:
-        """Return what groups of the paths hear, (number, n_parameters, n_pairs, n_bands).
+        """Return the values by groups of the paths, (number, n_parameters, n_pairs, n_bands).
 
         Their differences are the noise of as many paths. ``number`` divides ``n_batches``.
         """
@@ -1172,7 +1172,7 @@ class PathTracing(Tracer):
     ) -> Array:
         """Return the derivatives of `observe` by the scattering of each material.
 
-        By its log odds ln(s / (1 - s)), which are changed by as much in all bands. They come from the
+        The derivatives are by the log odds ln(s / (1 - s)), alike in all bands. They come from the
         paths of `observe`, of ``number`` independent groups, which divides ``n_batches``: their mean is
         the derivative, their differences its noise. Materials with s = 0 or 1 have 0. See
         `Paths.gradient`.

@@ -46,7 +46,7 @@ class RayTracing(Tracer):
     Parameters
     ----------
     geometry, room, sources, receivers, n_batches, scattering
-        As of `rtcal.simulators.PathTracing`. Sources are omnidirectional. Bands with equal scattering
+        See `rtcal.simulators.PathTracing`. Sources are omnidirectional. Bands with equal scattering
         coefficients are traced together.
     n_rays : int
         Rays per source.
@@ -88,7 +88,7 @@ class RayTracing(Tracer):
         """Return energy decays, (n_batches, n_sources, n_receivers, n_bands, n_bins), in 1/m².
 
         The source has unit energy. The first bin starts with the direct sound, whose mean energy is
-        1/(4 pi r²). Later energy is up to twice too high, since scattered sound is heard twice.
+        1/(4 pi r²). Later energy is up to twice too high, since scattered sound is counted twice.
         """
         alpha = np.maximum(check_alpha(self, alpha), LEAST_ALPHA)
         check_seconds(seconds)

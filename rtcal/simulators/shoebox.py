@@ -219,7 +219,7 @@ class ImageSource(ShoeboxSimulator):
     Parameters
     ----------
     room, sources, receivers
-        As of `ShoeboxSimulator`.
+        See `ShoeboxSimulator`.
     duration : float
         Length of the decay in s after the direct sound. A decay of two thirds of T holds T20. The
         number of images grows with the cube of the duration.
@@ -448,7 +448,7 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
 
         p- = beta (A (p+ + p_S / 2)),   A = (2/5) 1 1' - I,   beta = sqrt(1 - alpha).
 
-    The receiver hears (2/5) sum p-. The gain is 1/d from the source to a node,
+    The receiver gets (2/5) sum p-. The gain is 1/d from the source to a node,
     1/(1 + d_nr/d_sn) from a node to the receiver, 1 between nodes, and 1/d along the line of sight.
     Air attenuates every line by exp(-m d / 2). Delays are d fs / c, rounded so that first-order
     reflections arrive within half a sample.
@@ -462,7 +462,7 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
     Parameters
     ----------
     room, sources, receivers
-        As of `ShoeboxSimulator`.
+        See `ShoeboxSimulator`.
     sampling_rate : float
         In Hz. Delays are whole samples, so the mean free path 4V/S needs at least 10 samples.
     line_of_sight : bool

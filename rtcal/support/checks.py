@@ -112,7 +112,13 @@ def content(place: str, value: object) -> bytes:
 def instance(place: str, value: object, kind: type[T]) -> T:
     """Return an instance of one of rtcal's classes; DataError for anything else."""
     if not isinstance(value, kind):
-        raise DataError(f"{place} = {shown(value)} is not a {public_name(kind)}")
+        wrong = f"{place} = {shown(value)} is not a {public_name(kind)}"
+        if type(value).__module__.startswith("rtcal."):
+            wrong += f", but a {public_name(type(value))}"
+            wrong += ": are the arguments exchanged?" * (kind.__name__ in ("Room", "Measurement"))
+        elif isinstance(value, str | os.PathLike) and hasattr(kind, "from_file"):
+            wrong += f": {public_name(kind)}.from_file reads one"
+        raise DataError(wrong)
     return value
 
 

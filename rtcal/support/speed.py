@@ -120,7 +120,11 @@ def bar(
     def log() -> None:
         patience = PATIENCE
         while not ended.wait(patience):
-            say(str(unseen) if unseen.total else f"no {unit} is done yet")
+            say(
+                str(unseen).replace(", about ? left", "")
+                if unseen.total
+                else f"no {unit} is done yet"
+            )
             patience *= 2
 
     threading.Thread(target=log, daemon=True).start()

@@ -38,7 +38,7 @@ def test_a_calibrations_numbers_have_cells(result, tmp_path) -> None:
 def test_a_loop_has_its_bands_and_what_was_simulated(loop_result, tmp_path) -> None:
     pages.write_workbook(loop_result.save(tmp_path), tmp_path / "loop.xlsx")
     book = openpyxl.load_workbook(tmp_path / "loop.xlsx")
-    left = rows_of(book, "By band")["gap / JND"]
+    left = rows_of(book, "By band")["deviation / JND"]
     np.testing.assert_allclose(left, loop_result.gap, atol=1e-12)
     assert "Absorption coefficients" in book.sheetnames
 

@@ -29,7 +29,7 @@ FORMATS: dict[str, tuple[ModuleType, dict[str, str]]] = {
     "bras": (bras, {}),
 }
 HALF_OF_THE_LAST_DECIMAL = 0.0005
-OF_GEOMETRY = ("surfaces", "dimensions")
+OF_GEOMETRY = ("no place", "volume changed", "area changed")
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def test_a_file_of_a_corrected_room_is_the_room(
         np.testing.assert_allclose(report.reverberation_time_as_read, read, rtol=1e-12)
         # d ln T / d alpha is largest where little absorbs: the decimals' share of what does.
         model = made.simulator().simulate(room.alpha).mean("t20")[shared]
-        if not [line for line in made.notes if not line.startswith(OF_GEOMETRY)]:
+        if all(note.code in OF_GEOMETRY for note in made.notes):
             np.testing.assert_allclose(rows, model, rtol=1e-9)
         absorbed = room.areas @ room.alpha[:, shared]
         share = HALF_OF_THE_LAST_DECIMAL * room.total_area / absorbed

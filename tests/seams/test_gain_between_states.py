@@ -61,7 +61,7 @@ def test_the_gain_of_one_source_leaves_out_its_level_alone(
     got, other = (found(before, with_gain(after, {"S2": gain})) for gain in (5.0, 50.0))
     assert [*got.reasons[0].values["gains"]] == ["S2"]
     assert other.surfaces == pytest.approx(got.surfaces, abs=1e-9)
-    assert got.claimed_surfaces == ("east",)
+    assert got.identified_surfaces == ("east",)
 
 
 @pytest.mark.long

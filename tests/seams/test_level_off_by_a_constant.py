@@ -50,5 +50,5 @@ def test_what_a_room_may_do_is_not_told_so() -> None:
 
 def test_a_level_that_fits_the_stated_room_is_not_told_so() -> None:
     """A noise floor lengthens T. It had been said that G is 8 dB below what T gives."""
-    case, _ = rt.datasets.hidden_room("named")
+    case, _ = rt.datasets.hidden_room("identified")
     assert _off_levels(problem(case)) == []

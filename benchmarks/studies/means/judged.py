@@ -244,14 +244,14 @@ def hidden_in(rooms: Iterable[Judged]) -> list[Judged]:
 LINES: dict[str, Callable[[list[Judged]], Iterable[bool]]] = {
     "nothing hidden, flagged": lambda rooms: (r.flagged for r in rooms if r.nothing),
     "hidden, detected": lambda rooms: (r.flagged for r in hidden_in(rooms)),
-    "a single name claimed: right": lambda rooms: (r.truth_in_set for r in rooms if r.single),
-    "a family claimed: right": lambda rooms: (
+    "a single effect identified: right": lambda rooms: (r.truth_in_set for r in rooms if r.single),
+    "a group identified: right": lambda rooms: (
         r.truth_in_set for r in rooms if r.row["verdict"] == "family"
     ),
     "candidates only: the truth among them": lambda rooms: (
         r.truth_in_set for r in rooms if r.row["verdict"] == "ambiguous"
     ),
-    "in no library: a name or family claimed": lambda rooms: (
+    "in no library: an effect or group identified": lambda rooms: (
         r.row["verdict"] in FLAGS[:2] for r in rooms if UNKNOWN in r.truths
     ),
     "alpha with the effect no worse than without": lambda rooms: (

@@ -1,4 +1,4 @@
-"""The two cases of `rtcal example told`: by what rule they were picked, and what the finder said.
+"""The two cases of `rtcal example identified`: by what rule they were picked, and what the finder said.
 
     python -m benchmarks.studies.means.shipped_cases   # writes rtcal/datasets/hidden_room; some minutes
     python -m benchmarks.studies.means.shipped_cases --dry  # prints the table alone
@@ -38,7 +38,7 @@ def kinds() -> list[int]:
 
 
 def main(*, dry: bool) -> None:
-    wanted: dict[str, Any] = {"named": None, "not_told": None}
+    wanted: dict[str, Any] = {"identified": None, "not_identified": None}
     print(f"{'hidden':20s} {'verdict':10s} {'effect':18s} score / nats")
     for kind in kinds():
         made = build(POPULATION, kind, 0)
@@ -48,10 +48,10 @@ def main(*, dry: bool) -> None:
             f"{finding.score:.1f}",
             flush=True,
         )
-        if finding.verdict == "named" and wanted["named"] is None:
-            wanted["named"] = made
-        if finding.verdict in CLAIMS_NOTHING and wanted["not_told"] is None:
-            wanted["not_told"] = made
+        if finding.verdict == "named" and wanted["identified"] is None:
+            wanted["identified"] = made
+        if finding.verdict in CLAIMS_NOTHING and wanted["not_identified"] is None:
+            wanted["not_identified"] = made
         if all(wanted.values()):
             break
     if dry:

@@ -198,6 +198,7 @@ def plan(
     change = checks.number("change", change)
     if not 0 < change <= 1:
         raise DataError(f"change = {change:g} is not above 0 and at most 1 (a share of T)")
+    checks.instance("case", case, Case)
     hours = _checked_costs(costs)
     if finding is not None and finding.case is not case:
         raise DataError("finding is of another case: state the case that it was found in")

@@ -318,7 +318,7 @@ def predict_hypotheses(
         if lost is not None:
             culprit = "the case's model" if lost == 0 else f'effect "{names[lost]}"'
             raise DataError(
-                f"{culprit} has no finite T, C80 and G with {parameters[lost] or 'what is stated'} in "
+                f"{culprit} has no finite T, C80 and G with {parameters[lost] or 'the input'} in "
                 f"a room of {case.room.volume:g} m³ with {case.room.total_area:g} m² of walls"
             )
         for array in (predicted.features, predicted.slopes, predicted.jacobian):
@@ -347,7 +347,7 @@ def check_size(case: Case, n_hypotheses: int) -> None:
     if n_hypotheses > LARGEST_HYPOTHESES:
         raise DataError(
             f"{n_hypotheses} sets of parameters are to be tried in a room of {room.n_materials} "
-            f"materials; at most {LARGEST_HYPOTHESES} can be: state fewer effects or materials"
+            f"materials; at most {LARGEST_HYPOTHESES} can be: use fewer effects or materials"
         )
 
 

@@ -41,7 +41,7 @@ class Place:
 
 
 def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple[Place, ...]:
-    """Return places for a further receiver, the one that tells most first.
+    """Return places for a further receiver, the most informative first.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def _rivals(finding: Finding) -> list[Candidate]:
         if best is not None and finding.surfaces[name] > 0:
             out.append(best)
     if len(out) < 2:
-        raise DataError("at most one surface is in question; there is nothing to tell apart")
+        raise DataError("at most one surface is in question; there is nothing to distinguish")
     return out
 
 

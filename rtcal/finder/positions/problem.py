@@ -332,7 +332,7 @@ def materials(case: PositionsCase) -> list[ShiftHypothesis]:
                 weights=np.tile(towards(moved, alpha), (1, 1, len(members))),
                 odds=density / density.sum() * absorbed[row] / absorbed.sum() * odds,
                 sizes=factors,
-                unit="of what is stated",
+                unit="of the input",
                 parameters=[{"factor": float(factor)} for factor in factors],
                 error=0.1**2 + 0.15**2 * over_bands,
                 spectra=np.zeros((len(factors), 0)),

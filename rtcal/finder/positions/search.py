@@ -460,8 +460,8 @@ def find_by_positions(
 ) -> Finding:
     """Return what the positions say; ``means`` as `evidence_of_means`, None if they were not asked."""
     if controls is None:
-        named = progress and partial(progress, "reference simulations")
-        controls = controls_of(case, seed, cache, named)
+        reported = progress and partial(progress, "reference simulations")
+        controls = controls_of(case, seed, cache, reported)
     made = responses_of(case, seed, cache, progress)
     threshold = THRESHOLD if case.simulated is None else OF_PROGRAMS
 

@@ -93,7 +93,7 @@ def merged(geometry: Polyhedron, surfaces: Mapping[str, Faces]) -> str:
         return ""
     return (
         f"Taken together, since they lie in one plane and have one material: {'; '.join(said)}. "
-        "State surfaces to tell them apart."
+        "Name surfaces in [geometry.surfaces] to distinguish them."
     )
 
 
