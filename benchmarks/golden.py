@@ -162,7 +162,7 @@ def of_finding(finding: Any, gaps: bool) -> dict[str, Any]:
                 f"{place}, {quantity}": gaps
                 for p, place in enumerate(seen.places)
                 for q, quantity in enumerate(seen.quantities)
-                if np.isfinite(gaps := seen.sizes[:, 0, q, p]).all()
+                if np.isfinite(gaps := seen.sizes[-2:, 0, q, p]).all()
             },
             "alpha": seen.corrected.alpha,
             "plain alpha": seen.plain.alpha,

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder import Case, Configuration, recalibrate
-from rtcal.finder.effects import IN_RUN, AppliedEffect, NonDiffuse
+from rtcal.finder import Case, Configuration, recalibrate, verify
+from rtcal.finder.effects import IN_RUN, AppliedEffect, NonDiffuse, Opening
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import features_of, observe
 from rtcal.finder.means.recalibration import plain
+from rtcal.finder.verification import residual_map
+from rtcal.report import figures
 from rtcal.support.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(6)
@@ -218,3 +220,47 @@ def test_a_field_less_diffuse_than_the_programs_is_no_error_of_the_room() -> Non
     finding = rt.find(case, controls=controls())
     assert finding.verdict == "hint"
     assert str(finding).startswith("Nothing of the room is identified: what differs may be the")
+
+
+@pytest.fixture(scope="module")
+def absorber() -> Finding:
+    """A finding with a run in which an opening is missing, and C80 and G were measured."""
+    room = hall()
+    whole = Configuration(name="as measured", measured=measurement(values_of(room)))
+    opened = AppliedEffect(Opening(), {"area": 250.0})
+    t20, edt, t30, c80, g = features_of(Case(room=room, configurations=[whole]), [opened])[0]
+    t = np.exp(t20)
+    measured = {"t20": t, "edt": t * np.exp(edt), "t30": t * np.exp(t30), "c80": c80, "g": g}
+    return found(measured, values_of(room))
+
+
+def test_three_models_are_compared_with_and_without_a_second_run(absorber: Finding) -> None:
+    first = absorber.case.configurations[0]
+    seen = verify(absorber)
+    assert seen.models == ("as stated", "calibrated", "corrected and calibrated")
+    again = verify(absorber, simulated=first.measured)
+    assert again.models == ("as simulated", "calibrated", "corrected")
+    assert again.runs == ("as simulated", "corrected")
+    np.testing.assert_allclose(again.by_seed[1], seen.by_seed[1])
+    assert again.after == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(residual_map(again), 0, atol=0.1)
+    worse = verify(absorber, simulated=first.simulated.simulated)
+    assert worse.after == pytest.approx(float(again.by_seed[0, 0]))
+    assert worse.verdict != "supported"
+    assert worse.misses
+    both = verify(absorber, simulated=first.measured, calibrated=first.simulated.simulated)
+    assert both.runs == both.models
+    assert both.before == pytest.approx(float(again.by_seed[0, 0]))
+    assert "calibrated is a run, too" in str(both)
+    drawn = figures.bars(again)
+    assert [t.get_text() for t in drawn.axes[0].get_xticklabels()] == [*again.models]
+
+
+def test_a_second_run_needs_a_first_one(absorber: Finding) -> None:
+    first = absorber.case.configurations[0]
+    without = replace(first, simulated=None)
+    bare = replace(absorber, case=replace(absorber.case, configurations=[without]))
+    with pytest.raises(DataError, match="the finding has no run"):
+        verify(bare, simulated=first.measured)
+    with pytest.raises(DataError, match="calibrated is a run to be compared"):
+        verify(absorber, calibrated=first.measured)

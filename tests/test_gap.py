@@ -189,7 +189,7 @@ def with_gap(
     """Return a verification with these gaps at what was held out, and a claimed family."""
     rows = [seen.quantities.index(quantity) for quantity in gaps]
     values, counted = seen.gaps.copy(), np.zeros_like(seen.counted)
-    values[:, 0, rows, 0] = np.transpose([*gaps.values()])[:, :, None] if gaps else 0.0
+    values[-2:, 0, rows, 0] = np.transpose([*gaps.values()])[:, :, None] if gaps else 0.0
     counted[rows, 0] = True
     claims = replace(seen.finding, verdict="family", family="added absorption")
     return of_means(

@@ -342,6 +342,11 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
 @click.command(short_help="Compare the deviations with and without what was found.")
 @takes(
     "FOUND",
+    "simulated",
+    file(
+        "calibrated",
+        "With --simulated, what the program gave of the model calibrated without the correction.",
+    ),
     "before",
     file(
         "after",
@@ -350,13 +355,22 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     ),
     writes=False,
 )
-def verify(found: str, before: str | None, after: str | None) -> None:
+def verify(
+    found: str,
+    before: str | None,
+    after: str | None,
+    simulated: str | None,
+    calibrated: str | None,
+) -> None:
     """Add the named effect, calibrate again, and compare the deviations that alpha cannot remove.
 
     FOUND is what `rtcal find --out` wrote. The verification shows whether the model gets better, not
     whether the name is right, so the rivals are printed too. If there is nothing to add, the output
     says so. With a geometry, half of the pairs are fitted and the others predicted. Of two states, too;
     or the finding predicts further pairs, measured --before and --after.
+
+    Of a finding with a run, --simulated is what the same program gave of the corrected model, which
+    `rtcal apply` describes: then the two runs are compared.
 
     Example: rtcal verify found
     """
@@ -371,6 +385,10 @@ def verify(found: str, before: str | None, after: str | None) -> None:
             raise DataError("--before and --after belong together: the same pairs in both states")
         measured: Any = {"before": read_measured(before), "after": read_measured(after)}
         verification = finder.verify(finding, **measured)
+    runs = {"simulated": simulated, "calibrated": calibrated}
+    if some := {name: read_measured(path) for name, path in runs.items() if path is not None}:
+        with errors_name_options(*runs):
+            verification = finder.verify(finding, **some)
     if verification is None:
         why, nothing = finding.refusal, ""
         if why is None and finding.kind == "means" and not finding.can_be_verified:

@@ -8,9 +8,10 @@ Of means over positions these are C80 and G, and each configuration but the firs
 anew to the rest, both models are calibrated to the rest, and the part is predicted. T20, EDT and T30 of
 one configuration leave nothing to hold out: the shape of a decay fits a coupled room, a field that is
 not diffuse and a noise floor alike. Of a case with further parameters or bands these are held out, and
-the effect stays as it was found. At positions and of two states half of the pairs search again, and the
-others are predicted: at positions by a model that is traced and calibrated anew, of two states by the
-shift of ln T.
+the effect stays as it was found. What the user's program gives of the corrected model may take the
+place of that model. At positions and of two states half of the pairs search again, and the others are
+predicted: at positions by a model that is traced and calibrated anew, of two states by the shift of
+ln T.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ import inspect
 import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import import_module
 from typing import Any, ClassVar, NamedTuple
 
@@ -36,6 +38,7 @@ from rtcal.acoustics.observables import (
     parameter_label,
 )
 from rtcal.acoustics.priors import NORMAL_90
+from rtcal.acoustics.run import Run
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.finder.apply import corrected_geometry
@@ -47,6 +50,8 @@ from rtcal.finder.means.problem import (
     MeansProblem,
     ObservedFeatures,
     evaluate,
+    features_of,
+    features_of_values,
     observe,
     predict_hypotheses,
     predict_in,
@@ -173,9 +178,13 @@ class Verification(Result):
         Of two states, notes of the case that was held out.
     plain, corrected : Recalibrated or None
         Of means, the calibrations to all data without and with what was found.
+    runs : tuple of str
+        Of means, which of the ``models`` are runs of a program.
+    features : array (n_configurations, n_features, n_bands) or (0,)
+        Of means, those of the last model, with the model's bias.
     """
 
-    record_kind: ClassVar[str] = "verification 7"
+    record_kind: ClassVar[str] = "verification 8"
 
     finding: Finding
     models: tuple[str, ...]
@@ -194,6 +203,8 @@ class Verification(Result):
     notes: tuple[str, ...] = ()
     plain: Recalibrated | None = None
     corrected: Recalibrated | None = None
+    runs: tuple[str, ...] = ()
+    features: Array = field(default_factory=partial(np.zeros, 0))
 
     @property
     def sizes(self) -> Array:
@@ -251,7 +262,7 @@ class Verification(Result):
         doubts = []
         if self.after > _PREDICTED:
             doubts.append(Reason("still missed", {"gap": self.after}))
-        held_out = mean_of_known(np.where(self.counted, self.sizes[:, 0], np.nan), 2)
+        held_out = mean_of_known(np.where(self.counted, self.sizes[-2:, 0], np.nan), 2)
         for quantity, (one, other) in zip(self.quantities, held_out.T, strict=True):
             if other - one > LEAST_SHRINKAGE:
                 doubts.append(
@@ -338,17 +349,19 @@ def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verifi
         Of means: with further parameters or bands of the same configurations, which are then held out;
         by default the finding's own, parts of which are held out in turn.
     **options
-        At positions: ``seeds`` of the simulator, over which the spread is the noise of the tracing;
-        ``cache`` and ``progress`` as for `rtcal.find`. Of two states: ``before`` and ``after``, of
-        which the finding predicts the pairs that it had not; ``seed`` of the samples from which the
-        intervals come.
+        Of means with a run: ``simulated``, what the program gave of the corrected model, and perhaps
+        ``calibrated``, what it gave of the model calibrated without the correction; else that is the
+        first run, moved as the equation says. Both are of the first configuration. At positions:
+        ``seeds`` of the simulator, over which the spread is the noise of the tracing; ``cache`` and
+        ``progress`` as for `rtcal.find`. Of two states: ``before`` and ``after``, of which the finding
+        predicts the pairs that it had not; ``seed`` of the samples from which the intervals come.
 
     Raises
     ------
     DataError
         Where there is nothing to add; of two or more effects; for fewer than four pairs, or fewer than
         two that are new; where one of two states is missing, or ``case`` has other configurations or
-        bands; for an option that such a finding does not have.
+        bands; for an option that such a finding does not have; for runs beside a finding without one.
 
     Examples
     --------
@@ -415,8 +428,20 @@ def _parts_of(case: Case, used: NDArray[np.bool_], fitted: NDArray[np.bool_]) ->
     return out
 
 
+MODELS = ("input", "calibrated", "corrected and calibrated")
+"""The models whose gaps are compared."""
+OF_RUNS = ("as simulated", "calibrated", "corrected")
+"""The same, where the corrected model was simulated by the user's program."""
+
+
 @single_threaded_blas()
-def _of_means(finding: Finding, case: Case | None = None) -> Verification:
+def _of_means(
+    finding: Finding,
+    case: Case | None = None,
+    *,
+    simulated: Measurement | None = None,
+    calibrated: Measurement | None = None,
+) -> Verification:
     """Compare the model with and without the best effect."""
     if not finding.can_be_added:
         raise DataError(f'the verdict is "{finding.verdict}"; there is no effect to add')
@@ -434,15 +459,28 @@ def _of_means(finding: Finding, case: Case | None = None) -> Verification:
             f"case has {len(case.configurations)} configurations in {case.room.n_bands} bands; the "
             f"finding has {len(own.configurations)} in {own.room.n_bands}"
         )
+    if simulated is None and calibrated is not None:
+        raise DataError(
+            "calibrated is a run to be compared with that of the corrected model: simulated"
+        )
+    runs = [None if of is None else _second_run(case, of) for of in (calibrated, simulated)]
     before, after = plain(case), recalibrate(finding.with_effects(case), finding.discrepancy)
     bias = finding.discrepancy.bias.reshape(used.shape)
     # Plain calibration has bent alpha for the model's bias in T as well.
     usual = before.features + np.where(np.arange(len(FEATURES)) == _T20, 0.0, 1.0)[:, None] * bias
-    measured = np.where(used, observed.features, np.nan)
+    usual = usual if runs[0] is None else runs[0]
+    measured, stated = np.where(used, observed.features, np.nan), features_of(case)
+    # A run as it is has no bias: it is what the program gave.
+    stated = stated if simulated is not None else stated + bias
+    for run in runs:
+        measured = measured if run is None else np.where(np.isnan(run), np.nan, measured)
+
+    def last(corrected: Recalibrated) -> Array:
+        return corrected.features + bias if runs[1] is None else runs[1]
 
     def gaps_of(corrected: Recalibrated) -> Array:
-        """Return the gaps in JND, (2, n_configurations, n_features, n_bands)."""
-        return _in_jnd(np.array([usual, corrected.features + bias]) - measured)
+        """Return the gaps in JND, (3, n_configurations, n_features, n_bands)."""
+        return _in_jnd(np.array([stated, usual, last(corrected)]) - measured)
 
     gaps, counted = gaps_of(after), np.zeros_like(used)
     parts = _parts_of(case, used, fitted)
@@ -466,17 +504,38 @@ def _of_means(finding: Finding, case: Case | None = None) -> Verification:
         check = gap_check(problem, found, part.counted[used])
         errors += [check.uncertainty] * int(part.counted.any(axis=2).sum())
         predictive += check.predictive
-    return of_means(
+    made = of_means(
         finding,
         np.ascontiguousarray(gaps.swapaxes(1, 2)[:, np.newaxis]),
-        np.asarray(counted.any(axis=2)).T,
+        np.asarray((counted & np.isfinite(measured)).any(axis=2)).T,
         float(np.mean(errors)),
         predictive,
-        _misses_of_means(case, observed, bias, after),
+        _misses_of_means(case, observed, last(after)),
         [part.words for part in parts],
         before=before,
         after=after,
     )
+    made = replace(made, features=last(after))
+    if simulated is None:
+        return made
+    of_program = [run is not None for run in (simulated, calibrated, simulated)]
+    names = tuple(n for n, is_run in zip(OF_RUNS, of_program, strict=True) if is_run)
+    return replace(made, models=OF_RUNS, runs=names)
+
+
+def _second_run(case: Case, simulated: Measurement) -> Array:
+    """Return a second run's features, (n_configurations, n_features, n_bands); NaN without any."""
+    first = case.configurations[0]
+    if first.simulated is None:
+        raise DataError(
+            "the finding has no run beside which another one stands: search with simulated, too"
+        )
+    run, _ = Run(first.simulated.room, simulated).beside(first.measured)
+    if run.time_label != first.measured.time_label:
+        raise DataError(f"simulated has no {first.measured.time_label}, which was measured")
+    out = np.full((len(case.configurations), len(FEATURES), case.room.n_bands), np.nan)
+    out[0] = features_of_values(run)
+    return out
 
 
 def _in_jnd(off: Array) -> Array:
@@ -507,7 +566,7 @@ def of_means(
     names = zip(*(feature_names(c.measured) for c in configurations), strict=True)
     return Verification(
         finding=finding,
-        models=("plain", "corrected"),
+        models=MODELS,
         held_out=tuple(held_out),
         quantities=tuple(" or ".join(dict.fromkeys(name)) for name in names),
         places=tuple(c.name for c in configurations),
@@ -523,15 +582,13 @@ def of_means(
     )
 
 
-def _misses_of_means(
-    case: Case, observed: ObservedFeatures, bias: Array, corrected: Recalibrated
-) -> list[Miss]:
+def _misses_of_means(case: Case, observed: ObservedFeatures, features: Array) -> list[Miss]:
     """Return the T to which the corrected model was matched and which it misses."""
     u = np.full(observed.used.shape, np.nan)
     u[observed.used] = np.sqrt(np.diag(observed.covariance))
     out, several = list[Miss](), len(case.configurations) > 1
     for c, configuration in enumerate(case.configurations):
-        model = corrected.features[c, _T20] + bias[c, _T20]
+        model = features[c, _T20]
         measured = np.where(observed.used[c, _T20], observed.features[c, _T20], np.nan)
         time, spread = np.exp(measured), u[c, _T20]
         out += _missed(
@@ -545,10 +602,12 @@ def _misses_of_means(
     return out
 
 
-def residual_map(finding: Finding, after: Recalibrated) -> Array:
-    """Return corrected model less measured over its standard deviation, as `Finding.residuals`."""
-    case = finding.with_effects()
-    predicted = replace(predict_hypotheses(case, []), features=after.features[None])
+def residual_map(verified: Verification) -> Array:
+    """Return the last model less measured over its standard deviation, as `Finding.residuals`."""
+    finding = verified.finding
+    case, bias = finding.with_effects(), finding.discrepancy.bias
+    features = verified.features - bias.reshape(verified.features.shape)
+    predicted = replace(predict_hypotheses(case, []), features=features[None])
     problem = MeansProblem(case, observe(case)[0], predicted, finding.discrepancy)
     return problem.standardized_residuals()
 
@@ -694,10 +753,6 @@ def _at_positions(
         finished("search in half of the pairs")
     gaps = _gaps_at_positions(finding, halves, added, chosen, finished)
     return at_positions(finding, gaps, added, halves)
-
-
-MODELS = ("input", "calibrated", "corrected and calibrated")
-"""The models whose gaps are compared at positions."""
 
 
 def at_positions(

@@ -632,12 +632,12 @@ def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
 
 
 def bars(verification: Verification, axes: Any = None) -> Any:
-    """Return the three bars: the mean deviation at held-out pairs: input, calibrated, corrected.
+    """Return the three bars: the mean deviation at what was not fitted: input, calibrated, corrected.
 
     Whiskers are the range over the simulator's seeds.
     """
     if axes is None:
-        _, axes = new_figure(6.0, 3.8)
+        _, axes = new_figure(5.2, 3.8)
     looks = (("0.7", ""), (BLUE, "//"), (GREEN, ".."))
     for x, (gaps, (colour, hatch)) in enumerate(zip(verification.by_seed, looks, strict=True)):
         mean, top = float(gaps.mean()), float(gaps.max())
@@ -647,8 +647,10 @@ def bars(verification: Verification, axes: Any = None) -> Any:
         _note(axes, f"{mean:.2f}", (x, top), (0, 6), ha="center")
     axes.axhline(1.0, color=BLACK, linestyle=":", linewidth=1)
     _note(axes, "1 JND", (1.5, 1.0), (0, 3), ha="center")
-    axes.set_xticks(range(3), ("input", "calibrated", "corrected\nand calibrated"))
-    axes.set_ylabel("Mean deviation at pairs not fitted / JND")
+    names = [n.replace("as stated", "input").replace(" and", "\nand") for n in verification.models]
+    axes.set_xticks(range(3), names)
+    what = "data" if verification.finding.kind == "means" else "pairs"
+    axes.set_ylabel(f"Mean deviation at {what} not fitted / JND")
     axes.margins(y=0.15)
     return axes.figure
 

@@ -44,11 +44,11 @@ from rtcal.support.types import Array
 
 PAGE = "report.html"
 _FIGURES = {
-    "means": ("reverberation_time", "shifts"),
+    "means": ("gap", "reverberation_time", "shifts"),
     "positions": ("plan", "gap"),
     "states": ("change",),
 }
-WRITTEN = (NUMBERS, PAGE, *(f"{name}.png" for names in _FIGURES.values() for name in names))
+WRITTEN = (NUMBERS, PAGE, *{f"{n}.png": 0 for names in _FIGURES.values() for n in names})
 """The files of a finding, each kind some of them."""
 _SUBJECTS = {
     "means": "what the room-acoustic model may lack",
@@ -182,7 +182,7 @@ def _of_means(
         )
         for name, p in finding.probabilities.items()
     ]
-    after = None if verification is None else residual_map(finding, verification.calibrations[1])
+    after = None if verification is None else residual_map(verification)
     return [
         *_corrected(finding, verification),
         SideBySide([[picture] for picture in drawn]),
@@ -315,7 +315,9 @@ def _pictures_of_means(finding: Finding, verified: Verification | None) -> list[
     """Return the figures; those of shifts and T need a verification."""
     if verified is None:
         return []
+    tested = [] if np.isnan(verified.before) else [_bars(verified, "data")]
     return [
+        *tested,
         Picture(
             lambda: figures.corrected_times(verified),
             "T(f). A calibration without the effect meets T whatever is missing: that proves nothing.",
@@ -352,16 +354,20 @@ def _pictures_at_positions(
     ]
     if verification is None:
         return drawn
-    before, plain, after = (f"{gap:.2f}" for gap in verification.by_seed.mean(axis=1))
-    bars = Picture(
-        lambda: figures.bars(verification),
-        "Mean deviation at pairs that were not fitted; whiskers are the range over the simulator's "
-        "seeds. The dotted line is 1 JND.",
-        f"Three bars of the mean deviation at pairs that were not fitted: {before} JND with the input "
-        f"coefficients, {plain} calibrated, {after} corrected and calibrated.",
+    return [_bars(verification, "pairs"), *drawn]
+
+
+def _bars(verified: Verification, what: str) -> Picture:
+    """Return the picture of the gap at ``what`` was not fitted, of each of the three models."""
+    each = zip(verified.by_seed.mean(axis=1), verified.models, strict=True)
+    of_seeds = "; whiskers are the range over the simulator's seeds" * (verified.gaps.shape[1] > 1)
+    return Picture(
+        lambda: figures.bars(verified),
+        f"Mean deviation at {what} that were not fitted{of_seeds}. The dotted line is 1 JND.",
+        f"Three bars of the mean deviation at {what} that were not fitted: "
+        f"{listed([f'{gap:.2f} JND {model}' for gap, model in each])}.",
         name="gap",
     )
-    return [bars, *drawn]
 
 
 def write(

@@ -82,13 +82,26 @@ def _found_again(v: Verification) -> tuple[str, str]:
 def notes(v: Verification) -> list[str]:
     """Return what is to be known of the comparison."""
     if v.plain is not None and v.corrected is not None:
-        return [f"What was found: {support(v.finding, v.finding.candidates[0])}.", _of_time(v)]
+        found = f"What was found: {support(v.finding, v.finding.candidates[0])}."
+        return [found, _of_runs(v) if v.runs else _of_time(v)]
     return [*v.notes, *(_of_pairs(v) if v.halves else ())]
+
+
+def _of_runs(v: Verification) -> str:
+    """Return which models are runs of the program, and what the effect was sized with."""
+    one = "is a run, too"
+    if v.models[1] not in v.runs:
+        one = "is the first run, moved to the measured T as the equation says"
+    runs = listed([v.models[0], v.models[2]]).capitalize()
+    return (
+        f"{runs} are runs of the program; {v.models[1]} {one}. "
+        "The effect that was simulated had its size from all data."
+    )
 
 
 def _of_time(v: Verification) -> str:
     """Return whether the calibrations meet the fitted T."""
-    time, gap = v.quantities[0], v.sizes[0, 0, 0, 0]
+    time, gap = v.quantities[0], v.sizes[1, 0, 0, 0]
     if v.corrected is not None and v.corrected.off > _MET:
         return (
             f"The corrected model does not meet the fitted {time}: it is {v.corrected.off:.1f} times "

@@ -180,7 +180,8 @@ def offset_of(case: Case, configuration: Configuration) -> Array:
         return np.zeros((len(FEATURES), case.room.n_bands))
     at = state(replace(case, applied=()), configuration, run.room.alpha)
     return np.asarray(
-        _table(run.simulated) - predict([at], distances(case, configuration)).features[0]
+        features_of_values(run.simulated)
+        - predict([at], distances(case, configuration)).features[0]
     )
 
 
@@ -570,7 +571,7 @@ def _features(configuration: Configuration, origins: dict[str, list[str]]) -> tu
     if amount == "t20" and "t30" in m.values:
         both = SHARED_BY_T20_AND_T30 * common["t20"] * common["t30"]
         block[:, 0, 2] = block[:, 2, 0] = both
-    return _table(m), np.asarray(_RATIOS @ block @ _RATIOS.T)
+    return features_of_values(m), np.asarray(_RATIOS @ block @ _RATIOS.T)
 
 
 _RATIOS = np.eye(5)
@@ -582,7 +583,7 @@ def _amount(m: Measurement) -> str:
     return "t20" if "t20" in m.values else "t30"
 
 
-def _table(m: Measurement) -> Array:
+def features_of_values(m: Measurement) -> Array:
     """Return the features of a measurement or a run, (n_features, n_bands)."""
     amount = _amount(m)
     mean = {p: m.mean(p) for p in (*TIMES, *LEVELS)}
