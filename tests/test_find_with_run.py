@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,10 +18,12 @@ from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import features_of, observe
 from rtcal.finder.means.recalibration import plain
 from rtcal.finder.verification import residual_map
-from rtcal.report import figures
+from rtcal.report import figures, of_finding
 from rtcal.support.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(6)
+FEWER = ("membrane", "resonator", "curtain", "people", "audience", "covered surface")
+"""Effects that the laws do without: a search is quicker."""
 MATERIALS = ("audience", "walls", "ceiling")
 
 
@@ -71,6 +74,7 @@ def found(
 ) -> Finding:
     room = hall()
     simulated = None if run is None else rt.Run(room, rt.Measurement.from_values(F, **run))
+    more = {"without": FEWER, **more}
     return rt.find(room, measurement(measured), simulated=simulated, controls=controls(), **more)  # type: ignore[arg-type]
 
 
@@ -264,3 +268,16 @@ def test_a_second_run_needs_a_first_one(absorber: Finding) -> None:
         verify(bare, simulated=first.measured)
     with pytest.raises(DataError, match="calibrated is a run to be compared"):
         verify(absorber, calibrated=first.measured)
+
+
+def test_instructions_are_in_the_terms_of_the_program(absorber: Finding, tmp_path: Path) -> None:
+    """The list's old coefficients are those of the run; a run with the new ones has the measured T."""
+    _, _, files = of_finding.correct(absorber, tmp_path, effect=absorber.names[0])
+    text = files[tmp_path / "instructions.txt"].decode()
+    assert re.search(r"^opening, 3\d\d m² +0\.6", text, re.M)
+    old = next(line for line in text.splitlines() if line.startswith("walls, old"))
+    assert [float(v) for v in old.split()[2:]] == [0.05] * 6
+    assert "means over positions do not show where" in " ".join(text.split())
+    bare = replace(absorber.case.configurations[0], simulated=None)
+    without = replace(absorber, case=replace(absorber.case, configurations=[bare]))
+    assert tmp_path / "instructions.txt" not in of_finding.correct(without, tmp_path)[2]

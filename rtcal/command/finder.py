@@ -440,6 +440,9 @@ def apply(found: str, out: str, **options: Any) -> None:
     patch stands in the middle of its surface unless --place states its middle. Where the best
     family on one surface has less than 0.3, --effect or --place must be given.
 
+    Of a finding with a run, instructions.txt says what to change in the program's list of materials,
+    what to draw in it, and what neither can hold.
+
     Of two states, room.toml is the room of the second state: calibrated to what was measured before,
     with what changed.
 

@@ -829,6 +829,11 @@ class PositionsCase:
                 )
 
     @property
+    def has_run(self) -> bool:
+        """Whether another program's values stand in place of the simulator's."""
+        return self.simulated is not None
+
+    @property
     def room(self) -> Room:
         """The simulator's room: materials and the prior of their coefficients."""
         return self.simulator.room

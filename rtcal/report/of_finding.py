@@ -12,9 +12,10 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import parameter_label
-from rtcal.acoustics.room import MAX_BYTES
+from rtcal.acoustics.room import MAX_BYTES, Room
 from rtcal.files.disk import make_folder, write_all
 from rtcal.files.saved import NUMBERS
+from rtcal.finder.apply import Corrected
 from rtcal.finder.evidence import NONE
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.recalibration import recalibrate
@@ -37,7 +38,7 @@ from rtcal.report.document import (
     render,
 )
 from rtcal.report.finding_words import odds, percent
-from rtcal.support.blocks import Note, Row, Table
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.blocks import lines as lines_of
 from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
@@ -424,6 +425,57 @@ def _reproduced(finding: Finding, command: str) -> list[Any]:
     return [title, Files({"case.json": case}, said), Code("rtcal find case.json")]
 
 
+INSTRUCTIONS = "instructions.txt"
+"""File of what to change in the program, where a run of the program was given."""
+_SAME = 5e-4
+"""Change of a coefficient that a list of materials, which has 0.1 %, does not hold."""
+
+
+def instructions(
+    finding: Finding, made: Corrected, room: Room, found: str = "FOUND"
+) -> list[Block]:
+    """Return what to change in the list of materials, what to draw, and what neither can hold.
+
+    ``room`` is the corrected room with the coefficients to simulate with; its first materials are those
+    of the run.
+    """
+    run = finding.case.room
+    if finding.kind == "means" and finding.case.configurations[0].simulated is not None:
+        run = finding.case.configurations[0].simulated.room
+    labels, old = (
+        bands.labels(room.centre_frequencies),
+        dict(zip(run.materials, run.alpha, strict=True)),
+    )
+    rows, new = list[Row](), list[Row]()
+    for name, area, alpha in zip(room.materials, room.areas, room.alpha, strict=True):
+        if name not in old:
+            new.append(Row(f"{name}, {area:.3g} m²", alpha, ".3f"))
+        elif np.abs(alpha - old[name]).max() > _SAME:
+            rows += [Row(f"{name}, old", old[name], ".3f"), Row(f"{name}, new", alpha, ".3f")]
+    where = (
+        "anywhere: means over positions do not show where; spread it, or put it where it is likely"
+    )
+    if made.added is not None:
+        at = "in the middle of the surface"
+        if made.added.middle is not None:
+            at = f"about ({', '.join(f'{x:.2f}' for x in made.added.middle)}) m"
+        where = f'on "{made.surfaces[0]}", {at}' if made.form == "patch" else "the whole surface"
+        where += "" if made.form == "patch" else f' "{made.surfaces[0]}"'
+    out: list[Block] = [Note(f"What to change in the program for {words.title(finding)}.")]
+    if rows:
+        out += [Note("1. In the list of materials, change alpha:"), Table(labels, rows)]
+    else:
+        out.append(Note("1. In the list of materials, nothing changes."))
+    if new:
+        out += [Note(f"2. Draw a surface with a new material, {where}:"), Table(labels, new)]
+    else:
+        out.append(Note("2. Nothing is to be drawn."))
+    lost = [Note(f"- {as_sentence(note)}", "  ") for note in made.notes]
+    out += [Note("3. A list of materials cannot hold:"), *lost] if lost else []
+    then = f"Simulate again, and then: rtcal verify {found} --simulated corrected_run.csv"
+    return [*out, Note(then if finding.kind == "means" else "Simulate again.")]
+
+
 def correct(
     finding: Finding,
     out: Path,
@@ -471,6 +523,7 @@ def correct(
         lines += [f"{name}: {'. '.join(report.notes)}."] if report.notes else []
         lines += [f"{name} lacks: {', '.join(report.lost)}."] if report.lost else []
     record["corrected"] = made.to_dict()
+    room = made.room
     if made.model is not None:
         members = finding.chosen(effect)
         calibrated = None if verification is None else verification.corrected
@@ -484,4 +537,10 @@ def correct(
             *(f"Not in the room: {note}" for note in made.notes),
         ]
         record |= {"sentence": lines[0], "calibrated": calibrated.to_dict()}
-    return "\n".join(lines), record, made.contents(out)
+        room = calibrated.room
+    files = made.contents(out)
+    if finding.kind != "states" and finding.case.has_run:
+        said = lines_of(instructions(finding, made, room))
+        files[out / INSTRUCTIONS] = ("\n".join(said) + "\n").encode()
+        lines += ["", *said]
+    return "\n".join(lines), record, files
