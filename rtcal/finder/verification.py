@@ -515,12 +515,11 @@ def _of_means(
         before=before,
         after=after,
     )
-    made = replace(made, features=last(after))
     if simulated is None:
         return made
     of_program = [run is not None for run in (simulated, calibrated, simulated)]
     names = tuple(n for n, is_run in zip(OF_RUNS, of_program, strict=True) if is_run)
-    return replace(made, models=OF_RUNS, runs=names)
+    return replace(made, models=OF_RUNS, runs=names, features=last(after))
 
 
 def _second_run(case: Case, simulated: Measurement) -> Array:
@@ -579,6 +578,7 @@ def of_means(
         misses=tuple(misses),
         plain=before,
         corrected=after,
+        features=after.features + finding.discrepancy.bias.reshape(after.features.shape),
     )
 
 
