@@ -1116,7 +1116,7 @@ def _check(place: str, effect: Any) -> None:
             raise DataError(f"{where}: shares has {share:g}, which is not above 0 and at most 1")
 
 
-IN_RUN = "a geometrical program has it in its run"
+IN_RUN = "a geometrical program computes none"
 """Why an effect is not judged beside a run."""
 
 
