@@ -145,3 +145,11 @@ def test_a_level_without_its_reference_is_no_g(folder: Path) -> None:
                 centre_frequencies=given.centre_frequencies, pairs=given.pairs, values=values
             ),
         )
+
+
+def test_a_run_at_positions_has_the_coefficients_of_the_room(folder: Path) -> None:
+    case = read(folder)
+    assert case.simulated is not None
+    at = rt.Run(case.room.replace(alpha=0.9 * case.room.alpha), case.simulated)
+    with pytest.raises(DataError, match="at positions a run is at the room's own coefficients"):
+        rt.finder.case_of(case.room, case.measured, case.simulator, simulated=at)

@@ -386,7 +386,8 @@ def verify(
         measured: Any = {"before": read_measured(before), "after": read_measured(after)}
         verification = finder.verify(finding, **measured)
     runs = {"simulated": simulated, "calibrated": calibrated}
-    if some := {name: read_measured(path) for name, path in runs.items() if path is not None}:
+    some: dict[str, Any] = {n: read_measured(path) for n, path in runs.items() if path is not None}
+    if some:
         with errors_name_options(*runs):
             verification = finder.verify(finding, **some)
     if verification is None:

@@ -107,8 +107,7 @@ def find(
     if isinstance(room, Room):
         if measured is None:
             raise DataError("measured is missing: a room is compared with what was measured in it")
-        run = None if simulated is None else checks.instance("simulated", simulated, Run)
-        more: dict[str, Any] = {"simulated": run, "program": program}
+        more: dict[str, Any] = {"simulated": simulated, "program": program}
         case = case_of(room, measured, simulator, before, tracing=tracing, **more)
     elif any(of is not None for of in (measured, simulator, before, tracing, simulated)) or program:
         raise DataError(
