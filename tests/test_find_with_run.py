@@ -19,6 +19,7 @@ from rtcal.finder.means.problem import features_of, observe
 from rtcal.finder.means.recalibration import plain
 from rtcal.finder.verification import residual_map
 from rtcal.report import figures, of_finding
+from rtcal.report.document import Section, render
 from rtcal.support.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(6)
@@ -110,8 +111,8 @@ def test_what_the_equation_errs_by_is_not_blamed_on_the_room() -> None:
     said = str(finding).split("\n\n")[0]
     first = " ".join(said.split()).split(". ")[0]
     assert first == (
-        "Eyring's T is 20 % shorter than the program's at 125, 250, 500, 1000, 2000 and 4000 Hz, so "
-        "the equation has too little T, and the program agrees with the measurement"
+        "Eyring's T is 20 % shorter than the program's in all bands, so the equation has too little T, "
+        "and the program agrees with the measurement"
     )
     assert finding.not_judged["formula"] == IN_RUN
     assert "formula" not in finding.probabilities
@@ -281,3 +282,13 @@ def test_instructions_are_in_the_terms_of_the_program(absorber: Finding, tmp_pat
     bare = replace(absorber.case.configurations[0], simulated=None)
     without = replace(absorber, case=replace(absorber.case, configurations=[bare]))
     assert tmp_path / "instructions.txt" not in of_finding.correct(without, tmp_path)[2]
+
+
+def test_the_page_begins_with_where_run_and_measurement_disagree(absorber: Finding) -> None:
+    verification = verify(absorber)
+    made = of_finding.page(absorber, verification)
+    titles = [b.title for b in made.blocks if isinstance(b, Section)]
+    assert titles[:2] == ["Where run and measurement disagree", "The finding"]
+    text = render(made)
+    assert "T20 is" in text
+    assert "Three bars of the mean deviation at data that were not fitted" in text

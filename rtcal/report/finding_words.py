@@ -50,6 +50,7 @@ from rtcal.finder.states import ADDED
 from rtcal.finder.verification import Verification
 from rtcal.io.tables import unusual
 from rtcal.loop.measured_pairs import without_place
+from rtcal.report.of_comparison import where
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.text import as_sentence, first_of, listed
 from rtcal.support.types import Array
@@ -177,7 +178,7 @@ SENTENCES: dict[str, str] = {
     "curved": '"{configuration}": the decay is curved at {bands:and} (ISO 3382-2, Annex B: at most '
     "{most:.0f} %).",
     "run lacks": '"{configuration}": {parameters:and} left out, which the run lacks.',
-    EQUATION_OFF: "{equation}'s T is {by:range} {side} than the program's at {bands}.",
+    EQUATION_OFF: "{equation}'s T is {by:range} {side} than the program's {bands:where}.",
     "no air": "The room has no air, so the model's air absorbs nothing.",
     "means alone": "Means over positions identify {effect:name} ({probability:p}), which the "
     "differences between positions do not confirm.",
@@ -285,6 +286,8 @@ class _Forms(Formatter):
             return "; ".join(f"{', '.join(names)}: {origin}" for names, origin in every)
         if form == "unexplained":
             return unexplained(value)
+        if form == "where":
+            return where(*value)
         if form == "range":
             low, high = f"{min(value):.0f}", f"{max(value):.0f}"
             return f"{low} %" if low == high else f"{low} to {high} %"

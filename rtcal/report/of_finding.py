@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.comparison import compare
 from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import parameter_label
 from rtcal.acoustics.room import MAX_BYTES, Room
+from rtcal.acoustics.run import Run
 from rtcal.files.disk import make_folder, write_all
 from rtcal.files.saved import NUMBERS
 from rtcal.finder.apply import Corrected
@@ -21,7 +23,7 @@ from rtcal.finder.finding import Finding
 from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification, residual_map
-from rtcal.report import figures, room_view, verification_words
+from rtcal.report import figures, of_comparison, room_view, verification_words
 from rtcal.report import finding_words as words
 from rtcal.report.document import (
     Box,
@@ -83,6 +85,7 @@ def page(
     else:
         of_kind = _of_states(finding, drawn[1:])
     blocks = [
+        *_of_run(finding),
         Section("The finding", "finding"),
         Box(level, answer, more),
         Section("What it rests on", "basis", 3),
@@ -99,6 +102,20 @@ def page(
         *_reproduced(finding, command),
     ]
     return Page(room.name, room.author, _SUBJECTS[finding.kind], blocks)
+
+
+def _of_run(finding: Finding) -> list[Any]:
+    """Return where a program's run and the measurement disagree; nothing without a run."""
+    case = finding.case
+    if finding.kind == "states" or not case.has_run:
+        return []
+    if finding.kind == "positions":
+        run, measured = Run(case.room, case.simulated), case.in_room
+    else:
+        first = next(c for c in case.configurations if c.simulated is not None)
+        run, measured = first.simulated, first.measured
+    title = Section("Where run and measurement disagree", "disagreement")
+    return [title, *of_comparison.section(compare(case.room, measured, run))]
 
 
 def rests_on(finding: Finding, verification: Verification | None) -> list[str]:

@@ -802,7 +802,7 @@ def equation_off(case: Case, configuration: Configuration) -> list[Reason]:
                 "equation": mean_equation(case.equation).name,
                 "by": np.abs(100 * ratio[where]),
                 "side": side,
-                "bands": bands.hertz(case.room.centre_frequencies[where]),
+                "bands": (case.room.centre_frequencies, where, np.isfinite(ratio)),
             }
             out.append(Reason(EQUATION_OFF, values))
     return out
