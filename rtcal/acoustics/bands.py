@@ -151,6 +151,25 @@ def span(frequencies: Sequence[float] | Array) -> str:
     return f"{len(frequencies)} bands, {first} to {last} Hz"
 
 
+def where(f: Array, chosen: NDArray[np.bool_], known: NDArray[np.bool_]) -> str:
+    """Return bands in words, among those that are known.
+
+    Examples
+    --------
+    >>> f, every = np.array([125.0, 250.0, 500.0]), np.ones(3, dtype=bool)
+    >>> [where(f, np.array(some), every) for some in ([1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 1])]
+    ['at 250 Hz and below', 'at 250 Hz and above', 'at 125 and 500 Hz', 'in all bands']
+    """
+    at, among = np.flatnonzero(chosen), np.flatnonzero(known)
+    if len(at) > 1 and np.array_equal(at, among):
+        return "in all bands"
+    if len(at) > 1 and np.array_equal(at, among[: len(at)]):
+        return f"at {f[at[-1]]:g} Hz and below"
+    if len(at) > 1 and np.array_equal(at, among[-len(at) :]):
+        return f"at {f[at[0]]:g} Hz and above"
+    return f"at {hertz(f[at])}"
+
+
 def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") -> Array:
     """Return centre frequencies as an array (n_bands,) in Hz, checked and made nominal.
 

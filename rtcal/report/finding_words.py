@@ -50,7 +50,6 @@ from rtcal.finder.states import ADDED
 from rtcal.finder.verification import Verification
 from rtcal.io.tables import unusual
 from rtcal.loop.measured_pairs import without_place
-from rtcal.report.of_comparison import where
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.text import as_sentence, first_of, listed
 from rtcal.support.types import Array
@@ -287,7 +286,7 @@ class _Forms(Formatter):
         if form == "unexplained":
             return unexplained(value)
         if form == "where":
-            return where(*value)
+            return bands.where(*value)
         if form == "range":
             low, high = f"{min(value):.0f}", f"{max(value):.0f}"
             return f"{low} %" if low == high else f"{low} to {high} %"

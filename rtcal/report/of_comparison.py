@@ -67,7 +67,9 @@ def _groups(
     for sign, word in zip((-1, 1), words, strict=True):
         some = chosen & (np.sign(deviation) == sign)
         if some.any():
-            said.append(f"{_amount(deviation[some], parameter)} {word} {where(f, some, known)}")
+            said.append(
+                f"{_amount(deviation[some], parameter)} {word} {bands.where(f, some, known)}"
+            )
     return " and ".join(said)
 
 
@@ -82,25 +84,6 @@ def _amount(deviation: Array, parameter: str) -> str:
         sizes, unit, decimals = kind.jnd * np.abs(deviation), kind.unit, max(kind.decimals, 1)
     low, high = (f"{end:.{decimals}f}" for end in (sizes.min(), sizes.max()))
     return f"{low if low == high else f'{low} to {high}'} {unit}".rstrip()
-
-
-def where(f: Array, chosen: NDArray[np.bool_], known: NDArray[np.bool_]) -> str:
-    """Return bands in words, among those that are known.
-
-    Examples
-    --------
-    >>> f, every = np.array([125.0, 250.0, 500.0]), np.ones(3, dtype=bool)
-    >>> [where(f, np.array(some), every) for some in ([1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 1])]
-    ['at 250 Hz and below', 'at 250 Hz and above', 'at 125 and 500 Hz', 'in all bands']
-    """
-    at, among = np.flatnonzero(chosen), np.flatnonzero(known)
-    if len(at) > 1 and np.array_equal(at, among):
-        return "in all bands"
-    if len(at) > 1 and np.array_equal(at, among[: len(at)]):
-        return f"at {f[at[-1]]:g} Hz and below"
-    if len(at) > 1 and np.array_equal(at, among[-len(at) :]):
-        return f"at {f[at[0]]:g} Hz and above"
-    return f"at {bands.hertz(f[at])}"
 
 
 def _positions(c: Comparison, parameter: str) -> str:
@@ -142,7 +125,9 @@ def _coefficients(c: Comparison) -> list[str]:
         f = c.run.room.centre_frequencies
         found = [(p, chosen(p)) for p in c.parameters]
         known = {p: np.isfinite(c.deviation[p]) for p in c.parameters}
-        return [f"{parameter_label(p)} {where(f, at, known[p])}" for p, at in found if at.any()]
+        return [
+            f"{parameter_label(p)} {bands.where(f, at, known[p])}" for p, at in found if at.any()
+        ]
 
     if not any(at.any() for at in c.disagrees.values()):
         return []
