@@ -242,7 +242,7 @@ def absorber() -> Finding:
 def test_three_models_are_compared_with_and_without_a_second_run(absorber: Finding) -> None:
     first = absorber.case.configurations[0]
     seen = verify(absorber)
-    assert seen.models == ("as stated", "calibrated", "corrected and calibrated")
+    assert seen.models == ("input", "calibrated", "corrected and calibrated")
     again = verify(absorber, simulated=first.measured)
     assert again.models == ("as simulated", "calibrated", "corrected")
     assert again.runs == ("as simulated", "corrected")

@@ -647,7 +647,7 @@ def bars(verification: Verification, axes: Any = None) -> Any:
         _note(axes, f"{mean:.2f}", (x, top), (0, 6), ha="center")
     axes.axhline(1.0, color=BLACK, linestyle=":", linewidth=1)
     _note(axes, "1 JND", (1.5, 1.0), (0, 3), ha="center")
-    names = [n.replace("as stated", "input").replace(" and", "\nand") for n in verification.models]
+    names = [n.replace(" and", "\nand") for n in verification.models]
     axes.set_xticks(range(3), names)
     what = "data" if verification.finding.kind == "means" else "pairs"
     axes.set_ylabel(f"Mean deviation at {what} not fitted / JND")

@@ -487,7 +487,7 @@ def instructions(
         out += [Note(f"2. Draw a surface with a new material, {where}:"), Table(labels, new)]
     else:
         out.append(Note("2. Nothing is to be drawn."))
-    lost = [Note(f"- {as_sentence(note)}", "  ") for note in made.notes]
+    lost = [Note(f"- {as_sentence(str(note))}", "  ") for note in made.notes]
     out += [Note("3. A list of materials cannot hold:"), *lost] if lost else []
     then = f"Simulate again, and then: rtcal verify {found} --simulated corrected_run.csv"
     return [*out, Note(then if finding.kind == "means" else "Simulate again.")]
