@@ -394,3 +394,26 @@ PANEL = {
     ),
     "bras": (b"125,250,500\n0.3,%s,0.5\n", 1.0),
 }
+
+
+FORMATS = {"catt": catt, "odeon": odeon, "pyroomacoustics": pyroomacoustics, "bras": bras}
+
+
+@pytest.mark.parametrize("tried", FORMATS)
+def test_a_file_of_another_kind_is_named(tried: str, tmp_path: Path) -> None:
+    """A list of CATT given to `import odeon` was "not a number and a description"."""
+    room, _ = rt.datasets.bras_cr2()
+    files = {"room": tmp_path / "room.toml", "mesh": tmp_path / "room.obj"}
+    room.save(str(files["room"]))
+    rt.simulators.Polyhedron.shoebox((5, 4, 3), "plaster").save(files["mesh"])
+    for name, of in FORMATS.items():
+        files[name] = tmp_path / f"list.{name}"
+        of.write(room, files[name], missing_bands="nearest")
+    for name, path in files.items():
+        if name == tried:
+            assert FORMATS[tried].read(path).materials
+            continue
+        with pytest.raises(DataError) as refused:
+            FORMATS[tried].read(path)
+        named = f"`rtcal import {name}` reads it" if name in FORMATS else f"The file is a {name}"
+        assert named in str(refused.value)

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.acoustics.marks import far_from_neighbours, in_measurement, of_input
+from rtcal.command.main import cli
 from rtcal.io import tables
 from rtcal.report.finding_words import cautions
 from rtcal.support.text import as_sentence
@@ -211,3 +213,48 @@ def test_a_room_of_which_nothing_can_move_says_so() -> None:
     assert [mark.kind for mark in of_input(exact)] == ["fixed"]
     with pytest.raises(rt.errors.InfeasibleError, match=r"^Sigma is 0 for every coefficient: noth"):
         rt.calibrate(exact, USUAL)
+
+
+def test_a_fit_names_them_first() -> None:
+    hall = rt.datasets.halls.corridor()
+    tracer = rt.simulators.PathTracing(
+        room=hall.room,
+        geometry=hall.geometry,
+        sources=hall.sources,
+        receivers=hall.receivers,
+        n_paths=320,
+    )
+    simulated = tracer.simulate(hall.room.alpha, seed=1)
+    measured = rt.Measurement(
+        centre_frequencies=simulated.centre_frequencies,
+        values={"t20": 10 * simulated.values["t20"]},
+        pairs=simulated.pairs,
+    )
+    controls = rt.loop.ControlRuns(
+        parameters=("t20",),
+        pairs=tracer.pairs,
+        errors=0.1 * np.ones((4, 1, len(tracer.pairs), hall.room.n_bands)),
+    )
+    result = rt.calibrate_positions(
+        tracer, hall.room, measured, ("t20",), controls=controls, more_paths=1
+    )
+    assert result.warning.startswith("Likely a typing error: T is ")
+
+
+def test_nothing_changes_is_said_whether_t_was_measured_or_not() -> None:
+    """It was "T falls by 0 %, from 1.25 to 1.25 s" of the stated coefficients."""
+    room, measured = rt.datasets.bras_cr2()
+    for known in (room, rt.calibrate(room, measured)):
+        assert rt.prediction.predict(known, []).headline.startswith("Nothing changes: ")
+
+
+def test_a_state_that_is_given_twice_is_refused(tmp_path: Path) -> None:
+    room, measured = rt.datasets.bras_cr2()
+    files = [str(tmp_path / "room.toml"), str(tmp_path / "t.csv")]
+    room.save(files[0])
+    measured.save(files[1])
+    change = tmp_path / "v.toml"
+    change.write_text('[[variant]]\nname = "as it is"\n')
+    command = ["predict", *files, "--change", str(change), "--also", *files]
+    done = CliRunner().invoke(cli, command)
+    assert "this state is given twice" in str(done.exception)

@@ -148,7 +148,7 @@ def calibrated(
     room: Room, measured: str | None, also: tuple[tuple[str, str], ...], equation: LinearEquation
 ) -> CalibrationResult:
     """Return the calibration of a room to its measured T, and to that of further states."""
-    from rtcal.calibration.measured import tell_data
+    from rtcal.calibration.measured import tell_data, times_in_room
     from rtcal.calibration.methods import calibrate
     from rtcal.calibration.unknowns import Configurations
 
@@ -161,6 +161,15 @@ def calibrated(
     if not also:
         with without_air_warning():
             return calibrate(rooms[0], times[0], equation=equation)
+    given = [
+        (times_in_room(state, heard).fingerprint, state.areas.tolist())
+        for state, heard in zip(rooms, times, strict=True)
+    ]
+    for i, each in enumerate(given):
+        if each in given[:i]:
+            raise DataError(
+                f"--also {' '.join(also[i - 1])}: this state is given twice, and would count twice"
+            )
     every = [each.name for each in rooms]
     names = [
         f"{name} ({i})" if every.count(name) > 1 else name for i, name in enumerate(every, start=1)

@@ -24,7 +24,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.files.disk import json_numbers, json_text, make_folder, read_text, write_all
-from rtcal.files.schema import RESULT, expecting, json_object
+from rtcal.files.schema import MADE, RESULT, expecting, json_object
 from rtcal.support import __version__, checks
 from rtcal.support.blocks import Block, lines, notebook
 from rtcal.support.errors import DataError
@@ -140,7 +140,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     if place.is_dir():
         place /= NUMBERS
         if not place.exists():
-            raise DataError(f"folder {Path(path).resolve()} has no {NUMBERS}; `save` writes one")
+            raise DataError(f"folder {path} has no {NUMBERS}: {MADE}")
     with expecting(RESULT, place):
         return _result(json_object(read_text(place, MAX_BYTES)), place.parent)
 

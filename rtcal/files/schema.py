@@ -364,7 +364,7 @@ _HOLDS = {
 TABLE = "a table of values"
 _HINTS = dict(_HOLDS.values()) | {TABLE: "a measured table stands second, after the room"}
 RESULT = "a saved result"
-_MADE = (
+MADE = (
     "make one first, such as `rtcal calibrate room.toml t.csv --out calibrated` or `rtcal find "
     "room.toml t.csv --out found`"
 )
@@ -416,7 +416,7 @@ def expecting(kind: str, path: str | os.PathLike[str]) -> Iterator[None]:
     except DataError as error:
         found = kind_of(place)
         if found not in ("", kind):
-            hint = _MADE if kind == RESULT else _HINTS[found].format(place)
+            hint = MADE if kind == RESULT else _HINTS[found].format(place)
             other = OtherKindError(f"{place} is {found}, and {kind} is needed: {hint}")
             other.path, other.needed = place, kind
             raise other from error

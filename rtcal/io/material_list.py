@@ -57,6 +57,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -70,6 +71,7 @@ from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.priors import SigmaRule
 from rtcal.acoustics.room import Material, Room, Surface, above_one_hint, times_of
 from rtcal.files.disk import read_bytes, write_bytes
+from rtcal.files.schema import TABLE, kind_of
 from rtcal.io.table_columns import nearest_band
 from rtcal.io.text import MAX_TEXT, Text, decode, line_of, lines, number, shown
 from rtcal.support import checks, text
@@ -632,8 +634,15 @@ class Format:
         """Return the materials of a file; DataError names file, line and rule.
 
         ``selected`` is what the format's ``parse`` takes beside the content, such as ``where`` of BRAS.
+        A file of another kind is named.
         """
-        return self.parse(read_bytes(path, MAX_TEXT), os.fspath(path), **selected)
+        content = read_bytes(path, MAX_TEXT)
+        try:
+            return self.parse(content, os.fspath(path), **selected)
+        except DataError as error:
+            if kind := _kind(content, path, self):
+                raise DataError(f"{error}. The file is {kind}") from error
+            raise
 
     def write(
         self,
@@ -728,6 +737,21 @@ class Format:
             notes=tuple(notes),
             lost=_lost(room, lacking),
         )
+
+
+def _kind(content: bytes, path: str | os.PathLike[str], tried: Format) -> str:
+    """Return what a file is that is no list of the format that was tried; "" if that is not known."""
+    for name, other in {"catt": catt, "odeon": odeon, "pyroomacoustics": pyroomacoustics}.items():
+        if other is not tried:
+            with suppress(DataError):
+                other.parse(content)
+                return f"a list of {name}: `rtcal import {name}` reads it"
+    if re.search(rb"(?m)^usemtl ", content):
+        return "a mesh: give it as --mesh, beside the list of its materials"
+    if tried is not bras and content.startswith(b"material,"):
+        return "a table of bras: `rtcal import bras` reads it"
+    found = kind_of(path)
+    return "" if tried is bras and found == TABLE else found
 
 
 def _renamed(

@@ -27,9 +27,9 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc
 
 from rtcal.acoustics.changes import Change, Variant
-from rtcal.acoustics.marks import gap_jnd, rms
+from rtcal.acoustics.marks import TrustMark, gap_jnd, of_input, rms
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import LEVEL, MATCH, observable, parameter_label
+from rtcal.acoustics.observables import LEVEL, MATCH, REVERBERATION, observable, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import POSITION, CalibrationRecord, Room, checked_uncertainty
 from rtcal.acoustics.room_errors import Assumptions, in_words, prior_covariance, value_changes
@@ -1296,10 +1296,23 @@ class PositionsResult(Result):
             rows.append(Row(name, cells, shade=[0.0, share, *[0.0] * (len(cells) - 2)]))
         return Table(columns + ["scattering"] * (self.scattering is not None), rows)
 
+    @cached_property
+    def of_input(self) -> tuple[TrustMark, ...]:
+        """Likely typing errors of the room, and of the mean T over the pairs."""
+        measured = self.matched.measured
+        late = [o.key for o in REVERBERATION if o.key in measured.parameters]
+        if not late:
+            return of_input(self.prior)
+        time = measured.natural(late[0])
+        known = np.isfinite(time)
+        total = np.where(known, time, 0.0).sum(axis=0)
+        return of_input(self.prior, total / np.where(known.any(axis=0), known.sum(axis=0), np.nan))
+
     @property
     def warning(self) -> str:
-        """Sentences that stand first: start returned, T beyond the prior, gap grown; "" if none."""
-        said = [_REFUSED] if self.refused else []
+        """Sentences that stand first: typing errors, start returned, T beyond the prior, gap grown."""
+        said = [text.as_sentence(doubt.sentence) for doubt in self.of_input]
+        said += [_REFUSED] if self.refused else []
         if self.beyond:
             said.append(str(self.beyond))
         if farther := self._farther_matched:

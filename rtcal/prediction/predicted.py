@@ -247,7 +247,7 @@ class Prediction(TimeChange, Result):
     @property
     def headline(self) -> str:
         """The change of T in a sentence, with T at the band that changes most."""
-        if not self.half_width.any():
+        if not self.log_ratio().any():
             return words.NOTHING_CHANGES
         labels = bands.labels(self.after.centre_frequencies)
         return words.headline(labels, self.time_before, self.mean, self.interval)

@@ -26,7 +26,7 @@ FEW = ("covered surface", "opening", "porous", "area", "volume", "unknown")
 def test_turned_panels_are_named_added_and_verified(
     again: bool, drawn: bool, tmp_path: Path, kept: Path
 ) -> None:
-    """With control rooms that are simulated, or, in less time, drawn."""
+    """With reference rooms that are simulated, or, in less time, drawn."""
     case = laboratory(TURNED, turned_back=again)
     controls = controls_of(case, 0.05) if drawn else None
     finding = find(case, only=FEW if drawn else (), controls=controls, cache=kept)
