@@ -87,7 +87,7 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
                 "--before needs a room and what was measured after: ROOM AFTER --before BEFORE"
             )
         refuse(stated(options, *_OF_POSITIONS), _NEEDS_POSITIONS)
-        refuse(stated(options, *_OF_RUN), f" is stated in {path}: in its [[configuration]]")
+        refuse(stated(options, *_OF_RUN), f" belongs into {path}, into its [[configuration]]")
         case = Case.from_file(path)
         spare(targets, files_of(options))
         return case
@@ -257,8 +257,8 @@ def verified(finding: Any, cache: Path) -> Any:
     choice(
         "program",
         ("geometrical",),
-        "What made the run: a program that traces rays or image sources computes no equation, and an "
-        "uneven field as it is told, so that neither is taken for an error of the room.",
+        "What made the run: a program that traces rays or image sources computes no equation, and the "
+        "unevenness of its field is the model's, so that neither is taken for an error of the room.",
     ),
     "match",
     "exclude",
