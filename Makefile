@@ -64,6 +64,7 @@ mutate: $(STAMP)  ## 300 deliberate faults: which does no test see?
 
 bench: $(STAMP)  ## speed, as ratios in one run
 	$(BIN)/python benchmarks/resolve.py
+	$(BIN)/python benchmarks/speed.py --times 1
 	$(BIN)/python benchmarks/path_tracing.py
 	$(BIN)/python benchmarks/shoebox_simulators.py
 	$(BIN)/python -m benchmarks.solvers run --short

@@ -24,10 +24,14 @@ from rtcal.calibration.methods import preset
 METHODS = ("mle", "lse", "soft", "smooth", "robust", "correlated")
 SIZES = ((6, 6), (23, 8), (40, 8))
 OCTAVES = [63, 125, 250, 500, 1000, 2000, 4000, 8000]
+THIRDS = [
+    *(50, 63, 80, 100, 125, 160, 200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000, 2500),
+    *(3150, 4000, 5000, 6300, 8000, 10000, 12500, 16000, 20000),
+]
 
 
 def case(n: int, k: int, seed: int, method: str) -> tuple[rt.Room, rt.Measurement]:
-    """Return a random room and its T, with some bounds active."""
+    """Return a random room and its T, with some bounds active; in thirds of octaves above 8 bands."""
     rng = np.random.default_rng(seed)
     areas, mu = rng.uniform(2, 60, n), rng.uniform(0.02, 0.6, (n, k))
     sigma = 0.02 + 0.2 * mu * rng.uniform(0.2, 2, (n, k))
@@ -39,7 +43,7 @@ def case(n: int, k: int, seed: int, method: str) -> tuple[rt.Room, rt.Measuremen
         areas=areas,
         alpha=mu,
         sigma=sigma,
-        centre_frequencies=OCTAVES[:k],
+        centre_frequencies=(OCTAVES if k <= len(OCTAVES) else THIRDS)[:k],
         air=rt.Air(),
         band_correlation=0.5 if method == "correlated" else 0.0,
     )

@@ -87,3 +87,16 @@ def test_a_second_calibration_confirms_no_material(cr2: tuple[rt.Room, rt.Measur
     found = verdict(rt.calibrate(room, t20).to_dict())
     assert "follow from a measurement of this room" in found.heading
     assert "no evidence for the materials" in found.text
+
+
+def test_what_is_printed_waits_for_no_interval(
+    cr2: tuple[rt.Room, rt.Measurement], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = rt.calibrate(*cr2)
+    with monkeypatch.context() as without:
+        without.setattr(type(result.joint), "points", property(lambda _: pytest.fail("computed")))
+        printed, verdict_of = str(result), result.verdict
+    record = rt.calibrate(*cr2).to_dict()
+    assert printed == str(rt.calibrate(*cr2))
+    assert verdict_of._asdict() == record["verdict"]
+    assert all(of["interval_after"] and of["sigma_after"] for of in record["materials"])

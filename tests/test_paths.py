@@ -1,5 +1,6 @@
 """Traced paths: both kernels, conservation of energy, image sources, Kuttruff's equation."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -210,6 +211,16 @@ def test_longer_paths_start_with_the_shorter_ones_and_threads_change_nothing():
     short = trace(BOX, SOURCE, RECEIVERS, 0.3, 0.2, n_paths=64, n_batches=4, workers=1)
     long = trace(BOX, SOURCE, RECEIVERS, 0.3, 0.4, n_paths=64, n_batches=4, workers=3)
     other = trace(BOX, SOURCE, RECEIVERS, 0.3, 0.4, n_paths=64, n_batches=4, seed=2)
+    alpha, air = np.full((1, 2), [0.2, 0.3]), np.zeros(2)
+    held, changed = np.ones((1, 1), dtype=bool), alpha[np.newaxis] / 2
+    weighed = [
+        (
+            replace(long, workers=workers).energy(alpha, air, BIN),
+            replace(long, workers=workers).energy_changed(alpha, air, BIN, held, changed),
+        )
+        for workers in (1, 3)
+    ]
+    assert all(np.array_equal(one, three) for one, three in zip(*weighed, strict=True))
     for a, b in zip(short.batches[0], long.batches[0], strict=True):
         for i in range(16):
             mine = a.events[a.starts[i] : a.starts[i + 1]]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 
+import pytest
+from numba.core import caching
 from threadpoolctl import threadpool_info
 
-from rtcal.support.speed import single_threaded_blas
+from rtcal.support.speed import compiled, single_threaded_blas
 
 
 def threads() -> set[int]:
@@ -39,3 +41,8 @@ def test_concurrent_contexts_give_the_threads_back() -> None:
     leave.set()
     thread.join(10)
     assert threads() == before
+
+
+def test_a_loop_is_compiled_where_no_folder_can_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
+    assert compiled(reorder=False)(lambda x: x + 1)(1.0) == 2.0

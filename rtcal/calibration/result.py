@@ -729,7 +729,10 @@ class CalibrationResult(Result):
     @cached_property
     def trust_marks(self) -> tuple[TrustMark, ...]:
         """Reasons to doubt single bands or the whole room, with advice; `doubts` first."""
-        uneven = uneven_marks(self.room, facing(self.room) if self.shares is None else self.shares)
+        calibrated = self.prior.replace(alpha=self.alpha)
+        uneven = uneven_marks(
+            calibrated, facing(calibrated) if self.shares is None else self.shares
+        )
         for _, likely in likely_slips(self.prior)[:1]:
             uneven = uneven or uneven_marks(likely, facing(likely))
         return (
@@ -841,6 +844,10 @@ class CalibrationResult(Result):
         ``inputs`` holds the room and the mean T as the texts of their files, so that the record
         suffices to repeat the calibration.
         """
+        return self._record(whole=True)
+
+    def _record(self, *, whole: bool) -> dict[str, Any]:
+        """Return `to_dict`; if not ``whole`` what the words need: no sigma, intervals and inputs."""
         room, composed = self.prior, self.joint.composition
         record = {
             "rtcal": table.KIND,
@@ -866,9 +873,10 @@ class CalibrationResult(Result):
             "target_uncertainty": json_numbers(self.target_uncertainty),
             "materials": table.materials(
                 room,
-                self.room,
+                self.alpha,
+                self.posterior_sigma if whole else None,
                 self.shift_in_sigmas,
-                self.interval,
+                self.interval if whole else None,
                 self.active,
                 self.certificate.alpha_error_bound,
             ),
@@ -900,7 +908,7 @@ class CalibrationResult(Result):
                 "raw_certificate": table.residuals(self.joint.raw_certificate),
                 "raw_alpha": json_numbers(self.joint.raw_alpha[self._rows]),
             },
-            "inputs": table.inputs(room, self.measured_data),
+            **({"inputs": table.inputs(room, self.measured_data)} if whole else {}),
             "stated_by": room.calibration and room.calibration.method,
         }
         return {**record, "verdict": verdict(record)._asdict()}
@@ -908,7 +916,7 @@ class CalibrationResult(Result):
     @cached_property
     def verdict(self) -> CalibrationVerdict:
         """Statement on model and measurement that text, page and JSON share."""
-        return CalibrationVerdict(**self.to_dict()["verdict"])
+        return CalibrationVerdict(**self._record(whole=False)["verdict"])
 
     def __repr__(self) -> str:
         gaps = [np.nanmax(np.abs(gap)) for gap in (self.gap_before, self.gap_after)]
@@ -920,7 +928,7 @@ class CalibrationResult(Result):
 
     def blocks(self) -> list[Block]:
         """Return the tables of the bands and the coefficients, shaded by deviation and by shift."""
-        return blocks_of(self.to_dict())
+        return blocks_of(self._record(whole=False))
 
 
 def _at_one(numbers: Numbers, other: Numbers, place: int) -> Numbers:

@@ -69,14 +69,15 @@ def equation_parameters(equation: LinearEquation) -> dict[str, Any]:
 
 def materials(
     prior: Room,
-    calibrated: Room,
+    alpha: Array,
+    sigma: Array | None,
     shift_in_sigmas: Array,
     interval: Sequence[Array] | None,
     active: NDArray[np.int8],
     error_bound: Array,
 ) -> list[dict[str, Any]]:
     """Return one entry per material; every array is (n_materials, n_bands)."""
-    entries = coefficients(prior, calibrated.alpha, calibrated.sigma, interval)
+    entries = coefficients(prior, alpha, sigma, interval)
     return [
         {
             "name": name,
@@ -93,7 +94,7 @@ def materials(
 
 
 def coefficients(
-    prior: Room, alpha: Array, sigma: Array, interval: Sequence[Array] | None
+    prior: Room, alpha: Array, sigma: Array | None, interval: Sequence[Array] | None
 ) -> list[dict[str, Any]]:
     """Return alpha and sigma before and after, with its interval: one entry per material."""
     return [
@@ -102,7 +103,7 @@ def coefficients(
             "alpha_before": json_numbers(prior.alpha[i]),
             "sigma_before": json_numbers(prior.sigma[i]),
             "alpha_after": json_numbers(alpha[i]),
-            "sigma_after": json_numbers(sigma[i]),
+            "sigma_after": None if sigma is None else json_numbers(sigma[i]),
             "interval_after": interval and [json_numbers(end[i]) for end in interval],
         }
         for i, name in enumerate(prior.materials)
@@ -221,7 +222,8 @@ def band_rows(record: Mapping[str, Any]) -> list[Row]:
         np.nan_to_num(numbers(record[key])) / _STRONG_SHIFT
         for key in ("gap_before_jnd", "gap_after_jnd")
     ]
-    trust = [letters(_trust_marks(record), f) or "." for f in record["centre_frequencies"]]
+    marks = _trust_marks(record)
+    trust = [letters(marks, f) or "." for f in record["centre_frequencies"]]
     rows = [
         Row("measured T / s", measured["reverberation_time"], ".3f"),
         Row("  its uncertainty / s", measured["uncertainty"], ".3f"),

@@ -83,7 +83,7 @@ def calibrate(
             by_modes = told_by_modes(read_room(room), modes, data, equation)
         if out is not None:
             figures.write_folder(by_modes, out, {})
-        tell(str(by_modes), by_modes.to_dict())
+        tell(str(by_modes), by_modes.to_dict)
         return
     prior = read_room(room)
     with without_air_warning():
@@ -94,7 +94,7 @@ def calibrate(
     if out is not None:
         pictures = {figures.FIGURE: lambda: figures.reverberation_time(result)}
         figures.write_folder(result, out, pictures)
-    tell(str(result), result.to_dict())
+    tell(str(result), result.to_dict)
 
 
 NOT_NEARER = 7
@@ -196,7 +196,7 @@ def fit(
         at = tracer.geometry, tracer.sources, tracer.receivers
         pictures = {figures.PLAN: lambda: figures.position_gaps(result, *at)}
         figures.write_folder(result, out, pictures)
-    tell(str(result), result.to_dict())
+    tell(str(result), result.to_dict)
     if result.refused:
         raise click.exceptions.Exit(NOT_NEARER)
 

@@ -441,12 +441,14 @@ class CannotPrint(click.ClickException):
     exit_code = 5
 
 
-def tell(text: str, record: Mapping[str, Any], then: str = "") -> None:
+def tell(
+    text: str, record: Mapping[str, Any] | Callable[[], Mapping[str, Any]], then: str = ""
+) -> None:
     """Write the command's files, and print a text and which they are, or with ``--json`` a record.
 
-    With ``--quiet`` it prints nothing. Files are written first, since a reader may close the output
-    (``| head``). ``then`` stands below the files' names. Raises CannotPrint where the output is closed
-    or full.
+    A function makes the record where it is printed. With ``--quiet`` it prints nothing. Files are
+    written first, since a reader may close the output (``| head``). ``then`` stands below the files'
+    names. Raises CannotPrint where the output is closed or full.
     """
     made = disk.commit()
     as_json = _flag("as_json")
@@ -454,11 +456,15 @@ def tell(text: str, record: Mapping[str, Any], then: str = "") -> None:
         return
     if sys.stdout is None:
         raise CannotPrint("cannot print: the standard output is closed")
-    if made:
-        text = "\n".join(filter(None, [text, written(made), then]))
-        record = {**record, "written": made}
+    if as_json:
+        whole = record() if callable(record) else record
+        said = _json_text({**whole, "written": made} if made else whole)
+    elif made:
+        said = printable(fitted("\n".join(filter(None, [text, written(made), then]))))
+    else:
+        said = printable(fitted(text))
     with printing():
-        click.echo(_json_text(record) if as_json else printable(fitted(text)))
+        click.echo(said)
 
 
 @contextmanager

@@ -325,7 +325,7 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
         finding = searched(options, [] if target is None else [target])
         if target is not None:
             finding.save(target)
-        tell(str(finding), finding.to_dict())
+        tell(str(finding), finding.to_dict)
         return
     finding = searched(options, [target / name for name in of_finding.WRITTEN])
     verification = (
@@ -400,7 +400,7 @@ def verify(
             tell(nothing, {"verdict": None, "sentence": nothing, "finding": finding.to_dict()})
             return
         verification = verified(finding, kept_beside(found))
-    tell(str(verification), verification.to_dict())
+    tell(str(verification), verification.to_dict)
 
 
 @click.command(short_help="Add what was found to the model.")
@@ -531,7 +531,7 @@ def plan(case: str, change: float | None, further: str | None, costs: tuple[str,
         costs=numbers("--cost", costs, "MEASUREMENT=HOURS, such as G=0.5"),
         planned=planned,
     )
-    tell(str(result), result.to_dict())
+    tell(str(result), result.to_dict)
 
 
 def _further_places(finding: Any) -> tuple[Place, ...]:

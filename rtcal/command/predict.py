@@ -51,7 +51,7 @@ def told(found: Result, out: Path | None) -> None:
     """Write a result's file where asked for, and print the result."""
     if out is not None:
         found.save(out)
-    tell(str(found), found.to_dict())
+    tell(str(found), found.to_dict)
 
 
 def read_changes(path: str, kind: str, read: Callable[[str], Any]) -> Any:

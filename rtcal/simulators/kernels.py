@@ -42,29 +42,8 @@ def uniform(state: Any, step: int) -> float:
 
 
 @compiled(reorder=False)
-def by_plane(planes: Array) -> tuple[Any, Any]:
-    """Return the triangles' numbers, those of a plane together, and where each plane begins."""
-    n = len(planes)
-    order, begins = np.empty(n, np.int64), np.empty(n + 1, np.int64)
-    taken = np.zeros(n, np.bool_)
-    n_planes = n_taken = 0
-    for i in range(n):
-        if taken[i]:
-            continue
-        begins[n_planes] = n_taken
-        n_planes += 1
-        for other in range(i, n):
-            if not taken[other] and np.abs(planes[other] - planes[i]).max() < 1e-12:
-                taken[other] = True
-                order[n_taken] = other
-                n_taken += 1
-    begins[n_planes] = n
-    return order, begins[: n_planes + 1].copy()
-
-
-@compiled(reorder=False)
 def hit(order: Any, begins: Any, plane: int, sides: Array, x: float, y: float, z: float) -> int:
-    """Return the triangle of a plane that holds a point of it, -1 if none does; see `by_plane`."""
+    """Return the triangle of a plane that holds a point of it, -1 if none does; see `trace`."""
     for number in range(begins[plane], begins[plane + 1]):
         i = order[number]
         a = sides[i, 0, 0] * x + sides[i, 0, 1] * y + sides[i, 0, 2] * z - sides[i, 0, 3]
@@ -78,7 +57,8 @@ def hit(order: Any, begins: Any, plane: int, sides: Array, x: float, y: float, z
 def grown(array: Any, needed: int) -> Any:
     """Return a copy with space for ``needed`` elements, at least twice as large."""
     larger = np.empty(max(2 * array.size, needed), array.dtype)
-    larger[: array.size] = array
+    for i in range(array.size):  # a slice takes numba a second to compile
+        larger[i] = array[i]
     return larger
 
 
@@ -109,8 +89,9 @@ def by_path(paths: Any, lost: Any) -> tuple[Any, Any]:
     for path in paths:
         if not lost[path]:
             starts[path + 1] += 1
-    starts = np.cumsum(starts)
-    slots, entries = starts[:-1].copy(), np.empty(starts[-1], np.int64)
+    for path in range(len(lost)):
+        starts[path + 1] += starts[path]
+    slots, entries = starts.copy(), np.empty(starts[-1], np.int64)
     for number in range(len(paths)):
         path = paths[number]
         if not lost[path]:
@@ -126,6 +107,8 @@ def trace(
     seeds: Any,
     longest: float,
     planes: Array,
+    order: Any,
+    begins: Any,
     sides: Array,
     owners: Any,
     scattering: Array,
@@ -134,12 +117,16 @@ def trace(
     radii: Array,
     thinned: float,
     shares: Array,
-) -> tuple[Any, Any, Any, Any, Array]:
-    """Trace paths; return events, starts, lengths, weights (see `path_tracing.Batch`) and counts.
+) -> tuple[Any, Any, Any, Any, Any, Any, Array]:
+    """Trace paths; return what `path_tracing.Batch` has, not yet path by path, and counts.
 
-    ``owners`` has the face of each triangle, ``scattering`` the coefficient of each face. Paths whose
-    number 2^i does not divide end at i times the length ``thinned``; what is heard after it weighs 1 /
-    ``shares[i]`` times as much.
+    Those are the events, which of them belong to the paths one after the other, and where each path
+    begins there; lengths and weights of the receptions, and which of them belong to the paths.
+
+    ``order`` has the triangles' numbers, those of a plane together, and ``begins`` where each plane
+    begins (`rtcal.simulators.path_tracing.by_plane`). ``owners`` has the face of each triangle,
+    ``scattering`` the coefficient of each face. Paths whose number 2^i does not divide end at i times
+    the length ``thinned``; what is heard after it weighs 1 / ``shares[i]`` times as much.
     ``counts``: paths lost; free paths, their sum and their sum of squares. A path that hits no wall is
     lost: none of its events is kept.
     """
@@ -149,7 +136,6 @@ def trace(
     heard_of = np.empty(4 * n_paths, np.int32)
     lost, counts = np.zeros(n_paths, np.bool_), np.zeros(4)
     n_events = n_heard = 0
-    order, begins = by_plane(planes)
     n_planes = len(begins) - 1
     lanes = max(_DISTANCES // n_planes, 16)
     rays, to_planes = np.empty((6, lanes)), np.empty((n_planes, lanes))
@@ -162,8 +148,9 @@ def trace(
         travelled[:n], diffuse[:n] = 0.0, False
         for j in range(n):
             paths[j] = path = begin + j
-            rays[:3, j], rays[3:, j], states[j] = origin, directions[path], seeds[path]
-            ends[j] = longest
+            for axis in range(3):
+                rays[axis, j], rays[3 + axis, j] = origin[axis], directions[path, axis]
+            states[j], ends[j] = seeds[path], longest
             for stage in range(1, len(shares)):
                 if path % (1 << stage) != 0:
                     ends[j] = min(longest, stage * thinned)
@@ -182,7 +169,8 @@ def trace(
             on = 0  # paths that go on, in the first lanes
             for j in range(n):
                 path, end = paths[j], ends[j]
-                px, py, pz, vx, vy, vz = rays[:, j]
+                px, py, pz = rays[0, j], rays[1, j], rays[2, j]
+                vx, vy, vz = rays[3, j], rays[4, j], rays[5, j]
                 t, plane = to_planes[0, j], 0
                 for other in range(1, n_planes):
                     closer = to_planes[other, j] < t
@@ -201,6 +189,7 @@ def trace(
                                 triangle, t = found, to
                 if triangle < 0:
                     lost[path] = True
+                    counts[0] += 1
                     continue
                 if travelled[j] > 0.0:
                     counts[1] += 1
@@ -255,10 +244,9 @@ def trace(
                 diffuse[on] = diffuse[j] or spread
                 on += 1
             n = on
-    counts[0] = lost.sum()
     starts, entries = by_path(of_path[:n_events], lost)
     _, receptions = by_path(heard_of[:n_heard], lost)
-    return codes[entries], starts, lengths[receptions], weights[receptions], counts
+    return codes, entries, starts, lengths, weights, receptions, counts
 
 
 @compiled(reorder=False)

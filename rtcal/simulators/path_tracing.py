@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -416,6 +415,8 @@ class Paths:
         omnidirectional source.
     first : array (n_sources, n_receivers)
         Length of the first sound in m: the direct sound, else the first path heard.
+    workers : int or None
+        Number of threads that weigh them; None for that of the processors.
     """
 
     batches: tuple[tuple[Batch, ...], ...]
@@ -428,6 +429,7 @@ class Paths:
     direct: Array
     direct_gain: Array
     first: Array
+    workers: int | None = None
 
     def __post_init__(self) -> None:
         # The paths do not depend on alpha, so every simulation reads the same arrays.
@@ -484,6 +486,11 @@ class Paths:
         number, total, squares = map(float, every)
         return total / number, squares / number / (total / number) ** 2 - 1
 
+    def by_source(self, weigh: Callable[[int], Any]) -> list[Any]:
+        """Return what is made of each source, by its number, on threads: kernels hold no lock."""
+        with thread_pool(self.workers) as pool:
+            return list(pool.map(weigh, range(len(self.batches))))
+
     def energy(
         self, alpha: Array, air_attenuation: Array, bin_length: float, number: int | None = None
     ) -> Array:
@@ -498,11 +505,14 @@ class Paths:
         n_batches = len(self.batches[0])
         number = n_batches if number is None else number
         out = np.zeros((number, *self.first.shape, len(attenuation), n_bins))
-        for s, source in enumerate(self.batches):
+
+        def weigh(s: int) -> None:
             weighing = log_reflection, attenuation, self.first[s], float(bin_length)
-            for b, batch in enumerate(source):
+            for b, batch in enumerate(self.batches[s]):
                 kernels.histogram(batch.arrays, weighing, out[b * number // n_batches, s])
             out[:, s] *= number / self._kept[s]
+
+        self.by_source(weigh)
         out[..., 0] += self._direct_sound(attenuation)
         return out
 
@@ -630,7 +640,9 @@ class Paths:
             logs = np.arange(most + 1)[:, np.newaxis, np.newaxis] * np.log(factor)[:, np.newaxis]
         logs[:, 0] = 0.0
         powers = np.exp(np.minimum(logs, _LARGEST_POWER))
-        for s, source in enumerate(self.batches):
+
+        def weigh(s: int) -> None:
+            source = self.batches[s]
             heard = np.zeros((n_groups, self.first.shape[1], n_bins, n_changes, n_bands))
             weighing = log_reflection, attenuation, self.first[s], float(bin_length)
             receptions = sum(len(batch.lengths) for batch in source)
@@ -645,6 +657,8 @@ class Paths:
                 joined = events, np.concatenate([*starts, before[-1:]]), lengths, weight
                 kernels.histogram_changed(joined, weighing, held, powers, heard)
             out[:, :, s] = np.moveaxis(heard, (1, 2, 3, 4), (2, 4, 1, 3)) / self._kept[s]
+
+        self.by_source(weigh)
         out[..., 0] += self._direct_sound(attenuation)
         return out
 
@@ -748,6 +762,7 @@ def trace(
             f"the receivers are at most {LARGEST_CODE}"
         )
     planes, sides = planes_of(geometry)
+    together = by_plane(planes)
     by_face = np.ascontiguousarray(np.asarray(scattering, dtype=float)[materials])
     per_batch = -(-n_paths // n_batches)
     # A batch whose number of paths no power of two divides keeps a little more than its share.
@@ -759,12 +774,13 @@ def trace(
         sequence = np.random.SeedSequence([seed, s, b])
         seeds = sequence.generate_state(per_batch, np.uint64)
         directions = sphere(per_batch, np.random.default_rng(sequence.spawn(1)[0]))
-        events, starts, lengths, weights, counts = kernels.trace(
+        codes, entries, starts, lengths, weights, receptions, counts = kernels.trace(
             sources[s],
             directions,
             seeds,
             float(longest),
             planes,
+            *together,
             sides,
             geometry.triangle_faces,
             by_face,
@@ -775,7 +791,8 @@ def trace(
             shares,
         )
         free = (float(counts[1]), float(counts[2]), float(counts[3]))
-        return Batch(events, starts, lengths, weights, directions, int(counts[0]), free)
+        heard = lengths[receptions], weights[receptions]
+        return Batch(codes[entries], starts, *heard, directions, int(counts[0]), free)
 
     jobs = [(s, b) for s in range(len(sources)) for b in range(n_batches)]
     with thread_pool(workers) as pool:
@@ -799,6 +816,7 @@ def trace(
         direct=direct,
         direct_gain=np.ones(direct.shape),
         first=_first(batches, direct, 2 * len(materials), longest),
+        workers=workers,
     )
 
 
@@ -828,6 +846,16 @@ def planes_of(geometry: Polyhedron) -> tuple[Array, Array]:
     inward = -normal / np.sqrt(square)
     equations = np.hstack([inward, np.sum(inward * a, axis=1, keepdims=True)])
     return equations, np.ascontiguousarray(np.concatenate([rows, offsets], axis=2))
+
+
+def by_plane(planes: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the triangles' numbers, those of a plane together, and where each plane begins."""
+    left, groups = np.arange(len(planes)), []
+    while len(left):
+        same = np.abs(planes[left] - planes[left[0]]).max(axis=1) < 1e-12
+        groups.append(left[same])
+        left = left[~same]
+    return np.concatenate(groups), np.cumsum([0, *map(len, groups)])
 
 
 def sphere(n: int, rng: np.random.Generator) -> Array:
@@ -1213,8 +1241,7 @@ class PathTracing(Tracer):
 
         def sweep(paths: Paths, bands: NDArray[np.int64]) -> Array:
             by = self._weighing(alpha, bands)
-            with ThreadPoolExecutor(self.workers) as pool:
-                every = [*pool.map(lambda s: gradient(paths, s, *by), range(len(self.sources)))]
+            every = paths.by_source(lambda s: gradient(paths, s, *by))
             found.append((bands, every))
             return np.stack([energy for energy, _ in every])
 

@@ -15,7 +15,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, TypeVar
 
 from rtcal.support.text import width
@@ -66,14 +66,21 @@ def compiled(*, reorder: bool) -> Callable[[Kernel], Kernel]:
     """Return the decorator that compiles a function; it runs without the interpreter's lock.
 
     ``reorder`` allows the compiler to reorder sums, which vector instructions need. Compensated sums
-    need it to be False. NaN and infinities are handled correctly in both cases.
+    need it to be False. NaN and infinities are handled correctly in both cases. What is compiled is
+    kept on disk; where no folder can be written, it is compiled in every run.
     """
     import numba
 
     freedom = {"reassoc", "contract", "nsz"} if reorder else False
-    decorate: Callable[[Kernel], Kernel] = numba.njit(
-        cache=True, nogil=True, fastmath=freedom, error_model="numpy"
-    )
+    made = numba.njit(nogil=True, fastmath=freedom, error_model="numpy")
+
+    def decorate(kernel: Kernel) -> Kernel:
+        dispatcher = made(kernel)
+        with suppress(RuntimeError):
+            dispatcher.enable_caching()
+        kept: Kernel = dispatcher
+        return kept
+
     return decorate
 
 

@@ -38,6 +38,8 @@ def trace(
     seeds: NDArray[np.uint64],
     longest: float,
     planes: Array,
+    order: NDArray[np.int64],
+    begins: NDArray[np.int64],
     sides: Array,
     owners: NDArray[np.int64],
     scattering: Array,
@@ -46,7 +48,7 @@ def trace(
     radii: Array,
     thinned: float,
     shares: Array,
-) -> tuple[Any, Any, Any, Any, Array]:
+) -> tuple[Any, ...]:
     """Trace paths; returns the same as `rtcal.simulators.kernels.trace`."""
     n_paths, n_faces = len(directions), len(scattering)
     p, v = np.broadcast_to(origin, directions.shape).copy(), directions.copy()
@@ -115,16 +117,11 @@ def trace(
     counts[0] = np.count_nonzero(lost)
     path, code, length, weight = (np.concatenate(column) for column in zip(*events, strict=True))
     path, code, length, weight = _kept(~lost[path], path, code, length, weight)
-    order = np.argsort(path, kind="stable")  # keeps the order of the steps of each path
-    heard = order[code[order] >= 2 * n_faces]
+    entries = np.argsort(path, kind="stable")  # keeps the order of the steps of each path
+    heard = entries[code[entries] >= 2 * n_faces]
     starts = np.concatenate([[0], np.cumsum(np.bincount(path, minlength=n_paths))])
-    return (
-        code[order].astype(np.uint16),
-        starts,
-        length[heard].astype(np.float32),
-        weight[heard].astype(np.float32),
-        counts,
-    )
+    single = (each.astype(np.float32) for each in (length, weight))
+    return code.astype(np.uint16), entries, starts, *single, heard, counts
 
 
 def histogram(batch: Batch, weighing: Weighing, out: Array) -> None:

@@ -104,6 +104,7 @@ from rtcal.loop.measured_pairs import OWN as OF_MATERIAL
 from rtcal.loop.measured_pairs import ControlRuns, MaterialScattering, Pair, pairs_to_match
 from rtcal.simulators.base import LARGEST_ALPHA, Observations
 from rtcal.support.errors import DataError
+from rtcal.support.speed import thread_pool
 from rtcal.support.types import Array
 
 POSITION, NOISE, MEASUREMENT = "position", "noise", "measurement"
@@ -657,7 +658,9 @@ class Likelihood:
 
     def shifted(self, shifts: Sequence[ShiftHypothesis], residuals: Residuals) -> Array:
         """Return the log densities of each shift's hypotheses one after the other, (n_hypotheses,)."""
-        return np.concatenate([np.zeros(0), *(self._shifted(s, residuals) for s in shifts)])
+        with thread_pool(None) as pool:
+            each = pool.map(lambda shift: self._shifted(shift, residuals), shifts)
+            return np.concatenate([np.zeros(0), *each])
 
     def changes(self, shift: ShiftHypothesis) -> Array:
         """Return the shift d of each hypothesis, (n_hypotheses, n_bands, n_values)."""

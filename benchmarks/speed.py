@@ -1,0 +1,197 @@
+"""What takes time, beside an earlier revision, in turns: python benchmarks/speed.py --old TREE
+
+TREE is a worktree of that revision (``git worktree add ../old 850fa03a``); without one the present code
+runs alone. Each row is run ``--times`` times in a process of its own. A row of processor seconds counts
+all threads. A ratio is of two times of one process. Printed are medians; on a machine that does other
+work, only the last column, old over new in one turn, means something.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parents[1]
+WHERE = HERE / "rtcal/datasets/where_room"
+Measured = dict[str, float]
+
+
+def command(folder: Path, *arguments: str, module: str = "rtcal") -> Measured:
+    """Return the time in s by the clock and of the processor of a command, and its memory in GB."""
+    began = time.perf_counter()
+    child = subprocess.Popen(
+        [sys.executable, "-m", module, *arguments], cwd=folder, stdout=subprocess.DEVNULL
+    )
+    _, status, used = os.wait4(child.pid, 0)
+    if status:
+        raise SystemExit(f"{module} {' '.join(arguments)} failed")
+    clock = time.perf_counter() - began
+    return {"clock": clock, "cpu": used.ru_utime + used.ru_stime, "GB": used.ru_maxrss / 2**20}
+
+
+def spent(call: Callable[[], Any]) -> float:
+    """Return the processor time of a call in s."""
+    began = time.process_time()
+    call()
+    return time.process_time() - began
+
+
+def find_at_positions(folder: Path) -> Measured:
+    """Search, page, verification and corrected room of the example, from empty caches."""
+    shutil.copytree(WHERE, folder / "where")
+    files = "room.toml", "pairs.csv"
+    runs = [
+        command(folder / "where", *arguments)
+        for arguments in (
+            ("find", *files),
+            ("find", *files, "--out", "page"),
+            ("verify", "page"),
+            ("apply", "page", "--effect", "curtain", "--out", "corrected"),
+        )
+    ]
+    return {
+        "find / s": runs[0]["clock"],
+        "find / cpu s": runs[0]["cpu"],
+        "all four / cpu s": sum(run["cpu"] for run in runs),
+        "GB": max(run["GB"] for run in runs),
+    }
+
+
+def find_of_means(folder: Path) -> Measured:
+    """Search by means with no compiled function kept."""
+    os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    shutil.copy(HERE / "rtcal/datasets/hidden_room/case.json", folder)
+    return {"cpu s": command(folder, "find", "case.json")["cpu"]}
+
+
+def calibrate(folder: Path) -> Measured:
+    """Calibrate, beside the import of cvxpy alone."""
+    room = HERE / "rtcal/datasets/bras_cr2"
+    files = str(room / "room.toml"), str(room / "measured.csv")
+    command(folder, "calibrate", *files)  # writes bytecode
+    run, plain = command(folder, "calibrate", *files), command(folder, module="cvxpy.settings")
+    return {"cpu s": run["cpu"], "over import cvxpy": run["cpu"] / plain["cpu"]}
+
+
+def printed(_: Path) -> Measured:
+    """Print a result of 40 materials in 27 bands, beside its own calibration."""
+    from resolve import case
+
+    import rtcal as rt
+
+    rt.calibrate(*case(39, 27, 0, "mle"))
+    room, measured = case(40, 27, 0, "mle")
+    done: list[Any] = []
+    own = spent(lambda: done.append(rt.calibrate(room, measured)))
+    return {"ms": 1e3 * (said := spent(lambda: str(done[0]))), "over calibrate": said / own}
+
+
+def smooth(_: Path) -> Measured:
+    """Solve smooth problems a second time, beside plain cvxpy."""
+    from resolve import Plain, case
+
+    import rtcal as rt
+
+    out = {}
+    for n, bands in ((23, 8), (500, 27)):
+        room, measured = case(n, bands, 0, "smooth")
+        result = rt.calibrate(room, measured, method="smooth")
+        own = spent(lambda: rt.calibrate(room, measured, method="smooth"))  # noqa: B023
+        plain, at = Plain("smooth", n, bands), (room, result.target, result.target_uncertainty)
+        plain.solve(*at, "smooth")
+        other = spent(lambda: plain.solve(*at, "smooth"))  # noqa: B023
+        out[f"{n} x {bands} over plain"] = own / other
+    return out
+
+
+def fit(_: Path) -> Measured:
+    """Fit a path tracing to every position of three boxes."""
+    import numpy as np
+
+    import rtcal as rt
+    from rtcal.simulators import PathTracing, Polyhedron
+
+    out = {}
+    for size in ((7, 5, 3), (10, 7, 3.5), (6, 9, 4)):
+        rng, walls = (
+            np.random.default_rng(round(size[0])),
+            ["west", "east", "south", "north", "floor", "ceiling"],
+        )
+        geometry = Polyhedron.shoebox(size, {wall: wall for wall in walls})
+        alpha = rng.uniform(0.05, 0.35, (6, 1)) * rng.uniform(0.8, 1.2, (6, 6))
+        room = rt.Room(
+            name="box",
+            volume=float(np.prod(size)),
+            materials=walls,
+            areas=[geometry.areas[wall] for wall in walls],
+            alpha=alpha,
+            sigma=0.3 * alpha,
+            centre_frequencies=[125 * 2**k for k in range(6)],
+            air=rt.Air(),
+        )
+        at = [rng.uniform(0.2, 0.8, 3) * size for _ in range(5)]
+        tracer = PathTracing(
+            room=room,
+            geometry=geometry,
+            sources={f"S{i}": at[i] for i in range(2)},
+            receivers={f"R{i}": at[i] for i in range(2, 5)},
+            n_paths=1500,
+            scattering=0.3,
+        )
+        measured = tracer.simulate(alpha * rng.uniform(0.7, 1.4, (6, 1)), seed=5)
+        out[f"{size} / cpu s"] = spent(lambda: rt.calibrate_positions(tracer, room, measured))  # noqa: B023
+    return out
+
+
+ROWS: Mapping[str, Callable[[Path], Measured]] = {
+    of.__name__: of for of in (find_at_positions, find_of_means, calibrate, printed, smooth, fit)
+}
+
+
+def main() -> None:
+    """Print a table; as a child with ``--here`` one row as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("rows", nargs="*", default=[*ROWS], help=", ".join(ROWS))
+    parser.add_argument("--old", type=Path, help="worktree of an earlier revision")
+    parser.add_argument("--times", type=int, default=5)
+    parser.add_argument("--here", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.here:
+        warnings.simplefilter("ignore")
+        with tempfile.TemporaryDirectory() as folder:
+            print(json.dumps(ROWS[options.rows[0]](Path(folder))))
+        return
+    trees = {"old": options.old, "new": HERE} if options.old else {"new": HERE}
+    for row in options.rows:
+        found: dict[str, list[Measured]] = {name: [] for name in trees}
+        for _ in range(options.times):
+            for name, tree in trees.items():
+                env = {**os.environ, "PYTHONPATH": str(tree.resolve()), "OPENBLAS_NUM_THREADS": "1"}
+                env.pop("PYTHONDONTWRITEBYTECODE", None)
+                said = subprocess.check_output(
+                    [sys.executable, __file__, "--here", row], env=env, text=True
+                )
+                found[name].append(json.loads(said))
+        for key in found["new"][0]:
+            medians = [
+                f"{n} {statistics.median(r[key] for r in runs):.3g}" for n, runs in found.items()
+            ]
+            pairs = zip(found.get("old", ()), found["new"], strict=False)
+            if ratios := [new[key] / old[key] for old, new in pairs]:
+                medians.append(f"new / old {statistics.median(ratios):.2f}")
+            print(f"{row}, {key}: {', '.join(medians)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
