@@ -472,18 +472,18 @@ def likely_slips(room: Room) -> list[tuple[str, Room]]:
     if least <= room.total_area <= most:
         return []
     for factors in _SLIPS:
-        found = [_slipped(room, i, f) for f in factors for i in range(room.n_materials)]
+        slips = [(i, f) for f in factors for i in range(room.n_materials)]
+        total = np.array([room.total_area + (f - 1) * room.areas[i] for i, f in slips])
         if room.dimensions is not None:
-            box = _surface_of_box(*room.dimensions)
-            off = [abs(other.total_area / box - 1) for _, other in found]
-            found = [found[int(np.argmin(off))]] if min(off) <= _CORRECTED else []
+            off = np.abs(total / _surface_of_box(*room.dimensions) - 1)
+            found = [_slipped(room, *slips[np.argmin(off)])] if min(off) <= _CORRECTED else []
         else:
-            found += [_other_volume(room, f) for f in factors]
-            found = [
-                (text, other)
-                for text, other in found
-                if np.clip(other.total_area, *surface_limits(other, FLAT)) == other.total_area
-            ]
+            low, high = surface_limits(room, FLAT)
+            fits = np.flatnonzero((total >= low) & (total <= high))
+            found = [_slipped(room, *slips[j]) for j in fits]
+            for text, other in [_other_volume(room, f) for f in factors]:
+                low, high = surface_limits(other, FLAT)
+                found += [(text, other)] if low <= other.total_area <= high else []
         if found:
             return found if len(found) <= 2 else []
     return []
