@@ -423,7 +423,9 @@ def json_numbers(value: Any) -> Any:
     if value is None or isinstance(value, str | bool):
         return value
     if isinstance(value, np.ndarray) and value.dtype.kind == "f":
-        return np.where(np.isfinite(value), value, None).tolist()
+        numbers = value.astype(object)
+        numbers[~np.isfinite(value)] = None
+        return numbers.tolist()
     if isinstance(value, Mapping):
         return {str(key): json_numbers(each) for key, each in value.items()}
     if isinstance(value, np.ndarray) and value.dtype.names:
