@@ -23,8 +23,14 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parents[1]
-WHERE = HERE / "rtcal/datasets/where_room"
 Measured = dict[str, float]
+
+
+def data(name: str) -> Path:
+    """Return the path of a shipped file or folder of the revision that runs."""
+    import rtcal
+
+    return Path(rtcal.__file__).parent / "datasets" / name
 
 
 def command(folder: Path, *arguments: str, module: str = "rtcal") -> Measured:
@@ -49,7 +55,7 @@ def spent(call: Callable[[], Any]) -> float:
 
 def find_at_positions(folder: Path) -> Measured:
     """Search, page, verification and corrected room of the example, from empty caches."""
-    shutil.copytree(WHERE, folder / "where")
+    shutil.copytree(data("where_room"), folder / "where")
     files = "room.toml", "pairs.csv"
     runs = [
         command(folder / "where", *arguments)
@@ -71,14 +77,13 @@ def find_at_positions(folder: Path) -> Measured:
 def find_of_means(folder: Path) -> Measured:
     """Search by means with no compiled function kept."""
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
-    shutil.copy(HERE / "rtcal/datasets/hidden_room/case.json", folder)
+    shutil.copy(data("hidden_room/case.json"), folder)
     return {"cpu s": command(folder, "find", "case.json")["cpu"]}
 
 
 def calibrate(folder: Path) -> Measured:
     """Calibrate, beside the import of cvxpy alone."""
-    room = HERE / "rtcal/datasets/bras_cr2"
-    files = str(room / "room.toml"), str(room / "measured.csv")
+    files = [str(data("bras_cr2") / name) for name in ("room.toml", "measured.csv")]
     command(folder, "calibrate", *files)  # writes bytecode
     run, plain = command(folder, "calibrate", *files), command(folder, module="cvxpy.settings")
     return {"cpu s": run["cpu"], "over import cvxpy": run["cpu"] / plain["cpu"]}
