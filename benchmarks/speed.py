@@ -1,9 +1,8 @@
 """What takes time, beside an earlier revision, in turns: python benchmarks/speed.py --old TREE
 
 TREE is a worktree of that revision (``git worktree add ../old 850fa03a``); without one the present code
-runs alone. Each row is run ``--times`` times in a process of its own. A row of processor seconds counts
-all threads. A ratio is of two times of one process. Printed are medians; on a machine that does other
-work, only the last column, old over new in one turn, means something.
+runs alone. Each row is run ``--times`` times in a process of its own; medians are printed, and all
+threads count. On a busy machine only the ratios, of times in one turn, mean something.
 """
 
 from __future__ import annotations
@@ -97,9 +96,9 @@ def printed(_: Path) -> Measured:
 
     rt.calibrate(*case(39, 27, 0, "mle"))
     room, measured = case(40, 27, 0, "mle")
-    done: list[Any] = []
-    own = spent(lambda: done.append(rt.calibrate(room, measured)))
-    return {"ms": 1e3 * (said := spent(lambda: str(done[0]))), "over calibrate": said / own}
+    own = spent(lambda: rt.calibrate(room, measured))
+    result = rt.calibrate(room, measured)
+    return {"ms": 1e3 * (said := spent(lambda: str(result))), "over calibrate": said / own}
 
 
 def smooth(_: Path) -> Measured:
@@ -165,7 +164,7 @@ ROWS: Mapping[str, Callable[[Path], Measured]] = {
 
 
 def main() -> None:
-    """Print a table; as a child with ``--here`` one row as JSON."""
+    """Print a table; with ``--here`` one row as JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("rows", nargs="*", default=[*ROWS], help=", ".join(ROWS))
     parser.add_argument("--old", type=Path, help="worktree of an earlier revision")
@@ -177,13 +176,13 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             print(json.dumps(ROWS[options.rows[0]](Path(folder))))
         return
+    os.environ |= {"OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": ""}
     trees = {"old": options.old, "new": HERE} if options.old else {"new": HERE}
     for row in options.rows:
         found: dict[str, list[Measured]] = {name: [] for name in trees}
         for _ in range(options.times):
             for name, tree in trees.items():
-                env = {**os.environ, "PYTHONPATH": str(tree.resolve()), "OPENBLAS_NUM_THREADS": "1"}
-                env.pop("PYTHONDONTWRITEBYTECODE", None)
+                env = {**os.environ, "PYTHONPATH": str(tree.resolve())}
                 said = subprocess.check_output(
                     [sys.executable, __file__, "--here", row], env=env, text=True
                 )
