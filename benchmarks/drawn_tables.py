@@ -495,6 +495,13 @@ def _modes(draw: _Draw) -> Drawn:
     return Drawn("modes", "modes" + ending, content, truth, what)
 
 
+def filled_in(refusal: str) -> str:
+    """Return the ``columns`` that a refusal proposes, with - for a column that is to be filled in."""
+    proposed = re.search(r'columns="([^"]*)"', refusal)
+    text = proposed[1].replace("[?]", "[-]") if proposed else ""
+    return re.sub(r"(?<=[:;] )\?(?=;|$)", "-", text)
+
+
 def judged(seed: int, folder: Path) -> tuple[str, str]:
     """Return what came of a table, and why.
 
@@ -511,10 +518,10 @@ def judged(seed: int, folder: Path) -> tuple[str, str]:
     except DataError as error:
         named = str(path) in str(error) or "line " in str(error)
         refused = ("refused" if named else "refused without a place"), f"{drawn.what}: {error}"
-        proposed = re.search(r'columns="([^"]*)"', str(error))
-        if not proposed:
+        filled = filled_in(str(error))
+        if not filled:
             return refused
-        drawn.options["columns"], right = proposed[1], "right as proposed"
+        drawn.options["columns"], right = filled, "right as proposed"
         try:
             wrong = judge(path, drawn)
         except DataError:

@@ -719,9 +719,10 @@ def _rows_of(text: str) -> dict[Place, dict[str, float]]:
                 raise DataError(f"{len(cells)} cells; the header has {len(header)}")
             key, numbers = _row(dict(zip(header, cells, strict=True)))
             if key in rows:
+                cure = f"repeats at one place are {key[1]} and {key[1]}#2"
                 raise DataError(
                     f"{parameter_label(key[2])} of {key[0]}, {key[1]} at {bands.label(key[3])} is "
-                    f"given twice; repeats at one place are {key[1]} and {key[1]}#2"
+                    f"given twice; {'leave one mean out' if SUMMARY in key else cure}"
                 )
         except csv.Error as error:
             raise DataError(

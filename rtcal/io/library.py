@@ -388,9 +388,17 @@ def _proposal(table: _Table, title: str) -> str:
     cells = [cells[k].replace(",", ".") for _, cells in table.rows for k in of_values]
     large = any(_is_number(cell) and float(cell.rstrip("% ")) > LARGEST for cell in cells)
     unit = "%" if large or _IN_PERCENT.search(title) else "?"
-    columns = [replace(c, unit=c.unit or unit) if c.has_values else c for c in table.columns]
+    columns = [
+        replace(c, unit="%" if _PERCENT.fullmatch(c.unit) else c.unit or unit)
+        if c.has_values
+        else c
+        for c in table.columns
+    ]
+    kept = [c.kind and not _AREA.search(c.unit) for c in columns]
     lines = f"{table.first} to {table.rows[-1][0]}"
-    return columns_text(lines, [c.meaning if c.kind else "-" for c in columns])
+    return columns_text(
+        lines, [c.meaning if k else "-" for c, k in zip(columns, kept, strict=True)]
+    )
 
 
 @dataclass(frozen=True)

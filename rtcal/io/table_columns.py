@@ -53,6 +53,7 @@ FORMULA_ERRORS = ("#div/0!", "#wert!", "#value!")
 _MISSING = frozenset(["k. a.", *["na", "n/a", "n.a.", "k.a.", "#n/a", "#nv"], *FORMULA_ERRORS])
 _NO_DIGIT = re.compile(r"[-*.,\s\u2212\u2013\u2014]*")
 
+BARE_NUMBER = re.compile(r"[\d.,]+")
 MAX_HEADER = 200
 """Largest length of a header in characters; the patterns are slow on longer ones."""
 _LONGEST_STATISTIC = 80
@@ -91,14 +92,19 @@ _REPEAT = re.compile(
     r"(.*?\d)(?:\s*\((\d+)\)|_(\d+)|[\s_]+(?:sweep|take|run|rep|repeat|messung|wdh)[\s_.-]*(\d+))",
     re.I | re.ASCII,
 )
-_BRACKETS = re.compile(r"([^\[\](]*(?:\(\d+\))?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
+_BRACKETS = re.compile(r"([^\[\](]*(?:\(T?\d+\))?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
 _UNIT_WITHIN = re.compile(r"([^\[\](]*\S)\s*[\[(]\s*(%|percent|m?s|sec|db)\s*[\])]\s*(\S.*)", re.I)
 _SUFFIX = re.compile(r"(.*?\S)(?:\s*/\s*|\s+in\s+|\s+|_)(%|percent|k?hz|m?s|sec|db)", re.I)
 _BOTH = re.compile(r"(\S.*?)[\s_@:,]+(?:at\s+)?(\d[\d.,]*\s*k?(?:hz)?)", re.I)
 _CORRELATION = re.compile(r"-?\s*r[\s(]*T\d+\s*\)?")
 """Of a decay with a straight line, as "r(T20)", "-r T30" and "rT30"; "RT30" is T30."""
 _OF_WHOLE_RANGE = re.compile(rf"(\S.*?)[\s_@:,]+(?:{'|'.join(sorted(WHOLE_RANGES))})", re.I)
-_FREQUENCY = re.compile(r"(\d{1,6}(?:[.,]\d{1,6})?)\s*(k?)(?:Hz)?", re.I | re.ASCII)
+_FREQUENCY = re.compile(
+    r"(\d{1,6}(?:[.,]\d{1,6})?)\s*(k?)(?:Hz)?|(\d{1,2})(k)(\d{1,3})(?:\s*Hz)?", re.I | re.ASCII
+)
+_THOUSANDS = re.compile(
+    r"(?<=^\d)[ \u00a0\u202f'](?=\d{3}\b)|(?<=^\d\d)[ \u00a0\u202f'](?=\d{3}\b)"
+)
 _SEPARATORS = re.compile(r"[\s()\[\]{},;:=/_+.\-\u2013]+")
 _IN_BRACKETS = re.compile(r"[(\[]\s*(\d+)\s*[)\]]")
 _EXPANDED = re.compile(r"u\w?\s*[(\[]?\s*k\s*=.*")
@@ -257,7 +263,7 @@ def stated(text: str) -> Column:
     text = text.strip()
     if text in ("", "-", "left out"):
         return Column("", text)
-    of = _OF.fullmatch(text)
+    of = None if "?" in text.split() else _OF.fullmatch(text)
     name = (of[1] if of else text) or "value"
     value = _VALUE.fullmatch(name)
     column = column_of(value[2] if value else name)
@@ -274,7 +280,8 @@ def stated(text: str) -> Column:
 _OF = re.compile(r"(?:(.*?)\s+)?of\s+(?:(.+?)\s+to\s+)?(.+)")
 _VALUE = re.compile(r"value\s+(?:\[(.*?)\]\s+)?at\s+(.+)")
 _EXAMPLES = (
-    '"band", "receiver", "T20 [s]", "T20 [ms] at 500 Hz of S1 to R1", or "-" if it is left out'
+    '"band", "receiver", "T20 [s]", "T20 [ms] at 500 Hz of S1 to R1", or "-" if it is left out; ? '
+    "stands for what is to be filled in"
 )
 
 
@@ -284,6 +291,9 @@ def columns_of(header: Sequence[str], extra: Collection[str] = ()) -> list[Colum
     "R2" is a correlation, or a receiver among headers of which another is one. A statistic such as
     "Mean" among positions is left out. ``extra`` are headers that may be unknown.
     """
+    in_khz = any(name_and_unit(name)[1].lower() == "khz" for name in header)
+    if in_khz and any((frequency_of(name) or 1) < 1 for name in header):
+        header = [f"{name} kHz" if BARE_NUMBER.fullmatch(name) else name for name in header]
     places = [position_of(name) for name in header]
     several = any(p and not is_unused(name) for p, name in zip(places, header, strict=True))
     columns: list[Column | None] = []
@@ -353,7 +363,7 @@ def column_of(header: str) -> Column | None:
     if position := position_of(header):
         return Column("value", header, source=position[0], receiver=position[1])
     if parameter := parameter_of(name):
-        return _of_values(header, parameter, unit=unit)
+        return _of_values(header, parameter, unit="" if of_band else unit)
     both = _BOTH.fullmatch(name)
     if both and (parameter := parameter_of(both[1])) and (frequency := frequency_of(both[2])):
         return _of_values(header, parameter, in_hz * frequency, "" if of_band else unit)
@@ -468,11 +478,18 @@ def _is_of_whole_range(name: str) -> bool:
 
 
 def frequency_of(text: str) -> float | None:
-    """Return a frequency in Hz, with or without its unit; None if the text is none."""
-    match = _FREQUENCY.fullmatch(text.strip())
+    """Return a frequency in Hz, with or without its unit; None if the text is none.
+
+    Examples
+    --------
+    >>> [frequency_of(text) for text in ("500", "0,125 kHz", "1k25", "1 000", "R1")]
+    [500.0, 125.0, 1250.0, 1000.0, None]
+    """
+    match = _FREQUENCY.fullmatch(_THOUSANDS.sub("", text.strip()))
     if not match:
         return None
-    value = float(match.group(1).replace(",", ".")) * (1000 if match.group(2) else 1)
+    number = match[1].replace(",", ".") if match[1] else f"{match[3]}.{match[5]}"
+    value = float(number) * (1000 if match[2] or match[4] else 1)
     return value if value > 0 else None
 
 

@@ -19,8 +19,9 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise, takewhile
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,7 @@ from rtcal.files.disk import read_bytes, write_bytes
 from rtcal.files.schema import TABLE, expecting
 from rtcal.io import instruments, workbook
 from rtcal.io.table_columns import (
+    BARE_NUMBER,
     DECAY_TIMES_OF_RT60,
     DOUBTFUL,
     FORMULA_ERRORS,
@@ -97,8 +99,8 @@ _SPREADS = ("uncertainty", "common_uncertainty", "standard_deviation")
 _NUMBER = re.compile(
     r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII
 )
+_PLAIN_NUMBER = re.compile(r"\d+(?:[.,]\d+)?", re.ASCII)
 _UNUSED = "left out, since rtcal has no use for it"
-_BARE_NUMBER = re.compile(r"[\d.,]+")
 _LINES = re.compile(r"\s*from line (\d+)(?: to (\d+))?:(.*)", re.DOTALL)
 
 FORMATS: list[Any] = [workbook, instruments]
@@ -141,6 +143,8 @@ class _Options:
     n_receivers: int | None = None
     repeats: bool = False
     sheets: Collection[str] = ()
+    on_trial: bool = False
+    """Whether a refusal needs no proposal, since the table is read to try one."""
 
     def __post_init__(self) -> None:
         for name, choices in (("decay_time", DECAY_TIMES_OF_RT60), ("parameter", (*OBSERVABLES,))):
@@ -349,10 +353,10 @@ def _header(rows: Sequence[Row], extra: Collection[str]) -> tuple[int, int, bool
     for i, (_, cells) in enumerate(rows[:MAX_LINES_BEFORE_HEADER]):
         filled = [pair for pair in zip(cells, columns_of(cells, extra), strict=True) if pair[0]]
         unclear = [cell for cell, column in filled if column is None or column.wrong]
-        count = sum(c is not None and not _BARE_NUMBER.fullmatch(cell) for cell, c in filled)
+        count = sum(c is not None and not BARE_NUMBER.fullmatch(cell) for cell, c in filled)
         if len(filled) > 1 and count and not unclear:
             return i, count, True
-        if count > best[1] and not any(map(_BARE_NUMBER.fullmatch, unclear)):
+        if count > best[1] and not any(map(BARE_NUMBER.fullmatch, unclear)):
             best = i, count
     return *best, False
 
@@ -363,24 +367,39 @@ def _table(sheet: Sheet, options: _Options) -> _Table:
     at = _header(rows, options.where)[0]
     (line, header), body, notes = rows[at], rows[at + 1 :], [sheet.note]
     if at:
-        notes.append(f"the header is line {line}; what stands before it is left out")
+        before = _quoted(_titles(rows[:at]))
+        notes.append(f"the header is line {line}; what stands before it is left out: {before}")
     while header and not header[-1]:  # a separator at the end of every line
         header = header[:-1]
+    place = f"{sheet.place}, line {line}"
     if len(header) > MAX_COLUMNS:
-        place = f"{sheet.place}, line {line}"
         raise DataError(f"{place}: {len(header)} columns; at most {MAX_COLUMNS}")
     found = columns_of(header, options.where)
+    if _has_split_decimals(found, header, body, sheet.separator):
+        raise DataError(
+            f"{place}: decimal commas likely separate cells, too, so that 1,62 is two of them. Save "
+            "the table with semicolons or tabs between columns, or with decimal points"
+        )
     for k, column in enumerate(found):
         cells = [row[k] for _, row in body if len(row) > k and row[k]]
         if not (column or header[k] or cells):
             found[k] = Column("", header[k])
         elif column and not column.kind and _selects_parameter(header[k], cells, options):
             found[k] = replace(column, kind="parameter")
+        elif column and not (k or column.kind) and cells and all(map(position_of, cells)):
+            found[k] = replace(column, kind="receiver")  # "R" above R1, R2
     if problem := _problem(found, header, body):
-        raise DataError(
-            f"{sheet.place}, line {line}: {problem}; or state what each column holds, - for none, with "
-            f"{_proposed(sheet, at, options)}"
-        )
+        unknown = [k for k, column in enumerate(found) if header[k] and not column]
+        if len(unknown) == 1 and header.count(header[unknown[0]]) == 1:
+            name, entry = header[unknown[0]], body[0][1][unknown[0] :][:1] if body else []
+            only = replace(options, where={**options.where, name: "".join(entry)})
+            if (
+                not (options.where or options.on_trial)
+                and not any(map(_is_number, entry))
+                and not _refusal(sheet, only)
+            ):
+                problem += f'; read the rows of one only with where={{"{name}": "{entry[0]}"}}'
+        raise DataError(f"{place}: {problem}{_proposed(sheet, at, options, '; or ')}")
     columns = [column for column in found if column]
     return _Table(sheet, columns, at, body, _titles(rows[:at]), [*notes, *sheet.notes], options)
 
@@ -398,20 +417,47 @@ def _names_parameter(cell: str) -> bool:
     return bool(parameter_of(name_and_unit(cell)[0])) or is_unused(cell)
 
 
+def _has_split_decimals(
+    columns: Sequence[Column | None],
+    header: Sequence[str],
+    body: Sequence[Row],
+    separator: str,
+) -> bool:
+    """Return whether numbers such as 1,62 were likely divided into two cells, at their commas.
+
+    No number has a decimal mark, and rows are longer than their header; or, where commas separate
+    cells, a number stands behind that of a value, or in the place of a band.
+    """
+    rows = [cells for _, cells in body]
+    if any(_is_number(cell) and {*".,"} & {*cell} for cells in rows for cell in cells):
+        return False
+    below = [len(cells) for cells in takewhile(lambda cells: not any(map(_is_number, cells)), rows)]
+    n = max(len(header), *below, 0)
+    if any(cell.isdecimal() for cells in rows for cell in cells[n : n + 1]):
+        return True
+    if separator != ",":
+        return False
+    if any(c and c.wrong and BARE_NUMBER.fullmatch(c.header) for c in columns):
+        return True
+    behind = [
+        k
+        for k, (value, column) in enumerate(pairwise(columns), start=1)
+        if value and value.has_values and header[k] and not (column and column.has_values)
+        if (column and column.kind) or statistic_of(header[k]) is None
+    ]
+    return any(cells[k].isdecimal() for cells in rows for k in behind if k < len(cells))
+
+
 def _problem(columns: Sequence[Column | None], header: Sequence[str], body: Sequence[Row]) -> str:
     """Return what a header leaves open; "" if it says what every column holds."""
     unknown = [name for name, c in zip(header, columns, strict=True) if c is None and name]
-    if all(map(_BARE_NUMBER.fullmatch, unknown or header)):
+    if all(map(BARE_NUMBER.fullmatch, unknown or header)):
         return "no line names columns by a parameter, a band or a position"
     if unknown:
         are = f"{_quoted(unknown)} {'is' if len(unknown) == 1 else 'are'}"
-        problem = f"column{'s' * (len(unknown) > 1)} {are} no parameter, band, source or receiver; "
-        if any(map(repeat_of, unknown)):
-            return problem + "if they are repeats of one place, state repeats=True"
-        return (
-            problem
-            + f'read the rows of one room or state only with where={{"{shown(unknown[0])}": "..."}}'
-        )
+        problem = f"column{'s' * (len(unknown) > 1)} {are} no parameter, band, source or receiver"
+        repeats = "; if they are repeats of one place, state repeats=True"
+        return problem + repeats * any(map(repeat_of, unknown))
     if wrong := next((c.wrong for c in columns if c and c.wrong), ""):
         return wrong
     known = [column for column in columns if column]
@@ -460,21 +506,41 @@ def _stated_table(sheet: Sheet, options: _Options) -> _Table:
 # -- a proposal of columns
 
 
-def _proposed(sheet: Sheet, at: int, options: _Options) -> str:
-    """Return ``columns`` for a table that row ``at`` names best, as far as its cells show them.
+_FILL_IN = (
+    ", where ? is to be filled in: a parameter with its unit, a band or a position, as in T20 [s] at "
+    "500 Hz of S1 to R1, and R1#2 for a repeat"
+)
 
+
+def _refusal(sheet: Sheet, options: _Options) -> str:
+    """Return why a table is not read with some options; "" if it is, and they may be proposed."""
+    options = replace(options, on_trial=True)
+    try:
+        table = (_stated_table if options.columns else _table)(sheet, options)
+        return "" if any(_values([table], options)) else "no row has a value"
+    except DataError as error:
+        return str(error).removeprefix(sheet.place).lstrip(",: ")
+
+
+def _proposed(sheet: Sheet, at: int, options: _Options, before: str) -> str:
+    """Return how to state ``columns`` of a table that row ``at`` names best, behind ``before``.
+
+    What neither headers nor cells show stands as ?; without any it is why the table is not read so.
     Headers above each other name a column together; an upper one may be merged over several columns.
     """
+    if options.on_trial:
+        return ""
     rows = sheet.rows
     first = at
     while first < len(rows) - 1 and not _are_values(rows[first][1], [c for _, c in rows[at:first]]):
         first += 1
     top = at
-    while top and rows[top - 1][0] == rows[top][0] - 1 and _is_header(rows[top - 1][1]):
+    while (
+        first > at and top and rows[top - 1][0] == rows[top][0] - 1 and _is_header(rows[top - 1][1])
+    ):
         top -= 1
     above, body = [cells for _, cells in rows[top:first]], rows[first:]
-    last = _last_of(body)
-    body = body[: last + 1]
+    body = body[: _last_of(body) + 1]
     width = max(len(cells) for cells in [*above, body[0][1]])
     headers = [[*cells, *[""] * width][:width] for cells in above]
     for upper in headers[:-1]:
@@ -489,25 +555,62 @@ def _proposed(sheet: Sheet, at: int, options: _Options) -> str:
         for k in range(width)
     ]
     columns = [_named_together(of_column) for of_column in labels]
+    if not any(c and c.has_values for c in columns):
+        columns = [_named_together(of_column, of_means=True) for of_column in labels]
     known = [column for column in columns if column]
-    for k in (k for k in range(width) if labels[k] and not columns[k]):
-        columns[k] = _of_unknown(labels[k][-1][0], cells[k], known)
-    if columns[0] or not labels[0]:
-        _complete_first(columns, cells[0])
+    for k in (k for k in range(1 - bool(labels[0]), width) if columns[k] is None):
+        columns[k] = _of_cells(labels[k][-1][0] if labels[k] else "", cells[k], known)
+    own, others = columns[0], [c for c in columns[1:] if c and c.has_values]
+    over = own and own.parameter and not own.has_band and not any(c.parameter for c in others)
+    across = any(c.has_band for c in others)
+    if over or not labels[0] or (across and own and own.kind == "band"):
+        columns[0] = _of_first(cells[0], across, {c.kind for c in columns[1:] if c})
     title = next((c for t in (sheet.name, *_titles(rows[:top])) if (c := _name_of(t))), None)
-    if title and not any(c and (c.parameter or c.kind == "parameter") for c in columns):
-        columns = [
-            replace(c, parameter=title.parameter, unit=c.unit or title.unit)
-            if c and c.has_values
-            else c
-            for c in columns
-        ]
-    to = f" to {body[-1][0]}" if first + last + 1 < len(rows) else ""
-    unknown = "-" if any(c and c.has_values for c in columns) else "?"
-    meanings = [(c.meaning if c.kind else "-") if c else unknown for c in columns]
-    if options.parameter:  # which is stated beside
-        meanings = [m.replace(f"{parameter_label(options.parameter)} ", "value ") for m in meanings]
-    return columns_text(f"{body[0][0]}{to}", meanings)
+    shared = own if over else title
+    if shared and not any(c and (c.parameter or c.kind == "parameter") for c in columns):
+        columns = [c and next(_completed([c], shared)) for c in columns]
+    for k, column in enumerate(columns):
+        if column and column.parameter in OBSERVABLES and not column.unit:
+            numbers = [float(c.replace(",", ".")) for c in cells[k] if _PLAIN_NUMBER.fullmatch(c)]
+            if any(not _is_accepted(column.parameter, number) for number in numbers):
+                columns[k] = replace(column, unit="?")
+    if any(c and c.receiver for c in columns):
+        for k, column in enumerate(columns):
+            is_mean = any(statistic_of(text) not in (None, DOUBTFUL) for text, _ in labels[k])
+            if column and column.has_values and not column.receiver and is_mean:
+                columns[k] = Column("", column.header)
+    text = columns_text(f"{body[0][0]} to {body[-1][0]}", _meanings(columns, options))
+    stated = text.partition('"')[2][:-1]
+    if "?" not in text and (reason := _refusal(sheet, replace(options, columns=stated))):
+        return f"; and {reason}" if reason.startswith("line ") and "state " not in reason else ""
+    what = f"state what each column holds, - for none, with {text}"
+    return before + what + _FILL_IN * ("?" in text)
+
+
+def _meanings(columns: Sequence[Column | None], options: _Options) -> list[str]:
+    """Return what each column holds; in place of what is not known stands ?."""
+    kinds, meanings = {c.kind for c in columns if c}, list[str]()
+    open_names = ["value"] * ("parameter" not in kinds and not options.parameter)
+    open_names += ["RT60"] * (options.decay_time is None)
+    for column in columns:
+        meaning = "?" if column is None else column.meaning if column.kind else "-"
+        if column and column.has_values:
+            name, of, place = meaning.partition(" of ")
+            name = (
+                f"? {name.partition(' ')[2]}".strip() if name.split(" ")[0] in open_names else name
+            )
+            name += " at ?" * (not column.has_band and "band" not in kinds)
+            if not place and "receiver" not in kinds and any(c and c.receiver for c in columns):
+                of, place = " of ", "?"
+            if options.parameter:  # which is stated beside
+                name = name.replace(f"{parameter_label(options.parameter)} ", "value ")
+            meaning = name + of + place
+        meanings.append(meaning)
+    alike = Counter([] if options.repeats else meanings)
+    return [
+        f"{m.partition(' of ')[0]} of ?" if alike[m] > 1 and c and c.has_values else m
+        for m, c in zip(meanings, columns, strict=True)
+    ]
 
 
 def columns_text(line: str, meanings: Sequence[str]) -> str:
@@ -521,9 +624,14 @@ def _is_number(cell: str) -> bool:
 
 def _are_values(cells: Sequence[str], above: Sequence[Sequence[str]]) -> bool:
     """Return whether a row has values below some headers: numbers that are no bands of theirs."""
-    if not above and any(column_of(cell) for cell in cells if not _BARE_NUMBER.fullmatch(cell)):
-        return False
-    numbers = [cell for cell in cells[1:] if _is_number(cell)]
+    of_band = _is_number(cells[0])
+    numbers = [c for c in cells[1:] if _is_number(c) or (of_band and c and is_missing(c))]
+    texts = [cell for cell in cells if not BARE_NUMBER.fullmatch(cell)]
+    if not above and (named := [column for column in map(column_of, texts) if column]):
+        in_khz = any(name_and_unit(cell)[1].lower() == "khz" for cell in texts)
+        fractions = [frequency_of(n) for n in numbers if not n.isdecimal()]
+        is_band = in_khz or all(f and nearest_band(f) for f in fractions)
+        return not is_band and all(column.has_values for column in named)
     known = [column for row in above for column in map(column_of, row) if column]
     if any(column.kind == "band" or column.has_band for column in known):
         return bool(numbers)
@@ -534,39 +642,52 @@ def _are_values(cells: Sequence[str], above: Sequence[Sequence[str]]) -> bool:
 
 def _is_header(cells: Sequence[str]) -> bool:
     """Return whether a row above a header may be a part of it: it names more than the first column."""
-    others = [cell for cell in cells[1:] if cell]
-    return bool(others) and (not cells[0] or any(map(column_of, others)))
+    others, first = [cell for cell in cells[1:] if cell], column_of(cells[0])
+    of_rows = not cells[0] or (first is not None and not first.has_values)
+    return bool(others) and (of_rows or any(map(column_of, others)))
 
 
 def _last_of(body: Sequence[Row]) -> int:
     """Return the number of the last row of a table: with as many cells, and a band, as its first."""
     width, of_band = len(body[0][1]), frequency_of(body[0][1][0])
     for i, (_, cells) in enumerate(body):
+        if i and [cell for cell in cells if cell] == cells[:1] and _name_of(cells[0]):
+            return i - 1  # the title of another table
         has_band = not of_band or frequency_of(cells[0]) or plain(cells[0]) in WHOLE_RANGES
         if sum(map(bool, cells)) > 1 and not (has_band and len(cells) >= width):
             return max(i - 1, 0)
     return len(body) - 1
 
 
-def _named_together(labels: Sequence[tuple[str, Column | None]]) -> Column | None:
-    """Return the column that headers above each other name, each with its own column if it is known."""
+def _named_together(
+    labels: Sequence[tuple[str, Column | None]], *, of_means: bool = False
+) -> Column | None:
+    """Return the column that headers above each other name, each with its own column if it is known.
+
+    Statistics are left out, but for means where the table is ``of_means``.
+    """
     texts = [text for text, _ in labels]
-    made, place, is_known = Column("value", " ".join(texts)), "", False
+    if beside := [c for _, c in labels if c and not c.has_values]:
+        of_rows = beside[-1]
+        unit = "kHz" if "khz" in map(str.lower, texts) else of_rows.unit
+        return None if of_rows.wrong else replace(of_rows, unit=unit)
+    made, places, is_known = Column("value", " ".join(texts)), list[str](), False
     for text, column in labels:
-        bare = text.strip("[]() ")
-        if len(texts) > 1 and bare.lower() in UNIT_WORDS - {"-", "1"}:
-            made = replace(made, unit=bare)
-            continue
-        if column and not column.has_values:
-            return replace(column, unit="kHz" if "khz" in map(str.lower, texts) else column.unit)
         words = [] if column else text.split()
+        units = [
+            w.strip("[]()") for w in words if w.strip("[]()").lower() in UNIT_WORDS - {"-", "1"}
+        ]
+        words = [w for w in words if w.strip("[]()") not in units]
         parameter = next((w for w in words if parameter_of(w)), "")
         band = next((w for w in words if (frequency_of(w) or 0) >= LEAST_BAND), "")
         column = column or column_of(f"{parameter} {band}".strip())
-        if not band:
-            place = " ".join(word for word in words if word != parameter) or place
+        place = "" if band else " ".join(word for word in words if word != parameter)
+        if of_means and statistic_of(place) == "value":
+            place = ""
         if statistic_of(place) is not None:
             return Column("", text)
+        places += [text] if column and column.receiver else [place] if place else []
+        made = replace(made, unit=units[0] if units else made.unit)
         if column and not column.wrong:
             is_known = True
             made = replace(
@@ -574,42 +695,43 @@ def _named_together(labels: Sequence[tuple[str, Column | None]]) -> Column | Non
                 parameter=column.parameter or made.parameter,
                 band=column.band if column.has_band else made.band,
                 unit=column.unit or made.unit,
-                source=column.source or made.source,
-                receiver=column.receiver or made.receiver,
             )
-    return replace(made, receiver=made.receiver or place) if is_known else None
+    place = places[-1] if places else ""
+    source, receiver = position_of(" ".join(places)) or position_of(place) or ("", place)
+    return replace(made, source=source, receiver=receiver) if is_known else None
 
 
-def _of_unknown(name: str, cells: Sequence[str], known: Sequence[Column]) -> Column | None:
-    """Return what an unknown column may hold beside the known ones: a position, or its values."""
+def _of_cells(name: str, cells: Sequence[str], known: Sequence[Column]) -> Column | None:
+    """Return what an unknown column may hold beside the known ones; None if it is to be asked."""
     kinds = {column.kind for column in known}
     if cells and all(map(_is_number, cells)):
+        if [*cells] == [str(n) for n in range(len(cells))]:
+            return Column("", name)
         is_place = "band" in kinds and "value" not in kinds and statistic_of(name) is None
-        return Column("value", name, receiver=name) if is_place else None
+        return Column("value", name, receiver=name) if is_place and name else None
+    if cells and all(map(_names_parameter, cells)) and "parameter" not in kinds:
+        return Column("parameter", name)
     is_receiver = bool(cells) and all(map(position_of, cells)) and "receiver" not in kinds
-    return Column("receiver", name) if is_receiver else None
+    return Column("receiver" if is_receiver else "", name)
 
 
-def _complete_first(columns: list[Column | None], cells: Sequence[str]) -> None:
-    """Set what the first column holds by its cells, where its header names none, or all others."""
-    first, others = columns[0], [c for c in columns[1:] if c and c.has_values]
-    over = first and first.parameter and not first.has_band and not any(c.parameter for c in others)
-    if first and not over and not (first.kind == "band" and any(c.has_band for c in others)):
-        return
-    of_rows = {"band", "receiver", "source"} & {c.kind for c in columns[1:] if c}
-    if [*cells] == [str(n) for n in range(len(cells))] and of_rows:
-        columns[0] = Column("", "")
-    elif any(frequency_of(c) for c in cells) and not any(c.has_band for c in others):
-        columns[0] = Column("band", "")
-    else:
-        is_parameter = bool(cells) and all(map(_names_parameter, cells))
-        columns[0] = Column("parameter" if is_parameter else "receiver", "")
-    if first and over:
-        for k, column in enumerate(columns):
-            if column and column.has_values:
-                columns[k] = replace(
-                    column, parameter=first.parameter, unit=column.unit or first.unit
-                )
+def _of_first(cells: Sequence[str], across: bool, kinds: Collection[str]) -> Column:
+    """Return what the first column holds by its cells; ``across`` says that others name bands."""
+    if [*cells] == [str(n) for n in range(len(cells))] and {"band", "receiver", "source"} & {
+        *kinds
+    }:
+        return Column("", "")
+    if any(frequency_of(c) for c in cells) and not across:
+        return Column("band", "")
+    is_parameter = bool(cells) and all(map(_names_parameter, cells))
+    return Column("parameter" if is_parameter else "receiver", "")
+
+
+def _completed(columns: Iterable[Column], named: Column) -> Iterator[Column]:
+    """Yield columns, with the parameter and unit of a title for values that have none."""
+    for c in columns:
+        bare = c.has_values and not c.parameter
+        yield replace(c, parameter=named.parameter, unit=c.unit or named.unit) if bare else c
 
 
 def _titles(rows: Sequence[Row]) -> list[str]:
@@ -677,13 +799,7 @@ class _Table:
         self.first = self.rows[0][0] if self.rows else sheet.rows[at][0] + 1
         self.parameter = None if "parameter" in kinds else self._of_table()
         if self.parameter is not None:
-            key, unit = self.parameter.parameter, self.parameter.unit
-            self.columns = [
-                replace(c, parameter=key, unit=c.unit or unit)
-                if c.has_values and not c.parameter
-                else c
-                for c in self.columns
-            ]
+            self.columns = [*_completed(self.columns, self.parameter)]
         self.comma = self._decimal_comma()
         self._set_positions({c.kind for c in self.columns})
 
@@ -721,11 +837,9 @@ class _Table:
     def _other_lines(self) -> str:
         """How to leave out lines that are no part of the table."""
         cure = "what stands below a table is to be deleted"
-        return cure if self.options.columns else f"{cure}, or left out with {self._proposal}"
-
-    @property
-    def _proposal(self) -> str:
-        return _proposed(self.sheet, self.at, self.options)
+        if self.options.columns:
+            return cure
+        return cure + _proposed(self.sheet, self.at, self.options, "; or ")
 
     def _set_positions(self, kinds: set[str]) -> None:
         """Set the position of values whose rows name none, and the sentences on positions."""
@@ -1037,17 +1151,21 @@ class _Table:
                     for c in self.columns
                 ]
                 named = f'"{label} [{unit}]" as the name of the column, the row or the sheet'
-                meanings = [c.meaning if c.kind else "-" for c in columns]
-                cure = f" or state {columns_text(str(self.first), meanings)}"
-                of_rows = any(c.kind == "parameter" for c in self.columns)
-                raise DataError(f"{text} If so, write {named}{'' if of_rows else cure}") from error
+                lines = f"{self.first} to {self.rows[-1][0]}"
+                cure = columns_text(lines, [c.meaning if c.kind else "-" for c in columns])
+                stated = replace(self.options, columns=cure.partition('"')[2][:-1])
+                is_cure = not (self.options.on_trial or _refusal(self.sheet, stated))
+                cure = f" or state {cure}" * is_cure
+                raise DataError(f"{text} If so, write {named}{cure}") from error
             raise DataError(f"{text} If it is no measurement, empty the cell") from error
 
     def report(self, of_means: bool) -> list[str]:
         """Return how each column was read; ``of_means`` says that the file has no positions."""
         mark = "comma" if self.comma else "point"
         report = [f"{self.notes[0]}, decimal {mark}", *self.notes[1:]]
-        report += [f'"{column.header}": {column.meaning}' for column in self.columns]
+        for k, column in enumerate(self.columns, start=1):
+            name = f'"{column.header}"' if column.header else f"column {k}"
+            report.append(f"{name}: {column.meaning}")
         if errors := self.formula_errors:
             report.append(f"missing, since a formula has an error: {first_of(errors, _MOST_NAMED)}")
         return report if of_means else report + self.of_positions

@@ -169,6 +169,8 @@ class Sheet:
         Source and receiver of values whose rows and columns name none; empty if not known.
     notes : sequence of str
         Other lines of the report.
+    separator : str
+        Of the cells in text; empty for other formats.
     """
 
     place: str
@@ -177,6 +179,7 @@ class Sheet:
     name: str = ""
     position: tuple[str, str] = ("", "")
     notes: tuple[str, ...] = ()
+    separator: str = ""
 
 
 def sheets_of_text(text: Text, path: str) -> list[Sheet]:
@@ -188,23 +191,24 @@ def sheets_of_text(text: Text, path: str) -> list[Sheet]:
     head, _, tail = text.characters.partition("\n")
     stated = head.strip().strip('"').lower()
     characters, separators = text.characters, [s for s in SEPARATORS if s in text.characters]
-    aligned = not separators
     if stated.startswith("sep=") and len(stated) <= 5:  # Excel's first line; a tab is stripped
-        characters, separators, aligned = "\n" + tail, [stated[4:] or "\t"], False
-    elif aligned:
-        characters, separators = _GAP.sub("\t", characters), ["\t"]
+        characters, separators = "\n" + tail, [stated[4:] or "\t"]
+    elif {*separators} <= {","}:  # which may be decimal marks
+        separators.append("")
     found: list[tuple[int, Sheet]] = []
     errors = []
     for separator in separators:
         try:
-            rows = _rows(characters, separator, path)
+            aligned = characters if separator else _GAP.sub("\t", characters)
+            rows = _rows(aligned, separator or "\t", path)
         except DataError as error:
             errors.append(error)
             continue
         widths = Counter(len(cells) for _, cells in rows if len(cells) > 1)
-        by = "blanks" if aligned and widths else repr("," if aligned else separator)
+        by = repr(separator or ",") if separator or not widths else "blanks"
         note = f"text in {text.encoding}, columns separated by {by}"
-        found.append((max(widths.values(), default=0), Sheet(path, tuple(rows), note)))
+        sheet = Sheet(path, tuple(rows), note, separator=separator)
+        found.append((max(widths.values(), default=0), sheet))
     if not found:
         raise errors[0]
     return [sheet for _, sheet in sorted(found, key=lambda item: -item[0])]
