@@ -1,8 +1,7 @@
 """Where a simulation and a measurement disagree: by parameter, band and pair.
 
-A deviation is the run's value less the measured one, in just noticeable differences (JND). Of a
-parameter whose JND is a share of its value, such as T, it is ln(run / measured) / ln(1 + share): run
-and measurement exchanged give the same numbers with the other sign.
+A deviation is the run's value less the measured one, in just noticeable differences (JND): of T, 5 % of
+the measured T each.
 """
 
 from __future__ import annotations
@@ -34,7 +33,6 @@ from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 WORDS = "rtcal.report.of_comparison"
-_LOG_JND = np.log1p(REVERBERATION[0].jnd)
 NOTICED = 1.0
 """Deviation in JND from which on a parameter disagrees, unless its uncertainty is as large."""
 _BINS = 2000  # of an exponential decay over twice its T
@@ -163,7 +161,7 @@ class Comparison(Result):
         times, area = self.equation.reverberation_time(room), self._open_area
         with np.errstate(all="ignore"):
             slope = times * self.equation.target_sensitivity(room, times)
-            prior = np.nan_to_num(np.abs(area / slope)) / _LOG_JND  # of T, in JND
+            prior = np.nan_to_num(np.abs(area / slope)) / REVERBERATION[0].jnd  # of T, in JND
         mean, left, own = np.zeros_like(prior), prior, [""] * room.n_bands
         for o in reversed(REVERBERATION):
             if o.key in self.deviation:
@@ -178,7 +176,9 @@ class Comparison(Result):
         for p in self.parameters:
             kind, values = OBSERVABLES[p], self.sides[1].mean(p)
             by_log_time = np.array([_by_log_time(kind, t) for t in times])
-            per_jnd = _in_jnd(kind.of_value(by_log_time, values), values, kind) * _LOG_JND
+            per_jnd = (
+                _in_jnd(kind.of_value(by_log_time, values), values, kind) * REVERBERATION[0].jnd
+            )
             first = np.array([key in ("", p) for key in own])
             ends = np.where(first, [np.zeros_like(prior), prior], [mean, left])
             found[p] = np.nan_to_num(np.array([per_jnd, np.abs(per_jnd)]) * ends)
@@ -247,20 +247,16 @@ def deviation(run: Array, measured: Array, parameter: str) -> Array:
 
     Examples
     --------
-    >>> print(deviation(np.array([1.05, 1.0]), np.array([1.0, 1.05]), "t20").round(6))
+    >>> print(deviation(np.array([1.05, 1.9]), np.array([1.0, 2.0]), "t20").round(6))
     [ 1. -1.]
     """
-    kind = OBSERVABLES[parameter]
-    with np.errstate(all="ignore"):
-        if kind.relative_jnd:
-            return np.asarray(np.log(run / measured) / np.log1p(kind.jnd))
-        return np.asarray((run - measured) / kind.jnd)
+    return _in_jnd(run - measured, measured, OBSERVABLES[parameter])
 
 
 def _in_jnd(uncertainty: Array, values: Array, kind: Observable) -> Array:
-    """Return an uncertainty of values in JND, to first order."""
-    one = np.log1p(kind.jnd) * values if kind.relative_jnd else kind.jnd
-    return np.asarray(uncertainty / one)
+    """Return a difference or an uncertainty of values in JND."""
+    with np.errstate(all="ignore"):
+        return np.asarray(uncertainty / (kind.jnd * values if kind.relative_jnd else kind.jnd))
 
 
 def _by_log_time(kind: Observable, time: float) -> float:

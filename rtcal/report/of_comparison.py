@@ -77,7 +77,7 @@ def _amount(deviation: Array, parameter: str) -> str:
     """Return the range of deviations in JND as percent, or in the parameter's unit."""
     kind = OBSERVABLES[parameter]
     if kind.relative_jnd:
-        sizes, unit, decimals = np.abs(100 * np.expm1(deviation * np.log1p(kind.jnd))), "%", 0
+        sizes, unit, decimals = 100 * kind.jnd * np.abs(deviation), "%", 0
     elif kind.unit == "s":
         sizes, unit, decimals = 1000 * kind.jnd * np.abs(deviation), "ms", 0
     else:
@@ -269,8 +269,8 @@ def page(c: Comparison) -> Page:
                 [
                     f"A parameter disagrees where it is off by more than {NOTICED:g} JND and by more "
                     f"than {LARGE_Z:g} standard uncertainties of the measurement: its own, or that of "
-                    "ISO 3382-2 and of the spread over pairs. One JND of a decay time is a factor of "
-                    f"{1 + REVERBERATION[0].jnd:g}.",
+                    "ISO 3382-2 and of the spread over pairs. One JND of a decay time is "
+                    f"{100 * REVERBERATION[0].jnd:g} % of it.",
                     "At one pair, a value that states no uncertainty has that by which teams differ.",
                     "What the coefficients leave open follows from their sigma, and from errors that "
                     f"handbook values have in common, by {c.equation.name}'s equation. They explain of "
