@@ -17,12 +17,12 @@ from tests.test_where_commands import run
 
 @pytest.fixture(scope="module")
 def named(kept: Path) -> Diagnosis:
-    return rt.diagnose(rt.datasets.hidden_room("named")[0], cache=kept)
+    return rt.diagnose(rt.datasets.hidden_room("identified")[0], cache=kept)
 
 
 def test_it_is_what_the_single_steps_give(named: Diagnosis, kept: Path) -> None:
     finding = rt.find(named.finding.case, cache=kept)
-    verified, truth = rt.finder.verify(finding), rt.datasets.hidden_room("named")[1]
+    verified, truth = rt.finder.verify(finding), rt.datasets.hidden_room("identified")[1]
     assert finding.effect == named.finding.effect == truth["hidden"]
     assert named.verification is not None
     assert named.verification.after == verified.after < 0.5 * verified.before

@@ -390,7 +390,7 @@ def test_t_alone_proves_nothing_and_the_record_says_so() -> None:
     assert (finding.residuals[0, 0] > 0).all()
     assert "(model - measured)" in str(finding)
     before = np.abs(finding.residuals[0, 0])
-    after = residual_map(finding, seen.corrected)
+    after = residual_map(seen)
     assert np.nanmax(np.abs(after)) < 0.3 * before.max()
     assert record["corrected"]["effects"][0]["size_interval"][0] < 25
 

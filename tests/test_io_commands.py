@@ -123,10 +123,10 @@ def test_a_table_without_a_header_is_not_taken_for_one(tmp_path: Path, capsys) -
     path = tmp_path / "in.csv"
     path.write_text("500,0.9\n1000,0.8\n")
     assert run("table", path, "--parameter", "t20") == 2
-    assert 'with --columns "from line 1: band; ?"' in capsys.readouterr().err
+    assert 'with --columns "from line 1 to 2: band; ?"' in capsys.readouterr().err
     path.write_text("12.5,16,20\n1.3,0.8,0.7\n")
     assert run("table", path, "--parameter", "t20") == 2
-    columns = "from line 2: value at 12.5 Hz; value at 16 Hz; value at 20 Hz"
+    columns = "from line 2 to 2: value at 12.5 Hz; value at 16 Hz; value at 20 Hz"
     assert f'with --columns "{columns}"' in capsys.readouterr().err
     assert run("table", path, "--parameter", "t20", "--columns", columns) == 0
 
@@ -178,7 +178,7 @@ def test_import_takes_sigma_air_bands_and_scattering(tmp_path: Path, capsys) -> 
     assert (room.air.temperature, room.air.humidity) == (22, 50)
     assert room.scattering == pytest.approx(np.array([[0.1, 0.1], [0.3, 0.3]]))
     shown = capsys.readouterr().out
-    assert "sigma = 2 max(0.1 alpha, 0.02); stated: felt" in shown
+    assert "sigma = 2 max(0.1 alpha, 0.02); from the file: felt" in shown
     room = imported(tmp_path, *BOTH, "--bands", "third-octave", "--iso-12999-2")
     assert room.n_bands == 18
     assert room.alpha[0, :4] == pytest.approx([0.1, 0.1, 0.1, 0.12])

@@ -178,8 +178,6 @@ def test_what_is_stored_is_one_clean_run(path: Path) -> None:
 @pytest.mark.parametrize(
     ("page", "study"),
     [
-        ("docs/modelling.md", "smoothing"),
-        ("docs/modelling.md", "configurations"),
         ("benchmarks/studies/calibrations/README.md", "coverage"),
     ],
 )

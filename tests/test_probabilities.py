@@ -204,7 +204,7 @@ def test_what_states_no_uncertainty_gets_it_from_theory_and_reproducibility() ->
     assert spread[0, 0] == pytest.approx(np.hypot(one[0], 0.046), rel=0.05)
     assert spread[0, -1] == pytest.approx(np.hypot(one[-1], 0.013), rel=0.05)
     assert (np.diff(spread[0]) < 0).all()
-    assert "not stated" in str(observed.origin)
+    assert "not given" in str(observed.origin)
     stated, _ = observe(case_of(room(), room()))
     assert str(stated.origin) == "Uncertainty of T20, EDT, T30: as given"
 
@@ -369,7 +369,7 @@ def test_null_rooms_take_few_errors_in_common_where_coefficients_are_well_known(
         with_levels(stated=True),
         with_levels(stated=False),
     ],
-    ids=["no levels", "stated", "not stated"],
+    ids=["no levels", "stated", "not given"],
 )
 def test_the_smallest_threshold_is_the_same_for_all_data(
     case: Case, monkeypatch: pytest.MonkeyPatch

@@ -103,7 +103,7 @@ def test_without_the_directivity_something_changed_but_no_surface_is_told(
     found = rt.find(model.room, states[1], model, before=states[0])
     assert found.detected
     assert found.surfaces == {}
-    assert any("S1, S2, S3 and 3 more is not stated" in str(note) for note in found.notes)
+    assert any("S1, S2, S3 and 3 more is not given" in str(note) for note in found.notes)
 
 
 @pytest.mark.long

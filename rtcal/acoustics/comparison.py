@@ -302,9 +302,9 @@ def compare(
     >>> import rtcal as rt
     >>> room, measured = rt.datasets.bras_cr2()
     >>> run = rt.Run(room, rt.Measurement.from_values(
-    ...     room.centre_frequencies, t20=1.2 * measured.reverberation_time))
+    ...     room.centre_frequencies, t30=1.2 * measured.reverberation_time))
     >>> rt.compare(room, measured, run)
-    <Comparison: The program's T20 is 20 % too long in all bands.>
+    <Comparison: The program's T30 is 20 % too long in all bands.>
     """
     equation, by_equation = equation or Eyring(), run is None
     checks.instance("measured", measured, Measurement).refuse_large_uncertainty()

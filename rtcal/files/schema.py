@@ -410,7 +410,7 @@ def expecting(kind: str, path: str | os.PathLike[str]) -> Iterator[None]:
     DataError
         That of the block, with the path before it.
     """
-    place = os.fspath(path)
+    place = os.fspath(checks.path("path", path))
     try:
         yield
     except DataError as error:

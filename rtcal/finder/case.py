@@ -505,8 +505,8 @@ class Case:
             check_parameters(added.effect, added.parameters, self.room, added.size_interval)
         configurations = tuple(c.in_room(self.room) for c in self.configurations)
         object.__setattr__(self, "configurations", configurations)
-        if self.program not in ("", GEOMETRICAL):
-            raise DataError(f'program = {self.program!r} is not "{GEOMETRICAL}"')
+        if checks.text("program", self.program) not in ("", GEOMETRICAL):
+            raise DataError(f'program = {checks.shown(self.program)} is not "{GEOMETRICAL}"')
         if self.program and not self.has_run:
             raise DataError(f'program = "{self.program}" made a run, and simulated is missing')
 

@@ -115,7 +115,7 @@ def diagnose(
     Examples
     --------
     >>> import rtcal as rt
-    >>> case, truth = rt.datasets.hidden_room("named")
+    >>> case, truth = rt.datasets.hidden_room("identified")
     >>> print(rt.diagnose(case))  # doctest: +SKIP
     """
     finding = find(room, measured, simulator, cache=cache, progress=progress, **options)

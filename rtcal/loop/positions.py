@@ -1310,9 +1310,9 @@ class PositionsResult(Result):
 
     @property
     def warning(self) -> str:
-        """Sentences that stand first: typing errors, start returned, T beyond the prior, gap grown."""
-        said = [text.as_sentence(doubt.sentence) for doubt in self.of_input]
-        said += [_REFUSED] if self.refused else []
+        """Sentences that stand first: start returned, typing errors, T beyond the prior, gap grown."""
+        said = [_REFUSED] if self.refused else []
+        said += [text.as_sentence(doubt.sentence) for doubt in self.of_input]
         if self.beyond:
             said.append(str(self.beyond))
         if farther := self._farther_matched:

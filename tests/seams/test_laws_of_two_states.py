@@ -247,7 +247,7 @@ def test_an_option_without_effect_is_refused() -> None:
     volume = [e for e in rt.finder.library() if e.name == "volume"]
     with pytest.raises(rt.errors.DataError, match="none of the effects adds absorption"):
         rt.find(stated, after, before=before, effects=volume)
-    with pytest.raises(rt.errors.DataError, match="states no air"):
+    with pytest.raises(rt.errors.DataError, match="the room has none"):
         StatesCase(**{**two, "room": stated.replace(air=None)}, climate_uncertainty=(1, 5))
 
 
