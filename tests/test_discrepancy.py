@@ -380,6 +380,7 @@ def test_t_alone_proves_nothing_and_the_record_says_so() -> None:
     assert record["verdict"] == "not tested"
     assert record["before_jnd"] is None
     assert "held out" not in str(seen)
+    assert " plain " not in str(seen)  # a model has the name that it has at positions
     times = reverberation_times(finding, *seen.calibrations)
     measured = case.configurations[0].measured.mean("t20")
     np.testing.assert_allclose(times["measured"], measured)

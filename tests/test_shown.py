@@ -21,8 +21,8 @@ pytestmark = pytest.mark.skipif(
 @pytest.mark.long
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_a_page_shows_what_its_commands_print(page: Path) -> None:
-    for commands, text, on_page in shown.outputs(page):
-        assert shown.agrees(text, on_page), f"{commands}prints\n{text}"
+    for block, text, on_page in shown.outputs(page):
+        assert shown.agrees(text, on_page), f"{block}prints\n{text}"
 
 
 def test_lines_may_be_left_out_and_none_may_be_added() -> None:
@@ -31,3 +31,13 @@ def test_lines_may_be_left_out_and_none_may_be_added() -> None:
     assert shown.agrees(text, text)
     assert not shown.agrees(text, "a\nb\nd\n")
     assert not shown.agrees(text, "a\n[...]\ne\n")
+
+
+def test_a_page_runs_its_python_and_writes_its_files(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    python = (
+        "```python\nx = 1\nprint(x)\n```\n\n```python\nprint(open('a.csv').read(), x + 1)\n```\n"
+    )
+    page.write_text(f'```csv title="a.csv"\n1,2\n```\n\n{python}\n```text\n?\n```\n', "utf-8")
+    shown.store(page)
+    assert page.read_text("utf-8").endswith("```text\n1,2\n 2\n```\n")

@@ -785,7 +785,7 @@ def at_positions(
         pairs,
         gaps,
         models=MODELS,
-        held_out=("pairs that were not fitted",),
+        held_out=("each half of the pairs from the other",),
         quantities=tuple(map(parameter_label, parameters)),
         misses=tuple(misses),
         halves=tuple(map(tuple, halves)),

@@ -1017,9 +1017,9 @@ def effects_of(r: Recalibrated) -> list[str]:
 
 def of_recalibration(r: Recalibrated, plain: Recalibrated | None = None) -> list[Block]:
     """Return each material's alpha, as stated and as calibrated, and the effects."""
-    room, beside = (plain or r).case.room, {} if plain is None else {"plain": plain}
+    room, beside = (plain or r).case.room, {} if plain is None else {"calibrated": plain}
     alphas = {"input": (room.alpha, NORMAL_90 * room.sigma)}
-    for name, c in {**beside, "corrected": r}.items():
+    for name, c in {**beside, "corrected and calibrated": r}.items():
         alphas[name] = (c.alpha, np.subtract(*c.interval[::-1]) / 2)
     rows = [
         Row(m, [f"{a[i].mean():.3f} ± {half[i].mean():.3f}" for a, half in alphas.values()])
