@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 LEFT_OUT = "[...]"
-_BLOCKS = re.compile(
+BLOCKS = re.compile(
     r'^```(?:(console|python)|\w+ title="([^"\n]+)")\n(.*?)^```\n(?:\n```text\n(.*?)^```\n)?',
     re.M | re.S,
 )
@@ -61,7 +61,7 @@ def printed(commands: str, folder: Path) -> tuple[str, Path]:
 
 def outputs(page: Path) -> Iterator[tuple[str, str, str]]:
     """Yield each block that shows what it prints, that text, and what is shown."""
-    blocks = _BLOCKS.findall(page.read_text(encoding="utf-8"))
+    blocks = BLOCKS.findall(page.read_text(encoding="utf-8"))
     last = max((i for i, (*_, shown) in enumerate(blocks) if shown), default=-1)
     before = ""
     with tempfile.TemporaryDirectory() as place:

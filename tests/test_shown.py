@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,15 @@ pytestmark = pytest.mark.skipif(
 def test_a_page_shows_what_its_commands_print(page: Path) -> None:
     for block, text, on_page in shown.outputs(page):
         assert shown.agrees(text, on_page), f"{block}prints\n{text}"
+
+
+def test_every_how_to_shows_a_result() -> None:
+    _, rest = (shown.ROOT / "mkdocs.yml").read_text("utf-8").split("  - How to:\n")
+    names = re.findall(r": (\w+\.md)", rest.partition("  - Understand:\n")[0])
+    assert len(names) > 20
+    for name in names:
+        text = (shown.ROOT / "docs" / name).read_text("utf-8")
+        assert any(on_page for *_, on_page in shown.BLOCKS.findall(text)), name
 
 
 def test_lines_may_be_left_out_and_none_may_be_added() -> None:
