@@ -151,7 +151,7 @@ def test_scattering_that_cannot_be_fitted_is_kept_and_said(case, result):
     room, _, measured = case
     for options, said in (
         ({"scattering": 1.0}, "coefficients of 0 and 1 are not changed"),
-        ({"scattering_model": "vector"}, 'only "random" paths tell'),
+        ({"scattering_model": "vector"}, 'only the model "random" has its derivatives'),
     ):
         simulator = tracing(room, **options)
         kept = rt.calibrate_positions(

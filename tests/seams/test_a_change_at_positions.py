@@ -151,7 +151,7 @@ def test_every_observable_has_pairs_mean_and_interval(predicted, tmp_path: Path)
     predicted.save(tmp_path)
     html = pages.page_of(tmp_path)
     assert html.count("C80 after / dB") == 3
-    assert "heard before and after the change" in html
+    assert "evaluated before and after the change" in html
     again = rt.load(tmp_path)
     assert str(again) == str(predicted)
     assert again.to_dict() == predicted.to_dict()
