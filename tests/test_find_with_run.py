@@ -225,6 +225,8 @@ def test_a_field_less_diffuse_than_the_programs_is_no_error_of_the_room() -> Non
     finding = rt.find(case, controls=controls())
     assert finding.verdict == "hint"
     assert str(finding).startswith("Nothing of the room is identified: what differs may be the")
+    assert "nothing was detected" in str(finding.refusal)
+    assert "`rtcal plan`" in str(finding.refusal)
 
 
 @pytest.fixture(scope="module")
@@ -275,6 +277,7 @@ def test_instructions_are_in_the_terms_of_the_program(absorber: Finding, tmp_pat
     """The list's old coefficients are those of the run; a run with the new ones has the measured T."""
     _, _, files = of_finding.correct(absorber, tmp_path, effect=absorber.names[0])
     text = files[tmp_path / "instructions.txt"].decode()
+    assert "drawn larger" in " ".join(text.split())
     assert re.search(r"^opening, 3\d\d m² +0\.6", text, re.M)
     old = next(line for line in text.splitlines() if line.startswith("walls, old"))
     assert [float(v) for v in old.split()[2:]] == [0.05] * 6

@@ -259,3 +259,20 @@ def test_the_equation_of_the_loop_is_chosen_at_its_start(name: str, cr2, tmp_pat
     refused, *_ = begun(room, measured, tmp_path, "--equation", "fitzroy")
     assert refused.exit_code == 2
     assert "fitzroy" in refused.output
+
+
+def test_a_loop_that_begins_with_a_run_has_the_cautions_of_its_coefficients(cr2, tmp_path):
+    """Measured T of a third were matched with coefficients at their bounds, without a word."""
+    room, measured = cr2
+    times = measured.reverberation_time
+    paths = {name: str(tmp_path / name) for name in ("room.toml", "t.csv", "run.csv", "s", "next")}
+    room.save(paths["room.toml"])
+    for name, factor in (("t.csv", 1 / 3), ("run.csv", 1.0)):
+        t20 = factor * times
+        rt.Measurement.from_values(measured.centre_frequencies, t20=t20).save(paths[name])
+    files = ["room.toml", "t.csv", "--simulated", "run.csv", "--state", "s", "--out", "next"]
+    done = CliRunner().invoke(cli, ["loop", "start", *(paths.get(each, each) for each in files)])
+    assert done.exit_code == 0, done.output
+    said = unwrapped(done.output)
+    assert "Caution: [z] " in said
+    assert "The measurement contradicts the input" in said

@@ -10,7 +10,7 @@ from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.command.main import main
 from rtcal.report import pages
 from rtcal.simulators.external import of_equation
-from rtcal.support.errors import DataError
+from rtcal.support.errors import DataError, OtherBandsWarning
 
 F = [500.0, 1000.0]
 PAIRS = [("S1", "R1"), ("S1", "R2")]
@@ -56,13 +56,14 @@ def test_means_are_compared_where_no_pair_is_common() -> None:
 
 def test_bands_are_converted_and_t20_is_not_t30() -> None:
     thirds = rt.Measurement.from_values([400, 500, 630], t20=[1.0, 1.0, 1.0])
-    run = rt.Run(box(), thirds)
+    with pytest.warns(OtherBandsWarning, match="the run is converted from third-octaves"):
+        run = rt.Run(box(), thirds)
     assert run.simulated.centre_frequencies.tolist() == F
     for other in (
         rt.Measurement.from_values(F, t30=[1, 1]),
         rt.Measurement.from_values(F[1:], t20=[1]),
     ):
-        with pytest.raises(DataError, match="nothing in common"):
+        with pytest.raises(DataError, match="no value in common: the run has T20"):
             run.beside(other)
     with pytest.raises(DataError, match=r"simulated: .* no band in common"):
         rt.Run(box(), rt.Measurement.from_values([8000], t20=[1]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,52 +98,70 @@ def test_what_neither_has_is_left_out(folder: Path) -> None:
     assert np.isnan(finding.map).sum() == 1
 
 
-def rows(folder: Path) -> list[str]:
-    return (folder / "simulated.csv").read_text().splitlines()
+def beside(run: rt.Measurement, of: rt.Measurement) -> rt.finder.PositionsCase:
+    return rt.finder.PositionsCase(simulator=tracing(stated()), measured=of, simulated=run)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        (lambda r: not r.startswith("S2,R3,"), "simulated lacks S2 to R3, which was measured"),
-        (lambda r: ",C80," not in r, "simulated has no C80, which was measured; leave c80 out"),
-        (lambda r: ",TS," not in r, "simulated has no Ts, which was measured; leave ts out"),
-        (lambda r: ",2000.0," not in r, "simulated lacks T20 from S1 to R1 at 2000 Hz"),
-        (
-            lambda r: not r.startswith("S1,R2,EDT,1000.0,"),
-            "simulated lacks EDT from S1 to R2 at 1000 Hz, which was measured",
-        ),
-    ],
-)
-def test_a_file_that_lacks_something_is_refused(
-    folder: Path, tmp_path: Path, changed: object, message: str
-) -> None:
-    """Pairs and values that lacked had been left out without a word."""
-    for name in ("room.toml", "measured.csv"):
-        (tmp_path / name).write_bytes((folder / name).read_bytes())
-    kept = [row for row in rows(folder) if changed(row)]  # type: ignore[operator]
-    assert len(kept) < len(rows(folder))
-    (tmp_path / "simulated.csv").write_text("\n".join(kept) + "\n")
-    with pytest.raises(DataError, match=re.escape(message)):
-        read(tmp_path)
+def given(*parameters: str) -> rt.Measurement:
+    pairs = [(s, r) for s in SOURCES for r in RECEIVERS]
+    values = {p: np.ones((len(pairs), len(BANDS))) for p in parameters}
+    return rt.Measurement(centre_frequencies=BANDS, pairs=pairs, values=values)
 
 
-def test_a_level_without_its_reference_is_no_g(folder: Path) -> None:
+def with_values(data: rt.Measurement, **values: object) -> rt.Measurement:
+    """Return the measurement with other values; those of None are taken out."""
+    kept = {p: v for p, v in {**data.values, **values}.items() if v is not None}
+    return rt.Measurement(
+        centre_frequencies=data.centre_frequencies,
+        pairs=data.pairs,
+        values=kept,  # type: ignore[arg-type]
+    )
+
+
+def blank(values: np.ndarray, where: object) -> np.ndarray:
+    out = np.array(values)
+    out[where] = np.nan  # type: ignore[index]
+    return out
+
+
+def test_what_a_run_lacks_is_left_out_and_named() -> None:
+    """A run without G was refused at positions, where means leave out what it lacks."""
+    whole = given(*MATCH)
+    pairs = [pair for pair in whole.pairs if pair != ("S2", "R3")]
+    edt = blank(whole.values["edt"], (slice(None), -1))
+    ts = blank(whole.values["ts"], (0, 0))
+    run = with_values(whole, c80=None, edt=edt, ts=ts).select(pairs)
+    case = beside(run, whole)
+    assert ("S2", "R3") not in case.pairs
+    assert len(case.pairs) == len(pairs)
+    assert "c80" not in case.match
+    assert np.isnan(case.in_room.values["edt"][:, -1]).all()
+    assert np.isnan(case.in_room.values["ts"]).sum() == 1
+    source, receiver = pairs[0]
+    (note,) = [n for n in case.notes if "the run lacks it" in n]
+    for name in (
+        "C80",
+        "S2 to R3",
+        f"EDT at {BANDS[-1]:g} Hz",
+        f"Ts from {source} to {receiver} at {BANDS[0]:g} Hz",
+    ):
+        assert name in note
+    assert replace(case, match=case.match).notes == case.notes
+
+
+def test_a_run_with_nothing_that_was_measured_is_refused() -> None:
+    with pytest.raises(DataError, match=r"no value in common: the run has T30 .* has T20"):
+        beside(given("t30"), given("t20"))
+    first, last = given("t20").select([("S1", "R1")]), given("t20").select([("S2", "R3")])
+    with pytest.raises(DataError, match=r"no pair in common: the run has S1 to R1, .* S2 to R3"):
+        beside(first, last)
+    assert beside(given("t30"), given("t20", "t30")).match[0] == "t30"
+
+
+def test_a_level_without_its_reference_is_no_g() -> None:
     """G is absolute; a program's level that is not must not be compared with it."""
-    case = read(folder)
-    given = case.simulated
-    assert given is not None
-    level = np.zeros((len(given.pairs), len(BANDS)))
-    values = {name: given.values[name] for name in MATCH} | {"level": level}
-    with pytest.raises(DataError, match="simulated has no G, which was measured"):
-        rt.finder.PositionsCase(
-            simulator=case.simulator,
-            measured=measured(False),
-            simulated=rt.Measurement(
-                centre_frequencies=given.centre_frequencies, pairs=given.pairs, values=values
-            ),
-        )
+    case = beside(given("t20", "level"), given("t20", "g"))
+    assert any("the run lacks it: G." in note for note in case.notes)
 
 
 def test_a_run_at_positions_has_the_coefficients_of_the_room(folder: Path) -> None:

@@ -6,17 +6,19 @@ equation. "The program" is what made the run, "the run" its results.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
+from rtcal.acoustics import bands
 from rtcal.acoustics.bands import hertz
 from rtcal.acoustics.measurement import TABLES, Measurement
 from rtcal.acoustics.observables import LEVEL, OBSERVABLES, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.support import checks
-from rtcal.support.errors import DataError
+from rtcal.support.errors import DataError, OtherBandsWarning
 
 Lacking = Literal["run", "measurement", "reference"]
 
@@ -36,7 +38,8 @@ class Run:
     Raises
     ------
     DataError
-        For another kind of argument, or if room and simulation have no band in common.
+        For another kind of argument, or if room and simulation have no band in common. Bands that are
+        converted or left out are a warning.
 
     Examples
     --------
@@ -53,10 +56,14 @@ class Run:
     def __post_init__(self) -> None:
         frequencies = checks.instance("room", self.room, Room).centre_frequencies
         checks.instance("simulated", self.simulated, Measurement)
+        own = self.simulated.centre_frequencies
         try:
             object.__setattr__(self, "simulated", self.simulated.in_bands(frequencies))
         except DataError as error:
             raise DataError(f"simulated: {error}") from error
+        if notes := bands.notes(own, frequencies, "the run"):
+            told = f"simulated: {'; '.join(notes)}"
+            warnings.warn(told, OtherBandsWarning, stacklevel=checks.stack_level())
 
     def __repr__(self) -> str:
         names = ", ".join(parameter_label(p) for p in self.simulated.values)
@@ -73,9 +80,9 @@ class Run:
                 f"{of} the materials {', '.join(own.materials)}; asked for are "
                 f"{', '.join(room.materials)}, in this order"
             )
-        bands = own.centre_frequencies, room.centre_frequencies
-        if not np.array_equal(*bands):
-            raise DataError(f"{of} the bands {hertz(bands[0])}; asked for are {hertz(bands[1])}")
+        each = own.centre_frequencies, room.centre_frequencies
+        if not np.array_equal(*each):
+            raise DataError(f"{of} the bands {hertz(each[0])}; asked for are {hertz(each[1])}")
         numbers = [
             (f'area["{m}"]', *areas, "m²")
             for m, *areas in zip(own.materials, own.areas, room.areas, strict=True)
@@ -101,6 +108,14 @@ class Run:
         there = of.in_bands(self.room.centre_frequencies)
         return {p for p, values in there.values.items() if np.isfinite(values).any()}
 
+    def nothing_common(self, measured: Measurement, what: str = "value") -> DataError:
+        """Return the error that there is none of ``what`` in both, with what each side has."""
+        return DataError(
+            f"run and measurement have no {what} in common: the run has {contents(self.simulated)}, "
+            f"the measurement has {contents(measured)}. T20 is compared with T20 and T30 with T30, by "
+            "band"
+        )
+
     def beside(self, measured: Measurement) -> tuple[Measurement, Measurement]:
         """Return run and measurement with what both have, in the room's bands.
 
@@ -125,12 +140,7 @@ class Run:
             known = {p: np.isfinite(run.mean(p)) & np.isfinite(measured.mean(p)) for p in common}
         common = [p for p in common if known[p].any()]
         if not common:
-            has = [" ".join(parameter_label(p) for p in m.values) for m in (run, measured)]
-            raise DataError(
-                f"run and measurement have nothing in common: the run has {has[0]}, the measurement "
-                f"{has[1]}, and no parameter has a value of both in one band. T20 is compared with T20 "
-                "alone, and T30 with T30"
-            )
+            raise self.nothing_common(measured)
 
         def only(of: Measurement) -> Measurement:
             tables = {name: getattr(of, name) for name in TABLES}
@@ -141,3 +151,14 @@ class Run:
             return replace(of, **kept)
 
         return only(run), only(measured)
+
+
+def contents(of: Measurement) -> str:
+    """Return what has values, in words: "T20 (6 bands, 125 to 4000 Hz)"."""
+    known = {p: np.isfinite(values).any(axis=0) for p, values in of.values.items()}
+    each = (
+        f"{parameter_label(p)} ({bands.span(of.centre_frequencies[at])})"
+        for p, at in known.items()
+        if at.any()
+    )
+    return ", ".join(each) or "no value"

@@ -258,7 +258,8 @@ def verified(finding: Any, cache: Path) -> Any:
         "program",
         ("geometrical",),
         "What made the run: a program that traces rays or image sources computes no equation, and the "
-        "unevenness of its field is the model's, so that neither is taken for an error of the room.",
+        "unevenness of its field is the model's, so that neither is taken for an error of the room. "
+        "For means over positions alone: at the positions of a mesh or a box it is refused.",
     ),
     "match",
     "exclude",
@@ -430,7 +431,8 @@ def apply(found: str, out: str, **options: Any) -> None:
 
     FOUND is what `rtcal find --out` wrote. If the finding is ambiguous, the best candidate is added if
     its probability is at least 0.3, and the others are printed; else --effect must name one. If there
-    is nothing to add, nothing is written and the exit code is 6. Of a finding with --most 3, the most
+    is nothing to add, or nothing was detected (verdict none or hint; --effect does not change that),
+    nothing is written and the exit code is 6. Of a finding with --most 3, the most
     probable set is added.
 
     room.toml is the room, for rtcal calibrate. It is not calibrated. Areas and volume stay as they are:

@@ -87,6 +87,7 @@ def start(
     Example: rtcal loop start room.toml t.csv \\
         --state loop.json --out next.toml --decimals 3
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    from rtcal.acoustics.marks import explained
     from rtcal.loop import closed
     from rtcal.support import text
 
@@ -113,6 +114,11 @@ def start(
         *([f"Matched: {begun.matched.label}."] if weights else []),
         *record["unreachable"],
         *([] if run is None else [_first(begun, str(simulated))]),
+        *(
+            line
+            for said in explained(begun.marks_of_next)
+            for line in text.wrapped(f"Caution: {said}")
+        ),
         *([] if begun.low is None else text.wrapped(begun.low.loop_note)),
         closed.write(begun, state, out),
     ]

@@ -337,9 +337,12 @@ class Configuration:
                     OtherBandsWarning,
                     stacklevel=checks.stack_level(),
                 )
+        whole = measured
         measured, made = self._beside_run(where, measured, room)
         if not {"t20", "t30"} & measured.values.keys():
-            raise DataError(f"{where} has neither t20 nor t30")
+            if self.simulated is None or self.planned:
+                raise DataError(f"{where} has neither t20 nor t30")
+            raise DataError(f"{where}: {self.simulated.nothing_common(whole, 'T20 or T30')}")
         for material, change in self.changes.items():
             room.material_index(material)
             for name in ("alpha", "sigma"):
@@ -728,9 +731,9 @@ class PositionsCase:
         source where ``g`` was measured. A measured ``level`` has any reference that all receivers of a
         source share.
     simulated : Measurement, optional
-        Values that another program gave for the input, in the room's bands, for every value that
-        was measured. The disagreement is then that program's. How it depends on the surfaces is still
-        what the simulator says.
+        Values that another program gave for the input, in the room's bands. The disagreement is then
+        that program's. How it depends on the surfaces is still what the simulator says. Measured
+        pairs, parameters and values that it lacks are left out, which a note says.
     exclude : sequence of (source, receiver)
         Measured pairs that are left out.
     surfaces : mapping of str to sequence of str, optional
@@ -748,8 +751,9 @@ class PositionsCase:
     Raises
     ------
     DataError
-        If the measurement is a mean over pairs, if the room was calibrated already, if a pair of
-        ``exclude`` was not measured, or for a surface, parameter or number that breaks its rule.
+        If the measurement is a mean over pairs, if ``simulated`` has nothing that was measured, if the
+        room was calibrated already, if a pair of ``exclude`` was not measured, or for a surface,
+        parameter or number that breaks its rule.
     """
 
     kind: ClassVar[str] = "positions"
@@ -769,7 +773,8 @@ class PositionsCase:
         checks.instance("measured", self.measured, Measurement)
         checked_uncertainty(self.position_uncertainty)
         put = partial(object.__setattr__, self)
-        put("match", self.simulator.trusted(with_t30(self.match, self.measured)))
+        both = [m for m in (self.measured, self.simulated) if isinstance(m, Measurement)]
+        put("match", self.simulator.trusted(with_t30(self.match, *both)))
         put("exclude", checks.pairs("exclude", self.exclude))
         repeated: tuple[str, ...] = ()
         for name in ("simulated", "measured"):
@@ -782,10 +787,9 @@ class PositionsCase:
                     f"{name} holds means over pairs; to say where, it needs a row for each source and "
                     "receiver. Without a geometry rtcal.finder says what is missing"
                 )
-        put("notes", (*checks.listed("notes", self.notes), *repeated))
         refuse_unknown(self.exclude, self.measured)
-        if self.simulated is not None:
-            self._check_simulated(self.simulated)
+        absent = () if self.simulated is None else self._leave_out(self.simulated, put)
+        put("notes", (*checks.listed("notes", self.notes), *repeated, *absent))
         if history(self.room):
             raise DataError(
                 f'room "{self.room.name}" is calibrated: its coefficients hide what it misses. Use the '
@@ -797,36 +801,59 @@ class PositionsCase:
             )
         put("faces", of_room.of_geometry(self.geometry, self.surfaces))
 
-    def _check_simulated(self, simulated: Measurement) -> None:
-        """Raise DataError unless there is a value for everything that was measured and is used."""
+    def _leave_out(self, run: Measurement, put: Callable[[str, object], None]) -> list[str]:
+        """Leave out measured pairs, parameters and values that the run lacks; return notes of it."""
         frequencies = self.room.centre_frequencies
-        if not np.array_equal(simulated.centre_frequencies, frequencies):
+        if not np.array_equal(run.centre_frequencies, frequencies):
             raise DataError(
-                f"simulated has {bands.span(simulated.centre_frequencies)}; the room has "
+                f"simulated has {bands.span(run.centre_frequencies)}; the room has "
                 f"{bands.span(frequencies)}"
             )
-        if lacking := [pair for pair in self.pairs if pair not in simulated.pairs]:
-            raise DataError(
-                f"simulated lacks {' to '.join(lacking[0])}, which was measured; exclude the pair or "
-                "add its rows"
-            )
-        measured, given = (m.select(self.pairs).values for m in (self.in_room, simulated))
+        whole = self.measured
+        others = [pair for pair in self.pairs if pair not in run.pairs]
+        if others == list(self.pairs):
+            each = (first_of([*map(" to ".join, m.pairs)], 2) for m in (run, whole))
+            has = ", the measurement ".join(each)
+            raise DataError(f"run and measurement have no pair in common: the run has {has}")
+        put("measured", whole.select([p for p in whole.pairs if p not in others]))
+        measured, match, parameters, single = self.measured.in_bands(frequencies), [], [], []
+        rows = [measured.pairs.index(pair) for pair in self.pairs]
+        values, given = dict(measured.values), run.select(self.pairs).values
         for name in self.match:
             kind = observable(name)
-            key = kind.key_in(measured)
-            if key not in measured:
-                continue
+            key = kind.key_in(values)
             label = parameter_label(key)
-            values = given.get(key, given.get(str(kind.stand_in)))
-            if values is None:
-                raise DataError(
-                    f"simulated has no {label}, which was measured; leave {name} out of match"
-                )
-            for i, k in np.argwhere(np.isfinite(measured[key]) & ~np.isfinite(values)):
-                raise DataError(
-                    f"simulated lacks {label} from {' to '.join(self.pairs[i])} at "
-                    f"{bands.label(frequencies[k])}, which was measured"
-                )
+            if key not in values:
+                match.append(name)
+                continue
+            known = np.isfinite(values[key][rows])
+            of_run = given.get(key, given.get(str(kind.stand_in), np.full(known.shape, np.nan)))
+            gone = known & np.isnan(of_run)
+            if known.any() and not (known & ~gone).any():
+                parameters.append(label)
+                continue
+            match.append(name)
+            if gone.any():
+                values[key] = np.array(values[key])
+                values[key][rows] = np.where(gone, np.nan, values[key][rows])
+            in_band = gone.any(axis=0) & (gone == known).all(axis=0)
+            single += [f"{label} at {band}" for band in bands.labels(frequencies[in_band])]
+            single += [
+                f"{label} from {' to '.join(self.pairs[i])} at {bands.label(frequencies[k])}"
+                for i, k in np.argwhere(gone & ~in_band)
+            ]
+        if not any(observable(name).key_in(values) in values for name in match):
+            raise Run(self.room, run).nothing_common(whole)
+        put("match", tuple(match))
+        lacking = [*parameters, *map(" to ".join, others), *single]
+        if not lacking:
+            return []
+        notes = [f"Left out, since the run lacks it: {first_of(lacking, 6)}."]
+        if single:
+            of_bands = bands.notes(whole.centre_frequencies, frequencies, "What was measured")
+            notes += map(as_sentence, of_bands)
+            put("measured", replace(measured, values=values))
+        return notes
 
     @property
     def has_run(self) -> bool:

@@ -38,7 +38,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, TARGET, observable, parameter_label
 from rtcal.acoustics.room import Room, refuse_repeated_data
 from rtcal.acoustics.room_errors import in_words
-from rtcal.acoustics.run import Run
+from rtcal.acoustics.run import Run, contents
 from rtcal.calibration.measured import data_history, tell_data, times_in_room
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
@@ -582,10 +582,18 @@ class Loop(Result):
         Also bands whose measured decay is bent, and those of `low` that no modes carry.
         A simulator can be brought to almost any T: a small deviation confirms nothing.
         """
+        return self._marks_of(self.outcome)
+
+    @property
+    def marks_of_next(self) -> tuple[TrustMark, ...]:
+        """The same marks of the coefficients to simulate next."""
+        return self._marks_of(self.calibrated(self.next_target))
+
+    def _marks_of(self, outcome: CalibrationResult) -> tuple[TrustMark, ...]:
         return (
             *self.doubts,
             *(self.unit_of(self.steps[0], None) if self.steps else ()),
-            *(m for m in self.outcome.trust_marks if m.kind in ("at_bound", "implausible")),
+            *(m for m in outcome.trust_marks if m.kind in ("at_bound", "implausible")),
             *self.bent,
             *(self.low.loop_marks if self.low else ()),
         )
@@ -777,7 +785,10 @@ class Loop(Result):
         measured, missing = np.isfinite(self.wanted), {}
         for parameter, share in self.matched.shares.items():
             if parameter not in simulation.values:
-                raise DataError(f"what was simulated has no {parameter_label(parameter)}")
+                raise DataError(
+                    f"what was simulated has no {parameter_label(parameter)}, which was measured; it "
+                    f"has {contents(simulation)}"
+                )
             missing[parameter] = np.isnan(simulation.values[parameter]) & measured & (share > 0)
         lost = np.any([absent.any(axis=0) for absent in missing.values()], axis=0)
         earlier = np.isfinite([lost * np.nan, *(step.simulated for step in self.steps)]).any(axis=0)

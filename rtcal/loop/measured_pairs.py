@@ -153,10 +153,10 @@ def gap_at_pairs(simulated: Array, measured: Observations, *, relative: bool) ->
     return np.reshape(gaps, measured.values.shape)
 
 
-def with_t30(match: Sequence[str], measured: Measurement) -> tuple[str, ...]:
-    """Return the parameters, with T30 in place of T20 where T30 alone was measured."""
+def with_t30(match: Sequence[str], *data: Measurement) -> tuple[str, ...]:
+    """Return the parameters, with T30 in place of T20 where all data have T30 alone in common."""
     names = checked_parameters(match)
-    known = [o.key for o in REVERBERATION if np.isfinite(measured.mean(o.key)).any()]
+    known = [o.key for o in REVERBERATION if all(np.isfinite(m.mean(o.key)).any() for m in data)]
     if TARGET.key in known or not known or known[0] in names:
         return names
     return tuple(known[0] if p == TARGET.key else p for p in names)

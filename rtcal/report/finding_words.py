@@ -139,7 +139,9 @@ SENTENCES: dict[str, str] = {
     "parameter, and one of them can be seen, or measured with a rule.",
     # Why nothing is added to the model, or not without a choice.
     "nothing to add": "Nothing to add: the measurement agrees with the model.",
-    "too weak to add": "Nothing to add: {best:name} is only a weak indication (verdict hint).",
+    "too weak to add": "Nothing to add: nothing was detected, and {best:name} is only a weak "
+    "indication (verdict hint), which no choice of an effect changes. Measure more and search again: "
+    "`rtcal plan` proposes what.",
     "none of the library": "Nothing to add: what is missing is no effect of the library (verdict "
     "unknown).",
     "no surface": "Nothing to add: what was found stands on no surface.",
@@ -752,6 +754,16 @@ def evidence(f: Finding) -> str:
         f"{odds(score)}; required are {required}. With the prior odds of each effect, the "
         f"probability that nothing {what} is {nothing}."
     )
+    if f.kind == "positions" and f.case.has_run:
+        said += (
+            " A program differs from rtcal's tracer by more than two of its tracings do, and in ways "
+            "that the reference simulations do not have: so more is required than without a run."
+        )
+        if f.verdict == "hint":
+            said += (
+                " Next: search without the run, or with tables of means over positions, where "
+                "--program says what made the run."
+            )
     found = f.detection
     if found.verdict is not None and found.noise is not None and found.noise > 0:
         said += f" A single noisy value is the better explanation (odds of {odds(found.noise)})."
@@ -774,12 +786,10 @@ def _of(share: Share, what: str) -> str:
 def track_record(f: Finding) -> str:
     """Return how many such findings were right in rooms that were not used to make the finder."""
     rooms = "In simulated rooms that were not used to make the finder"
-    if f.kind == "states":
+    if f.kind == "states" or f.case.has_run:
         return ""
     if f.kind == "positions":
         return record_of_positions(f.case.room, f.parameters)
-    if f.case.has_run:
-        return ""
     if f.more_than_one and f.detected:
         claimed = {"families": f.named_families, "sets of families": f.named_set}
         kinds = [

@@ -485,6 +485,16 @@ def instructions(
         out.append(Note("1. In the list of materials, nothing changes."))
     if new:
         out += [Note(f"2. Draw a surface with a new material, {where}:"), Table(labels, new)]
+        if made.form == "patch":
+            out.append(Note("There it replaces the material of the surface."))
+        elif made.added is None:
+            out.append(
+                Note(
+                    "It is drawn larger than what was found, with lower coefficients, so that a "
+                    "calibration can make it absorb more as well as less. It stands free: where it "
+                    "replaces a wall's material, add that wall's alpha to its own."
+                )
+            )
     else:
         out.append(Note("2. Nothing is to be drawn."))
     lost = [Note(f"- {as_sentence(str(note))}", "  ") for note in made.notes]
