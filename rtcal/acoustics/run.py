@@ -112,8 +112,8 @@ class Run:
         """Return the error that there is none of ``what`` in both, with what each side has."""
         return DataError(
             f"run and measurement have no {what} in common: the run has {contents(self.simulated)}, "
-            f"the measurement has {contents(measured)}. T20 is compared with T20 and T30 with T30, by "
-            "band"
+            f"the measurement has {contents(measured)}. T20 is compared with T20 alone, and T30 with "
+            "T30, in the same band"
         )
 
     def beside(self, measured: Measurement) -> tuple[Measurement, Measurement]:
