@@ -72,6 +72,7 @@ def test_the_command_writes_one_folder_that_apply_and_report_read(
     page = Path("out/report.html").read_text(encoding="utf-8")
     assert run("report", "out") == 0
     assert "Added: noise floor" in page
+    assert "rtcal find case.json --out found" in page
     assert run("apply", "out", "--out", "again") == 0
 
 

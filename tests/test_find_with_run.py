@@ -20,6 +20,7 @@ from rtcal.finder.means.recalibration import plain
 from rtcal.finder.verification import residual_map
 from rtcal.report import figures, of_finding
 from rtcal.report.document import Section, render
+from rtcal.report.finding_words import headline
 from rtcal.support.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(6)
@@ -116,6 +117,35 @@ def test_what_the_equation_errs_by_is_not_blamed_on_the_room() -> None:
     )
     assert finding.not_judged["formula"] == IN_RUN
     assert "formula" not in finding.probabilities
+
+
+@pytest.mark.parametrize("program", ["geometrical", ""])
+def test_agreement_is_said_only_where_nothing_disagrees(program: str) -> None:
+    values = values_of(hall(), 1.25)
+    same = found(values, values, program=program)
+    (run,) = same.modelled
+    far = replace(run, values={p: 1.3 * v if p == "t20" else v for p, v in run.values.items()})
+    other = replace(same, modelled=(far,))
+    assert not same.differs
+    assert "the program agrees" in str(same).replace("\n  ", " ")
+    assert other.differs
+    said = " ".join(str(other).split())
+    assert "agrees" not in said
+    assert "the program differs from the measurement, most in T20 at" in said
+    assert "Next: Calibrate (rtcal calibrate)" in said
+
+
+def test_a_weak_indication_is_named_after_what_is_likelier() -> None:
+    values = values_of(hall())
+    hint = replace(found(values, values), verdict="hint")
+    few = {"none": 0.38, "curtain": 0.09, "opening": 0.04}
+    (said,) = headline(replace(hint, probabilities=few))
+    assert said == (
+        "Nothing is identified: that nothing is missing is likelier (38 %) than the most probable "
+        "candidate, curtain (9 %)."
+    )
+    first, _ = headline(replace(hint, probabilities={"curtain": 0.5, "none": 0.38}))
+    assert first == "Nothing is identified; curtain (50 %) is only a weak indication."
 
 
 def test_what_is_missing_from_the_run_is_found_all_the_same() -> None:

@@ -300,7 +300,7 @@ def test_a_sound_model_is_no_input_error(folder: Path) -> None:
     path.write_text(json.dumps(case.to_dict() | {"configuration": [sound]}))
     found = str(folder / "nothing.json")
     run("find", str(path), "--out", found)
-    assert run("verify", found).startswith("Nothing to add: the measurement agrees with the model")
+    assert run("verify", found).startswith("Nothing to add: nothing is identified as missing")
     assert json.loads(run("verify", found, "--json"))["verdict"] is None
     done = CliRunner().invoke(cli, ["apply", found, "--out", str(out)])
     assert done.exit_code == 6

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,7 +66,8 @@ def diagnose(heading: Heading, out: str | None, **options: Any) -> None:
     )
     cache = kept_beside(options["case"])
     verification = verified(finding, cache) if finding.can_be_verified else None
-    result = diagnosis(finding, verification, cache=cache)
+    given = tuple(filter(None, (options["case"], options["measured"])))
+    result = replace(diagnosis(finding, verification, cache=cache), given=given)
     if target is not None:
         written = of_diagnosis.contents(result, target, heading)
         make_folder(target)

@@ -41,6 +41,8 @@ class Diagnosis(Result):
         The deviations at data that were held out; None where nothing could be verified.
     calibrated : PositionsResult or Recalibrated
         The model with what was added, calibrated to all data; the model as given where nothing was.
+    given : tuple of str
+        Names of the files that were read, the case or room first.
     """
 
     record_kind: ClassVar[str] = "diagnosis 1"
@@ -48,6 +50,7 @@ class Diagnosis(Result):
     finding: Finding
     verification: Verification | None
     calibrated: PositionsResult | Recalibrated
+    given: tuple[str, ...] = ("room.toml", "measured.csv")
 
     @cached_property
     def corrected(self) -> Corrected | None:

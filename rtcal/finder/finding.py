@@ -8,14 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from importlib import import_module
 from operator import attrgetter
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from rtcal.acoustics.comparison import Comparison
+from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.run import Run
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.finder.apply import (
@@ -100,6 +103,9 @@ class Finding(Result):
         each with the change of the absorption area in m², mean over the bands of ``middle``.
     named : tuple of str
         The effects that are identified.
+    modelled : tuple of Measurement
+        What the model gives at the stated coefficients, with a run what the run gave: of means by
+        configuration, at positions one, by pair; of two states none.
     left_out : tuple of str
         Names that were left out on request; of means they are among the ``notes``.
     mistake : Reason or None
@@ -171,7 +177,7 @@ class Finding(Result):
     likelihood ratio is then 1.
     """
 
-    record_kind: ClassVar[str] = "finding 5"
+    record_kind: ClassVar[str] = "finding 6"
 
     case: Any
     verdict: str
@@ -184,6 +190,7 @@ class Finding(Result):
     effects: Mapping[str, Effect]
     candidates: tuple[Candidate, ...]
     named: Names = ()
+    modelled: tuple[Measurement, ...] = ()
     left_out: Names = ()
     mistake: Reason | None = None
     surfaces: Mapping[str, float] = field(default_factory=dict)
@@ -222,6 +229,23 @@ class Finding(Result):
         """What was compared: means over positions, every position, or two states."""
         of: Kind = self.case.kind
         return of
+
+    @cached_property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """What is ``modelled`` beside what was measured, by the measurement's uncertainty alone."""
+        case = self.case
+        if self.kind == "positions":
+            measured = [case.in_room.select(case.pairs)]
+        else:
+            measured = [c.measured for c in case.configurations] if self.kind == "means" else []
+        pairs = zip(self.modelled, measured, strict=True)
+        made = (_compared(Run(case.room, model), values) for model, values in pairs)
+        return tuple(filter(None, made))
+
+    @property
+    def differs(self) -> bool:
+        """Whether model or run and measurement disagree, whether or not coefficients explain it."""
+        return any(at.any() for c in self.comparisons for at in c.disagrees.values())
 
     @property
     def best(self) -> Candidate | None:
@@ -536,6 +560,14 @@ _RECORDED = {
     "centre_frequencies=case.room.centre_frequencies",
 }
 """Entries of a record, key=path where the attribute has another name."""
+
+
+def _compared(run: Run, measured: Measurement) -> Comparison | None:
+    """Return run and measurement beside each other; None where they have nothing in common."""
+    try:
+        return Comparison(run=run, measured=measured, equation=Eyring())
+    except DataError:
+        return None
 
 
 def feature_names(measured: Measurement) -> tuple[str, ...]:

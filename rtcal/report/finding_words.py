@@ -50,6 +50,7 @@ from rtcal.finder.states import ADDED
 from rtcal.finder.verification import Verification
 from rtcal.io.tables import unusual
 from rtcal.loop.measured_pairs import without_place
+from rtcal.report import of_comparison
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.text import as_sentence, first_of, listed
 from rtcal.support.types import Array
@@ -138,7 +139,7 @@ SENTENCES: dict[str, str] = {
     "look at the room": "Look at the room: {effect:name} and {rival:name} predict the same in every "
     "parameter, and one of them can be seen, or measured with a rule.",
     # Why nothing is added to the model, or not without a choice.
-    "nothing to add": "Nothing to add: the measurement agrees with the model.",
+    "nothing to add": "Nothing to add: nothing is identified as missing.",
     "too weak to add": "Nothing to add: nothing was detected, and {best:name} is only a weak "
     "indication (verdict hint), which no choice of an effect changes. Measure more and search again: "
     "`rtcal plan` proposes what.",
@@ -403,7 +404,8 @@ def headline(f: Finding) -> list[str]:
     answer, *more = _ANSWERS[f.kind](f)
     if f.leading is not None and f.verdict != "none":
         answer = f"{f.leading} If there is none: {answer}"
-    if f.verdict != "none" and f.probabilities.get(NONE, 0.0) >= _NOTHING:
+    known = f.verdict == "none" or (f.verdict == "hint" and _nothing_likelier(f))
+    if not known and f.probabilities.get(NONE, 0.0) >= _NOTHING:
         what = "changed" if f.kind == "states" else "is missing"
         more.append(f"The probability that nothing {what} is {percent(f.probabilities[NONE])}.")
     return [answer, *more]
@@ -439,17 +441,12 @@ def absorbs(change: Array, end: str = "") -> str:
 def _of_means(f: Finding) -> list[str]:
     if len(f.members) > 1 or (f.named and f.named != f.members):
         return _of_several(f)
-    if f.verdict == "none" and f.case.has_run:
-        return _program_agrees(f)
     if f.verdict == "none":
-        return [
-            "The measurement agrees with the model within the uncertainty of input values, measurement "
-            "and model: nothing is found to be missing."
-        ]
+        return _nothing_missing(f)
     best = f"{title(f)} ({percent(f.probabilities.get(str(f.best_effect), 0.0))})"
     if f.verdict == "hint":
         own = [str(reason) for reason in f.reasons if reason.code == OWN_FIELD]
-        return own or [f"Nothing is identified; {best} is only a weak indication."]
+        return own or [_weak(f)]
     if f.verdict == UNKNOWN:
         library = {effect.name for effect in checked_effects(None)}
         whole = library <= {*f.effects, *f.not_judged}
@@ -471,18 +468,67 @@ def _of_means(f: Finding) -> list[str]:
     return [f"{subject}: {best}."]
 
 
-def _program_agrees(f: Finding) -> list[str]:
-    """Return that the measurement agrees with the program, after what the equation errs by."""
-    off = [n for n in f.notes if isinstance(n, Reason) and n.code == EQUATION_OFF]
-    said = [
-        f"{str(n).removesuffix('.')}, so the equation has too {_AMOUNT[n.values['side']]} T, and the "
-        "program agrees with the measurement."
-        for n in off[:1]
-    ]
+def _weak(f: Finding) -> str:
+    """Return the answer of a hint: the most probable candidate, after what is likelier than it."""
+    best = likely(*next(one for one in f.probabilities.items() if one[0] != NONE))
+    if not _nothing_likelier(f):
+        return f"Nothing is identified; {best} is only a weak indication."
+    return (
+        "Nothing is identified: that nothing is missing is likelier "
+        f"({percent(f.probabilities[NONE])}) than the most probable candidate, {best}."
+    )
+
+
+def calibrate(f: Finding) -> str:
+    """Return that calibrating is the next step; "" unless nothing is missing and something differs."""
+    if f.verdict != NONE or not f.differs:
+        return ""
+    command = "fit" if f.kind == "positions" else "calibrate"
+    return (
+        f"Calibrate (rtcal {command}): the model differs from the measurement by no more than the "
+        "input leaves open."
+    )
+
+
+def _nothing_likelier(f: Finding) -> bool:
+    """Return whether nothing missing or changed is more probable than any candidate."""
+    return f.kind != "states" and next(iter(f.probabilities)) == NONE
+
+
+def _nothing_missing(f: Finding) -> list[str]:
+    """Return that nothing is missing, and whether model or run agree with the measurement.
+
+    They agree where they differ by one JND or twice the measurement's uncertainty at most. What the
+    equation errs by stands first.
+    """
+    program, at_pairs = f.case.has_run, f.kind == "positions"
+    off = [n for n in f.notes if isinstance(n, Reason) and n.code == EQUATION_OFF][:1]
+    said = [f"{str(n).removesuffix('.')}" for n in off]
+    who = "program" if program else "model"
+    if f.differs:
+        _, most = max(map(of_comparison.largest, f.comparisons))
+        open_ = (
+            "scattering" if at_pairs else f"the error of the {'program' if program else 'equation'}"
+        )
+        return [
+            *(f"{one}." for one in said),
+            f"Nothing is identified as missing, but the {who} differs from the measurement, most in "
+            f"{most}.",
+            "What the input leaves open can explain it: the uncertainty of the coefficients together "
+            f"with {open_}.",
+        ]
+    if off:
+        said = [
+            f"{said[0]}, so the equation has too {_AMOUNT[off[0].values['side']]} T, and the program "
+            "agrees with the measurement."
+        ]
+    agrees = f"The {who} agrees with the measurement{' in the mean over the pairs' * at_pairs}"
+    within = "at every pair within" if at_pairs else "within"
     return [
         *said,
-        f"{'Within' if said else 'The program agrees with the measurement: within'} the uncertainty of "
-        "input values, measurement and program, nothing is found to be missing from the room.",
+        f"{within.capitalize() if said else f'{agrees}: {within}'} the uncertainty of input values, "
+        f"measurement and {'simulator' if at_pairs else who}, nothing is found to be missing from the "
+        f"{'room' if program else 'model'}.",
     ]
 
 
@@ -525,13 +571,9 @@ def _contradiction(f: Finding) -> str:
 
 def _at_positions(f: Finding) -> list[str]:
     if f.best is None:
-        return [
-            "The measurement agrees with the model at every position, within the uncertainty of input "
-            "values, measurement and simulator: nothing is found to be missing."
-        ]
+        return _nothing_missing(f)
     if f.verdict == "hint":
-        best = likeliness(f.best)
-        return [f"Nothing is identified; {best} is only a weak indication."]
+        return [_weak(f)]
     known = [c for c in f.candidates if c.effect != UNKNOWN]
     if f.verdict == UNKNOWN:
         said = ["Something differs from the model that no effect of the library explains."]
@@ -557,7 +599,7 @@ def _at_positions(f: Finding) -> list[str]:
     elif f.verdict == "named":
         said.append(f"Effect identified: {likely(str(f.effect), f.probabilities[str(f.effect)])}.")
     elif effects:
-        some = choice([(name, f.probabilities[name]) for name in effects])
+        some = choice([one for one in f.probabilities.items() if one[0] in effects])
         said.append(f"The effect is not identified: {some}.")
     if f.unexplained >= MOST:
         said.append(
@@ -920,8 +962,8 @@ def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
     """
     table = candidates(f)
     last = [evidence(f), track_record(f), *(f"Note: {as_sentence(str(n))}" for n in f.notes)]
-    if f.advice is not None:
-        last.insert(0, f"Next: {f.advice}")
+    if step := calibrate(f) or f.advice:
+        last.insert(0, f"Next: {step}")
     return [
         Note(" ".join(headline(f))),
         *(Note(f"Caution: {said}") for said in cautions(f)),

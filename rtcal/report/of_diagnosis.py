@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,10 +29,10 @@ from rtcal.report.document import (
 from rtcal.support.blocks import Block, Note
 
 _STEPS = (
-    "rtcal find room.toml measured.csv --out found",
+    "rtcal find {given} --out found",
     "rtcal verify found",
     "rtcal apply found --out corrected",
-    "rtcal fit corrected/room.toml measured.csv --out fitted",
+    "rtcal fit corrected/room.toml {measured} --out fitted",
 )
 """The commands that one diagnosis stands for; of means `apply` calibrates, too."""
 _MET = 0.05
@@ -40,7 +41,9 @@ _MET = 0.05
 
 def steps(result: Diagnosis) -> str:
     """Return the commands that the diagnosis stands for, a line each."""
-    return "\n".join(_STEPS if isinstance(result.calibrated, PositionsResult) else _STEPS[:3])
+    of = _STEPS if isinstance(result.calibrated, PositionsResult) else _STEPS[:3]
+    given = shlex.join(result.given)
+    return "\n".join(of).format(given=given, measured=shlex.quote(result.given[-1]))
 
 
 def added(result: Diagnosis) -> str:
@@ -61,10 +64,16 @@ def calibrated(result: Diagnosis) -> str:
     which = "as given" if result.corrected is None else "with it"
     if isinstance(found, PositionsResult):
         before, after = rms(found.gap_before), rms(found.gap_after)
-        return (
+        said = (
             f"Calibrated to all pairs, the model {which} differs from the measurement by {after:.1f} "
-            f"JND, root mean square; before its calibration by {before:.1f} JND."
+            "JND, root mean square over the pairs that it was fitted to; with its input coefficients, "
+            f"by {before:.1f} JND at the same pairs."
         )
+        if found.scattering is None or found.start is None:
+            return said
+        of = found.start, found.scattering.coefficients
+        before_fit, fitted = (f"{s.min():.2f} to {s.max():.2f}" for s in of)
+        return f"{said} Scattering was fitted, too: from {before_fit}, it moved to {fitted}."
     if found.off < _MET:
         return f"Calibrated to T, the model {which} has it."
     return (

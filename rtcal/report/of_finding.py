@@ -76,6 +76,7 @@ def page(
     finding = result
     room, drawn = finding.case.room, pictures(finding, verification, place)
     level = {"none": "agrees", "hint": "open"}.get(finding.verdict, "contradicts")
+    level = "open" if level == "agrees" and finding.differs else level
     answer, *more = words.headline(finding)
     of_kind: list[Any]
     if finding.kind == "means":
@@ -146,6 +147,7 @@ def to_do(
 ) -> list[str]:
     """Return what to do, a sentence each: the next measurement, and which coefficients to use."""
     steps = [] if finding.advice is None or finding.verdict == NONE else [str(finding.advice)]
+    steps += filter(None, [words.calibrate(finding)])
     if place is not None:
         at = ", ".join(f"{x:.1f}" for x in place.point)
         steps.append(
@@ -165,7 +167,7 @@ def to_do(
     if finding.can_be_added and finding.kind != "means":
         made = "the room after the change" if finding.kind == "states" else "the corrected model"
         steps.append(f"rtcal apply FOUND --out FOLDER writes {made}.")
-    if finding.kind == "means" and not finding.can_be_added:
+    if finding.kind == "means" and not finding.can_be_added and not words.calibrate(finding):
         steps.append(
             "Do not use a calibration of this model: its coefficients make up for what is missing."
             if finding.verdict == "unknown"

@@ -603,6 +603,21 @@ def features_of_values(m: Measurement) -> Array:
     return table
 
 
+def values_of_features(features: Array, like: Measurement) -> Measurement:
+    """Return a model's features (n_features, n_bands) as the parameters that ``like`` has."""
+    log_time, edt, t30, c80, g = features
+    with np.errstate(over="ignore"):
+        values = {
+            "t30": np.exp(log_time + t30),
+            "edt": np.exp(log_time + edt),
+            _amount(like): np.exp(log_time),
+            "c80": c80,
+            "g": g,
+        }
+    known = {p: np.where(np.isfinite(v), v, np.nan) for p, v in values.items() if p in like.values}
+    return Measurement.from_values(like.centre_frequencies, **known)
+
+
 def _covariance_of_run(run: Measurement) -> Array:
     """Return the covariance of a run's features as its table states it, (n_bands, 5, 5); 0 without."""
     block = np.zeros((len(run.centre_frequencies), 5, 5))

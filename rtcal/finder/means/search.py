@@ -94,6 +94,7 @@ from rtcal.finder.means.problem import (
     state,
     steps,
     thresholds,
+    values_of_features,
 )
 from rtcal.finder.means.problem import score as evidence_of_something
 from rtcal.finder.model import FEATURES, rates
@@ -218,6 +219,12 @@ def _conclude(
         alpha=averaged_alpha(compared, sets.likely),
         prior=prior,
         residuals=problem.standardized_residuals(),
+        modelled=tuple(
+            values_of_features(features, c.measured)
+            if c.simulated is None
+            else c.simulated.simulated
+            for c, features in zip(case.configurations, problem.predicted.features[0], strict=True)
+        ),
         discrepancy=problem.discrepancy,
     )
     rivals = credible_set(of_one)

@@ -56,6 +56,7 @@ from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room_errors import (
     alike_alpha,
@@ -928,6 +929,8 @@ class PositionsProblem:
             )
         stated, shifts = simulated.at(wanted).values, made.at(wanted).columns
         self.shape = stated.shape
+        values = {p: simulated.at(wanted).natural(p) for p in names}
+        self.stated = Measurement(centre_frequencies=frequencies, values=values, pairs=pairs)
         self.used = flat(np.isfinite(wanted.values - stated)).astype(bool)
         if not self.used.any():
             raise DataError("no value was both measured and simulated")

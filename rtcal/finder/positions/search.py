@@ -581,6 +581,7 @@ def _finding(
         map=np.moveaxis(off.reshape(k, p, i), 0, 2),
         parameters=observations.parameters,
         pairs=observations.pairs,
+        modelled=(numbers.stated if case.simulated is None else case.simulated,),
         reasons=reasons,
         notes=(
             *_assumed(case),
