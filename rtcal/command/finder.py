@@ -348,6 +348,11 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
         "calibrated",
         "With --simulated, what the program gave of the model calibrated without the correction.",
     ),
+    click.option(
+        "--effect",
+        metavar="NAME",
+        help="The candidate to verify, as it was added by `rtcal apply --effect`.",
+    ),
     "before",
     file(
         "after",
@@ -362,6 +367,7 @@ def verify(
     after: str | None,
     simulated: str | None,
     calibrated: str | None,
+    effect: str | None,
 ) -> None:
     """Add the named effect, calibrate again, and compare the deviations that alpha cannot remove.
 
@@ -371,7 +377,8 @@ def verify(
     or the finding predicts further pairs, measured --before and --after.
 
     Of a finding with a run, --simulated is what the same program gave of the corrected model, which
-    `rtcal apply` describes: then the two runs are compared.
+    `rtcal apply` describes: then the two runs are compared, each moved to the measured T as the
+    equation says.
 
     Example: rtcal verify found
     """
@@ -388,8 +395,9 @@ def verify(
         verification = finder.verify(finding, **measured)
     runs = {"simulated": simulated, "calibrated": calibrated}
     some: dict[str, Any] = {n: read_measured(path) for n, path in runs.items() if path is not None}
+    some |= {} if effect is None else {"effect": effect}
     if some:
-        with errors_name_options(*runs):
+        with errors_name_options(*runs, "effect"):
             verification = finder.verify(finding, **some)
     if verification is None:
         why, nothing = finding.refusal, ""

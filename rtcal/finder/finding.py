@@ -577,8 +577,10 @@ def feature_names(measured: Measurement) -> tuple[str, ...]:
 
 
 def rivals(f: Finding, best: Candidate | None = None) -> tuple[Candidate, ...]:
-    """Return the candidates beside the most probable set, or at positions beside another one."""
+    """Return the candidates beside the most probable set, or beside another one."""
     if f.kind == "means":
+        if best is not None and best.effect not in f.names[: max(1, len(f.members))]:
+            return tuple(c for c in f.candidates if c is not best)
         return f.candidates[max(1, len(f.members)) :]
     every = {c.title: c.probability for c in f.candidates}
     credible = [name for name in credible_set(every) if every[name] >= SAID]

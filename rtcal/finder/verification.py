@@ -57,7 +57,7 @@ from rtcal.finder.means.problem import (
     predict_in,
     state,
 )
-from rtcal.finder.means.recalibration import Recalibrated, plain, recalibrate
+from rtcal.finder.means.recalibration import LogTimes, Recalibrated, plain, recalibrate
 from rtcal.finder.means.search import LITTLE, fit, gap_check
 from rtcal.finder.model import FEATURES
 from rtcal.finder.positions.search import find_by_positions
@@ -175,13 +175,17 @@ class Verification(Result):
     added : tuple of Candidate or None
         At positions, what each half of the pairs added to its model, or None.
     notes : tuple of str
-        Of two states, notes of the case that was held out.
+        Of two states, notes of the case that was held out; of means, what the second run lacks.
     plain, corrected : Recalibrated or None
         Of means, the calibrations to all data without and with what was found.
     runs : tuple of str
-        Of means, which of the ``models`` are runs of a program.
+        Of means, which of the ``models`` are runs of a program as they are; others were moved.
     features : array (n_configurations, n_features, n_bands) or (0,)
         Of means, those of the last model, with the model's bias.
+    again : array (n_quantities, n_places, n_bands) or (0,)
+        Of means, the gaps in JND of a second run as it is, before it is moved to the measured T.
+    effect : str
+        Of means, the one that is verified.
     """
 
     record_kind: ClassVar[str] = "verification 8"
@@ -205,6 +209,8 @@ class Verification(Result):
     corrected: Recalibrated | None = None
     runs: tuple[str, ...] = ()
     features: Array = field(default_factory=partial(np.zeros, 0))
+    again: Array = field(default_factory=partial(np.zeros, 0))
+    effect: str = ""
 
     @property
     def sizes(self) -> Array:
@@ -309,7 +315,7 @@ class Verification(Result):
 
     def __repr__(self) -> str:
         return (
-            f"<Verification {self.verdict}: {self.finding.best_effect}; gap {self.before:.2f} to "
+            f"<Verification {self.verdict}: {self.effect or self.finding.best_effect}; gap {self.before:.2f} to "
             f"{self.after:.2f} JND>"
         )
 
@@ -349,9 +355,10 @@ def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verifi
         Of means: with further parameters or bands of the same configurations, which are then held out;
         by default the finding's own, parts of which are held out in turn.
     **options
-        Of means with a run: ``simulated``, what the program gave of the corrected model, and perhaps
-        ``calibrated``, what it gave of the model calibrated without the correction; else that is the
-        first run, moved as the equation says. Both are of the first configuration. At positions:
+        Of means ``effect``, the candidate in place of the most probable one. With a run, too:
+        ``simulated``, what the program gave of the corrected model. Both runs are moved to the measured
+        T, as the equation says, unless ``calibrated`` is what the program gave of the model calibrated
+        without the correction. Both are of the first configuration. At positions:
         ``seeds`` of the simulator, over which the spread is the noise of the tracing; ``cache`` and
         ``progress`` as for `rtcal.find`. Of two states: ``before`` and ``after``, of which the finding
         predicts the pairs that it had not; ``seed`` of the samples from which the intervals come.
@@ -361,7 +368,8 @@ def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verifi
     DataError
         Where there is nothing to add; of two or more effects; for fewer than four pairs, or fewer than
         two that are new; where one of two states is missing, or ``case`` has other configurations or
-        bands; for an option that such a finding does not have; for runs beside a finding without one.
+        bands; for an option that such a finding does not have; for runs beside a finding without one;
+        for a second run that is the first one; for an ``effect`` that is no candidate.
 
     Examples
     --------
@@ -441,11 +449,13 @@ def _of_means(
     *,
     simulated: Measurement | None = None,
     calibrated: Measurement | None = None,
+    effect: str | None = None,
 ) -> Verification:
-    """Compare the model with and without the best effect."""
+    """Compare the model with and without the best effect, or another one."""
     if not finding.can_be_added:
         raise DataError(f'the verdict is "{finding.verdict}"; there is no effect to add')
-    if len(finding.members) > 1:
+    (name, *others) = finding.members if effect is None else finding.chosen(effect)
+    if others:
         raise DataError(
             f"{len(finding.members)} effects were found together; the gap is compared for one: search "
             "with most = 1"
@@ -463,20 +473,29 @@ def _of_means(
         raise DataError(
             "calibrated is a run to be compared with that of the corrected model: simulated"
         )
-    runs = [None if of is None else _second_run(case, of) for of in (calibrated, simulated)]
-    before, after = plain(case), recalibrate(finding.with_effects(case), finding.discrepancy)
+    runs = [
+        None if of is None else _second_run(case, of, corrected=of is simulated)
+        for of in (calibrated, simulated)
+    ]
+    best = next(c for c in finding.candidates if c.effect == name)
+    before, after = (
+        plain(case),
+        recalibrate(finding.with_effects(case, [best]), finding.discrepancy),
+    )
     bias = finding.discrepancy.bias.reshape(used.shape)
+    bias = bias if simulated is None else 0.0 * bias  # a run has none: it is what the program gave
     # Plain calibration has bent alpha for the model's bias in T as well.
     usual = before.features + np.where(np.arange(len(FEATURES)) == _T20, 0.0, 1.0)[:, None] * bias
     usual = usual if runs[0] is None else runs[0]
-    measured, stated = np.where(used, observed.features, np.nan), features_of(case)
-    # A run as it is has no bias: it is what the program gave.
-    stated = stated if simulated is not None else stated + bias
+    measured, stated = np.where(used, observed.features, np.nan), features_of(case) + bias
     for run in runs:
         measured = measured if run is None else np.where(np.isnan(run), np.nan, measured)
+    # Both runs are moved to the measured T, or neither is.
+    moved = _moved(after, runs[1]) if runs[1] is not None and runs[0] is None else runs[1]
+    differs = None if runs[1] is None else runs[1] - after.features
 
     def last(corrected: Recalibrated) -> Array:
-        return corrected.features + bias if runs[1] is None else runs[1]
+        return corrected.features + bias if moved is None else moved
 
     def gaps_of(corrected: Recalibrated) -> Array:
         """Return the gaps in JND, (3, n_configurations, n_features, n_bands)."""
@@ -484,13 +503,17 @@ def _of_means(
 
     gaps, counted = gaps_of(after), np.zeros_like(used)
     parts = _parts_of(case, used, fitted)
-    errors, predictive = [np.nan] if not parts else list[float](), 0.0
-    name = str(finding.best_effect)
+    errors, predictive, held_out = list[float](), 0.0, list[str]()
     effects = [finding.effects[name]] if name in finding.effects else []
     problem = MeansProblem(case, observed, predict_hypotheses(case, effects), finding.discrepancy)
     for part in parts:
-        found = finding.candidates[0]
-        if (part.hidden & fitted).any():  # the best effect as the data without this part have it
+        held = part.counted & np.isfinite(measured)  # a second run may lack it
+        if not held.any():
+            continue
+        held_out.append(part.words)
+        found = best
+        # The effect as the data without this part have it, unless it was simulated.
+        if (part.hidden & fitted).any() and simulated is None:
             rest = replace(problem, observed=observed.only(used & ~part.hidden))
             (evidence,) = evaluate(rest, probability_off(case.room))
             found = fit(evidence, name, precise=True)
@@ -501,28 +524,59 @@ def _of_means(
         )
         gaps = np.where(part.counted, gaps_of(again), gaps)
         counted |= part.counted
-        check = gap_check(problem, found, part.counted[used])
-        errors += [check.uncertainty] * int(part.counted.any(axis=2).sum())
+        check = gap_check(problem, found, held[used], differs)
+        errors += [check.uncertainty] * int(held.any(axis=2).sum())
         predictive += check.predictive
     made = of_means(
         finding,
         np.ascontiguousarray(gaps.swapaxes(1, 2)[:, np.newaxis]),
         np.asarray((counted & np.isfinite(measured)).any(axis=2)).T,
-        float(np.mean(errors)),
+        float(np.mean(errors or [np.nan])),
         predictive,
         _misses_of_means(case, observed, last(after)),
-        [part.words for part in parts],
+        held_out or [part.words for part in parts],
         before=before,
         after=after,
     )
-    if simulated is None:
+    made = replace(made, effect=name)
+    if runs[1] is None:
         return made
-    of_program = [run is not None for run in (simulated, calibrated, simulated)]
-    names = tuple(n for n, is_run in zip(OF_RUNS, of_program, strict=True) if is_run)
-    return replace(made, models=OF_RUNS, runs=names, features=last(after))
+    return replace(
+        made,
+        models=OF_RUNS,
+        endured=made.needed,  # the program has a noise of its own
+        runs=OF_RUNS[:1] if runs[0] is None else OF_RUNS,
+        notes=_lacking(case, [m for m in (calibrated, simulated) if m is not None]),
+        features=last(after),
+        again=_in_jnd(runs[1] - measured).swapaxes(0, 1),
+    )
 
 
-def _second_run(case: Case, simulated: Measurement) -> Array:
+def _moved(corrected: Recalibrated, run: Array) -> Array:
+    """Return a second run's features, moved to the measured T as the first run's are.
+
+    At the corrected model's coefficients the model is the run; away from them it changes as its
+    equation does, with the effect.
+    """
+    case = replace(corrected.case, program="")
+    first = replace(case.configurations[0], simulated=None)
+    data = LogTimes.of(replace(case, configurations=[first]), [0], exact=True)
+    alpha = [*corrected.alpha, *(corrected.changed[c.name, m] for c, m in data.changed)]
+    offset = run[0] - data.features(0, np.array([alpha]))[0]
+    moved = replace(data, measured=data.measured - offset[_T20]).calibrated()
+    return np.array([moved.features[0] + offset, *run[1:]])
+
+
+def _lacking(case: Case, simulated: Sequence[Measurement]) -> tuple[str, ...]:
+    """Return what second runs lack of the parameters that are compared, as notes."""
+    first = case.configurations[0]
+    runs = [] if first.simulated is None else [Run(first.simulated.room, m) for m in simulated]
+    lost = {p for run in runs for p, by in run.lacking(first.measured).items() if by == "run"}
+    labels = [parameter_label(p) for p in FEATURES if p in lost]
+    return (str(Reason("second run lacks", {"parameters": labels})),) if labels else ()
+
+
+def _second_run(case: Case, simulated: Measurement, *, corrected: bool) -> Array:
     """Return a second run's features, (n_configurations, n_features, n_bands); NaN without any."""
     first = case.configurations[0]
     if first.simulated is None:
@@ -530,10 +584,18 @@ def _second_run(case: Case, simulated: Measurement) -> Array:
             "the finding has no run beside which another one stands: search with simulated, too"
         )
     run, _ = Run(first.simulated.room, simulated).beside(first.measured)
-    if run.time_label != first.measured.time_label:
-        raise DataError(f"simulated has no {first.measured.time_label}, which was measured")
     out = np.full((len(case.configurations), len(FEATURES), case.room.n_bands), np.nan)
     out[0] = features_of_values(run)
+    time, of = first.measured.time_label, "simulated" if corrected else "calibrated"
+    if run.time_label != time or np.isnan(out[0, _T20]).all():
+        has = ", ".join(map(parameter_label, simulated.values))
+        raise DataError(f"{of} has no {time}, which was measured; it has {has}")
+    one, _ = first.simulated.beside(first.measured)
+    if corrected and all(
+        p in one.values and np.array_equal(one.values[p], run.values[p], equal_nan=True)
+        for p in run.values
+    ):
+        raise DataError("simulated: the corrected run is the first run, without what was added")
     return out
 
 
@@ -605,7 +667,8 @@ def _misses_of_means(case: Case, observed: ObservedFeatures, features: Array) ->
 def residual_map(verified: Verification) -> Array:
     """Return the last model less measured over its standard deviation, as `Finding.residuals`."""
     finding = verified.finding
-    case, bias = finding.with_effects(), finding.discrepancy.bias
+    added = [c for c in finding.candidates if c.effect == verified.effect]
+    case, bias = finding.with_effects(added=added), finding.discrepancy.bias
     features = verified.features - bias.reshape(verified.features.shape)
     predicted = replace(predict_hypotheses(case, []), features=features[None])
     problem = MeansProblem(case, observe(case)[0], predicted, finding.discrepancy)

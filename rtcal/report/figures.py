@@ -519,7 +519,7 @@ def corrected_shifts(verification: Verification) -> Any:
         axes.axhline(0, color=BLACK, linewidth=0.8)
         for by, x, style, label in (
             (0.95, models[0], _PLAIN, "calibrated without it, 90 %"),
-            (1.05, models[1], _CORRECTED, f"with {verification.finding.best_effect}, 90 %"),
+            (1.05, models[1], _CORRECTED, f"with {verification.effect}, 90 %"),
         ):
             low, high = x.interval
             bars = np.maximum([x.alpha[i] - low[i], high[i] - x.alpha[i]], 0)

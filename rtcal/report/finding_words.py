@@ -179,6 +179,7 @@ SENTENCES: dict[str, str] = {
     "{known:and}.",
     "curved": '"{configuration}": the decay is curved at {bands:and} (ISO 3382-2, Annex B: at most '
     "{most:.0f} %).",
+    "second run lacks": "{parameters:and} left out, which a second run lacks.",
     "run lacks": '"{configuration}": {parameters:and} left out, which the run lacks.',
     EQUATION_OFF: "{equation}'s T is {by:range} {side} than the program's {bands:where}.",
     "no air": "The room has no air, so the model's air absorbs nothing.",

@@ -451,12 +451,12 @@ _SAME = 5e-4
 
 
 def instructions(
-    finding: Finding, made: Corrected, room: Room, found: str = "FOUND"
+    finding: Finding, made: Corrected, room: Room, effect: str | None = None
 ) -> list[Block]:
     """Return what to change in the list of materials, what to draw, and what neither can hold.
 
     ``room`` is the corrected room with the coefficients to simulate with; its first materials are those
-    of the run.
+    of the run. ``effect`` is the one that was chosen, None for what was found.
     """
     run = finding.case.room
     if finding.kind == "means" and finding.case.configurations[0].simulated is not None:
@@ -480,7 +480,8 @@ def instructions(
             at = f"about ({', '.join(f'{x:.2f}' for x in made.added.middle)}) m"
         where = f'on "{made.surfaces[0]}", {at}' if made.form == "patch" else "the whole surface"
         where += "" if made.form == "patch" else f' "{made.surfaces[0]}"'
-    out: list[Block] = [Note(f"What to change in the program for {words.title(finding)}.")]
+    what = words.title(finding) if effect is None else words.name_of(finding, effect)
+    out: list[Block] = [Note(f"What to change in the program for {what}.")]
     if rows:
         out += [Note("1. In the list of materials, change alpha:"), Table(labels, rows)]
     else:
@@ -501,7 +502,8 @@ def instructions(
         out.append(Note("2. Nothing is to be drawn."))
     lost = [Note(f"- {as_sentence(str(note))}", "  ") for note in made.notes]
     out += [Note("3. A list of materials cannot hold:"), *lost] if lost else []
-    then = f"Simulate again, and then: rtcal verify {found} --simulated corrected_run.csv"
+    option = "" if effect is None else f' --effect "{effect}"'
+    then = f"Simulate again, and then: rtcal verify FOUND{option} --simulated corrected_run.csv"
     return [*out, Note(then if finding.kind == "means" else "Simulate again.")]
 
 
@@ -569,7 +571,7 @@ def correct(
         room = calibrated.room
     files = made.contents(out)
     if finding.kind != "states" and finding.case.has_run:
-        said = lines_of(instructions(finding, made, room))
+        said = lines_of(instructions(finding, made, room, effect))
         files[out / INSTRUCTIONS] = ("\n".join(said) + "\n").encode()
         lines += ["", *said]
     return "\n".join(lines), record, files

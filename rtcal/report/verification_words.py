@@ -8,6 +8,7 @@ from rtcal.acoustics import bands
 from rtcal.finder.claim import Candidate
 from rtcal.finder.finding import rivals, support
 from rtcal.finder.verification import MISSES, Miss, Verification, mean_of_known
+from rtcal.report.finding_words import name_of
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.text import as_sentence, first_of, listed
 from rtcal.support.types import Array
@@ -43,7 +44,13 @@ _UNPROVEN = "Unproven is not refuted: the effect is neither confirmed nor ruled 
 
 def sentence(v: Verification) -> str:
     """Return the verdict, the change of the gap with its standard error, and what speaks against it."""
-    if np.isnan(v.before):
+    if np.isnan(v.before) and v.runs and v.held_out:
+        said = [
+            "Not tested: a second run lacks what the finding was not fitted to "
+            f"({listed(v.held_out)}). Simulate that, too.",
+            _as_simulated(v),
+        ]
+    elif np.isnan(v.before):
         said = [
             "Not tested: nothing was measured that the finding was not fitted to. Measure C80 or G, or "
             "a second configuration."
@@ -53,11 +60,14 @@ def sentence(v: Verification) -> str:
         verb = "shrinks" if v.gain > 0 else "grows"
         grounds = [str(reason) for reason in v.objections if reason.code != MISSES]
         again, but = _found_again(v)
+        chosen = v.effect and v.effect != v.finding.best_effect
+        what = name_of(v.finding, v.effect) if chosen else "what was found"
         said = [
-            f"{v.verdict.capitalize()}{but if supported else ''}: {again}with what was found, the mean "
+            f"{v.verdict.capitalize()}{but if supported else ''}: {again}with {what}, the mean "
             f"deviation at data that were not fitted ({listed(v.held_out)}) {verb} from "
             f"{v.before:.2f} to {v.after:.2f} JND (by {abs(v.gain):.2f} ± {v.uncertainty:.2f} JND, "
             f"standard error{f'; more than {v.needed:.2f} JND counts' if supported else ''}).",
+            _as_simulated(v),
             as_sentence(listed(grounds)) if grounds else "",
             "The model is better; the name may still be wrong." if supported else "",
             _UNPROVEN if v.verdict == "unproven" else "",
@@ -65,10 +75,24 @@ def sentence(v: Verification) -> str:
     return " ".join(filter(None, [*said, misses(v)]))
 
 
+def _as_simulated(v: Verification) -> str:
+    """Return the gaps of both runs as they are, what was not fitted first; "" without a second run."""
+    if not v.again.size:
+        return ""
+    first, second = v.sizes[0, 0, :, 0], mean_of_known(np.abs(v.again[:, 0]), 1)
+    held_out_first = np.argsort(~v.counted[:, 0], kind="stable")
+    said = [
+        f"{v.quantities[i]} {first[i]:.2f} to {second[i]:.2f} JND"
+        for i in held_out_first.tolist()
+        if np.isfinite(second[i])
+    ]
+    return f"From the first run to the second, as simulated: {listed(said)}."
+
+
 def _found_again(v: Verification) -> tuple[str, str]:
     """Return what halves of the pairs found that is other, and what a support leaves open."""
     if v.plain is not None:
-        alike = [c.effect for c in rivals(v.finding)]
+        alike = [c.effect for c in rivals(v.finding, _verified(v))]
         return "", f", but not distinguished from {listed(alike)}" if alike else ""
     found, (others, in_kind) = v.finding.likeliest, v.found_elsewhere
     if not others or found is None:
@@ -82,20 +106,27 @@ def _found_again(v: Verification) -> tuple[str, str]:
 def notes(v: Verification) -> list[str]:
     """Return what is to be known of the comparison."""
     if v.plain is not None and v.corrected is not None:
-        found = f"What was found: {support(v.finding, v.finding.candidates[0])}."
-        return [found, _of_runs(v) if v.runs else _of_time(v)]
+        how = "found" if v.effect == v.finding.best_effect else "verified"
+        found = f"What was {how}: {support(v.finding, _verified(v))}."
+        return [found, _of_runs(v) if v.runs else _of_time(v), *v.notes]
     return [*v.notes, *(_of_pairs(v) if v.halves else ())]
+
+
+def _verified(v: Verification) -> Candidate:
+    """Return the candidate of means that is verified."""
+    return v.finding.candidate(v.effect) or v.finding.candidates[0]
 
 
 def _of_runs(v: Verification) -> str:
     """Return which models are runs of the program, and what the effect was sized with."""
-    one = "is a run, too"
+    which = f"{listed([*v.models]).capitalize()} are runs of the program as they are."
     if v.models[1] not in v.runs:
-        one = "is the first run, moved to the measured T as the equation says"
-    runs = listed([v.models[0], v.models[2]]).capitalize()
+        which = (
+            f"{v.models[1].capitalize()} and {v.models[2]} are the first and the second run, each moved "
+            "to the measured T as the equation says."
+        )
     return (
-        f"{runs} are runs of the program; {v.models[1]} {one}. "
-        "The effect that was simulated had its size from all data."
+        f"{which} The effect that was simulated had its size from all data."
     )
 
 
