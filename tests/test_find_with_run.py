@@ -279,7 +279,10 @@ def test_three_models_are_compared_with_and_without_a_second_run(absorber: Findi
     again = verify(absorber, simulated=first.measured)
     assert again.models == ("as simulated", "calibrated", "corrected")
     assert again.runs == ("as simulated",)
-    assert again.verdict == "supported"
+    assert again.verdict == "not tested"  # the opening moves C80 and G by T alone
+    alone = "calibrating alone leaves 0.02 JND there, so that no second run can shrink it"
+    assert alone in sentence(seen)
+    assert "Not tested at C80 and G: calibrating alone leaves 0.00 JND" in sentence(again)
     np.testing.assert_allclose(again.by_seed[1], seen.by_seed[1], atol=0.1)  # but for the bias
     assert again.after == pytest.approx(0.0, abs=1e-4)
     np.testing.assert_allclose(residual_map(again), 0, atol=0.1)
@@ -297,7 +300,9 @@ def run_of(finding: Finding, effect: bool, off: float) -> rt.Measurement:
     assert made is not None
     case = made.case if effect else finding.case
     room = case.room.replace(alpha=np.minimum(off * case.room.alpha, 0.99))
-    bare = replace(case, room=room, configurations=[replace(case.configurations[0], simulated=None)])
+    bare = replace(
+        case, room=room, configurations=[replace(case.configurations[0], simulated=None)]
+    )
     t20, edt, t30, c80, g = features_of(bare)[0]
     t = np.exp(t20)
     values = {"t20": t, "edt": t * np.exp(edt), "t30": t * np.exp(t30), "c80": c80, "g": g}
@@ -311,7 +316,7 @@ def test_a_second_run_is_moved_to_the_measured_time_as_the_first_one_is(
     """Coefficients that are off together withdraw no right effect, and support no run without it."""
     right = verify(absorber, simulated=run_of(absorber, effect=True, off=off))
     np.testing.assert_allclose(right.gaps[1:, 0, 0], 0, atol=1e-3)
-    assert right.verdict in ("supported", "unproven")
+    assert right.verdict == "not tested"
     assert right.after < 0.3
     without = verify(absorber, simulated=run_of(absorber, effect=False, off=0.97 * off))
     assert without.verdict != "supported"

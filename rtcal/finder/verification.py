@@ -247,18 +247,28 @@ class Verification(Result):
         """``supported``: the gap shrinks by more than is `needed`, and there is no objection.
 
         ``withdrawn``: it grows. ``unproven``: it changes by less, or there are `objections`.
-        ``not tested``: nothing was measured that the finding was not fitted to.
+        ``not tested``: nothing was measured that the finding was not fitted to, or calibrating alone
+        leaves less than is `needed`, so that no second run can support the finding.
         """
         if np.isnan(self.before):
             return "not tested"
         if -self.gain > self.endured:
             return "withdrawn"
+        if self.again.size and self.little_left:
+            return "not tested"
         return "unproven" if self.objections else "supported"
+
+    @property
+    def little_left(self) -> bool:
+        """Whether the first run, moved to the measured T, leaves no gap that a second one could close."""
+        return self.plain is not None and self.finding.case.has_run and self.before <= self.needed
 
     @property
     def objections(self) -> tuple[Reason, ...]:
         """Why the finding is not supported; () where it is."""
-        out = [] if self.gain > self.needed else [Reason("gains little", {"least": self.needed})]
+        code = "little left" if self.little_left else "gains little"
+        limits = {"least": self.needed, "before": self.before}
+        out = [] if self.gain > self.needed else [Reason(code, limits)]
         out += self._doubts_of_means() if self.plain is not None else ()
         out += [Reason("halves differ")] if self.found_elsewhere[1] else ()
         return (*out, *([Reason(MISSES)] if self.misses else ()))

@@ -50,6 +50,9 @@ def sentence(v: Verification) -> str:
             f"({listed(v.held_out)}). Simulate that, too.",
             _as_simulated(v),
         ]
+    elif v.verdict == "not tested" and v.little_left:
+        left = next(str(reason) for reason in v.objections if reason.code == "little left")
+        said = [f"Not tested at {listed(v.held_out)}: {left}.", _as_simulated(v)]
     elif np.isnan(v.before):
         said = [
             "Not tested: nothing was measured that the finding was not fitted to. Measure C80 or G, or "
@@ -125,9 +128,7 @@ def _of_runs(v: Verification) -> str:
             f"{v.models[1].capitalize()} and {v.models[2]} are the first and the second run, each moved "
             "to the measured T as the equation says."
         )
-    return (
-        f"{which} The effect that was simulated had its size from all data."
-    )
+    return f"{which} The effect that was simulated had its size from all data."
 
 
 def _of_time(v: Verification) -> str:
