@@ -260,7 +260,7 @@ class Verification(Result):
 
     @property
     def little_left(self) -> bool:
-        """Whether the first run, moved to the measured T, leaves no gap that a second one could close."""
+        """Whether the first run, moved to the measured T, leaves too little for a second one."""
         return self.plain is not None and self.finding.case.has_run and self.before <= self.needed
 
     @property
@@ -324,9 +324,9 @@ class Verification(Result):
         return made
 
     def __repr__(self) -> str:
+        name = self.effect or self.finding.best_effect
         return (
-            f"<Verification {self.verdict}: {self.effect or self.finding.best_effect}; gap {self.before:.2f} to "
-            f"{self.after:.2f} JND>"
+            f"<Verification {self.verdict}: {name}; gap {self.before:.2f} to {self.after:.2f} JND>"
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -501,8 +501,8 @@ def _of_means(
     for run in runs:
         measured = measured if run is None else np.where(np.isnan(run), np.nan, measured)
     # Both runs are moved to the measured T, or neither is.
-    moved = _moved(after, runs[1]) if runs[1] is not None and runs[0] is None else runs[1]
-    differs = None if runs[1] is None else runs[1] - after.features
+    moved, differs = (None, None) if runs[1] is None else _moved(after, runs[1])
+    moved = moved if runs[0] is None else runs[1]
 
     def last(corrected: Recalibrated) -> Array:
         return corrected.features + bias if moved is None else moved
@@ -562,19 +562,14 @@ def _of_means(
     )
 
 
-def _moved(corrected: Recalibrated, run: Array) -> Array:
-    """Return a second run's features, moved to the measured T as the first run's are.
+def _moved(corrected: Recalibrated, run: Array) -> tuple[Array, Array]:
+    """Return a second run's features, moved to the measured T, and what the model with them has less.
 
-    At the corrected model's coefficients the model is the run; away from them it changes as its
-    equation does, with the effect.
+    Where the corrected model has the run's T, the run differs from it by an offset, which stays.
     """
-    case = replace(corrected.case, program="")
-    first = replace(case.configurations[0], simulated=None)
-    data = LogTimes.of(replace(case, configurations=[first]), [0], exact=True)
-    alpha = [*corrected.alpha, *(corrected.changed[c.name, m] for c, m in data.changed)]
-    offset = run[0] - data.features(0, np.array([alpha]))[0]
-    moved = replace(data, measured=data.measured - offset[_T20]).calibrated()
-    return np.array([moved.features[0] + offset, *run[1:]])
+    data = LogTimes.of(corrected.case, [0], exact=True)
+    offset = run - replace(data, measured=run[:1, _T20]).calibrated().features
+    return data.calibrated().features + offset, offset
 
 
 def _lacking(case: Case, simulated: Sequence[Measurement]) -> tuple[str, ...]:

@@ -244,8 +244,8 @@ SENTENCES: dict[str, str] = {
     # Why a verification does not support a finding.
     "gains little": "only a decrease by more than {least:.2f} JND counts",
     "misses": "the corrected model misses what it was matched to",
-    "little left": "calibrating alone leaves {before:.2f} JND there, so that no second run can shrink it "
-    "by the {least:.2f} JND that count",
+    "little left": "calibrating alone leaves {before:.2f} JND there, so that no second run can shrink "
+    "it by the {least:.2f} JND that count",
     "halves differ": "the halves of the pairs found another thing than all pairs",
     "still missed": "with it these data are still missed by {gap:.2f} JND on average",
     "grows": "the deviation of {quantity} grows from {before:.2f} to {after:.2f} JND",

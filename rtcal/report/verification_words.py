@@ -125,8 +125,8 @@ def _of_runs(v: Verification) -> str:
     which = f"{listed([*v.models]).capitalize()} are runs of the program as they are."
     if v.models[1] not in v.runs:
         which = (
-            f"{v.models[1].capitalize()} and {v.models[2]} are the first and the second run, each moved "
-            "to the measured T as the equation says."
+            f"{v.models[1].capitalize()} and {v.models[2]} are the first and the second run, each "
+            "moved to the measured T as the equation says."
         )
     return f"{which} The effect that was simulated had its size from all data."
 
