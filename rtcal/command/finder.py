@@ -340,6 +340,13 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     tell("\n".join(lines(blocks(finding, verification))), record)
 
 
+_EFFECT = click.option(
+    "--effect",
+    metavar="NAME",
+    help="The candidate to add; needed where none has a probability of 0.3.",
+)
+
+
 @click.command(short_help="Compare the deviations with and without what was found.")
 @takes(
     "FOUND",
@@ -348,11 +355,7 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
         "calibrated",
         "With --simulated, what the program gave of the model calibrated without the correction.",
     ),
-    click.option(
-        "--effect",
-        metavar="NAME",
-        help="The candidate to verify, as it was added by `rtcal apply --effect`.",
-    ),
+    _EFFECT,
     "before",
     file(
         "after",
@@ -428,11 +431,7 @@ def verify(
         callback=lambda context, parameter, text: _place(text),
         help="With a geometry: middle of the patch in m, on its surface.",
     ),
-    click.option(
-        "--effect",
-        metavar="NAME",
-        help="The candidate to add; needed where none has a probability of 0.3.",
-    ),
+    _EFFECT,
 )
 def apply(found: str, out: str, **options: Any) -> None:
     """Add what was found to the model, and write the room with it into a folder.
