@@ -38,7 +38,7 @@ def test_a_catt_model_in_and_out(tmp_path: Path, capsys: pytest.CaptureFixture[s
     result.room.save(str(tmp_path / "calibrated.toml"))
     assert run("export", "catt", tmp_path / "calibrated.toml", hall) == 0
     shown = capsys.readouterr().out
-    assert "hall.geo: changed list" in " ".join(shown.split())
+    assert "hall.geo: list with its coefficients replaced" in " ".join(shown.split())
     assert "change / JND" in shown
     after = hall.read_bytes()
     assert after.startswith(b"ABS wood = <1")

@@ -90,7 +90,7 @@ class Target:
 
     low: Array
     high: Array
-    source: str = "given"
+    source: str = "as you gave it"
 
     def __post_init__(self) -> None:
         low, high = checks.array("low", self.low), checks.array("high", self.high)

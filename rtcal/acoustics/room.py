@@ -743,7 +743,7 @@ class Room:
         if not self.materials:
             raise DataError("materials is empty; a room has at least one material")
         if blank := [m for m in self.materials if not m.strip()]:
-            raise DataError(f"materials has {blank[0]!r}; a name is not blank")
+            raise DataError(f"materials has {blank[0]!r}; a name must not be blank")
         if len({*self.materials}) < self.n_materials:
             twice = min(m for m in self.materials if self.materials.count(m) > 1)
             raise DataError(

@@ -519,17 +519,18 @@ class Archive(Result):
             for i, name in enumerate(self.materials)
         ]
         of_rooms = {
-            "factor": [f"{100 * lesson.factor:+.0f} %" for lesson in self.lessons],
-            "Q": [f"{lesson.q:.1f}" for lesson in self.lessons],
-            "p": [f"{lesson.p_value:.2g}" for lesson in self.lessons],
-            "taught": [f"{100 * lesson.taught:.0f} %" for lesson in self.lessons],
+            "all alpha off by": [f"{100 * lesson.factor:+.0f} %" for lesson in self.lessons],
+            "Q of T": [f"{lesson.q:.1f}" for lesson in self.lessons],
+            "p of T": [f"{lesson.p_value:.2g}" for lesson in self.lessons],
+            "sigma reduced by": [f"{100 * lesson.taught:.0f} %" for lesson in self.lessons],
         }
         rooms = Table.of_columns([lesson.room for lesson in self.lessons], of_rooms)
         notes = [
-            f"An entry is off by {spread.table:.2g} of its input sigma, a material differs between "
-            f"rooms by {spread.between:.2g} of it. Rooms differ by {100 * spread.room:.0f} %, the "
-            f"equation by {100 * spread.equation:.0f} % per band (standard deviations). All tables "
-            f"are off together by {100 * self.together:+.0f} ± {100 * self.together_sigma:.0f} %.",
+            f"Standard deviations: an entry of the table is off by {spread.table:.2g} of its input "
+            f"sigma in all rooms; a material differs between rooms by {spread.between:.2g} of that "
+            f"sigma; all coefficients of one room share an error of {100 * spread.room:.0f} %; the "
+            f"equation errs by {100 * spread.equation:.0f} % per band. All tables together are off by "
+            f"{100 * self.together:+.0f} ± {100 * self.together_sigma:.0f} %.",
             *(
                 f'In room "{s.room}", "{s.material}" is likely '
                 + (f'"{s.instead}"' if s.instead else "none of the archive's materials")
@@ -541,7 +542,7 @@ class Archive(Result):
         return [
             Note(f"{len(self.lessons)} rooms, {len(self.materials)} materials"),
             Table(labels, materials, head),
-            replace(rooms, title="what each room says beside all others"),
+            replace(rooms, title="each room compared with what all others predict"),
             *map(Note, notes),
         ]
 

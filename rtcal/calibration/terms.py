@@ -104,7 +104,7 @@ class Model:
         return variable
 
     def at_least_zero(self, shape: Any) -> Any:
-        """Return a variable of a term's own that is 0 or more."""
+        """Return a new auxiliary variable of one term, 0 or more."""
         variable = cp.Variable(shape)
         self.nonnegative.append(variable)
         return variable
@@ -785,7 +785,9 @@ class AtMost:
 
 @dataclass(frozen=True)
 class GroupAbsorption:
-    """least <= S'alpha over a group of materials <= most, in m² of the first configuration.
+    """least <= S'alpha <= most over a group of materials, in m².
+
+    S has the areas of the first configuration: of the first room, if several are calibrated together.
 
     When to use it: when the total of a group is known better than its members, such as all seating
     from a table of audience absorption.

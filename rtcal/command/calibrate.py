@@ -226,8 +226,8 @@ def learn(
 
     Example: rtcal learn rooms --apply new.toml --out library
 
-    It prints each material's coefficients, what each room says beside the others, and which material is
-    likely misnamed. Nothing leaves this machine.
+    It prints each material's coefficients, how each room compares with the others, and which
+    material is likely misnamed. Nothing leaves this machine.
     """
     from rtcal.acoustics.room import Room
     from rtcal.calibration import archive

@@ -110,7 +110,7 @@ def start(
         "matched": begun.matched.label,
     }
     lines = [
-        f"Taken as the measured T: {begun.matched.time_label}.",
+        f"{begun.matched.time_label} is taken as the measured T.",
         *([f"Matched: {begun.matched.label}."] if weights else []),
         *record["unreachable"],
         *([] if run is None else [_first(begun, str(simulated))]),

@@ -172,7 +172,7 @@ class Effect(ABC):
         """Return the room with the effect in it."""
 
     def changes(self, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
-        """Return the room with the effect in it, for each set of parameters."""
+        """Return one room per set of parameters in ``grid``, with the effect in it."""
         return [self.change(state, theta) for theta in grid]
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
@@ -237,7 +237,8 @@ class Effect(ABC):
     def errors_over_bands(self, frequencies: Array) -> Array:
         """Return the relative errors of the effect's change, one standard deviation each.
 
-        (n_bands, 2 + n_bands): common to all bands, a tilt, and those that a rough spectrum has.
+        (n_bands, 2 + n_bands): one error common to all bands, one tilt over frequency, and one error
+        per band, correlated between neighbouring bands.
         """
         common, tilt, rough = self.spectrum_error
         octaves = np.log2(frequencies / 1000)
@@ -333,7 +334,7 @@ class Absorber(AbsorbingObject):
         return self.changes(state, [parameters])[0]
 
     def changes(self, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
-        """Return the room with the absorber in place of wall, for each set of parameters."""
+        """Return one room per set of parameters in ``grid``, with the absorber in place of wall."""
         if type(self).change is not Absorber.change:
             return super().changes(state, grid)
         others = [name for name in grid[0] if name != self.size]

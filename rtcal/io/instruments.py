@@ -84,7 +84,7 @@ def _measurement(
     name = titles.get("Measurement", "").strip()
     columns = [c.strip() for c in _FORMAT.sub(r"\1", block[at][1]).split(",")]
     if len(columns) < 3 or not columns[1].startswith("BW"):
-        raise DataError(f"{place}: REW's format line names freq, BW and a parameter first")
+        raise DataError(f"{place}: REW's format line must begin with freq, BW and a parameter")
     rows: list[Row] = [
         (n, _cells(line, columns, f"{path}, line {n}"))
         for n, line in block[at + 1 :]
@@ -130,7 +130,7 @@ def _cells(line: str, columns: Sequence[str], place: str) -> list[str]:
     while len(cells) > n and not cells[-1]:
         cells = cells[:-1]
     if len(cells) != n:
-        raise DataError(f"{place}: {len(cells)} cells; REW's format line names {n}")
+        raise DataError(f"{place}: {len(cells)} cells, but REW's format line names {n} columns")
     return [
         "" if column.endswith("(s)") and re.fullmatch(r"0+(?:[.,]0*)?", cell) else cell
         for column, cell in zip(columns, cells, strict=True)

@@ -220,7 +220,7 @@ class MaterialList:
         for material in self.materials:
             place = f"{self.path}, line {material.line}: a material's name"
             if not text_name(place, material.name).strip():
-                raise DataError(f"{place} has {material.name!r}; a name is not blank")
+                raise DataError(f"{place} has {material.name!r}; a name must not be blank")
             if material.name in first:
                 raise DataError(
                     f'{self.path}, line {material.line}: "{material.name}" is given twice, first '
@@ -573,7 +573,8 @@ class ExportReport:
         if self.template is None:
             kind = "new list, since there was no such file"
         else:
-            kind = "changed list" if self.template == self.path else f"changed {self.template}"
+            name = "list" if self.template == self.path else self.template
+            kind = f"{name} with its coefficients replaced"
         cells = [
             [f"{before:.4f}", f"{after:.4f}", text.number(change, "+.2f")]
             for before, after, change in zip(
@@ -598,7 +599,7 @@ class ExportReport:
         lost = f"Not in the file: {', '.join(self.lost)}. Keep the room's own file."
         again = (
             "A room made of this file can be calibrated to the same data again, which would count "
-            "them twice."
+            "these data twice."
         )
         for note in (*self.notes, lost, *[again] * (RECORD in self.lost)):
             rows += text.wrapped(note)
@@ -1328,7 +1329,10 @@ def _new_bras(room: Room, *_: object) -> bytes:
     rows = ["material," + ",".join(f"{f:g}" for f in room.centre_frequencies)]
     for i, name in enumerate(room.materials):
         if "," in name or not name.isprintable() or name.strip() != name or not name:
-            raise DataError(f"material {name!r}: a name in this table has no comma, on one line")
+            raise DataError(
+                f"material {name!r}: a name in this table must not have a comma, a line "
+                "break, or a blank at an end"
+            )
         rows.append(",".join([name, *(f"{a:.{_DECIMALS['bras']}f}" for a in room.alpha[i])]))
     return ("\n".join(rows) + "\n").encode("utf-8")
 

@@ -125,6 +125,7 @@ def _corner(token: str, n_vertices: int, place: str) -> int:
     index = index - 1 if index > 0 else n_vertices + index
     if not 0 <= index < n_vertices or match.group(1) in ("0", "-0"):
         raise DataError(
-            f"{place}: the corner {match.group(1)} is no vertex; {n_vertices} precede it"
+            f"{place}: the corner {match.group(1)} refers to a vertex that is not defined before this "
+            f"line; defined are {n_vertices}"
         )
     return index

@@ -879,7 +879,7 @@ class Loop(Result):
         return [
             Note(
                 f"After {n} simulation{'s' * (n != 1)}, T{_worst(self.gap, names)}. The coefficients "
-                f"are valid for {of} alone."
+                f"are valid only for {of}."
             ),
             Table(names, rows, "By band"),
             *([Table(names, others, "Means over the pairs, not matched alone")] if others else []),

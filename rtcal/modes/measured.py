@@ -171,15 +171,15 @@ class MeasuredModes:
                 raise DataError(f"amplitudes is not an array of numbers: {cause}") from cause
             if amplitudes.ndim != 2 or len(amplitudes) != n or not np.isfinite(amplitudes).all():
                 raise DataError(
-                    f"amplitudes has shape {amplitudes.shape}; with {n} modes it is ({n}, n_pairs), "
-                    "and finite"
+                    f"amplitudes has shape {amplitudes.shape}; with {n} modes it must be "
+                    f"({n}, n_pairs), and finite"
                 )
             put("amplitudes", amplitudes)
         if self.calculated is not None:
             own = checks.shaped("calculated", self.calculated, n)
             if len(np.unique(own)) < n or not ((own >= 0) & (own % 1 == 0) & (own < 2**31)).all():
                 raise DataError(
-                    f"calculated is not {n} different whole numbers from 0 on, one of each mode"
+                    f"calculated must list {n} distinct whole numbers >= 0, one for each measured mode"
                 )
             put("calculated", own.astype(int))
 

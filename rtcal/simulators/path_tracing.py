@@ -107,8 +107,8 @@ class Tracer(RoomSimulator, ABC):
         checks.whole(name, number, 1)
         if self.n_batches < 2 or number < self.n_batches:
             raise DataError(
-                f"{name} = {number} in n_batches = {self.n_batches}: the noise needs at least two "
-                "batches, with one or more in each"
+                f"{name} = {number} does not fill n_batches = {self.n_batches}: the noise estimate "
+                "needs at least two batches, each with at least one ray or path"
             )
 
     @property
@@ -1265,7 +1265,7 @@ class PathTracing(Tracer):
     def traced(self, band: int, seconds: float, *, seed: int = 0) -> Paths:
         """Return the paths of a band, followed for ``seconds`` or longer.
 
-        The paths of the last seed are kept and returned again. DataError for ``seconds`` above
+        Paths are reused as long as the seed stays the same. DataError for ``seconds`` above
         `rtcal.simulators.path_tracing.LONGEST`.
         """
         if checks.whole("band", band, 0) >= self.room.n_bands:
