@@ -25,7 +25,7 @@ demo: $(DEMO_STAMP)  ## calibrate a real measured room; diagnose a second one, i
 		rtcal/datasets/bras_cr2/measured.csv --out demo
 	$(DEMO_VENV)/bin/rtcal report demo
 	@printf "\nA second room, simulated by code that is not rtcal's. What does its model lack?\n\n"
-	$(DEMO_VENV)/bin/rtcal diagnose $(SEMINAR)/room.toml $(SEMINAR)/pairs.csv --out demo/diagnosis
+	$(DEMO_VENV)/bin/rtcal diagnose $(SEMINAR)/room.toml $(SEMINAR)/pairs.csv --paths 3000 --out demo/diagnosis
 	@$(DEMO_VENV)/bin/python -c 'import json, sys; \
 		print("\nHidden in it:", json.load(open(sys.argv[1]))["hidden"])' $(SEMINAR)/truth.json
 

@@ -107,6 +107,7 @@ def test_the_report_is_written_whole(folder: Path) -> None:
     # An opening bends no decay, so none is drawn.
     assert {
         "result.json",
+        "gap.png",
         "report.html",
         "reverberation_time.png",
         "shifts.png",
