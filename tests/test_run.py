@@ -139,6 +139,15 @@ def test_a_deviation_that_the_coefficients_explain_is_not_the_programs() -> None
         assert found.explained["c80"].tolist() == [explained, False]
 
 
+def test_the_program_agrees_only_where_no_parameter_disagrees() -> None:
+    times = 1.5 * rt.Eyring().reverberation_time(box())
+    measured = rt.Measurement.from_values(F, t20=times, c80=[0.0, 0.0])
+    for c80, agrees in (([0.0, 0.0], True), ([3.0, 3.0], False)):
+        run = rt.Run(box(), rt.Measurement.from_values(F, t20=times, c80=c80))
+        said = " ".join(str(rt.compare(box(), measured, run)).split())
+        assert ("where the program agrees with the measurement" in said) == agrees
+
+
 def test_positions_that_deviate_alike_are_said_so_and_others_named() -> None:
     pairs = [("S1", f"R{i}") for i in range(1, 5)]
     one = rt.Measurement(centre_frequencies=F, values={"t20": np.ones((4, 2))}, pairs=pairs)

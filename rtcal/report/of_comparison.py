@@ -161,7 +161,7 @@ def _of_the_equation(c: Comparison) -> list[str]:
     how = _groups(c, c.of_the_equation, differs, REVERBERATION[0].key, ("shorter", "longer"))
     said = f"Compared with the program's, {c.equation.name}'s T is {how}"
     compared = [p for p in c.parameters if p in {o.key for o in REVERBERATION}]
-    if compared and not any((c.disagrees[p] & differs).any() for p in compared):
+    if compared and not any((at & differs).any() for at in c.disagrees.values()):
         said += ", where the program agrees with the measurement"
     return [said + "."]
 
