@@ -344,9 +344,9 @@ def test_record_and_table_state_what_is_known(
         np.testing.assert_array_equal(material["table"], archive.table[i])
         np.testing.assert_array_equal(material["alpha"], archive.alpha[i])
     text = " ".join(str(archive).split())
-    assert "factor" in text
+    assert "sigma reduced by" in text
     together, sigma = 100 * archive.together, 100 * archive.together_sigma
-    assert f"together by {together:+.0f} ± {sigma:.0f} %" in text
+    assert f"together are off by {together:+.0f} ± {sigma:.0f} %" in text
 
 
 def test_bands_that_it_lacks_are_named(rooms: list[rt.calibration.CalibrationResult]) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands, marks
+from rtcal.acoustics.comparison import Comparison
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import LEVEL, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
@@ -50,7 +51,6 @@ from rtcal.finder.states import ADDED
 from rtcal.finder.verification import Verification
 from rtcal.io.tables import unusual
 from rtcal.loop.measured_pairs import without_place
-from rtcal.report import of_comparison
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.text import as_sentence, first_of, listed
 from rtcal.support.types import Array
@@ -510,7 +510,7 @@ def _nothing_missing(f: Finding) -> list[str]:
     said = [f"{str(n).removesuffix('.')}" for n in off]
     who = "program" if program else "model"
     if f.differs:
-        _, most = max(map(of_comparison.largest, f.comparisons))
+        _, most = max(map(_largest, f.comparisons))
         open_ = (
             "scattering" if at_pairs else f"the error of the {'program' if program else 'equation'}"
         )
@@ -571,6 +571,15 @@ def _contradiction(f: Finding) -> str:
         return "Something is missing from the model, or an input value is off"
     off = contradicting == {True}
     return "An input value of the model is off" if off else "Something is missing from the model"
+
+
+def _largest(c: Comparison) -> tuple[float, str]:
+    """Return the largest deviation that is noticed, in JND, and its words; 0 where all agrees."""
+    each = {p: np.where(c.disagrees[p], off, 0.0) for p, off in c.deviation.items()}
+    p = max(each, key=lambda p: np.abs(each[p]).max())
+    k = int(np.argmax(np.abs(each[p])))
+    at = bands.label(c.run.room.centre_frequencies[k])
+    return abs(each[p][k]), f"{parameter_label(p)} at {at} by {each[p][k]:+.1f} JND"
 
 
 def _at_positions(f: Finding) -> list[str]:

@@ -86,15 +86,6 @@ def _amount(deviation: Array, parameter: str) -> str:
     return f"{low if low == high else f'{low} to {high}'} {unit}".rstrip()
 
 
-def largest(c: Comparison) -> tuple[float, str]:
-    """Return the largest deviation that is noticed, in JND, and its words; 0 where all agrees."""
-    each = {p: np.where(c.disagrees[p], off, 0.0) for p, off in c.deviation.items()}
-    p = max(each, key=lambda p: np.abs(each[p]).max())
-    k = int(np.argmax(np.abs(each[p])))
-    at = bands.label(c.run.room.centre_frequencies[k])
-    return abs(each[p][k]), f"{parameter_label(p)} at {at} by {each[p][k]:+.1f} JND"
-
-
 def _positions(c: Comparison, parameter: str) -> str:
     """Return whether all positions deviate alike; "" of means."""
     if len(c.pairs) < 2:
