@@ -234,10 +234,12 @@ class Finding(Result):
     def comparisons(self) -> tuple[Comparison, ...]:
         """What is ``modelled`` beside what was measured, by the measurement's uncertainty alone."""
         case = self.case
+        if not self.modelled:
+            return ()
         if self.kind == "positions":
             measured = [case.in_room.select(case.pairs)]
         else:
-            measured = [c.measured for c in case.configurations] if self.kind == "means" else []
+            measured = [c.measured for c in case.configurations]
         pairs = zip(self.modelled, measured, strict=True)
         made = (_compared(Run(case.room, model), values) for model, values in pairs)
         return tuple(filter(None, made))
