@@ -350,14 +350,9 @@ class System:
         entries[-n:] = self._shift
         self._matrix = sp.csc_matrix((np.bincount(place, entries), *structure), (n, n))
         try:
-            # With SuperLU's own threshold of 1 other pivots than the diagonal undo the symmetric order:
-            # four times the fill at 500 materials in 27 bands.
-            self._factors = splu(
-                self._matrix,
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.1,
-                options={"SymmetricMode": True},
-            )
+            # SuperLU's own threshold of 1 undoes the symmetric order: four times the fill.
+            symmetric = {"SymmetricMode": True, "DiagPivotThresh": 0.1}
+            self._factors = splu(self._matrix, permc_spec="MMD_AT_PLUS_A", options=symmetric)
         except RuntimeError as error:
             raise SolverError("the optimality conditions are singular") from error
 

@@ -785,9 +785,7 @@ class AtMost:
 
 @dataclass(frozen=True)
 class GroupAbsorption:
-    """least <= S'alpha <= most over a group of materials, in m².
-
-    S has the areas of the first configuration: of the first room, if several are calibrated together.
+    """least <= S'alpha <= most over a group of materials, in m²; S is that of the first room.
 
     When to use it: when the total of a group is known better than its members, such as all seating
     from a table of audience absorption.
