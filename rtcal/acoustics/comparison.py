@@ -28,7 +28,6 @@ from rtcal.acoustics.room_errors import of_absorption, prior_covariance
 from rtcal.acoustics.run import Lacking, Run
 from rtcal.files.saved import Result
 from rtcal.support import checks
-from rtcal.support.blocks import Block
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -53,6 +52,7 @@ class Comparison(Result):
     """
 
     record_kind: ClassVar[str] = "comparison"
+    words_in: ClassVar[str] = WORDS
     in_file: ClassVar[str] = (
         "room=run.room.name centre_frequencies=run.room.centre_frequencies sentence parameters pairs "
         "deviation_jnd=deviation at_pairs_jnd=at_pairs uncertainty_jnd=uncertainty "
@@ -231,11 +231,6 @@ class Comparison(Result):
         """The answer: what disagrees, by how much and where."""
         words: str = import_module(WORDS).sentence(self)
         return words
-
-    def blocks(self) -> list[Block]:
-        """Return what is printed: the answer, what coefficients explain, and the table."""
-        made: list[Block] = import_module(WORDS).blocks(self)
-        return made
 
     def __repr__(self) -> str:
         """Return one line: the answer."""

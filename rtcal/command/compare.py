@@ -41,8 +41,9 @@ def compare(
     from rtcal.acoustics.comparison import compare as compared
     from rtcal.files.saved import NUMBERS
     from rtcal.report import pages
+    from rtcal.report.document import PAGE
 
-    files = {} if out is None else {name: out / name for name in (NUMBERS, "report.html")}
+    files = {} if out is None else {name: out / name for name in (NUMBERS, PAGE)}
     spare([*files.values()], [path for path in (room, measured, simulated, at) if path is not None])
     stated = read_room(room)
     with without_air_warning():
@@ -52,4 +53,4 @@ def compare(
         make_folder(out)
         texts = (found.to_json(out), pages.page(found))
         write_all({path: text.encode() for path, text in zip(files.values(), texts, strict=True)})
-    tell(str(found), found.to_dict())
+    tell(str(found), found.to_dict)

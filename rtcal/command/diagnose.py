@@ -72,4 +72,4 @@ def diagnose(heading: Heading, out: str | None, **options: Any) -> None:
         written = of_diagnosis.contents(result, target, heading)
         make_folder(target)
         write_all(written)
-    tell(str(result), result.to_dict())
+    tell(str(result), result.to_dict)

@@ -50,6 +50,8 @@ class Result(ABC):  # some kinds have methods that each of them must have
     """Value of the key ``rtcal`` in its file."""
     in_file: ClassVar[str] = ""
     """Names of the attributes that `to_dict` states, some as key=path, such as room=prior.name."""
+    words_in: ClassVar[str] = ""
+    """Module whose ``blocks`` makes those of the result, imported when they are asked for."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return what the result says as plain numbers, lists and text, None for what is missing."""
@@ -58,7 +60,8 @@ class Result(ABC):  # some kinds have methods that each of them must have
 
     def blocks(self) -> list[Block]:
         """Return what the result shows, as tables and notes."""
-        return []
+        made: list[Block] = import_module(self.words_in).blocks(self) if self.words_in else []
+        return made
 
     def __str__(self) -> str:
         return "\n".join(lines(self.blocks())) or repr(self)

@@ -6,7 +6,6 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from rtcal.acoustics.measurement import Measurement
@@ -19,15 +18,11 @@ from rtcal.finder.means.recalibration import Recalibrated, plain, recalibrate
 from rtcal.finder.search import find
 from rtcal.finder.verification import Verification, verify
 from rtcal.loop.positions import PositionsResult, calibrate_positions
-from rtcal.support.blocks import Block
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress
 
 if TYPE_CHECKING:
     from rtcal.simulators.path_tracing import PathTracing
-
-WORDS = "rtcal.report.of_diagnosis"
-"""The module that makes the words of a diagnosis."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -46,6 +41,7 @@ class Diagnosis(Result):
     """
 
     record_kind: ClassVar[str] = "diagnosis 1"
+    words_in: ClassVar[str] = "rtcal.report.of_diagnosis"
 
     finding: Finding
     verification: Verification | None
@@ -61,11 +57,6 @@ class Diagnosis(Result):
     def room(self) -> Room:
         """The room with what was added, calibrated."""
         return self.calibrated.room
-
-    def blocks(self) -> list[Block]:
-        """Return what is printed: the answer, what was added, and the deviations before and after."""
-        made: list[Block] = import_module(WORDS).blocks(self)
-        return made
 
     def __repr__(self) -> str:
         return f"<Diagnosis of {self.finding!r}>"

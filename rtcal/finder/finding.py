@@ -48,7 +48,6 @@ from rtcal.finder.claim import (
 )
 from rtcal.finder.effects import AppliedEffect, CoupledRoom, Effect, WrongVolume
 from rtcal.finder.evidence import UNKNOWN, OffTogether
-from rtcal.support.blocks import Block
 from rtcal.support.errors import DataError
 from rtcal.support.text import listed
 from rtcal.support.types import Array
@@ -178,6 +177,7 @@ class Finding(Result):
     """
 
     record_kind: ClassVar[str] = "finding 6"
+    words_in: ClassVar[str] = WORDS
 
     case: Any
     verdict: str
@@ -528,11 +528,6 @@ class Finding(Result):
                 f'effect = "{effect}" is no candidate. Candidates: {listed([*named], last="or")}'
             )
         return found
-
-    def blocks(self) -> list[Block]:
-        """Return what is printed: the answer, cautions, candidates, evidence and notes."""
-        made: list[Block] = import_module(WORDS).blocks(self)
-        return made
 
     def __repr__(self) -> str:
         """Return one line: the verdict, and the answer's first sentence."""

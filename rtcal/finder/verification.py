@@ -68,7 +68,6 @@ from rtcal.simulators.base import Observations
 from rtcal.simulators.base import observe as observe_pairs
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
-from rtcal.support.blocks import Block
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
@@ -189,6 +188,7 @@ class Verification(Result):
     """
 
     record_kind: ClassVar[str] = "verification 8"
+    words_in: ClassVar[str] = WORDS
 
     finding: Finding
     models: tuple[str, ...]
@@ -317,11 +317,6 @@ class Verification(Result):
         """The verdict, the change of the gap with its standard error, and what speaks against it."""
         words: str = import_module(WORDS).sentence(self)
         return words
-
-    def blocks(self) -> list[Block]:
-        """Return what the result says."""
-        made: list[Block] = import_module(WORDS).blocks(self)
-        return made
 
     def __repr__(self) -> str:
         name = self.effect or self.finding.best_effect

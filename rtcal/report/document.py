@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.acoustics.marks import TrustMark, grouped
 from rtcal.acoustics.room import Room
+from rtcal.files.saved import NUMBERS, Result
 from rtcal.report import figures
 from rtcal.support import __version__
 from rtcal.support.blocks import Block, Note, Row, Table
@@ -30,6 +32,8 @@ __all__ = ["Heading"]
 __dir__ = __all__.copy
 
 
+PAGE = "report.html"
+"""Name of a page in its folder."""
 MOST_MATERIALS = 100
 """Largest number of materials in a page's tables: those that absorb, or were learned of, most."""
 MAX_BYTES = 2 * 10**6
@@ -190,6 +194,23 @@ def render(
     if (size := len(text.encode("utf-8", errors="backslashreplace"))) > MAX_BYTES:
         raise DataError(f"the page would have {size} bytes, more than {MAX_BYTES}")
     return text
+
+
+def page_files(
+    page: Page, result: Result, folder: Path, heading: Heading | None = None
+) -> dict[Path, bytes]:
+    """Return by path a page, the numbers of its result and its figures that have a name.
+
+    Raises as `render`.
+    """
+    out = {
+        folder / PAGE: render(page, heading).encode(),
+        folder / NUMBERS: result.to_json(folder).encode(),
+    }
+    for block in flat(page.blocks):
+        if isinstance(block, Picture) and block.name:
+            out[folder / f"{block.name}.png"] = figures.rendered(block.figure, "png")
+    return out
 
 
 def source(picture: Picture) -> str:

@@ -9,22 +9,19 @@ from pathlib import Path
 import numpy as np
 
 from rtcal.acoustics.marks import rms
-from rtcal.files.saved import NUMBERS
 from rtcal.finder.apply import ROOM
 from rtcal.finder.diagnosis import Diagnosis
 from rtcal.loop.positions import PositionsResult
-from rtcal.report import figures, of_finding
 from rtcal.report import finding_words as words
+from rtcal.report import of_finding
 from rtcal.report.document import (
     Box,
     Code,
     Heading,
     Page,
-    Picture,
     Section,
     coefficients,
-    flat,
-    render,
+    page_files,
 )
 from rtcal.support.blocks import Block, Note
 
@@ -143,14 +140,9 @@ def contents(result: Diagnosis, folder: Path, heading: Heading | None = None) ->
     The room has its mesh and its lists of materials beside it where `Corrected.contents` makes them.
     Raises MissingDependencyError without matplotlib or jinja2.
     """
-    made, corrected = page(result), result.corrected
+    corrected = result.corrected
     if corrected is None:
         out = {folder / ROOM: result.room.to_text(folder).encode()}
     else:
         out = replace(corrected, room=result.room).contents(folder)
-    out[folder / of_finding.PAGE] = render(made, heading).encode()
-    out[folder / NUMBERS] = result.to_json(folder).encode()
-    for block in flat(made.blocks):
-        if isinstance(block, Picture) and block.name:
-            out[folder / f"{block.name}.png"] = figures.rendered(block.figure, "png")
-    return out
+    return out | page_files(page(result), result, folder, heading)

@@ -26,6 +26,7 @@ from rtcal.finder.verification import Verification, residual_map
 from rtcal.report import figures, of_comparison, room_view, verification_words
 from rtcal.report import finding_words as words
 from rtcal.report.document import (
+    PAGE,
     Box,
     Code,
     Files,
@@ -36,8 +37,7 @@ from rtcal.report.document import (
     Section,
     SideBySide,
     coefficients,
-    flat,
-    render,
+    page_files,
 )
 from rtcal.report.finding_words import odds, percent
 from rtcal.support.blocks import Block, Note, Row, Table
@@ -45,7 +45,6 @@ from rtcal.support.blocks import lines as lines_of
 from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
 
-PAGE = "report.html"
 _FIGURES = {
     "means": ("gap", "reverberation_time", "shifts"),
     "positions": ("plan", "gap"),
@@ -409,13 +408,7 @@ def write(
     """
     made = page(finding, verification, command, place)
     saved = finding if verification is None else verification
-    contents = {
-        folder / PAGE: render(made, heading).encode(),
-        folder / NUMBERS: saved.to_json(folder).encode(),
-    }
-    for block in flat(made.blocks):
-        if isinstance(block, Picture) and block.name:
-            contents[folder / f"{block.name}.png"] = figures.rendered(block.figure, "png")
+    contents = page_files(made, saved, folder, heading)
     make_folder(folder)
     write_all(contents)
 
