@@ -68,7 +68,7 @@ def test_names_of_the_trade_find_something_sensible() -> None:
         ("perforated metal panel", "metal"),
         ("Parkett", "wood"),
         ("window", "glass"),
-        ("gypsum board", "gypsum"),
+        ("gypsum board", "plasterboard"),
         ("carpet_on_floor", "carpet"),
         ("upholstered seats", "upholstered"),
         ("Beton", "concrete"),

@@ -1,7 +1,8 @@
 """A catalogue of materials: pyroomacoustics' table, read from the installed package.
 
 Its values (after M. Vorländer, Auralization, 2008, Appendix) are under the MIT licence of
-pyroomacoustics. They are handbook values, which need a realistic sigma.
+pyroomacoustics. They are handbook values, which need a realistic sigma. ``material_names.toml`` has
+what people call them, and how their specimens are mounted.
 """
 
 from __future__ import annotations
@@ -9,7 +10,8 @@ from __future__ import annotations
 import difflib
 import json
 import re
-from collections.abc import Mapping, Sequence
+import tomllib
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from importlib import metadata, resources
@@ -32,32 +34,7 @@ _TABLE = "pyroomacoustics"
 _RENAMED = {"gypsum_board": "gypsum_board_perforated"}
 """Entries whose name hides what they are. 19.6 % of this board are holes, and alpha is 1.00 at 500 Hz;
 a plain board is ``plasterboard``."""
-_SYNONYMS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("vinyl", "pvc", "lino", "resilient", "gummi"), ("linoleum",)),
-    **dict.fromkeys(
-        ("parquet", "parkett", "laminate", "timber", "holz", "oak"), ("wood", "wooden")
-    ),
-    **dict.fromkeys(("drywall", "gips", "gipskarton", "sheetrock"), ("plasterboard", "gypsum")),
-    **dict.fromkeys(("gypsum", "plasterboard"), ("plasterboard", "gypsum")),
-    **dict.fromkeys(("steel", "aluminium", "aluminum", "metall", "blech"), ("metal", "steel")),
-    **dict.fromkeys(("window", "windows", "fenster", "glas", "glazing"), ("glass", "glazing")),
-    **dict.fromkeys(("teppich", "rug"), ("carpet",)),
-    **dict.fromkeys(("vorhang", "drape", "drapes"), ("curtain", "curtains")),
-    **dict.fromkeys(("beton", "cement", "screed", "estrich"), ("concrete",)),
-    **dict.fromkeys(("ziegel", "masonry", "mauerwerk"), ("brick", "brickwork")),
-    **dict.fromkeys(("tuer", "tür", "doors"), ("door",)),
-    **dict.fromkeys(("putz", "stucco", "render"), ("plaster", "rendered")),
-    **dict.fromkeys(("fliesen", "tiles", "tile"), ("ceramic", "tiles", "tile")),
-    **dict.fromkeys(("decke",), ("ceiling",)),
-    **dict.fromkeys(("boden", "flooring"), ("floor",)),
-    **dict.fromkeys(("wand", "waende", "wände"), ("walls", "wall")),
-    **dict.fromkeys(("seat", "seats", "stuhl", "stühle"), ("chairs", "seats")),
-    **dict.fromkeys(("publikum", "people", "persons"), ("audience",)),
-    **dict.fromkeys(("rockwool", "mineralwolle", "glasswool"), ("rockwool", "mineral", "wool")),
-    **dict.fromkeys(("stone", "stein", "granite"), ("limestone", "marble")),
-}
-"""Words of the trade, English and German, for those of the catalogue."""
-_PLACES = {"floor", "wall", "walls", "ceiling", "roof", "panel", "board", "decke", "boden", "wand"}
+_PLACES = {"floor", "wall", "walls", "ceiling", "roof", "panel", "board"}
 """Words that say where a material is, and of which form, rather than which it is."""
 _PEOPLE = {"audience", "chairs", "orchestra"}
 _OF_A_PLACE = 0.4
@@ -139,7 +116,7 @@ def material_list() -> MaterialList:
 
     Raises MissingDependencyError without pyroomacoustics.
     """
-    descriptions = names()
+    descriptions, mounted = names(), _mounting()
     with resources.as_file(resources.files(_TABLE) / "data" / "materials.json") as path:
         listed = pyroomacoustics.read(path)
     version = metadata.version(_TABLE)
@@ -151,7 +128,7 @@ def material_list() -> MaterialList:
                 m,
                 name=(name := _RENAMED.get(m.name, m.name)),
                 source=f"pyroomacoustics {version} materials.json (after Vorländer 2008): "
-                f"{descriptions[name]}",
+                f"{descriptions[name]}; mounting: {mounted.get(name, 'not stated')}",
             )
             for m in listed.materials
         ),
@@ -161,19 +138,21 @@ def material_list() -> MaterialList:
 def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) -> list[str]:
     """Return the names of entries whose name or description resembles a material's name.
 
-    A word counts the more, the fewer entries have it, and more in an entry's name than in its
-    description. Words may differ in their ending, and `_SYNONYMS` of the trade stand for each other.
-    ``among`` are other entries than the catalogue's, with a description each.
+    First is the entry that ``material_names.toml`` says people mean by this name. Of the others, a
+    word counts the more, the fewer entries have it, and more in an entry's name than in its
+    description. Words may differ in their ending, and those of other languages and of the trade stand
+    for the catalogue's. ``among`` are other entries than the catalogue's, with a description each.
 
     Examples
     --------
     >>> similar("vinyl floor", 1), similar("perforated metal panel", 1)
     (['linoleum_on_concrete'], ['ceiling_fibre_absorber'])
     """
-    described = names() if among is None else among
+    described, called = (names(), _called()) if among is None else (among, {})
+    asked = _words(name)
     of_entry = {n: (_words(n), _words(text)) for n, text in described.items()}
     scores = dict.fromkeys(described, 0.0)
-    for word in _words(name):
+    for word in asked:
         close = {
             entry: max(_closest(word, own), 0.75 * _closest(word, text))
             for entry, (own, text) in of_entry.items()
@@ -184,8 +163,10 @@ def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) ->
         for entry, share in close.items():
             scores[entry] += weight * share
     for entry, (own, _) in of_entry.items():
-        people = own & _PEOPLE and not any(_closest(word, _PEOPLE) for word in _words(name))
+        people = own & _PEOPLE and not any(_closest(word, _PEOPLE) for word in asked)
         scores[entry] *= (_OF_A_PLACE if people else 1.0) / (1 + 0.02 * len(own))
+    if asked in called:
+        scores[called[asked]] = np.inf
     best = sorted((n for n, score in scores.items() if score), key=lambda n: (-scores[n], n))
     return best[:most]
 
@@ -206,15 +187,41 @@ def nearest(name: str, most: int = 3) -> list[str]:
     return lines
 
 
-def _words(text: str) -> set[str]:
-    return set(re.findall(r"[^\W\d_]{3,}", text.lower()))
+@cache
+def _stated() -> dict[str, dict[str, str]]:
+    text = resources.files("rtcal.datasets").joinpath("material_names.toml").read_text("utf-8")
+    return tomllib.loads(text)
 
 
-def _closest(word: str, others: set[str]) -> float:
-    """Return the largest likeness of a word, or of a synonym, to one of others; 0 below the least."""
-    shares = [(word, 1.0), *((synonym, 0.9) for synonym in _SYNONYMS.get(word, ()))]
-    likeness = (
-        share * difflib.SequenceMatcher(None, w, o).ratio() for w, share in shares for o in others
-    )
+@cache
+def _called() -> dict[frozenset[str], str]:
+    """Return the entry that people mean by the words of a name."""
+    stated = _stated()["names"].items()
+    return {_words(name): entry for entry, each in stated for name in each.split(",")}
+
+
+@cache
+def _mounting() -> dict[str, str]:
+    """Return how the specimen of each entry is mounted."""
+    stated = _stated()["mounting"].items()
+    return {entry: mounting for mounting, entries in stated for entry in entries.split()}
+
+
+@cache
+def _catalogue_words() -> dict[str, str]:
+    """Return the catalogue's word for each other one."""
+    stated = _stated()["words"].items()
+    return {other: word for word, others in stated for other in others.split()}
+
+
+def _words(text: str) -> frozenset[str]:
+    """Return the words of a name, each as the catalogue has it."""
+    words = re.findall(r"[^\W\d_]{3,}", text.lower())
+    return frozenset(_catalogue_words().get(word, word) for word in words)
+
+
+def _closest(word: str, others: Collection[str]) -> float:
+    """Return the largest likeness of a word to one of others; 0 below the least."""
+    likeness = (difflib.SequenceMatcher(None, word, other).ratio() for other in others)
     best = max(likeness, default=0.0)
     return best if best >= _LEAST_LIKENESS else 0.0

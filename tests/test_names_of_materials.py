@@ -1,0 +1,89 @@
+"""What people call a material finds its entry of the catalogue first."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtcal.datasets import catalogue
+
+WOOD = "wood_1.6cm wood_16mm stage_floor"
+BRICK = "brickwork smooth_brickwork_flush_pointing brick_wall_rough"
+CARPET = (
+    "carpet_thin carpet_cotton carpet_tufted_9.5mm carpet_tufted_9m carpet_6mm_closed_cell_foam "
+    "carpet_6mm_open_cell_foam carpet_soft_10mm carpet_hairy carpet_1.35_kg_m2"
+)
+CURTAIN = (
+    "curtains_0.2 curtains_cotton_0.33 curtains_cotton_0.5 curtains_fabric curtains_densely_woven"
+)
+WOOL = "rockwool_50mm_40kgm3 rockwool_50mm_80kgm3 mineral_wool_50mm_40kgm3"
+GLAZING = "double_glazing_10mm double_glazing_30mm"
+
+WANTED = {
+    "wooden floor": WOOD,
+    "hardwood floor": WOOD,
+    "parquet": WOOD,
+    "vinyl": "linoleum_on_concrete",
+    "lino": "linoleum_on_concrete",
+    "gypsum board": "plasterboard ceiling_plasterboard",
+    "drywall": "plasterboard",
+    "Gipskarton": "plasterboard",
+    "plaster": "hard_surface brickwork",
+    "painted brick": "smooth_brickwork_flush_pointing",
+    "brick": BRICK,
+    "concrete floor": "concrete_floor",
+    "tiles": "ceramic_tiles",
+    "acoustic tile": "ceiling_fissured_tile",
+    "suspended ceiling": "ceiling_fissured_tile",
+    "acoustic panel": "panel_fabric_covered_6pcf panel_fabric_covered_8pcf",
+    "acoustic foam": "ceiling_melamine_foam",
+    "carpet": CARPET,
+    "Teppich": CARPET,
+    "curtain": CURTAIN,
+    "velvet drapes": "curtains_velvet",
+    "window": "glass_window",
+    "double glazing": GLAZING,
+    "wood_door": "wooden_door",
+    "plywood": "plywood_thin",
+    "wood panelling": "wooden_lining plywood_thin",
+    "audience": "audience_1_m2 audience_1.5_m2 audience_2_m2 audience_0.72_m2",
+    "upholstered seats": "chairs_medium_upholstered chairs_upholstered_cloth "
+    "chairs_upholstered_moderate chairs_heavy_upholstered",
+    "stone wall": "limestone_wall",
+    "glass wool": WOOL,
+}
+
+
+@pytest.mark.parametrize("name", WANTED)
+def test_a_name_that_people_use_finds_its_entry_first(name: str) -> None:
+    assert catalogue.similar(name, 1)[0] in WANTED[name].split()
+
+
+def test_the_names_are_thirty_and_their_entries_are_in_the_catalogue() -> None:
+    assert len(WANTED) == 30
+    entries = {entry for each in WANTED.values() for entry in each.split()}
+    assert entries <= {*catalogue.names()}
+
+
+def test_a_stated_name_means_one_entry_of_the_catalogue() -> None:
+    path = Path(catalogue.__file__).with_name("material_names.toml")
+    stated = tomllib.loads(path.read_text(encoding="utf-8"))
+    assert {*stated["names"]} <= {*catalogue.names()}
+    for entry, called in stated["names"].items():
+        for name in called.split(","):
+            assert catalogue.similar(name, 1) == [entry]
+
+
+def test_every_entry_has_a_source_a_mounting_and_a_sigma() -> None:
+    for listed in catalogue.material_list().materials:
+        entry = catalogue.material(listed.name, listed.centre_frequencies)
+        assert "Vorländer 2008" in entry.source
+        assert re.search(r"; mounting: \w", entry.source)
+        assert np.min(entry.sigma) >= 0.01
+    path = Path(catalogue.__file__).with_name("material_names.toml")
+    mounted = tomllib.loads(path.read_text(encoding="utf-8"))["mounting"].values()
+    assert sorted(" ".join(mounted).split()) == sorted(catalogue.names())
