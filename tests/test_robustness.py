@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 
 import rtcal as rt
 from rtcal import studies
 from rtcal.calibration.posterior import distribution
-from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.errors import DataError, InfeasibleError, RtcalError
 from tests.test_bad_input import ROOM, TIMES, run  # noqa: F401
 
@@ -32,21 +28,6 @@ def room(**changes) -> rt.Room:
     return rt.Room(**{**values, **changes})
 
 
-def test_a_result_can_be_pickled_and_one_without_t_be_printed(cr2) -> None:
-    result = rt.calibrate(*cr2)
-    again = pickle.loads(pickle.dumps(result))
-    np.testing.assert_array_equal(again.alpha, result.alpha)
-    assert str(again) == str(result)
-    with pytest.raises(DataError, match="measured = None"):
-        rt.calibrate(cr2[0], None)
-
-
-def test_an_endless_uncertainty_is_no_datum() -> None:
-    endless = [np.inf, 1e200, 1.0]
-    answer = rt.exact.solve([0.4, 0.3], [0.1, 0.1], [20, 74], 30.0, uncertainty=endless)
-    assert answer.status.tolist() == [3, 3, 0]
-
-
 @pytest.mark.parametrize("t", [0.31, 0.37, 0.40, 0.43, 0.52, 0.61])
 def test_what_t_alone_determines_has_no_uncertainty_of_rounding(t: float) -> None:
     one = room(materials=["a"], areas=[94], alpha=[[0.3, 0.3]], sigma=[[0.1, 0.1]], volume=60)
@@ -62,18 +43,6 @@ def test_z_is_of_what_t_asks_not_of_the_nearest_end() -> None:
     np.testing.assert_allclose(result.plausibility.z, expected, rtol=1e-9)
     assert result.plausibility.z[0] < -10
     assert {"unreachable", "implausible"} <= {m.kind for m in result.trust_marks}
-
-
-def test_a_stated_uncertainty_counts_band_by_band() -> None:
-    measured = rt.Measurement(
-        centre_frequencies=[500, 1000],
-        pairs=[("S", "R")],
-        values={"t20": [[0.8, 0.75]]},
-        uncertainty={"t20": [[0.3, np.nan]]},
-    )
-    found = measured.reverberation_time_uncertainty
-    assert found[0] == 0.3
-    assert 0 < found[1] < 0.1
 
 
 def test_areas_and_surfaces_cannot_part() -> None:
@@ -107,30 +76,6 @@ def test_a_t_too_short_to_be_told_is_unreachable(t: float) -> None:
     assert 0 < result.unreachable[0].shortest < 0.01
 
 
-def test_the_same_t_is_not_counted_twice_however_it_is_written() -> None:
-    pairs = [("S1", "R1"), ("S1", "R2")]
-    values = np.array([[0.8, 0.7], [0.9, 0.75]])
-    first = rt.Measurement(centre_frequencies=[500, 1000], pairs=pairs, values={"t20": values})
-    once = rt.calibrate(room(), first).room
-    again = [
-        rt.Measurement(
-            centre_frequencies=[500, 1000], pairs=pairs[::-1], values={"t20": values[::-1]}
-        ),
-        rt.Measurement(
-            centre_frequencies=[500, 1000, 2000],
-            pairs=[("X", "1"), ("X", "2")],
-            values={"t20": np.column_stack([values, [1, 1]]), "c80": np.ones((2, 3))},
-        ),
-        values.mean(axis=0),
-    ]
-    for data in again:
-        with pytest.raises(DataError, match="already calibrated on these data"):
-            rt.calibrate(once, data)
-    twice = rt.calibrate(once, [0.7, 0.65]).room
-    with pytest.raises(DataError, match="already calibrated on these data"):
-        rt.calibrate(twice, first)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -160,12 +105,6 @@ def test_tiny_sigmas_pass_the_certificate() -> None:
         np.testing.assert_allclose(result.alpha, oracle, atol=1e-9)
 
 
-def test_a_bound_in_a_band_without_t_does_not_withhold_the_p_value() -> None:
-    known = room(alpha=[[0.1, 0.0], [0.3, 0.0]])
-    result = rt.calibrate(known, [0.8, np.nan])
-    assert result.plausibility.p_value is not None
-
-
 def test_a_soft_match_is_not_made_exact_behind_ones_back() -> None:
     """Without constraints an exact match is added only where nothing else matches T."""
     room_, measured = rt.datasets.bras_cr2()
@@ -191,18 +130,6 @@ def study(**given):
 HIDDEN = np.ma.array([0.1, 0.2], mask=[False, True])
 SMALL = ([0.1, 0.2], [0.1, 0.1], [10, 10], 3.0)
 PRIOR = rt.terms.PriorDeviation()
-
-
-def tracer(**change):
-    """A path tracer in a box of the two materials."""
-    walls = dict.fromkeys(SHOEBOX_WALLS, "a") | {"floor": "b"}
-    fine = {
-        "geometry": Polyhedron.shoebox((5, 4, 3), walls),
-        "room": room(volume=60),
-        "sources": {"S": (1, 1, 1)},
-        "receivers": {"R": (3, 3, 2)},
-    }
-    return PathTracing(**{**fine, "n_paths": 32, "scattering": 0.5, **change})
 
 
 HARD_TO_SEE = [
@@ -244,11 +171,6 @@ HARD_TO_SEE = [
 def test_what_numpy_would_take_is_named(call, message: str) -> None:
     with pytest.raises(RtcalError, match=message):
         call()
-
-
-def test_a_mask_that_hides_nothing_is_an_array() -> None:
-    answer = rt.exact.solve(np.ma.array(SMALL[0]), *SMALL[1:])
-    np.testing.assert_allclose(answer.alpha, [0.1, 0.2], rtol=1e-15)
 
 
 def test_a_room_of_one_surface_is_calibrated_exactly() -> None:

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.changes import facing
-from rtcal.acoustics.marks import of_input, plausibility, trust_marks, uneven_marks
+from rtcal.acoustics.marks import of_input, plausibility, trust_marks
 from rtcal.report.pages import page
-from rtcal.simulators.geometry import Polyhedron
 
 
 def test_q_counts_correlated_bands_once() -> None:
@@ -199,40 +197,6 @@ def test_a_room_in_which_equations_differ_is_marked() -> None:
             assert "the absorption is uneven: Arau-Puchades' equation gives" in said
         assert "equations_differ" in result.to_json()
         assert result.verdict.level != "agrees"
-
-
-def test_directions_by_dimensions_name_or_mesh_mark_a_room_and_none_is_said() -> None:
-    room = _box(0.8)
-    kinds = {}
-    walls = {"floor": "b", "ceiling": "a", "west": "c", "east": "c", "south": "c", "north": "c"}
-    names = {"axis": room.materials, "names": ["ceiling", "floor", "walls"], "none": "abc"}
-    for kind, called in names.items():
-        bare = rt.Room(
-            name="r",
-            volume=180,
-            materials=list(called),
-            areas=room.areas,
-            alpha=room.alpha,
-            sigma=room.sigma,
-            centre_frequencies=room.centre_frequencies,
-            air=room.air,
-        )
-        given = room if kind == "axis" else bare
-        kinds[kind] = uneven_marks(given, facing(given))
-        if kind == "none":
-            boxed = bare.replace(dimensions=(8, 7.5, 3))
-            kinds["dimensions"] = uneven_marks(boxed, facing(boxed))
-            mesh = Polyhedron.shoebox((8, 7.5, 3), walls)
-            kinds["mesh"] = uneven_marks(bare, facing(bare, mesh))
-    (unknown,) = kinds.pop("none")
-    assert unknown.kind == "directions_unknown"
-    assert "state axis for each [[surface]]" in unknown.advice
-    assert "if all of a faced one way" in unknown.text
-    even = bare.replace(alpha=np.full_like(bare.alpha, 0.1))
-    assert uneven_marks(even, facing(even)) == ()
-    assert {len(marks) for marks in kinds.values()} == {1}, kinds
-    texts = {kind: marks[0].text for kind, marks in kinds.items()}
-    assert texts["axis"] == texts["mesh"] == texts["dimensions"]
 
 
 def test_a_shift_that_a_bound_leaves_to_another_material_contradicts_what_was_stated() -> None:

@@ -6,11 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.acoustics.marks import far_from_neighbours, in_measurement, of_input
-from rtcal.command.main import cli
 from rtcal.io import tables
 from rtcal.report.finding_words import cautions
 from rtcal.support.text import as_sentence
@@ -89,69 +87,6 @@ def test_a_coefficient_a_tenth_of_its_neighbours_is_found_and_no_resonator_is_mi
     assert of_input(room().replace(alpha=alpha)) == ()
 
 
-def a_box(**stated: object) -> rt.Room:
-    """5 x 4 x 3 m of even absorption but for its ceiling, by areas alone."""
-    return rt.Room(
-        name="box",
-        volume=60,
-        materials=["ceiling", "floor", "rest"],
-        areas=[20, 20, 54],
-        alpha=[[0.9] * 2, [0.1] * 2, [0.1] * 2],
-        sigma=[[0.1] * 2, [0.03] * 2, [0.03] * 2],
-        centre_frequencies=[500, 1000],
-        dimensions=(5, 4, 3),
-        air=rt.Air(),
-        **stated,  # type: ignore[arg-type]
-    )
-
-
-@pytest.mark.parametrize(("row", "factor"), [(0, 10), (1, 10), (2, 10), (2, 0.1), (0, 0.1)])
-def test_an_area_that_is_ten_times_another_is_named_first(row: int, factor: float) -> None:
-    room = a_box()
-    t = rt.Eyring().reverberation_time(room)
-    kinds = {mark.kind for mark in rt.calibrate(room, t).trust_marks}
-    assert "equations_differ" in kinds
-    assert not {"surface_typing_error", "surface"} & kinds
-    areas = room.areas.copy()
-    areas[row] *= factor
-    wrong = room.replace(areas=areas)
-    result = rt.calibrate(wrong, t, unreachable="nearest")
-    marks = [mark.kind for mark in result.trust_marks]
-    named = f'area of "{room.materials[row]}" = {areas[row]:g} m², for {room.areas[row]:g} m²'
-    assert marks[0] == "surface_typing_error"
-    assert named in str(result)
-    assert "Likely a typing error: " in str(result)
-    # The other caution stays, though the areas no longer show what the directions are.
-    assert {"equations_differ", "directions_unknown"} & {*marks}
-    if row == 1:
-        measured = rt.Measurement.from_values([500, 1000], t20=t)
-        found = rt.find(wrong, measured)
-        assert cautions(found)[0].startswith(f"Likely a typing error: {named}")
-
-
-def test_furniture_and_steps_are_no_mistyped_area() -> None:
-    room = a_box()
-    for more in ([20, 20, 54 * 0.9], [20, 30, 74], [25, 25, 60]):
-        assert of_input(room.replace(areas=more)) == ()
-    (mark,) = of_input(room.replace(areas=[60, 60, 60]))
-    assert mark.kind == "surface"
-    assert "180 m², but a box of 5 x 4 x 3 m has 94 m²" in mark.text
-
-
-@pytest.mark.parametrize("factor", [0.001, 0.1, 10, 1000])
-def test_a_factor_of_ten_in_every_band_is_named_before_anything_else(factor: float) -> None:
-    t = rt.Eyring().reverberation_time(room())
-    result = rt.calibrate(room(), factor * t, unreachable="nearest")
-    assert result.trust_marks[0].kind == "unit_error"
-    assert str(result).count("Likely a typing error: T is") == 1
-    if factor > 1:
-        with pytest.raises(rt.errors.InfeasibleError, match=r"^Likely a typing error: T is "):
-            rt.calibrate(room(), factor * t)
-    for other in (0.3, 3.0):
-        marks = rt.calibrate(room(), other * t, unreachable="nearest").trust_marks
-        assert "unit_error" not in {mark.kind for mark in marks}
-
-
 def shipped() -> list[rt.Room]:
     halls = rt.datasets.halls
     of_halls = [
@@ -213,48 +148,3 @@ def test_a_room_of_which_nothing_can_move_says_so() -> None:
     assert [mark.kind for mark in of_input(exact)] == ["fixed"]
     with pytest.raises(rt.errors.InfeasibleError, match=r"^Sigma is 0 for every coefficient: noth"):
         rt.calibrate(exact, USUAL)
-
-
-def test_a_fit_names_them_first() -> None:
-    hall = rt.datasets.halls.corridor()
-    tracer = rt.simulators.PathTracing(
-        room=hall.room,
-        geometry=hall.geometry,
-        sources=hall.sources,
-        receivers=hall.receivers,
-        n_paths=320,
-    )
-    simulated = tracer.simulate(hall.room.alpha, seed=1)
-    measured = rt.Measurement(
-        centre_frequencies=simulated.centre_frequencies,
-        values={"t20": 10 * simulated.values["t20"]},
-        pairs=simulated.pairs,
-    )
-    controls = rt.loop.ControlRuns(
-        parameters=("t20",),
-        pairs=tracer.pairs,
-        errors=0.1 * np.ones((4, 1, len(tracer.pairs), hall.room.n_bands)),
-    )
-    result = rt.calibrate_positions(
-        tracer, hall.room, measured, ("t20",), controls=controls, more_paths=1
-    )
-    assert result.warning.startswith("Likely a typing error: T is ")
-
-
-def test_nothing_changes_is_said_whether_t_was_measured_or_not() -> None:
-    """It was "T falls by 0 %, from 1.25 to 1.25 s" of the stated coefficients."""
-    room, measured = rt.datasets.bras_cr2()
-    for known in (room, rt.calibrate(room, measured)):
-        assert rt.prediction.predict(known, []).headline.startswith("Nothing changes: ")
-
-
-def test_a_state_that_is_given_twice_is_refused(tmp_path: Path) -> None:
-    room, measured = rt.datasets.bras_cr2()
-    files = [str(tmp_path / "room.toml"), str(tmp_path / "t.csv")]
-    room.save(files[0])
-    measured.save(files[1])
-    change = tmp_path / "v.toml"
-    change.write_text('[[variant]]\nname = "as it is"\n')
-    command = ["predict", *files, "--change", str(change), "--also", *files]
-    done = CliRunner().invoke(cli, command)
-    assert "this state is given twice" in str(done.exception)

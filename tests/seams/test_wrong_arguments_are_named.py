@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -27,13 +25,6 @@ def test_of_a_loop(wrong: dict[str, object]) -> None:
         start(room, measured, **wrong)
 
 
-def test_a_generator_in_place_of_a_sequence() -> None:
-    room, measured = rt.datasets.bras_cr2()
-    program = rt.simulators.External(room=room, name="p", run=lambda alpha, seed: np.ones(6))
-    with pytest.raises(RtcalError, match="exclude has every pair"):
-        rt.calibrate_simulator(program, room, measured, exclude=(pair for pair in measured.pairs))
-
-
 ARRAYS = (np.ones(3), np.array([]), np.array(["a", "b"]))
 
 
@@ -42,18 +33,6 @@ ARRAYS = (np.ones(3), np.array([]), np.array(["a", "b"]))
 def test_an_array_in_place_of_an_option(option: str, array: np.ndarray) -> None:
     with pytest.raises(RtcalError, match=option):
         rt.calibrate(*rt.datasets.bras_cr2(), **{option: array})
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("names", ["only", "without"])
-def test_arrays_and_generators_of_effects(names: str, kept: Path) -> None:
-    case, _ = rt.datasets.hidden_room()
-    known = ["opening", "volume", "air"]
-    by_list = rt.find(case, cache=kept, **{names: known})
-    by_array = rt.find(case, cache=kept, **{names: np.array(known)})
-    assert by_array.names == by_list.names
-    with pytest.raises(TypeError):
-        rt.find(case, cache=kept, **{names: (name for name in known)})
 
 
 def test_arguments_of_a_program() -> None:
@@ -74,18 +53,6 @@ def test_a_flag_of_a_tracer() -> None:
     tracer.observe(hall.room.alpha, ("edt",))
     with pytest.raises(RtcalError, match="again"):
         tracer.observe(hall.room.alpha, ("edt",), again=np.ones(3))
-
-
-@pytest.mark.parametrize("kind", [list, np.array, iter], ids=str)
-def test_effects_in_a_geometry_of_any_kind(kind: type) -> None:
-    """A generator was read once and then ignored; an array raised a ValueError."""
-    from rtcal.finder.evidence import left_out_of
-    from rtcal.finder.positions.search import tried
-
-    every = tried(rt.finder.library())
-    names = [*left_out_of(["porous"], [], every)][:2]
-    assert left_out_of([], kind(names), every) == tuple(sorted(names))
-    assert left_out_of(kind(names), [], every) == left_out_of(names, [], every)
 
 
 CHANGES = (
