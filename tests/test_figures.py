@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -109,35 +108,3 @@ def test_lines_that_differ_in_colour_alone_are_seen() -> None:
     axes.plot([0, 1], color="C0", label="one")
     axes.plot([1, 0], color="C1", label="another")
     assert twins(figure) == ["one and another"]
-
-
-def test_sixteen_bands_of_a_loop_are_told_apart(measured_loop: Any) -> None:
-    assert not twins(figures.path(measured_loop))
-
-
-@pytest.fixture
-def measured_loop() -> Any:
-    bands = [50, 63, 80, 100, 125, 160, 200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600]
-    room = rt.Room(
-        name="thirds",
-        volume=100,
-        materials=["walls", "floor"],
-        areas=[100, 30],
-        alpha=np.full((2, 16), 0.2),
-        sigma=np.full((2, 16), 0.05),
-        centre_frequencies=bands,
-        air=rt.Air(),
-    )
-    program = rt.simulators.External(
-        room=room,
-        name="stand-in",
-        run=lambda alpha, seed: 1.2 * rt.Eyring().time(room, room.areas @ alpha),
-    )
-    measured = rt.Measurement.from_values(bands, t20=np.full(16, 0.6))
-    return rt.calibrate_simulator(program, room, measured)
-
-
-def test_every_picture_of_the_pages_has_words() -> None:
-    for page in (*(ROOT / "docs").glob("**/*.md"), ROOT / "README.md"):
-        for words in re.findall(r"!\[([^\]]*)\]\(", page.read_text(encoding="utf-8")):
-            assert len(words) > 60, f"{page.name}: {words!r} does not say what is seen"

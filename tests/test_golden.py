@@ -35,12 +35,6 @@ def test_each_figure_that_moved_is_printed() -> None:
     assert lines({"a": 1, "b": 2}, {"a": 1, "c": 2}) == ["b: gone", "c: new"]
 
 
-def test_a_text_with_one_number_more_is_compared_as_a_set() -> None:
-    assert lines({"text": [1.0, 2.5, 3.0]}, {"text": [3.0, 1.0, 7.0, 2.5]}) == [
-        "text: 3 numbers -> 4; gone none; new 7"
-    ]
-
-
 def test_rounding_is_counted_and_has_not_moved() -> None:
     found = golden.Differences()
     found.add({"x": [1.0, 100.0]}, {"x": [1.0 + 5e-8, 100.0]}, 1e-9)
@@ -54,23 +48,6 @@ def test_rounding_is_counted_and_has_not_moved() -> None:
     # A gap that is closed is rounding, whatever it is a share of.
     assert lines({"gap": [1e-15, 5e-15]}, {"gap": [7e-15, 2e-15]}) == []
     assert lines({"gap": [1e-15, 5e-15]}, {"gap": [2e-12, 5e-15]}) != []
-
-
-@pytest.mark.parametrize(
-    ("text", "numbers"),
-    [
-        ("T20 at 125 Hz: 1.40 s, z = −2.5", [125.0, 1.4, -2.5]),
-        ("rtcal 0.1.0, S1_R2.wav, 9d3551831c, 25 %, 1e-05", [25.0, 1e-05]),
-        ("(90 %: 4.45 to 25.6).", [90.0, 4.45, 25.6]),
-    ],
-)
-def test_numbers_of_a_text(text: str, numbers: list[float]) -> None:
-    assert golden.numbers_in(text) == numbers
-
-
-def test_no_clock_is_among_the_numbers_of_a_record() -> None:
-    record = {"versions": {"x": 1}, "solver": {"seconds": 0.1, "iterations": 9}, "T": [1.5, None]}
-    assert golden.numbers_of(record) == [9.0, 1.5]
 
 
 def test_figures_are_kept_to_the_last_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

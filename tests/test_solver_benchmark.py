@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 import qpsolvers
 
-from rtcal.calibration import exact
-
 pytest.importorskip("qpbenchmark")
 pytest.importorskip("piqp")
 
@@ -114,27 +112,6 @@ def test_solved_claimed_of_an_infeasible_problem(impossible: Case, test_set: Roo
     assert judged(impossible, test_set, status="infeasible").detected
 
 
-@pytest.mark.long
-def test_the_truth_is_that_of_rational_arithmetic(cases: dict[str, Case]) -> None:
-    """Two ways to it that share nothing: band by band, and from the matrices of all bands."""
-    case = cases["random 6 x 8 no 0"]
-    found = truth.of_matrices(case.to_sparse())
-    assert found.residual < 1e-20
-    assert found.error < 1e-20
-    np.testing.assert_allclose(case.of(found.x), case.alpha, rtol=0, atol=1e-15)
-    seen = 0
-    for case in cases.values():
-        given = case.separable
-        if given is None:
-            continue
-        answer = given.solve()
-        assert (case.alpha is not None) == (answer.status == exact.OK).all()
-        if case.alpha is not None:
-            np.testing.assert_allclose(answer.alpha.T, case.alpha, rtol=0, atol=1e-11)
-            seen += 1
-    assert seen >= 15
-
-
 def test_the_truth_of_a_problem_solved_by_hand() -> None:
     """Least |x|² with x1 + x2 + x3 = 3 and x1 <= 1/2: x = (1/2, 5/4, 5/4)."""
     x = np.array([0.5, 1.25, 1.25])
@@ -165,32 +142,6 @@ def test_a_wrong_active_set_does_not_become_the_truth(monkeypatch) -> None:
         said = qpsolvers.Solution(problem, found=True, x=np.array([0.4, 0.6]), z=claimed)
         monkeypatch.setattr(qpsolvers, "solve_problem", lambda *a, said=said, **k: said)
         np.testing.assert_allclose(truth.of_matrices(problem).x, [0.5, 0.5], rtol=0, atol=1e-16)
-
-
-@pytest.mark.long
-def test_a_tiny_run_resumes_and_renders(tmp_path: Path, cases: dict[str, Case]) -> None:
-    known = run.available()
-    chosen = {
-        n: known[n]
-        for n in ("qpsolvers:clarabel", "qpsolvers:osqp", "rtcal:clarabel", "rtcal.exact")
-    }
-    rows = run.run(tmp_path, "tiny", chosen)
-    assert {r.problem for r in rows} == set(cases)
-    default = [r for r in rows if r.route == "rtcal:clarabel"]
-    assert not any(r.failed or r.off(1e-6) for r in default)
-    assert all(r.detected for r in default if not r.feasible)
-    path = tmp_path / "tiny.csv"
-    whole = path.read_text()
-    # Stopped in the middle of a line: only what is missing is run again.
-    path.write_text(whole[: 2 * len(whole) // 3])
-    kept = run.read(path)
-    again = run.run(tmp_path, "tiny", chosen)
-    assert 0 < len(kept) < len(rows) == len(again)
-    assert str(again[: len(kept)]) == str(kept)  # as text: NaN is not equal to itself
-    assert [(r.problem, r.route, r.settings) for r in again] == [
-        (r.problem, r.route, r.settings) for r in rows
-    ]
-    assert "rtcal:clarabel" in render.accuracy(again)
 
 
 def test_the_page_is_that_of_the_table() -> None:

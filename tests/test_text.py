@@ -30,14 +30,6 @@ def test_a_table_that_does_not_fit_goes_on_below_its_header() -> None:
     assert len([line for line in lines if line.startswith("T / s")]) == 2
 
 
-def test_a_long_label_stands_above_its_cells() -> None:
-    name = "a very long name of a material " * 4
-    lines = text.table([(name.strip(), ["0.1", "0.2"]), ("short", ["0.3", "0.4"])])
-    assert max(map(len, lines)) <= 80
-    assert lines[-1] == "short  0.3  0.4"
-    assert lines[-2].split() == ["0.1", "0.2"]
-
-
 def test_sentences_are_wrapped_but_no_path_is_broken() -> None:
     path = "/a" * 60
     lines = text.wrapped(f"the room is written to {path} as it is", indent="  ")
@@ -59,18 +51,3 @@ def test_an_html_table_escapes_and_shades() -> None:
     assert "rgba(0, 114, 178, 0.45)" in page
     assert "&lt;3" in page
     assert "<p>x &lt; y</p>" in page
-
-
-def test_a_head_of_several_lines_is_as_high_as_its_block_needs() -> None:
-    header = [("", ["", "long"]), ("", ["a", "name"])]
-    lines = text.table([("x", ["1", "2" * 80])], header=header)
-    assert lines[:2] == ["   a", "x  1"]
-    assert [line.strip() for line in lines[3:5]] == ["long", "name"]
-
-
-def test_prose_is_fitted_and_what_fits_stays_as_it_is() -> None:
-    table = "label       1    2"
-    fitted = text.fitted(f"{table}\n  note: {'T does not depend on alpha. ' * 4}").split("\n")
-    assert fitted[0] == table
-    assert max(map(len, fitted)) <= 80
-    assert [line[: len(line) - len(line.lstrip())] for line in fitted[1:]] == ["  ", "    "]

@@ -76,18 +76,6 @@ def test_a_composed_calibration_does_not_claim_a_command() -> None:
     assert "--equation kuttruff" in str(of_calibration.command(usual))
 
 
-def test_verdicts() -> None:
-    room = evil_room()
-    near = 1.05 * rt.Eyring().reverberation_time(room)
-    assert rt.calibrate(room, near).verdict.level == "agrees"
-    assert rt.calibrate(room, 0.6 * near).verdict.level == "contradicts"
-    for measured in (near, 0.6 * near):
-        result = rt.calibrate(room, measured)
-        box = of_calibration.page(result).blocks[0]
-        assert (box.level, box.lead) == (result.verdict.level, f"{result.verdict.heading}.")
-        assert box.texts[0] in " ".join(str(result).split())
-
-
 def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:
     """The table takes a hundred materials; a page beyond the limit is refused."""
     n, f = 130, [500.0, 1000.0]

@@ -35,17 +35,6 @@ def folder(result, tmp_path_factory) -> Path:
     return path
 
 
-@pytest.mark.long
-def test_variants_stand_side_by_side_and_names_are_text(folder: Path) -> None:
-    html = pages.page_of(folder)
-    assert "window open" in html
-    assert "<b>" not in html
-    assert "panel &lt;b&gt;" in html
-    assert html.count("<caption>what the interval is made of") == 2
-    assert "To narrow it" in html
-    assert "://" not in html
-
-
 @pytest.fixture(scope="module")
 def designed(result, tmp_path_factory) -> tuple[Design, Path, str]:
     """A design whose page compares it with designs of other probabilities."""
@@ -65,26 +54,6 @@ def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None
     assert f"all bands are in range at once: {found.probability_together:.2f}" in html
     assert "Cost by probability, side by side" in html
     assert html == pages.page_of(folder)
-
-
-@pytest.mark.long
-def test_variants_have_cost_and_probability_of_a_target(result, tmp_path: Path) -> None:
-    variants = [
-        Variant("two", (Change(open="windows", area=2.0),), 100),
-        Variant("four", (Change(open="windows", area=4.0),)),
-    ]
-    target = Target([0.5] * 6, [1.1] * 6)
-    found = predict_variants(result, variants, target=target)
-    found.save(tmp_path)
-    html = re.sub(' data-of="[^"]*"', "", pages.page_of(tmp_path))
-    for prediction in found.predictions:
-        each = prediction.probability(target.low, target.high)
-        together = prediction.probability_together(target.low, target.high)
-        assert f"<td>{each.min():.2f}</td><td>{together:.2f}</td>" in html
-        assert f"{each.min():.2f}" in str(found)
-    assert '<th scope="row">two</th><td>100</td>' in html
-    assert "grey: the target." in html
-    assert html.count('<th scope="row">probability</th>') == 2
 
 
 def test_a_designs_page_compares_designs_of_other_probabilities(designed) -> None:

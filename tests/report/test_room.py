@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.loop.measured_pairs import Compared
 from rtcal.report import document, pages, room_view
-from rtcal.simulators.base import Observations
 from rtcal.simulators.geometry import Polyhedron
 from tests.report.pages import EVIL, no_figure
 from tests.report.rooms import calibrated
@@ -119,36 +117,3 @@ def test_a_still_shows_three_walls_of_a_box_from_inside(result) -> None:
         (walls,) = axes.collections
         facing = section.geometry.normals @ room_view.into_picture(section.turn(wanted), wanted)
         assert len(walls.get_facecolor()) == (facing > 0).sum()
-
-
-def test_the_gap_of_a_stand_is_that_of_its_pairs() -> None:
-    gap = np.array([[[3.0, 4.0], [np.nan, 1.0]]])
-    made = room_view.stands(
-        {"S": (0, 0, 1)},
-        {"A": (1, 0, 1), "B": (2, 0, 1), "C": (3, 0, 1)},
-        [("S", "A"), ("S", "B")],
-        [gap],
-    )
-    assert [s.kind for s in made] == ["source"] + 3 * ["receiver"]
-    np.testing.assert_allclose(
-        [s.gaps[0] for s in made], [np.sqrt(26 / 3), np.sqrt(12.5), 1.0, np.nan]
-    )
-
-
-def test_pairs_that_were_held_out_are_compared() -> None:
-    pairs = (("S", "A"), ("S", "B"))
-    values = np.log([[[1.0], [2.0]], [[1.0], [1.0]]])
-    heard = Observations(
-        parameters=("t20", "level"),
-        pairs=pairs,
-        centre_frequencies=np.array([500.0]),
-        values=values,
-    )
-    measured = rt.Measurement(
-        centre_frequencies=[500], pairs=pairs, values={"t20": [[1.0], [1.9]], "g": [[3.0], [2.0]]}
-    )
-    held = Compared.of(measured, ["t20"], [("S", "B"), ("S", "far")], heard, heard)
-    assert held.parameters == ("t20",)
-    assert held.measured.pairs == (("S", "B"),)
-    np.testing.assert_allclose(held.gap_after, [[[(2.0 / 1.9 - 1) / 0.05]]], rtol=1e-9)
-    assert not Compared.of(measured, ["t20"], [("S", "far")], heard, heard).parameters
