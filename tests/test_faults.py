@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rtcal.files import disk
-from rtcal.files.disk import read_text, write_all, write_text
+from rtcal.files.disk import write_all, write_text
 from rtcal.support.errors import DataError
 from tests import faults
 
@@ -84,15 +84,6 @@ def test_a_full_disk_changes_no_file(tmp_path: Path) -> None:
         assert not [*tmp_path.rglob(f"*{disk.NEW}")]
 
 
-def test_files_of_the_user_in_hidden_folders_are_left_alone(tmp_path: Path) -> None:
-    notes = tmp_path / ".rtcal-notes" / "mine.txt"
-    notes.parent.mkdir()
-    notes.write_text("kept")
-    write_text(tmp_path / "one", "x")
-    assert read_text(tmp_path / "one", 100) == "x"
-    assert notes.read_text() == "kept"
-
-
 def test_a_command_replaces_its_own_files_alone(tmp_path: Path) -> None:
     """A file is known by its content: one that was changed is the user's."""
     own, foreign = tmp_path / "own", tmp_path / "foreign"
@@ -127,27 +118,6 @@ def test_what_a_command_writes_is_one_set(tmp_path: Path) -> None:
         write_text(one, "new")
         raise ZeroDivisionError
     assert one.read_text() == "1"
-
-
-@pytest.mark.long
-def test_a_torn_set_names_the_command_that_makes_it_anew(tmp_path: Path) -> None:
-    one, two = tmp_path / "one", tmp_path / "two"
-
-    def write() -> None:
-        with disk.one_set("rtcal make one"):
-            disk.may_replace()
-            write_text(one, "1")
-            write_text(two, "2")
-
-    with faults.faulty(None) as layer:
-        write()
-    said = set()
-    for nth in range(1, layer.count + 1):
-        one.write_text("old")
-        two.write_text("old")
-        faults.killed(write, nth)
-        said.add(faults.refused(tmp_path))
-    assert any("`rtcal make one` was interrupted. Repeat that command" in text for text in said)
 
 
 def test_links_are_followed_and_modes_kept(tmp_path: Path) -> None:
