@@ -104,21 +104,6 @@ def test_where_the_directivity_is_unknown_reverberation_times_alone_count():
         unknown.trusted(["edt", "sti"])
 
 
-@pytest.mark.long
-def test_a_fit_leaves_them_out_and_says_so():
-    measured = tracer(n_paths=1600).simulate(HALL.room.alpha, seed=5)
-    said = {}
-    for directivity in ({}, {"S1": "unknown"}):
-        result = rt.calibrate_positions(
-            tracer(n_paths=320, directivity=directivity), HALL.room, measured,
-            match=["t20", "edt"], fit_scattering=False,
-        )  # fmt: skip
-        said[bool(directivity)] = str(result)
-    assert "Taken as omnidirectional: S1." in said[False]
-    assert "The directivity of S1 is unknown. So reverberation times alone are used" in said[True]
-    assert "EDT" in said[False]
-
-
 def box(directivity=(), **scene):
     stated = {
         name: Directivity(**of) if isinstance(of, dict) else of
@@ -164,12 +149,6 @@ def test_a_balloon_s_mean_over_all_directions_is_one_however_it_is_turned():
     directions = np.random.default_rng(0).standard_normal((200_000, 3))
     made = of_lobe([0, 3, 8], aim=(1, 2, -1), up=(1, 0, 3))
     assert made.gain(directions).mean(axis=0) == pytest.approx([1, 1, 1], abs=0.02)
-
-
-def test_a_coarse_balloon_has_the_mean_one_of_what_lies_between():
-    coarse = of_lobe([6], n_theta=7, n_phi=4)
-    directions = np.random.default_rng(0).standard_normal((200_000, 3))
-    assert coarse.gain(directions).mean() == pytest.approx(1, abs=0.01)
 
 
 def test_above_and_left_of_the_axis_are_where_they_are_stated():
@@ -251,12 +230,6 @@ def test_a_room_file_names_a_balloon_and_the_simulator_reads_it(tmp_path):
     (tmp_path / "room" / "a.tab").unlink()
     with pytest.raises(rt.errors.RtcalError, match=r"a\.tab"):
         geometry_files.path_tracing(again, n_paths=160)
-
-
-def test_a_room_file_keeps_a_balloon_that_is_in_no_file(tmp_path):
-    stated = {"S1": of_lobe([3, 6], n_theta=7, n_phi=4, aim=(1, 0, 0))}
-    box(directivity=stated).save(tmp_path / "room.toml")
-    assert rt.Room.from_file(tmp_path / "room.toml").scene.directivity == stated
 
 
 @pytest.mark.parametrize(

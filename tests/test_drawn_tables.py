@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
-import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -14,8 +12,7 @@ import pytest
 
 import rtcal as rt
 from benchmarks import drawn_tables
-from rtcal.io import library, table_columns, tables
-from rtcal.io.table_columns import statistic_of
+from rtcal.io import library, tables
 from rtcal.support.errors import DataError
 from tests.corpus import CASES, book
 
@@ -44,31 +41,12 @@ def test_a_drawn_table_is_read_with_its_true_values_or_refused_by_its_place(
         assert read >= LEAST_READ[kind] * counts.total(), (kind, counts)
 
 
-@pytest.mark.parametrize("kind", ["own unit", "statistic", "role"])
-def test_a_fault_of_a_reader_would_be_noticed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
-) -> None:
-    """The judge must see the values that a reader without one of its rules reads."""
-    if kind == "own unit":
-        monkeypatch.setattr(library, "_own_unit", lambda _: "")
-    elif kind == "role":
-        monkeypatch.setattr(library, "_role", lambda _: "")
-    else:
-        for module in (table_columns, tables):
-            monkeypatch.setattr(module, "statistic_of", lambda _: None)
-    found = Counter(drawn_tables.judged(seed, tmp_path)[0] for seed in range(7000, 7050))
-    assert found["silent"] > 0
-
-
 # -- material lists
 
 
 def of_text(folder: Path, text: str) -> tuple[library.MaterialList, str]:
     (folder / "Sample 3.csv").write_text(text, encoding="utf-8")
     return library.read(folder / "Sample 3.csv"), str(folder / "Sample 3.csv")
-
-
-DOWN = "250;{0};{1}\n500;{0};{1}\n1000;{0};{1}\n"
 
 
 @pytest.mark.parametrize(
@@ -121,22 +99,6 @@ def test_of_a_protocol_the_coefficients_are_read(
     )
 
 
-@pytest.mark.parametrize(
-    "text", ["[", "(", "s ", "αs", "absorption ", "T - ", "U(k", "m² per ", "in "]
-)
-def test_long_cells_are_read_in_time(tmp_path: Path, text: str) -> None:
-    """Patterns that try every part of a text are kept from long ones."""
-    long = text * (20000 // len(text))
-    start = time.process_time()
-    for table in (
-        f"f;{long};b\n" + DOWN.format(1, 1),
-        f"{long}\nproduct;250;500;1000\n{long};1;1;1\n",
-    ):
-        with contextlib.suppress(DataError):
-            of_text(tmp_path, table)
-    assert time.process_time() - start < 1
-
-
 # -- measured values
 
 NAMES = (
@@ -183,31 +145,6 @@ def test_a_statistic_over_positions_is_no_position(name: str, layout: str, xlsx:
     assert table.measurement.pairs == (("S1", "R2"), ("S1", "R3"))
     assert table.measurement.values["t20"][:, 0].tolist() == [1, 2]
     assert any("left out" in line and f'"{name}' in line for line in table.columns)
-
-
-@pytest.mark.parametrize("name", ["Mean stalls", "Mittelwert 2", "MW 2", "Soll", "N"])
-@pytest.mark.parametrize("layout", layouts(""))
-def test_what_may_be_a_statistic_or_a_position_is_refused(name: str, layout: str) -> None:
-    text = "\n".join(";".join(map(str, row)) for row in layouts(name)[layout])
-    with pytest.raises(DataError, match=name):
-        tables.parse(text.encode(), **OPTIONS.get(layout, {}))
-
-
-@pytest.mark.parametrize("name", ["Mittelgang", "Maxsaal", "Parkett Mitte", "Totale Nord"])
-def test_places_that_sound_like_statistics(name: str) -> None:
-    assert statistic_of(name) is None
-    text = "\n".join(";".join(map(str, row)) for row in layouts(name)["rows"])
-    assert tables.parse(text.encode()).measurement.pairs[-1] == ("S1", name)
-
-
-@pytest.mark.parametrize("name", ["Gesamt", "Mean (n=2)", "Mittelwert"])
-def test_a_sheet_of_means_is_no_position(name: str) -> None:
-    sheets = {n: [["f", "T20"], [500, v]] for n, v in (("S1R2", 1), ("S1R3", 2), (name, 1.5))}
-    table = tables.parse(book(sheets))
-    assert table.measurement.pairs == (("S1", "R2"), ("S1", "R3"))
-    assert any(
-        "beside single positions are left out" in line and name in line for line in table.columns
-    )
 
 
 # -- proposals
@@ -290,12 +227,6 @@ def test_no_reading_and_no_proposal_gives_another_value(
             assert {*read[np.isfinite(read)]} <= {*TIMES.values(), -1.5, 2.3}
 
 
-def test_a_table_that_a_spreadsheet_divided_at_its_commas_is_refused() -> None:
-    rows = [["f", "T20", "", ""], [500, 1, 62, ""], [1000, 1, 41, ""]]
-    with pytest.raises(DataError, match="decimal commas likely separate cells"):
-        tables.parse(book({"x": rows}))
-
-
 @pytest.mark.parametrize(
     ("text", "columns"),
     [
@@ -370,32 +301,3 @@ def test_what_a_refusal_proposes_is_read_when_it_is_copied(tmp_path: Path) -> No
 
 
 # -- modes
-
-
-@pytest.mark.parametrize(
-    ("header", "row"),
-    [
-        ("f;T [ms];u_T [ms]", "33;830;41,5"),
-        ("f [kHz];T;u_T", "0,033;0,83;0,0415"),
-        ("Frequenz / kHz;Nachhallzeit / ms;u_T / %", "0,033;830;5"),
-        ("f;T;u_T\nkHz;ms;%", "0,033;830;5"),
-        ("Fréquence;TR;u_T\n[Hz];[s];[ms]", "33;0,83;41,5"),
-    ],
-)
-@pytest.mark.parametrize("xlsx", [False, True])
-def test_units_of_modes_that_are_stated(tmp_path: Path, header: str, row: str, xlsx: bool) -> None:
-    path = tmp_path / ("modes.xlsx" if xlsx else "modes.csv")
-    text = f"{header}\n{row}\n"
-    cells = [[c.replace(",", ".") for c in line.split(";")] for line in text.splitlines()]
-    path.write_bytes(book({"modes": cells}) if xlsx else text.encode())
-    modes = rt.modes.read(path)
-    np.testing.assert_allclose(modes.frequencies, 33)
-    np.testing.assert_allclose(modes.decay_times, 0.83)
-    np.testing.assert_allclose(modes.decay_uncertainty / modes.decays, 0.05)
-
-
-def test_a_mean_of_modes_is_no_mode(tmp_path: Path) -> None:
-    (tmp_path / "modes.csv").write_text("f;T;u_T\n33;0,8;0,04\n41;0,6;0,04\nMean (n=2);0,7;0,04\n")
-    modes = rt.modes.read(tmp_path / "modes.csv")
-    assert modes.frequencies.tolist() == [33, 41]
-    assert any('line 4: "Mean (n=2)" is no mode' in note for note in modes.notes)

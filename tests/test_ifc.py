@@ -155,12 +155,6 @@ def test_an_outline_that_is_nearly_closed_is_closed(
     assert note == (f"its outline was open by {gap:.2g} mm and is closed (--weld)" if gap else "")
 
 
-def test_an_outline_without_its_last_point_is_closed(tmp_path) -> None:
-    done = mesh.room(outlined(tmp_path, SQUARE))
-    assert done.volume == pytest.approx(60)
-    assert not any("outline" in n for n in done.notes)
-
-
 @pytest.mark.parametrize(
     ("corners", "rule"),
     [
@@ -182,26 +176,6 @@ def test_an_outline_that_bounds_no_floor_is_refused_in_own_words(
     said = capsys.readouterr().err
     assert "IfcSpace" not in said
     assert "Product" not in said
-
-
-def test_a_wider_gap_is_named_with_the_tolerance_that_closes_it(tmp_path, capsys) -> None:
-    """A corner was cut off in silence."""
-    path = outlined(tmp_path, [*SQUARE, (15.0, 15.0)])
-    assert run("import", "check", path) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "its outline, which is open by 21.2 mm (--weld 0.023 makes its ends one point)" in said
-    done = mesh.room(path, weld=0.023)
-    assert done.volume == pytest.approx(60)
-    assert "its outline was open by 21 mm and is closed (--weld)" in done.notes
-
-
-def test_what_has_no_shape_is_said_in_own_words(tmp_path) -> None:
-    path = written(tmp_path)
-    text = path.read_text(encoding="utf-8").replace("#12,#18,'Study'", "#12,$,'Study'")
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(DataError, match='space "1 Study" has no shape that can be read') as refused:
-        mesh.room(path)
-    assert "IfcSpace" not in str(refused.value)
 
 
 def test_what_is_no_model_of_a_room_is_refused(tmp_path) -> None:
@@ -280,17 +254,3 @@ def test_content_that_ends_the_process_or_is_lost_is_refused(
 ) -> None:
     with pytest.raises(DataError, match=rule):
         mesh.room(changed(tmp_path, old, new))
-
-
-def test_a_boundary_that_has_lost_its_element_is_no_opening(tmp_path) -> None:
-    """13.2 m² of brick became an opening in silence."""
-    done = mesh.room(changed(tmp_path, "#19,#20,#37,", "#19,#999,#37,"))
-    assert done.geometry.areas["opening"] == pytest.approx(12)
-    assert any(note.startswith("1 boundaries") for note in done.notes)
-
-
-@pytest.mark.parametrize("name", ["<script>alert(1)</script>", "x" * 100_000, "\\X2\\D800\\X0\\"])
-def test_no_name_moves_a_room(tmp_path, name: str) -> None:
-    done = mesh.room(written(tmp_path, name=name))
-    assert done.geometry.volume == pytest.approx(60)
-    assert all(len(note) < 100 for note in done.notes)

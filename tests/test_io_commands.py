@@ -6,7 +6,6 @@ import re
 import shutil
 from pathlib import Path
 
-import click
 import numpy as np
 import pytest
 
@@ -106,44 +105,6 @@ def test_no_command_writes_over_what_it_reads(tmp_path: Path, monkeypatch, capsy
     assert {p: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
-def test_a_table_is_written_before_it_is_shown(tmp_path: Path, monkeypatch) -> None:
-    """Into ``| head`` the page may end half-way; the file must not."""
-    path, out = tmp_path / "in.csv", tmp_path / "t.csv"
-    path.write_bytes(fuzz.TABLES[0])
-
-    def closed(*_: object, **__: object) -> None:
-        raise BrokenPipeError(32, "Broken pipe")
-
-    monkeypatch.setattr(click, "echo", closed)
-    assert run("table", path, "--out", out) != 0
-    assert rt.Measurement.from_file(str(out)).values["t20"].tolist() == [[1.5, 1.4]]
-
-
-def test_a_table_without_a_header_is_not_taken_for_one(tmp_path: Path, capsys) -> None:
-    path = tmp_path / "in.csv"
-    path.write_text("500,0.9\n1000,0.8\n")
-    assert run("table", path, "--parameter", "t20") == 2
-    assert 'with --columns "from line 1 to 2: band; ?"' in capsys.readouterr().err
-    path.write_text("12.5,16,20\n1.3,0.8,0.7\n")
-    assert run("table", path, "--parameter", "t20") == 2
-    columns = "from line 2 to 2: value at 12.5 Hz; value at 16 Hz; value at 20 Hz"
-    assert f'with --columns "{columns}"' in capsys.readouterr().err
-    assert run("table", path, "--parameter", "t20", "--columns", columns) == 0
-
-
-def test_a_measurement_without_any_value_is_not_written(tmp_path: Path, capsys) -> None:
-    """It had been a CSV of empty values, with exit code 0."""
-    pytest.importorskip("pyfar")
-    pytest.importorskip("pyrato")
-    path, out = tmp_path / "S1_R1.wav", tmp_path / "t.csv"
-    path.write_bytes(fuzz.wav(np.random.default_rng(1).uniform(-1, 1, 300)))
-    assert run("measure", path, "--out", out) == 2
-    said = capsys.readouterr().err
-    assert "t.csv: not written, since no parameter could be determined. 63 Hz: no" in said
-    assert not out.exists()
-    assert run("measure", path) == 0
-
-
 LIST = b"ABS wood = <10 12 14 16 18 20>\r\nABS felt = <2 2 2 2 2 2> L <30 30 30 30 30 30>\r\n"
 BOTH = ("--volume", 60, "--area", "wood=40", "--area", "felt=60")
 
@@ -230,45 +191,6 @@ def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     assert '--catalogue "material=carpet" names the entries' in capsys.readouterr().err
 
 
-def test_an_entry_that_has_an_equals_sign_is_stated_after_the_first_one(tmp_path: Path) -> None:
-    """The name had ended at the last =, and "Product 200 mm (aw" was no material."""
-    products, out = tmp_path / "products.csv", tmp_path / "room.toml"
-    products.write_text("product;125;250;500\nPanel 40 mm (aw=0.90);0.2;0.6;0.9\n")
-    command = ("import", "library", products, "--volume", 60, "--area", "ceiling=90")
-    assert run(*command, "--as", "ceiling=Panel 40 mm (aw=0.90)", "--out", out) == 0
-    assert rt.Room.from_file(out).alpha[0].tolist() == [0.2, 0.6, 0.9]
-
-
-def test_an_entry_that_is_stated_wins_and_unknown_names_are_refused(tmp_path: Path, capsys) -> None:
-    """--as had no effect where the list had the name itself, and none for names that nothing had."""
-    products, out = tmp_path / "products.csv", tmp_path / "room.toml"
-    products.write_text("product;125;250;500\nwall;0.1;0.1;0.1\nhard wall;0.02;0.02;0.02\n")
-    command = ("import", "library", products, "--volume", 60, "--area", "wall=90", "--out", out)
-    for refused, words in (
-        ("plastr=wall", '--as: "plastr" is no material of the room; --area has wall'),
-        ("wall=hrd", '--as "wall=hrd": "hrd" is no material of'),
-    ):
-        assert run(*command, "--as", refused) == 2
-        said = " ".join(capsys.readouterr().err.split())
-        assert words in said
-        assert not out.exists()
-    assert run(*command, "--as", "wall=hard wall", "--catalogue", "wall=brickwork") == 2
-    assert '"wall" is in --as and in --catalogue' in capsys.readouterr().err
-    assert run(*command, "--as", "wall=hard wall") == 0
-    assert "Left out, without area: wall" in capsys.readouterr().out
-    assert rt.Room.from_file(out).alpha.tolist() == [[0.02] * 3]
-
-
-def test_a_description_of_an_odeon_library_can_be_stated(tmp_path: Path, capsys) -> None:
-    """Its number was needed, though the message named the description."""
-    library, out = tmp_path / "hall.Li8", tmp_path / "room.toml"
-    library.write_text(f"101 wall\n{'0.1 ' * 8}\n102 doors\n{'0.2 ' * 8}\n")
-    command = ("import", "odeon", library, "--volume", 60, "--area", "wall=90", "--out", out)
-    for entry in ("doors", "102 doors"):
-        assert run(*command, "--as", f"wall={entry}") == 0
-        assert (rt.Room.from_file(out).alpha == 0.2).all()
-
-
 def test_a_mesh_alone_takes_its_materials_from_the_catalogue(tmp_path: Path, capsys) -> None:
     pytest.importorskip("pyroomacoustics")
     mesh, out = tmp_path / "hall.obj", tmp_path / "room.toml"
@@ -284,39 +206,3 @@ def test_a_mesh_alone_takes_its_materials_from_the_catalogue(tmp_path: Path, cap
     assert room.volume == 2
     assert geometry_files.read(room).areas == rt.io.obj.read(mesh).areas
     assert "Left out" not in capsys.readouterr().out
-
-
-def test_a_table_with_the_number_of_its_pairs(tmp_path: Path, capsys) -> None:
-    path, out = tmp_path / "in.csv", tmp_path / "t.csv"
-    path.write_text(
-        "room,parameter,stat,500,1000\nA,T20,mean,1.5,1.4\nA,T20,sd,0.1,0.2\nB,T20,mean,9,9\n"
-    )
-    command = ("table", path, "--where", "room=A", "--out", out)
-    assert run(*command) == 2
-    assert "state --sources and --receivers" in capsys.readouterr().err
-    assert run(*command, "--sources", 2, "--receivers", 5) == 0
-    measured = rt.Measurement.from_file(str(out))
-    assert (measured.n_sources, measured.n_receivers) == (2, 5)
-    assert measured.standard_deviation["t20"].tolist() == [0.1, 0.2]
-    assert run("table", path, "--where", "room", "--out", out) == 2
-    assert '--where: "room" is not NAME=ENTRY' in capsys.readouterr().err
-
-
-def test_a_room_goes_back_into_the_list_that_as_took_it_from(tmp_path: Path, capsys) -> None:
-    listed = tmp_path / "list.Li8"
-    row = "0.10 0.10 0.20 0.30 0.40 0.50 0.60 0.60"
-    listed.write_text(f"4002 Gypsum board\n{row}\n7001 thin carpet\n{row}\n", encoding="utf-8")
-    room = str(tmp_path / "room.toml")
-    areas = ["--area", "drywall=120", "--area", "thin_carpet=30", "--volume", "100"]
-    taken = ["import", "odeon", str(listed), *areas, "--as", "drywall=4002 Gypsum board"]
-    # A mesh's exporter has written an underscore for a blank.
-    assert run(*taken, "--out", room) == 0
-    out = str(tmp_path / "new.Li8")
-    back = ["export", "odeon", room, out, "--template", str(listed)]
-    capsys.readouterr()
-    assert run(*back) == 2
-    assert 'Which is it? State --as "drywall=NAME"' in capsys.readouterr().err
-    assert run(*back, "--as", "drywall=4002 Gypsum board") == 0
-    assert Path(out).read_bytes() == listed.read_bytes()
-    assert run(*back, "--as", "wall=4002 Gypsum board") == 2
-    assert '--as: "wall" is no material of the room' in capsys.readouterr().err

@@ -103,40 +103,6 @@ def test_fractions_in_a_list_of_percents_are_refused(tmp_path: Path) -> None:
     assert "line 2: at most 1 %, since ABS is in percent" in room.sources["marble"]
 
 
-def test_scattering_that_is_written_over_is_said(tmp_path: Path) -> None:
-    path = tmp_path / "hall.geo"
-    path.write_bytes(
-        b"ABS wall = <2 2 2 2 2 2> L <10 10 15 20 25 40>\nABS desk = <2 2 2 2 2 2>\n"
-        b"ABS seat = <2 2 2 2 2 2> L <30 30 30 30 30 30>\n"
-    )
-    areas = {"wall": 700.0, "seat": 9.0}
-    room = catt.read(path).room(name="hall", volume=1000, areas=areas)
-    assert not catt.write(room, path).notes
-    fitted = room.replace(scattering=[[0.231] * 6, [0.3] * 6])
-    assert catt.write(fitted, path).notes == (
-        "The room's scattering replaced the list's, which a fit to positions changes too. Means over "
-        "the bands: wall (0.20, now 0.23)",
-    )
-    assert not catt.write(fitted, tmp_path / "new.geo").notes
-
-
-def test_decimals_can_be_stated(tmp_path: Path) -> None:
-    path = tmp_path / "hall.geo"
-    path.write_bytes(b"ABS wall = <2 2 2 2 2 2>\nABS1 desk = <0.02 0.02 0.02 0.02 0.02 0.02>\n")
-    room = catt.read(path).room(name="hall", volume=1000, areas={"wall": 700.0, "desk": 9.0})
-    catt.write(room.replace(alpha=np.full((2, 6), 0.0376)), path, decimals=2)
-    assert path.read_bytes() == (
-        b"ABS wall = <4 4 4 4 4 4>\nABS1 desk = <0.04 0.04 0.04 0.04 0.04 0.04>\n"
-    )
-    with pytest.raises(DataError, match="decimals = 1 of a coefficient; they are 2 to 15"):
-        catt.write(room, path, decimals=1)
-    library = tmp_path / "hall.Li8"
-    library.write_bytes(b"1 wall\n.02 0.02 0.02 0.02 0.02 0.02 0.02 0.02\n")
-    room = odeon.read(library).room(name="hall", volume=1000, areas={"1 wall": 700.0})
-    odeon.write(room.replace(alpha=np.full((1, 8), 0.0376)), library, decimals=3)
-    assert library.read_bytes() == b"1 wall\n" + b" ".join([b"0.038"] * 8) + b"\n"
-
-
 def test_catt_constructs() -> None:
     listed = catt.parse(fuzz.CATT[0])
     assert listed.names == ("wood", "audience", "drape", "panel")
@@ -147,15 +113,6 @@ def test_catt_constructs() -> None:
     assert len(listed.materials[3].alpha) == 7
     assert dict(listed.aliases) == {"floorabs": "wood"}
     assert catt.parse(fuzz.CATT[1]).names == ("panelwalls", "béton")
-
-
-def test_an_alias_stands_for_its_material(tmp_path: Path) -> None:
-    path = tmp_path / "a.geo"
-    path.write_bytes(b"ABS wood = <1 2 3 4 5 6>\nABS floor = wood\n")
-    room = catt.read(path).room(name="", volume=9, areas={"floor": 3.0})
-    assert room.materials == ("floor",)
-    catt.write(room.replace(alpha=np.full((1, 6), 0.5)), path)
-    assert path.read_bytes().startswith(b"ABS wood = <50.0 50.0 50.0 50.0 50.0 50.0>\n")
 
 
 def test_aliases_that_were_calibrated_apart_get_values_of_their_own(tmp_path: Path) -> None:
@@ -263,38 +220,6 @@ def test_octaves_are_written_into_each_of_their_thirds(tmp_path: Path) -> None:
     assert bras.read(path).materials[0].alpha == pytest.approx(expected)
 
 
-def test_odeon_without_63_hz(tmp_path: Path) -> None:
-    room = octave_room(materials=["brick", "felt"])
-    room = rt.Room(
-        name="",
-        volume=9,
-        materials=["wall"],
-        areas=[9],
-        alpha=room.alpha[:1, 1:8],
-        sigma=room.sigma[:1, 1:8],
-        centre_frequencies=room.centre_frequencies[1:8],
-    )
-    with pytest.raises(DataError, match="needs 63 Hz, which the room lacks"):
-        odeon.write(room, tmp_path / "a.Li8")
-    report = odeon.write(room, tmp_path / "a.Li8", missing_bands="nearest")
-    alpha = odeon.read(tmp_path / "a.Li8").materials[0].alpha
-    assert alpha[0] == alpha[1] == pytest.approx(room.alpha[0, 0], abs=5e-6)
-    assert "63 Hz is not in the room: alpha as at 125 Hz" in str(report)
-
-
-def test_an_exported_entry_is_a_material_of_pyroomacoustics(tmp_path: Path) -> None:
-    """Without center_freqs of its own an entry of the data base was refused."""
-    library = pytest.importorskip("pyroomacoustics")
-    room = octave_room()
-    pyroomacoustics.write(room, tmp_path / "a.json")
-    content = json.loads((tmp_path / "a.json").read_text())
-    for i, name in enumerate(room.materials):
-        material = library.Material(
-            content["absorption"]["Calibrated"][name], content["scattering"]["Calibrated"][name]
-        )
-        assert material.absorption_coeffs == room.alpha[i].tolist()
-
-
 def test_pyroomacoustics_takes_the_dictionaries() -> None:
     library = pytest.importorskip("pyroomacoustics")
     room = octave_room()
@@ -346,17 +271,6 @@ def test_any_name_that_a_catt_list_is_written_with_is_read_back(names: list[str]
             np.testing.assert_allclose(back.alpha, alpha[:, 1:], rtol=0, atol=5.1e-4)
 
 
-def test_a_new_list_renames_what_catt_does_not_read(tmp_path: Path) -> None:
-    room = octave_room(materials=["curtain on west", "curtain_on_west"])
-    path = tmp_path / "new.geo"
-    report = catt.write(room, path)
-    (renamed,) = report.notes
-    assert renamed == 'Renamed, as the program reads names: "curtain on west" is curtain_on_west_1'
-    stated = catt.write(room, tmp_path / "mine.geo", entries={"curtain on west": "mine"})
-    assert b"ABS mine = <" in (tmp_path / "mine.geo").read_bytes()
-    assert "Renamed" not in " ".join(stated.notes)
-
-
 def test_refused_writes_leave_the_file(tmp_path: Path) -> None:
     path = tmp_path / "hall.geo"
     path.write_bytes(b"ABS brick = <1 2 3 4 5 6>\n")
@@ -397,23 +311,3 @@ PANEL = {
 
 
 FORMATS = {"catt": catt, "odeon": odeon, "pyroomacoustics": pyroomacoustics, "bras": bras}
-
-
-@pytest.mark.parametrize("tried", FORMATS)
-def test_a_file_of_another_kind_is_named(tried: str, tmp_path: Path) -> None:
-    """A list of CATT given to `import odeon` was "not a number and a description"."""
-    room, _ = rt.datasets.bras_cr2()
-    files = {"room": tmp_path / "room.toml", "mesh": tmp_path / "room.obj"}
-    room.save(str(files["room"]))
-    rt.simulators.Polyhedron.shoebox((5, 4, 3), "plaster").save(files["mesh"])
-    for name, of in FORMATS.items():
-        files[name] = tmp_path / f"list.{name}"
-        of.write(room, files[name], missing_bands="nearest")
-    for name, path in files.items():
-        if name == tried:
-            assert FORMATS[tried].read(path).materials
-            continue
-        with pytest.raises(DataError) as refused:
-            FORMATS[tried].read(path)
-        named = f"`rtcal import {name}` reads it" if name in FORMATS else f"The file is a {name}"
-        assert named in str(refused.value)

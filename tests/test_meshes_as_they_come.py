@@ -17,11 +17,8 @@ from benchmarks import defective_meshes
 from rtcal.command.main import main
 from rtcal.io import geometry_files, mend, mesh
 from rtcal.io.mend import volume_by_rays
-from rtcal.io.units import notes as unit_notes
-from rtcal.report import figures
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.errors import DataError, MissingDependencyError
-from tests.damage import damages
 
 BOX = Polyhedron.shoebox((10, 7, 4), "plaster")
 V, S = 280.0, 276.0
@@ -149,12 +146,6 @@ def test_a_room_has_the_areas_and_the_volume_that_are_meant(row: str) -> None:
         assert (kind.lstrip("-") in kinds(done)) == (not kind.startswith("-")), kind
     if not told:
         assert (kinds(done), done.volume_uncertainty, done.area_uncertainty) == ([], 0, {})
-
-
-def test_what_lies_on_a_wall_is_told_with_its_effect() -> None:
-    (overlay,) = (d for d in mended(in_box("glass, door")).defects if d.kind == "overlay")
-    assert (overlay.number, overlay.area, overlay.area_effect) == pytest.approx((2, 4, -4))
-    assert overlay.volume_effect == pytest.approx(2 * 0.03)
 
 
 @pytest.mark.parametrize("triangles", [False, True])
@@ -319,31 +310,6 @@ def test_the_advised_size_of_a_hole_and_weld_are_those_that_close_it(factor: flo
     assert kinds(mended(large, largest_hole=float(advised))) == ["hole"]
 
 
-def test_the_advised_weld_closes_what_is_beside_its_place() -> None:
-    east = ("east", [[10.04, 0, 0], [10.04, 7, 0], [10.04, 7, 4], [10.04, 0, 4]])
-    with pytest.raises(mend.MeshError, match=r"lie 40 mm from its edges: state --weld 0\.044"):
-        mended([*walls("east"), east])
-    done = mended([*walls("east"), east], weld=0.044)
-    assert done.volume == pytest.approx(V * 1.002, rel=2e-3)
-    assert 0 < done.volume_uncertainty < 0.01 * V
-    drawn = PLASTER + block((2, 2, 0.03), (4, 4, 1))
-    (advised,) = re.findall(r"state --weld ([0-9.]+) if", str(mended(drawn)))
-    areas = {"plaster": S - 4, "seats": 12}
-    assert mended(drawn, weld=float(advised)).areas == pytest.approx(areas)
-
-
-def test_a_refused_mesh_lists_its_other_defects_too() -> None:
-    """A wall is missing; a window and a panel are listed, so that all are mended in one go."""
-    window = ("glass", [[0, 2, 1], [0, 3, 1], [0, 3, 2], [0, 2, 2]])
-    reflector = ("reflector", [[1, 1, 2], [2, 1, 2], [2, 2, 2.2], [1, 2, 2.2]])
-    with pytest.raises(mend.MeshError, match=r"hole of .* Found, too: ") as refused:
-        mended([*walls("east"), window, reflector])
-    found = {d.kind: d for d in refused.value.defects}
-    assert (found["overlay"].places, found["panel"].places) == (("glass",), ("reflector",))
-    assert found["overlay"].area == pytest.approx(1)
-    assert len(refused.value.edges) >= 4
-
-
 @pytest.mark.long
 def test_defective_meshes_are_right_or_refused_for_the_right_defect() -> None:
     """The benchmark has 200; these are others."""
@@ -352,14 +318,6 @@ def test_defective_meshes_are_right_or_refused_for_the_right_defect() -> None:
     held = [h for seed in range(40) for h in defective_meshes.areas_held(seed)]
     assert len(held) > 100
     assert np.mean(held) >= 0.99
-
-
-def test_a_defect_that_is_not_mended_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The judge of the benchmark must see a wrong area: here overlays that keep their wall's."""
-    monkeypatch.setattr(mend, "overlaid_on", lambda *_: None)
-    monkeypatch.setattr(mend, "put_on_walls", lambda _, part, *__: part)
-    outcomes = {defective_meshes.judged(seed)[0] for seed in range(3000, 3040)}
-    assert "silent" in outcomes or "refused wrong" in outcomes
 
 
 def test_rays_tell_the_volume_of_rooms_without_a_wall() -> None:
@@ -453,31 +411,6 @@ DAE = """<?xml version="1.0"?>
 </instance_geometry></node></visual_scene></library_visual_scenes>
 <scene><instance_visual_scene url="#s"/></scene></COLLADA>
 """
-PLY_OF_I_SIMPA = b"""ply
-format ascii 1.0
-element vertex 8
-property float x
-property float y
-property float z
-element face 6
-property list uchar int vertex_indices
-property int layer_id
-end_header
-0 0 0
-4 0 0
-4 5 0
-0 5 0
-0 0 3
-4 0 3
-4 5 3
-0 5 3
-4 3 2 1 0 0
-4 4 5 6 7 1
-4 0 1 5 4 2
-4 1 2 6 5 2
-4 2 3 7 6 2
-4 3 0 4 7 2
-"""
 
 
 def obj(drawn: Drawn, path: Path, groups: bool = False) -> Path:
@@ -535,46 +468,6 @@ def test_dxf(tmp_path: Path, kind: str) -> None:
     assert mesh.room(path, unit=0.01).volume == pytest.approx(1000 * V, rel=1e-9)
 
 
-def test_the_nodes_of_a_collada_scene_name_their_faces(tmp_path: Path) -> None:
-    """SketchUp and Blender name the objects there, and a surface had been "part 2"."""
-    text = written(tmp_path, ".dae").read_text()
-    shape = text[text.index("<instance_geometry") : text.index("</node>")]
-    moved = "<translate>0 0 800</translate>"
-    nodes = (
-        f'<node name="SketchUp"><node id="N0" name="Stage">{shape}</node>'
-        f'<node id="ID9"><instance_node url="#L"/>{moved}</node></node>'
-    )
-    library = f'<library_nodes><node id="L" name="Gallery">{moved}{shape}</node></library_nodes>'
-    start, end = text.index("<node>"), text.index("</node>") + len("</node>")
-    text = text[:start] + nodes + text[end:]
-    text = text.replace("<library_visual_scenes>", library + "<library_visual_scenes>")
-    (tmp_path / "scene.dae").write_text(text)
-    read = mesh.read(tmp_path / "scene.dae")
-    drawn = [*zip(read.polygons, read.names, strict=True)]
-    heights = {
-        name: np.mean([p[:, 2].mean() for p, n in drawn if n == name]) for name in read.names
-    }
-    assert {*heights} == {"Stage", "Gallery"}
-    rise = heights["Gallery"] - heights["Stage"]
-    assert rise == pytest.approx(2 * 800 * 0.0254, rel=1e-6)  # both matrices, once each
-
-
-def test_objects_of_3mf_and_layers_of_a_ply_are_materials(tmp_path: Path) -> None:
-    parts = {n: trimesh.Trimesh(1000 * np.array(p), HALVES, process=False) for n, p in walls()}
-    trimesh.Scene(parts).export(tmp_path / "room.3mf")
-    areas = dict(zip(BOX.names, BOX.face_areas, strict=True))
-    assert mesh.room(tmp_path / "room.3mf").areas == pytest.approx(areas, rel=1e-6)
-    path = tmp_path / "room.ply"
-    path.write_bytes(PLY_OF_I_SIMPA)
-    done = mesh.room(path)
-    assert done.volume == pytest.approx(60)
-    assert set(done.areas) == {"layer 0", "layer 1", "layer 2"}
-    groups = b"material_index\nelement material 3\nproperty list uchar uchar name\n"
-    names = b"3 111 97 107\n3 102 105 114\n4 98 101 101 99\n"
-    path.write_bytes(PLY_OF_I_SIMPA.replace(b"layer_id\n", groups) + names)
-    assert set(mesh.room(path).areas) == {"oak", "fir", "beec"}
-
-
 HEAD = b"0\nSECTION\n2\nENTITIES\n"
 
 
@@ -602,21 +495,6 @@ def test_bad_files(tmp_path: Path, name: str, content: bytes, rule: str) -> None
         mesh.room(tmp_path / name)
 
 
-@pytest.mark.parametrize("ending", [".glb", ".dae", ".3mf", ".ply", ".stl", ".off", ".dxf", ".obj"])
-def test_broken_files_raise_typed_errors(tmp_path: Path, ending: str) -> None:
-    """A PLY or a glTF with an index beyond its corners had raised an IndexError."""
-    content = written(tmp_path, ending).read_bytes()
-    path = tmp_path / f"broken{ending}"
-    refused = 0
-    for damaged in damages(content, 60):
-        path.write_bytes(damaged)
-        try:
-            mesh.room(path)
-        except DataError:
-            refused += 1
-    assert refused > 5
-
-
 def test_without_the_libraries_the_extra_is_named(tmp_path: Path, monkeypatch) -> None:
     for ending, needed in ((".stl", "trimesh"), (".dxf", "ezdxf")):
         path = written(tmp_path, ending)
@@ -626,13 +504,6 @@ def test_without_the_libraries_the_extra_is_named(tmp_path: Path, monkeypatch) -
     monkeypatch.setitem(sys.modules, "shapely", None)
     with pytest.raises(MissingDependencyError, match=r"needs shapely: pip install 'rtcal\[mesh\]'"):
         mended([*walls(), PANEL])
-
-
-def test_a_unit_that_the_file_contradicts_is_told() -> None:
-    assert unit_notes(0.0254, 0.0254, 0.0254) == ["the file's unit is 0.0254 m"]
-    assert unit_notes(1.0, 0.0254, None) == []
-    (said,) = unit_notes(1.0, 0.0254, 1.0)
-    assert said == "the file states a unit of 0.0254 m, and 1 m was given and taken"
 
 
 # -- commands
@@ -680,22 +551,6 @@ def test_a_defective_mesh_becomes_a_room_that_tracers_take(tmp_path: Path, capsy
     assert room.volume_sigma == 0  # 0.01 % is less than is measured
 
 
-def test_mending_that_moves_the_volume_is_stated_in_the_room(tmp_path: Path, capsys) -> None:
-    rng = np.random.default_rng(1)
-    rough = [(n, p + rng.uniform(-0.004, 0.004, p.shape)) for n, p in walls()]
-    carpet = ("carpet", dict(walls())["floor"])
-    path, out = obj([*rough, carpet], tmp_path / "hall.obj"), tmp_path / "room.toml"
-    entries = [f"--catalogue={n}=rough_concrete" for n in BOX.names]
-    said = said_by(capsys, "catalogue", "--mesh", path, *entries, "--out", out)
-    assert "V is known to" in said
-    room = rt.Room.from_file(str(out))
-    assert 0.0005 < room.volume_sigma < 0.01
-    # The floor or the carpet; 4 mm at the corners of the others are less than is measured.
-    floor_alone = dict(zip(room.materials, room.area_sigma.tolist(), strict=True))
-    assert {m: u for m, u in floor_alone.items() if u} == {"floor": 0.71}
-    assert rt.calibrate(room, rt.Eyring().reverberation_time(room)).prior.is_uncertain
-
-
 def test_a_mesh_that_cannot_be_closed_is_taken_as_drawn_with_an_uncertain_volume(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -720,38 +575,3 @@ def test_a_mesh_that_cannot_be_closed_is_taken_as_drawn_with_an_uncertain_volume
     assert room.areas.sum() == pytest.approx(S - 28)
     assert room.scene.mesh is None
     assert "leave --open or --mended out" in said_by(capsys, *given, *to, code=2)
-
-
-def test_triangles_of_one_wall_are_one_surface_of_the_room(tmp_path: Path) -> None:
-    """A room's file had listed each triangle of a flat ceiling."""
-    path, out = obj(halved(walls()), tmp_path / "room.obj", groups=True), tmp_path / "room.toml"
-    command = ("import", "catalogue", "--mesh", path, "--out", out)
-    assert run(*command, "--catalogue=concrete=rough_concrete") == 0
-    surfaces = rt.Room.from_file(out).surfaces
-    areas = dict(zip(BOX.names, BOX.face_areas, strict=True))
-    assert {s.name: s.area for s in surfaces} == pytest.approx(areas)
-    assert [s.axis for s in surfaces] == ["x", "x", "y", "y", "z", "z"]
-
-
-def test_the_pictures_legend_is_in_the_picture() -> None:
-    names = ["ceiling-block-001_Bapsextended, painted concrete", "seats", "a_window_of_glass"]
-    long = Polyhedron.shoebox((74, 38, 7), "plaster")
-    sides = [long.vertices[list(f)] for f in long.faces]
-    figure = figures.wireframe(faces(list(zip([*names, *names], sides, strict=True))))
-    for _ in range(2):  # the layout settles
-        figures.rendered(figure, "png")
-    (legend,) = [*figure.legends, *(a.get_legend() for a in figure.axes if a.get_legend())]
-    for box in (legend.get_window_extent(), figure.axes[0].get_tightbbox()):
-        assert 0 <= box.x0 < box.x1 <= figure.bbox.width
-        assert 0 <= box.y0 < box.y1 <= figure.bbox.height
-
-
-def test_a_refused_mesh_in_another_unit_says_so_first(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A hall in cm with a hole was told to close "622000 m²" by --hole 628000."""
-    path = obj([(n, 100 * p) for n, p in walls("floor")], tmp_path / "room.obj")
-    said = said_by(capsys, "check", path, code=2)
-    assert said.index("m³ in cm (--unit 0.01)") < said.index("hole of")
-    assert "in cm" not in said_by(capsys, "check", path, "--unit", 0.01, code=2)
-    assert "m³ in cm (--unit 0.01)" in said_by(capsys, "check", path, "--open")

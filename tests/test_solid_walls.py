@@ -93,13 +93,6 @@ def test_furniture_stands_in_the_cavity(tmp_path: Path) -> None:
     assert done.areas["steel"] == pytest.approx(2 * 1 + 4 * 0.2, rel=1e-6)
 
 
-def test_of_two_cavities_the_larger_is_taken_and_the_other_is_said(tmp_path: Path) -> None:
-    partition: Box = ("partition", "gypsum", (4.5, 0, 0), (4.6, W, H))
-    done = mesh.room(obj(tmp_path / "m.obj", [*BUTT, FLOOR, ROOF, partition]))
-    assert done.volume == pytest.approx(4.5 * W * H, rel=1e-6)
-    assert "another of 36 m³ left out" in str(done.defects[0])
-
-
 @pytest.mark.parametrize("missing", range(6))
 def test_solids_without_a_cavity_bound_material_and_no_option_makes_a_room(
     missing: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -99,26 +99,6 @@ def test_a_part_in_common_that_stands_alone_is_taken() -> None:
     assert own == pytest.approx(_uncertainty(m, "t20")[0])
 
 
-def test_where_one_pair_states_none_the_scatter_is_taken() -> None:
-    m = replace(measured(), values={"t20": np.tile([1.4, 1.3, 1.2, 1.1, 1.0, 0.8], (4, 1))})
-    own, common = np.full((4, 6), 0.05), {"t20": np.full(6, 0.02)}
-    own[0, 2] = np.nan
-    stated = replace(m, uncertainty={"t20": own}, common_uncertainty=common)
-    by_theory = m.mean_uncertainty("t20")
-    assert stated.mean_uncertainty("t20")[2] == pytest.approx(np.hypot(by_theory[2], 0.02))
-    assert stated.mean_uncertainty("t20")[3] == pytest.approx(np.hypot(0.05 / 2, 0.02))
-
-
-def test_a_common_uncertainty_has_one_value_in_a_band(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text(
-        "source,receiver,parameter,band,value,common_uncertainty\n"
-        "S1,R1,T20,500,1.2,0.03\nS1,R2,T20,500,1.3,0.04\n"
-    )
-    with pytest.raises(DataError, match="common_uncertainty of T20 at 500 Hz has several values"):
-        rt.Measurement.from_file(str(path))
-
-
 def test_what_is_common_does_not_average_out() -> None:
     stated = with_uncertainty(measured())
     spread = stated.values["t20"].std(0, ddof=1) / 2
@@ -139,21 +119,6 @@ def test_the_finder_takes_what_is_written_as_what_it_would_have_made() -> None:
     assert written[1] == "Uncertainty of T20, EDT: as given"
     # ISO 3382-2 counts an integrated response as ten decays: 9 % more than one decay's theory.
     assert written[0] == pytest.approx(made[0], rel=0.1)
-
-
-def test_a_case_of_some_parameters_keeps_what_is_stated_of_them() -> None:
-    some = {"t20": np.full((1, 6), 1.2), "edt": np.full((1, 6), 1.1)}
-    spread = {p: np.full(6, 0.05) for p in some}
-    summary = rt.Measurement(
-        centre_frequencies=np.array(F),
-        values=some,
-        standard_deviation=spread,
-        n_sources=2,
-        n_receivers=3,
-    )
-    case = Case(room=hall(), configurations=[Configuration(name="A", measured=summary)])
-    (kept,) = case.only("t20").configurations
-    assert list(kept.measured.standard_deviation) == ["t20"]
 
 
 def test_measure_writes_them(tmp_path: Path) -> None:

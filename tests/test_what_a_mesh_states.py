@@ -111,15 +111,6 @@ def test_the_same_room_in_every_unit_of_3mf(name: str | None, tmp_path: Path) ->
     require_box(mesh.room(path))
 
 
-@pytest.mark.parametrize("name", ["metre", "millimeters", "cm", "m", "parsec", ""])
-def test_a_unit_that_3mf_does_not_have_is_refused(name: str, tmp_path: Path) -> None:
-    path = tmp_path / "room.3mf"
-    path.write_bytes(model_3mf(name, 1.0))
-    with pytest.raises(DataError, match=f'unit "{name}" is none of 3MF'):
-        mesh.room(path)
-    require_box(mesh.room(path, unit=1.0))
-
-
 def test_a_unit_that_is_not_stated_is_said_with_the_box_that_it_gives(tmp_path: Path) -> None:
     path = tmp_path / "room.dxf"
     for code in (None, 0):
@@ -167,21 +158,6 @@ def test_colours_of_a_ply_are_its_materials(order: str, triangles: int, tmp_path
     )
     path.write_bytes(ply(order, triangles=triangles, colours=False))
     require_box(mesh.room(path), {"room": 94.0})
-
-
-def test_colours_of_an_off_are_its_materials(tmp_path: Path) -> None:
-    path = tmp_path / "room.off"
-    rows = ["OFF", "# a box", "8 6 0", *(" ".join(f"{x:g}" for x in c) for c in CORNERS)]
-    plain = [*rows, *(" ".join(map(str, (4, *face))) for _, face in EVERY)]
-    path.write_text("\n".join(plain))
-    require_box(mesh.room(path), {"room": 94.0})
-    rows += [" ".join(map(str, (4, *face, *COLOURS[name]))) for name, face in EVERY]
-    path.write_text("\n".join(rows))
-    found = {"colour 200 30 10": 20.0, "colour 0 255 0": 20.0, "colour 0 0 255": 54.0}
-    require_box(mesh.room(path), found)
-    path.write_text("\n".join(rows[:-1]))
-    with pytest.raises(DataError, match="13 lines for 8 corners and 6 faces"):
-        mesh.room(path)
 
 
 def gltf(materials: list[dict[str, object]]) -> bytes:
