@@ -47,14 +47,6 @@ def test_where_nothing_is_missing_the_model_is_calibrated_as_given(kept: Path) -
     assert "Nothing is added to the model." in str(result)
 
 
-def test_two_states_are_refused() -> None:
-    room, after = rt.datasets.bras_cr2()
-    times = {"t30": 1.3 * after.values["t30"]}
-    before = rt.Measurement(centre_frequencies=after.centre_frequencies, values=times)
-    with pytest.raises(rt.errors.DataError, match="two states"):
-        rt.diagnose(room, after, before=before)
-
-
 @pytest.mark.usefixtures("runs_kept")
 def test_the_command_writes_one_folder_that_apply_and_report_read(
     named: Diagnosis,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from typing import Any
 
@@ -13,11 +12,7 @@ from scipy.spatial.transform import Rotation
 import rtcal as rt
 from rtcal.acoustics.changes import enough_known, facing, kind_of
 from rtcal.acoustics.room import Surface
-from rtcal.finder import Case, Configuration, control_rooms
-from rtcal.report import of_finding
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support.errors import DataError
 
 SIDES = (6.4, 8.2, 3.4)
 X, Y, Z = 8.2 * 3.4, 6.4 * 3.4, 6.4 * 8.2
@@ -145,68 +140,6 @@ def test_objects_beside_the_box_need_no_direction() -> None:
 )
 def test_names_that_say_floor_ceiling_or_wall(name: str, kind: str | None) -> None:
     assert kind_of(name) == kind
-
-
-def measured() -> rt.Measurement:
-    """T that path tracing with little scattering gives in the room."""
-    stated = room(scattering=np.full((3, 4), 0.1))
-    walls = dict.fromkeys(("west", "east", "south", "north"), "m3")
-    tracer = PathTracing(
-        room=stated,
-        geometry=Polyhedron.shoebox(SIDES, {**walls, "floor": "m1", "ceiling": "m2"}),
-        sources={"S1": (2.0, 2.5, 1.5)},
-        receivers={"R1": (4.6, 6.0, 1.2), "R2": (3.2, 5.4, 1.3), "R3": (5.0, 1.6, 1.4)},
-        n_paths=4000,
-    )
-    heard = tracer.simulate(stated.alpha, seed=1)
-    values = {p: heard.values[p].mean(axis=0, keepdims=True) for p in ("t20", "edt")}
-    return rt.Measurement(centre_frequencies=F, values=values, n_sources=1, n_receivers=3)
-
-
-@pytest.fixture(scope="module")
-def of_room() -> rt.Measurement:
-    return measured()
-
-
-def case_of(stated: rt.Room, of_room: rt.Measurement) -> Case:
-    return Case(room=stated, configurations=[Configuration(name="A", measured=of_room)])
-
-
-@pytest.mark.long
-def test_a_search_finds_the_field_whatever_says_the_directions(of_room: rt.Measurement) -> None:
-    """Floor and ceiling absorb, walls do not, and the field is not diffuse: found, or not judged."""
-    cases = {way: case_of(stated, of_room) for way, stated in WAYS.items()}
-    controls = control_rooms(cases["axes"])
-    for way in ("axes", "dimensions alone", "names of surfaces"):
-        found = rt.find(cases[way], controls=controls)
-        assert found.family == "field", way
-        assert found.names[0] == "non-diffuse field", way
-        assert not found.not_judged
-    untold = case_of(room(), of_room)
-    assert not untold.directions_known
-    found = rt.find(untold, controls=control_rooms(untold))
-    reason = found.not_judged["non-diffuse field"]
-    assert "nothing says in which direction" in reason
-    assert "non-diffuse field" not in found.probabilities
-    assert found.to_dict()["not_judged"] == {"non-diffuse field": reason}
-    for text in (" ".join(str(found).split()), found._repr_html_()):
-        assert "Not judged: non-diffuse field, because nothing says" in text
-        assert "coupled room may stand for it" in text
-    assert any("Not judged" in said for said in of_finding.rests_on(found, None))
-
-
-def test_directions_survive_being_saved_and_changed(of_room: rt.Measurement) -> None:
-    for stated, known in ((WAYS["dimensions alone"], True), (room(), False)):
-        case = case_of(stated, of_room)
-        again = Case.from_dict(json.loads(case.to_json()))
-        for other in (again, replace(case, climate_uncertainty=(1.0, 5.0)), case.only("t20")):
-            assert other.directions_known is known
-            assert np.array_equal(other.facing, case.facing, equal_nan=True)
-
-
-def test_an_effect_that_cannot_be_judged_cannot_be_the_only_one(of_room: rt.Measurement) -> None:
-    with pytest.raises(DataError, match="cannot be judged: nothing says in which direction"):
-        rt.find(case_of(room(), of_room), only=["non-diffuse field"], without=["unknown"])
 
 
 def a_room(names, areas, **more) -> rt.Room:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -12,22 +11,18 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.stats import chi2, multivariate_t
-from threadpoolctl import threadpool_info
 
 import rtcal as rt
 from rtcal.finder import (
     Absorber,
     Case,
-    ChangedMaterial,
     Configuration,
     plan,
     recalibrate,
     verify,
 )
-from rtcal.finder.apply import corrected_case
-from rtcal.finder.claim import LEADING, MISTAKE
+from rtcal.finder.claim import MISTAKE
 from rtcal.finder.effects import (
-    AppliedEffect,
     CoupledDecay,
     Opening,
     Porous,
@@ -49,7 +44,6 @@ from rtcal.finder.means.problem import (
 )
 from rtcal.finder.model import DirectionalDecay, RoomState, predict, sensitivities
 from rtcal.finder.search import find
-from rtcal.finder.verification import residual_map, reverberation_times
 from rtcal.support.errors import DataError
 from tests.conftest import also
 
@@ -371,31 +365,6 @@ def test_an_opening_is_found_added_and_its_alpha_left_alone() -> None:
         nothing.apply()
 
 
-def test_t_alone_proves_nothing_and_the_record_says_so() -> None:
-    case = opened(25.0).only("t20")
-    finding = find(case, effects=[Opening()], controls=controls_of(case))
-    seen = verify(finding)
-    assert seen.verdict == "not tested"
-    record = json.loads(json.dumps(seen.to_dict(), allow_nan=False))
-    assert record["verdict"] == "not tested"
-    assert record["before_jnd"] is None
-    assert "held out" not in str(seen)
-    assert " plain " not in str(seen)  # a model has the name that it has at positions
-    times = reverberation_times(finding, *seen.calibrations)
-    measured = case.configurations[0].measured.mean("t20")
-    np.testing.assert_allclose(times["measured"], measured)
-    np.testing.assert_allclose(times["plain"], measured, rtol=1e-6)
-    np.testing.assert_allclose(times["corrected"], measured, rtol=0.05)
-    assert (np.array(times["prior"]) > 1.1 * measured).all()
-    # A residual has the sign of a gap: the model has the longer T.
-    assert (finding.residuals[0, 0] > 0).all()
-    assert "(model - measured)" in str(finding)
-    before = np.abs(finding.residuals[0, 0])
-    after = residual_map(seen)
-    assert np.nanmax(np.abs(after)) < 0.3 * before.max()
-    assert record["corrected"]["effects"][0]["size_interval"][0] < 25
-
-
 def test_added_twice_is_added_once_and_survives_a_file(tmp_path: Path) -> None:
     case = opened()
     finding = find(case, effects=[Opening()], controls=controls_of(case))
@@ -475,22 +444,6 @@ def test_the_plan_says_what_change_of_t_each_size_makes() -> None:
         assert 0.01 < planned.reached["opening"] < 1
 
 
-def test_what_no_effect_explains_is_said_so() -> None:
-    """The best effect of a gross mistake is still a best: the notes say what to look for."""
-    case = opened()
-    finding = find(case, controls=controls_of(case))
-    assert not {r.code for r in finding.reasons} & {"not explained", MISTAKE, LEADING}
-    assert finding.mistake is None
-    measured = case.configurations[0].measured
-    times = {k: 10 * v for k, v in measured.values.items()}
-    errors = {k: 10 * v for k, v in measured.uncertainty.items()}
-    wrong = replace(measured, values=times, uncertainty=errors)
-    tenfold = replace(case, configurations=[replace(case.configurations[0], measured=wrong)])
-    finding = find(tenfold, controls=controls_of(tenfold))
-    assert finding.verdict not in ("named", "family")
-    assert finding.mistake == finding.reasons[0]
-
-
 def absorbing_room(share: float, *, alike: bool, shape: bool) -> rt.finder.Finding:
     """An absorber on a share of all surfaces, or its median factor of T in every band."""
     room = opened().room
@@ -524,14 +477,6 @@ def test_the_same_large_factor_in_every_band_is_no_more_than_a_hint(
     assert finding.reasons[0].code == MISTAKE
 
 
-def test_a_box_that_is_entered_twice_as_large_is_doubted() -> None:
-    """Its T is twice what was measured, or a little less: added absorption had been claimed."""
-    case = case_with(rt.Eyring().reverberation_time(opened().room) / 1.95)
-    finding = find(case, controls=controls_of(case))
-    assert finding.verdict not in ("named", "family")
-    assert finding.reasons[0].code == MISTAKE
-
-
 def test_a_noise_floor_that_makes_t_many_times_longer_is_named() -> None:
     """T20 is 2.9 times the model's: the decay's bend tells a noise floor from a mistake."""
     case = opened()
@@ -559,31 +504,6 @@ def test_surprise_is_chi_square_s() -> None:
     assert probability == pytest.approx(chi2.sf(square, len(off)), rel=1e-9)
 
 
-def test_a_field_of_walls_that_absorb_nothing_decays() -> None:
-    hard = made(alpha=np.zeros_like(ALPHA))
-    decay = DirectionalDecay.together([hard], [DirectionalDecay(0.1)])
-    assert np.isfinite(decay.weights).all()
-    assert (decay.rates > 0).all()
-
-
-def test_what_a_room_cannot_hold_is_said() -> None:
-    case = opened()
-    coupled = AppliedEffect("coupled room", {"aperture": 8.0, "volume": 300.0, "alpha": 0.05})
-    opening = AppliedEffect("opening", {"area": 8.0})
-    assert not corrected_case(replace(case, applied=(opening,))).notes
-    low = AppliedEffect("resonator", {"area": 8.0, "resonance": 100.0, "quality": 3.0})
-    (hidden,) = corrected_case(replace(case, applied=(low,))).notes
-    assert hidden.code == "hides wall"
-    assert "2000 Hz" in hidden.values["bands"]
-    larger = replace(case, applied=(AppliedEffect("area", {"material": 0.0, "ratio": 2.0}),))
-    changed = {"material": case.room.materials[0], "now": 2 * case.room.areas[0]}
-    assert changed.items() <= corrected_case(larger).notes[-1].values.items()
-    (decay,) = corrected_case(replace(case, applied=(coupled,))).notes
-    assert str(decay) == "Coupled room: a room's file has surfaces and air only."
-    sabine = replace(case, applied=(AppliedEffect("formula", {"equation": 0.0}),))
-    assert "sabine" in str(corrected_case(sabine).notes[0])
-
-
 def test_bands_without_a_trustworthy_t_are_dropped_and_named() -> None:
     case = opened()
     first = case.configurations[0]
@@ -602,44 +522,6 @@ def test_bands_without_a_trustworthy_t_are_dropped_and_named() -> None:
     assert observed.used[0, 0, 2:].all()
     assert any("125 Hz dropped: no T20" in str(n) for n in notes)
     assert any("250 Hz dropped: T is known to 50 %" in str(n) for n in notes)
-
-
-def test_the_search_holds_blas_to_one_thread() -> None:
-    seen: list[set[int]] = []
-
-    class Watching(Opening):
-        def spectrum(self, frequencies: np.ndarray, parameters: Mapping[str, float]) -> np.ndarray:
-            pools = threadpool_info()
-            seen.append({p["num_threads"] for p in pools if p["user_api"] == "blas"})
-            return np.ones_like(frequencies)
-
-    case = opened()
-    for call in (
-        lambda: find(case, effects=[Watching()], controls=controls_of(case)),
-        lambda: plan(case, effects=[Watching()]),
-    ):
-        seen.clear()
-        call()
-        assert seen
-        assert all(threads == {1} for threads in seen)
-
-
-def test_covariances_of_many_configurations_are_those_of_their_pairs() -> None:
-    case = opened()
-    (c,) = case.configurations
-    change = ChangedMaterial(ALPHA[1] * 1.3, np.full(7, 0.02))
-    several = [replace(c, name=str(i), changes={"b": change} if i == 1 else {}) for i in range(43)]
-    few = predict_hypotheses(replace(case, configurations=several[:3]), [Opening()])
-    many = predict_hypotheses(replace(case, configurations=several), [Opening()])
-    part = slice(1, 4)
-    wanted = few.log_time_errors(part)[0]
-    got = many.log_time_errors(part)[0]
-    assert got.shape == (3, 43 * 7, 43 * 7)
-    np.testing.assert_allclose(got[:, :21, :21], wanted, rtol=1e-9, atol=1e-15)
-    # The changed material is independent of itself elsewhere.
-    diagonal = np.arange(7)
-    assert (wanted[:, diagonal, 7 + diagonal] < wanted[:, diagonal, 14 + diagonal]).all()
-    np.testing.assert_allclose(wanted, wanted.swapaxes(1, 2), rtol=1e-12)
 
 
 def test_a_case_too_large_is_refused_before_the_work() -> None:

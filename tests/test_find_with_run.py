@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,9 +17,7 @@ from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import features_of, observe
 from rtcal.finder.means.recalibration import plain
 from rtcal.finder.verification import residual_map
-from rtcal.report import figures, of_finding
-from rtcal.report.document import Section, render
-from rtcal.report.finding_words import headline
+from rtcal.report import figures
 from rtcal.report.verification_words import sentence
 from rtcal.support.errors import DataError
 
@@ -120,35 +117,6 @@ def test_what_the_equation_errs_by_is_not_blamed_on_the_room() -> None:
     assert "formula" not in finding.probabilities
 
 
-@pytest.mark.parametrize("program", ["geometrical", ""])
-def test_agreement_is_said_only_where_nothing_disagrees(program: str) -> None:
-    values = values_of(hall(), 1.25)
-    same = found(values, values, program=program)
-    (run,) = same.modelled
-    far = replace(run, values={p: 1.3 * v if p == "t20" else v for p, v in run.values.items()})
-    other = replace(same, modelled=(far,))
-    assert not same.differs
-    assert "the program agrees" in str(same).replace("\n  ", " ")
-    assert other.differs
-    said = " ".join(str(other).split())
-    assert "agrees" not in said
-    assert "the program differs from the measurement, most in T20 at" in said
-    assert "Next: Calibrate (rtcal calibrate)" in said
-
-
-def test_a_weak_indication_is_named_after_what_is_likelier() -> None:
-    values = values_of(hall())
-    hint = replace(found(values, values), verdict="hint")
-    few = {"none": 0.38, "curtain": 0.09, "opening": 0.04}
-    (said,) = headline(replace(hint, probabilities=few))
-    assert said == (
-        "Nothing is identified: that nothing is missing is likelier (38 %) than the most probable "
-        "candidate, curtain (9 %)."
-    )
-    first, _ = headline(replace(hint, probabilities={"curtain": 0.5, "none": 0.38}))
-    assert first == "Nothing is identified; curtain (50 %) is only a weak indication."
-
-
 def test_what_is_missing_from_the_run_is_found_all_the_same() -> None:
     run = values_of(hall(), 1.25)
     finding = found(with_absorber(run), run)
@@ -173,12 +141,6 @@ def test_what_the_run_lacks_is_left_out_and_named() -> None:
     finding = found(values, run)
     assert np.isnan(finding.residuals[0, 3]).all()
     assert any(str(n) == '"as measured": C80 left out, which the run lacks.' for n in finding.notes)
-
-
-def test_t30_of_the_one_is_not_compared_with_t20_of_the_other() -> None:
-    values = values_of(hall())
-    with pytest.raises(DataError, match="T20 is compared with T20 alone"):
-        found({"t20": values["t20"]}, {"t30": values["t30"]})
 
 
 def test_calibrations_meet_the_measurement_in_the_terms_of_the_run() -> None:
@@ -345,71 +307,3 @@ def test_a_second_run_that_has_what_calibrating_lacks_supports_the_finding(
     assert made.verdict == "supported", str(made)
     without = run_of(absorber, effect=False, off=0.97 * off)
     assert verify(absorber, case, simulated=without).verdict != "supported"
-
-
-def test_what_a_second_run_lacks_is_said(absorber: Finding) -> None:
-    values = {p: v[0] for p, v in absorber.case.configurations[0].measured.values.items()}
-
-    def run(*names: str) -> rt.Measurement:
-        return rt.Measurement.from_values(F, **{n: values[n] for n in names})
-
-    lacking = verify(absorber, simulated=run("t20", "edt"))
-    assert lacking.verdict == "not tested"
-    assert "a second run lacks what the finding was not fitted to (C80 and G)" in sentence(lacking)
-    assert "T30, C80 and G left out, which a second run lacks." in lacking.notes
-    assert "lacks what" not in sentence(verify(absorber, simulated=run("t20", "c80")))
-    with pytest.raises(DataError, match="simulated has no T20, which was measured; it has EDT"):
-        verify(absorber, simulated=run("edt", "c80"))
-    first = absorber.case.configurations[0].simulated
-    assert first is not None
-    with pytest.raises(DataError, match="the corrected run is the first run"):
-        verify(absorber, simulated=first.simulated)
-
-
-def test_the_effect_that_was_added_is_verified(tmp_path: Path) -> None:
-    values = values_of(hall())
-    several = found(with_absorber(values), values, without=())
-    other = next(n for n in several.names if n != several.best_effect)
-    made = verify(several, simulated=several.case.configurations[0].measured, effect=other)
-    assert made.corrected is not None
-    assert [p.name for p in made.corrected.case.applied] == [other]
-    assert "What was verified: " in str(made)
-    with pytest.raises(DataError, match="is no candidate"):
-        verify(several, effect="moon")
-    _, _, files = of_finding.correct(several, tmp_path, effect=other)
-    text = " ".join(files[tmp_path / "instructions.txt"].decode().split())
-    assert f'rtcal verify FOUND --effect "{other}" --simulated' in text
-
-
-def test_a_second_run_needs_a_first_one(absorber: Finding) -> None:
-    first = absorber.case.configurations[0]
-    without = replace(first, simulated=None)
-    bare = replace(absorber, case=replace(absorber.case, configurations=[without]))
-    with pytest.raises(DataError, match="the finding has no run"):
-        verify(bare, simulated=first.measured)
-    with pytest.raises(DataError, match="calibrated is a run to be compared"):
-        verify(absorber, calibrated=first.measured)
-
-
-def test_instructions_are_in_the_terms_of_the_program(absorber: Finding, tmp_path: Path) -> None:
-    """The list's old coefficients are those of the run; a run with the new ones has the measured T."""
-    _, _, files = of_finding.correct(absorber, tmp_path, effect=absorber.names[0])
-    text = files[tmp_path / "instructions.txt"].decode()
-    assert "drawn larger" in " ".join(text.split())
-    assert re.search(r"^opening, 3\d\d m² +0\.6", text, re.M)
-    old = next(line for line in text.splitlines() if line.startswith("walls, old"))
-    assert [float(v) for v in old.split()[2:]] == [0.05] * 6
-    assert "means over positions do not show where" in " ".join(text.split())
-    bare = replace(absorber.case.configurations[0], simulated=None)
-    without = replace(absorber, case=replace(absorber.case, configurations=[bare]))
-    assert tmp_path / "instructions.txt" not in of_finding.correct(without, tmp_path)[2]
-
-
-def test_the_page_begins_with_where_run_and_measurement_disagree(absorber: Finding) -> None:
-    verification = verify(absorber)
-    made = of_finding.page(absorber, verification)
-    titles = [b.title for b in made.blocks if isinstance(b, Section)]
-    assert titles[:2] == ["Where run and measurement disagree", "The finding"]
-    text = render(made)
-    assert "T20 is" in text
-    assert "Three bars of the mean deviation at data that were not fitted" in text

@@ -17,12 +17,9 @@ from rtcal.command.main import cli
 from rtcal.finder import Case, Finding, verify
 from rtcal.finder.claim import Size
 from rtcal.finder.means.engines import FOLDER
-from rtcal.finder.means.problem import distances, state
-from rtcal.finder.model import predict
 from rtcal.finder.search import find
 from rtcal.finder.verification import Miss, Verification, of_means
 from rtcal.report import of_finding
-from rtcal.report.finding_words import evidence, headline
 from tests.conftest import candidates_of
 
 pytestmark = pytest.mark.usefixtures("runs_kept")
@@ -78,44 +75,12 @@ def test_the_commands_find_add_and_prove(folder: Path) -> None:
     assert run("find", case, "--quiet") == ""
 
 
-def test_sizes_are_of_what_has_a_row_and_no_number_is_minus_zero(finding: Finding) -> None:
-    found = finding
-    assert "m² of absorption area at 1 kHz (90 %" in str(found)
-    vague = dict.fromkeys(found.probabilities, 0.01)
-    nothing = replace(found.detection, score=-0.01, parts={})
-    assert "m² of absorption area at 1 kHz (90 %" not in str(replace(found, probabilities=vague))
-    alone = replace(found, verdict="unknown", effects={"air": found.effects["air"]})
-    assert headline(alone)[0].endswith("air does not explain it.")
-    assert "no effect of the library" in headline(replace(found, verdict="unknown"))[0]
-    assert "missing are even" in evidence(replace(found, detection=nothing))
-
-
 @pytest.mark.long
 def test_evidence_without_one_band_is_without_it(kept: Path) -> None:
     found = rt.find(*rt.datasets.bras_cr2(), only=["membrane"], cache=kept)
     said = " ".join(str(found).split())
     assert "Panel absorber rests on 125 Hz, below Schroeder's frequency" in said
     assert "nats" not in said
-
-
-@pytest.mark.long
-def test_the_report_is_written_whole(folder: Path) -> None:
-    pytest.importorskip("matplotlib", reason="needs the extra report")
-    pytest.importorskip("jinja2", reason="needs the extra report")
-    run("find", str(folder / "case.toml"), "--out", str(folder / "out"))
-    names = {p.name for p in (folder / "out").iterdir() if not p.name.startswith(".rtcal_files")}
-    # An opening bends no decay, so none is drawn.
-    assert {
-        "result.json",
-        "gap.png",
-        "report.html",
-        "reverberation_time.png",
-        "shifts.png",
-    } == names
-    page = (folder / "out" / "report.html").read_text(encoding="utf-8")
-    saved = rt.load(folder / "out" / "result.json")
-    assert len(page) < 2_000_000
-    assert saved.quantities
 
 
 @pytest.mark.parametrize(
@@ -285,28 +250,6 @@ def test_what_the_finding_was_fitted_to_tests_nothing(folder: Path) -> None:
     later = verify(rt.find(times, cache=folder), case)
     assert later.held_out == ("what was not in the search",)
     assert held_out(later) == {"C80", "G"}
-
-
-@pytest.mark.long
-def test_a_sound_model_is_no_input_error(folder: Path) -> None:
-    case = Case.from_file(str(folder / "case.json"))
-    where = case.configurations[0]
-    seen = predict([state(case, where)], distances(case, where)).reverberation_time[0]
-    path, out = folder / "sound.json", folder / "never"
-    four = [("S", f"R{i}") for i in range(4)]
-    sound = {
-        "name": "input",
-        "measured": {"pairs": four, "values": {"t20": [seen.tolist()] * 4}},
-    }
-    path.write_text(json.dumps(case.to_dict() | {"configuration": [sound]}))
-    found = str(folder / "nothing.json")
-    run("find", str(path), "--out", found)
-    assert run("verify", found).startswith("Nothing to add: nothing is identified as missing")
-    assert json.loads(run("verify", found, "--json"))["verdict"] is None
-    done = CliRunner().invoke(cli, ["apply", found, "--out", str(out)])
-    assert done.exit_code == 6
-    assert done.output.startswith("Nothing to add")
-    assert not out.exists()
 
 
 def test_a_plan_needs_no_measurement(folder: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +9,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.command.main import cli
 from rtcal.finder import (
     Absorber,
     Case,
@@ -25,11 +22,10 @@ from rtcal.finder import (
 )
 from rtcal.finder.apply import corrected_case
 from rtcal.finder.effects import AppliedEffect, Opening
-from rtcal.finder.means.engines import FOLDER, ControlRooms, Engine
 from rtcal.finder.means.problem import ModelDiscrepancy, state
 from rtcal.finder.model import Decay, RoomState
 from rtcal.finder.search import find
-from rtcal.support.errors import DataError, OtherBandsWarning, RtcalError
+from rtcal.support.errors import DataError, RtcalError
 from tests.test_discrepancy import F, Organ, case_with, controls_of, opened
 
 
@@ -240,157 +236,8 @@ def test_what_is_no_effect_is_refused(effects: Any, place: str) -> None:
 
 # The case's file.
 
-ROOM = """name = "hall"
-volume = 300
-centre_frequencies = [250, 500, 1000]
-{dimensions}
-[[material]]
-name = "floor"
-area = 100
-alpha = [0.1, 0.2, 0.2]
-sigma = [0.02, 0.02, 0.02]
-[[material]]
-name = "rest"
-area = 180
-alpha = [0.1, 0.1, 0.1]
-sigma = [0.02, 0.02, 0.02]
-"""
-TABLE = "source,receiver,parameter,band,value\n" + "".join(
-    f"S,R{r},{p},{f},{v + 0.01 * r}\n"
-    for p, v in (("T20", 1.5), ("T30", 1.6), ("EDT", 1.4), ("C80", 2.0), ("G", 12.0))
-    for r in (1, 2)
-    for f in (250, 500, 1000)
-)
-MEASURED = '[[configuration]]\nname = "as built"\nmeasured = "t.csv"\n'
-PLANNED = '[[configuration]]\nname = "to do"\nparameters = ["t20"]\n'
-
-
-def written(folder: Path, case: str, room: str = ROOM, table: str = TABLE) -> Path:
-    (folder / "room.toml").write_text(room.replace("{dimensions}", ""), encoding="utf-8")
-    (folder / "t.csv").write_text(table, encoding="utf-8")
-    (folder / "case.toml").write_text('room = "room.toml"\n' + case, encoding="utf-8")
-    return folder / "case.toml"
-
-
-def test_bands_that_were_not_measured_are_left_empty(tmp_path: Path) -> None:
-    """A band without a row is a band without a value; a room in fewer bands does as well."""
-    kept = [line for line in TABLE.splitlines() if ",1000," not in line]
-    few = "\n".join(kept) + "\n"
-    path = written(tmp_path, MEASURED, table=few)
-    t20 = Case.from_file(str(path)).configurations[0].measured.mean("t20")
-    np.testing.assert_array_equal(np.isfinite(t20), [True, True, False])
-    path = written(tmp_path, MEASURED, table=few + "S,R1,T20,1000,\n")
-    t20 = Case.from_file(str(path)).configurations[0].measured.mean("t20")
-    np.testing.assert_array_equal(np.isfinite(t20), [True, True, False])
-    room = ROOM.replace(", 1000]", "]").replace("2, 0.2]", "2]").replace("1, 0.1]", "1]")
-    room = room.replace("2, 0.02]", "2]")
-    assert Case.from_file(str(written(tmp_path, MEASURED, room, few))).room.n_bands == 2
-
-
-def test_a_case_takes_the_bands_that_calibrate_takes(tmp_path: Path) -> None:
-    """Measured thirds, a band too many: the same rule and the same T in both, and both say it."""
-    rows = ["source,receiver,parameter,band,value"]
-    thirds = {200: 1.2, 250: 1.5, 315: 1.4, 400: 1.3, 500: 1.1, 630: 1.2, 5000: 0.7}
-    rows += [f"S,R1,T20,{f},{t}" for f, t in thirds.items()]
-    path = written(tmp_path, MEASURED, table="\n".join(rows) + "\n")
-    with pytest.warns(OtherBandsWarning, match=r"from third-octaves to octaves.*5000 Hz"):
-        case = Case.from_file(str(path))
-    measured = rt.Measurement.from_file(str(tmp_path / "t.csv"))
-    result = rt.calibrate(case.room, measured)
-    t20 = case.configurations[0].measured.mean("t20")
-    np.testing.assert_allclose(t20, result.measured, rtol=1e-14)
-    np.testing.assert_allclose(1 / t20[0], np.mean([1 / 1.2, 1 / 1.5, 1 / 1.4]), rtol=1e-14)
-    assert np.isnan(t20[2])
-    assert result.measured_data.ignored == (5000.0,)
-
-
-def test_distances_stay_within_a_box_s_diagonal(tmp_path: Path) -> None:
-    room = ROOM.replace("{dimensions}", "dimensions = [10, 6, 5]")
-    Case.from_file(str(written(tmp_path, MEASURED + "distances = [12, 3]\n", room)))
-    path = written(tmp_path, MEASURED + "distances = [13, 3]\n", room)
-    refused(lambda: Case.from_file(str(path)), "13 m; at most 12.7 m, the room's diagonal")
-
-
-def test_a_plan_of_a_room_that_swallows_all_is_refused_in_one_line(tmp_path: Path) -> None:
-    """A litre with 280 m² of walls: no decay, and no warning of numpy's."""
-    path = written(tmp_path, PLANNED, ROOM.replace("volume = 300", "volume = 1e-3"))
-    refused(lambda: plan(Case.from_file(str(path))), "no finite T, C80 and G", "0.001 m³")
-
-
-def test_a_saved_case_keeps_what_its_measurement_is(tmp_path: Path) -> None:
-    """A summary's spread tells how uncertain T is; a plan's values are none."""
-    case = opened()
-    t20 = case.configurations[0].measured.mean("t20")
-    summary = rt.Measurement(
-        centre_frequencies=F,
-        values={"t20": t20[None]},
-        standard_deviation={"t20": 0.3 * t20},
-        n_sources=1,
-        n_receivers=4,
-    )
-    room = case.room.replace(alpha_min=0.1 * case.room.alpha, scattering=0 * case.room.alpha + 0.3)
-    spread = replace(
-        case, room=room, configurations=[replace(case.configurations[0], measured=summary)]
-    )
-    spread.save(str(tmp_path / "spread.json"))
-    loaded = Case.from_file(str(tmp_path / "spread.json"))
-    again = loaded.configurations[0].measured
-    np.testing.assert_array_equal(again.mean_uncertainty("t20"), summary.mean_uncertainty("t20"))
-    assert again.pairs == summary.pairs
-    np.testing.assert_array_equal(loaded.room.alpha_min, room.alpha_min)
-    np.testing.assert_array_equal(loaded.room.scattering, room.scattering)
-
-    planned = replace(case, configurations=[replace(case.configurations[0], planned=True)])
-    planned.save(str(tmp_path / "planned.json"))
-    loaded = Case.from_file(str(tmp_path / "planned.json"))
-    refused(lambda: find(loaded, controls=controls_of(case)), "it can only be planned")
-
 
 # Reference rooms that were simulated before.
-
-
-@pytest.mark.long
-def test_commands_simulate_a_case_s_control_rooms_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    opened().save(str(tmp_path / "case.json"))
-    runs: list[str] = []
-
-    def run(self: Engine, case: Case, seed: int, progress: Any = None) -> ControlRooms:
-        runs.append(self.name)
-        (rooms,) = (c for c in controls_of(case) if c.engine == "one")
-        return ControlRooms(self.name, rooms.errors)
-
-    monkeypatch.setattr(Engine, "run", run)
-    path = str(tmp_path / "case.json")
-
-    def command(*words: str) -> str:
-        done = CliRunner().invoke(cli, [*words, "--quiet", "--json"])
-        assert done.exit_code == 0, done.output
-        return done.stdout
-
-    said = command("find", path)
-    assert runs == ["path tracing", "image sources"]
-    assert command("find", path) == said
-    found = str(tmp_path / "found.json")
-    assert command("find", path, "--out", found) != ""
-    command("verify", found)
-    command("apply", found, "--out", str(tmp_path / "out"))
-    assert runs == ["path tracing", "image sources"]
-    assert command("find", path, "--seed", "1") == said  # nothing is drawn
-    assert runs == ["path tracing", "image sources"]
-    # Another case has rooms of its own.
-    command("find", str(tmp_path / "out" / "case.json"))
-    assert len(runs) == 4
-    # Damaged files and a deleted folder only cost the time to simulate again.
-    folder = tmp_path / FOLDER
-    for file in folder.iterdir():
-        file.write_bytes(file.read_bytes()[:50])
-    assert command("find", path) == said
-    assert len(runs) == 6
-    shutil.rmtree(folder)
-    assert command("find", path) == said
-    assert len(runs) == 8
 
 
 # Arguments of the wrong kind.

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from rtcal.command.main import cli
-from rtcal.finder import Case, plan
 from rtcal.finder import evidence as densities
+from rtcal.finder import plan
 from rtcal.finder.means.planning import COSTS, Information, extended, possible
 from rtcal.finder.means.problem import Moments
 from rtcal.finder.search import find
-from rtcal.support.errors import DataError
 from tests.test_several_effects import BOTH, FEW, case_with, compared, controls_of
 
 
@@ -125,52 +121,3 @@ def test_a_planned_configuration_is_among_what_can_be_measured() -> None:
     kinds = {str(p.measurement): p for p in plan(case, planned=[bare]).proposals}
     same = next(p for p in kinds.values() if p.kind == "removed")
     assert kinds['configuration "bare"'].information == pytest.approx(same.information, abs=0.1)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({"costs": {"a rest": 1.0}}, 'costs has "a rest"'),
-        ({"costs": {"G": 0.0}}, r'costs\["G"\] = 0'),
-    ],
-)
-def test_bad_costs_are_refused(arguments: dict[str, object], words: str) -> None:
-    with pytest.raises(DataError, match=words):
-        plan(case_with(), **arguments)  # type: ignore[arg-type]
-
-
-def test_a_finding_of_another_case_is_refused() -> None:
-    case = case_with(*BOTH)
-    found = find(case, only=FEW, controls=controls_of(case), most=3)
-    with pytest.raises(DataError, match="finding is of another case"):
-        plan(case_with(), finding=found)
-
-
-@pytest.mark.long
-def test_the_command_proposes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    case: Case = case_with(*BOTH).only("t20", "edt")
-    monkeypatch.setattr(
-        "rtcal.finder.means.search.control_rooms", lambda *_a, **_k: controls_of(case)
-    )
-    path = tmp_path / "case.json"
-    case.save(str(path))
-    planned = [str(path)]
-
-    def run(*arguments: str) -> tuple[int, str]:
-        done = CliRunner().invoke(cli, ["plan", planned[-1], *arguments])
-        return done.exit_code, done.output or str(done.exception)
-
-    code, said = run("--json", "--cost", "G=0.01")
-    assert code == 0, said
-    table = json.loads(said)
-    assert next(p for p in table["proposals"] if p["kind"] == "G")["cost"] == 0.01
-    planned.append(str(tmp_path / "found.json"))
-    found = CliRunner().invoke(cli, ["find", str(path), "--most", "3", "--out", planned[-1]])
-    assert found.exit_code == 0, found.output
-    code, said = run("--json")
-    assert code == 0, said
-    assert json.loads(said)["uncertainty_nats"] < table["uncertainty_nats"]
-    assert "Best one after the other:" in run()[1]
-    code, said = run("--cost", "G")
-    assert code != 0
-    assert '--cost: "G" is not MEASUREMENT=HOURS' in said

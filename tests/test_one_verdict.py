@@ -163,16 +163,3 @@ def test_where_nothing_has_a_fair_part_nothing_is_called_missing(
 ) -> None:
     probabilities = {"none": none, "opening": effect, "furniture": 0.1}
     assert bool(too_weak(probabilities, {"none": none, "added absorption": family})) is weak
-
-
-@pytest.mark.long
-def test_a_weak_finding_is_a_hint_and_advises_nothing() -> None:
-    """In 180 stored empty rooms 12 were called ambiguous, with a first candidate of 0.1."""
-    case = rt.datasets.hidden_room()[0].only("t20", configurations=["A"])
-    # A prior that makes nothing so probable that the data do not outweigh it.
-    found = rt.find(case, prior={"none": 500.0}, without=["coefficients"])
-    assert found.score > found.threshold
-    assert found.probabilities["none"] > 1 / 3
-    assert found.verdict == "hint"
-    assert not found.detected
-    assert not found.can_be_added

@@ -9,12 +9,10 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.acoustics.room_errors import HANDBOOK_SIGMA
-from rtcal.command.main import cli
-from rtcal.finder import Case, ChangedMaterial, Configuration, library, recalibrate
+from rtcal.finder import Case, ChangedMaterial, Configuration, library
 from rtcal.finder.claim import by_family, conclude
 from rtcal.finder.effects import Audience, CoupledRoom, Opening, People, WrongVolume
 from rtcal.finder.evidence import SHARPER, log_mixture, prior_of, probability_off
@@ -30,9 +28,8 @@ from rtcal.finder.means.problem import (
 )
 from rtcal.finder.model import predict
 from rtcal.finder.search import find
-from rtcal.report.finding_words import effects_of, headline, size_of
+from rtcal.report.finding_words import effects_of, size_of
 from rtcal.support.errors import DataError
-from tests.conftest import candidates_of
 
 F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
 ALPHA = np.array([[0.05] * 6, [0.1, 0.15, 0.2, 0.3, 0.35, 0.4], [0.3, 0.2, 0.1, 0.08, 0.07, 0.06]])
@@ -82,32 +79,6 @@ def louder() -> Case:
     """A room whose coefficients are all twice what is stated at 125 Hz, and a third more at 4 kHz."""
     factor = np.geomspace(2.4, 1.6, 6)
     return case_of(room(), room(alpha=np.minimum(ALPHA * factor, 0.95)))
-
-
-@pytest.mark.long
-def test_coefficients_off_together_are_a_verdict_in_words_and_a_prior_to_go_on_from() -> None:
-    case = louder()
-    finding = find(case, only=["coefficients", "volume", "air"], controls=controls(case))
-    assert finding.probabilities["coefficients"] == max(finding.probabilities.values())
-    found = finding.candidate("coefficients")
-    assert found is not None
-    off = found.coefficients
-    assert off is not None
-    assert (off.ratio > 1.3).all()
-    name = ("coefficients",)
-    together = tuple(c for c in finding.candidates if c.effect in name)
-    sure = replace(finding, verdict="named", named=name, members=name, candidates=together)
-    assert headline(sure)[0].startswith("The input coefficients are off in common (")
-    either = replace(sure, verdict="ambiguous", candidates=(*together, *candidates_of("volume")))
-    assert "most likely coefficients off in common (" in headline(either)[0]
-    assert "Look for another source" in str(sure)
-    moved = sure.apply().case
-    assert moved.applied == ()
-    assert (moved.room.alpha >= case.room.alpha).all()
-    true = np.array(ALPHA * np.geomspace(2.4, 1.6, 6))
-    before, after = (np.abs(np.log(a / true)).mean() for a in (ALPHA, moved.room.alpha))
-    assert after < 0.6 * before
-    assert np.isfinite(recalibrate(moved).alpha).all()
 
 
 def test_measured_coefficients_are_hardly_off_together() -> None:
@@ -162,35 +133,6 @@ def test_a_grid_twice_as_fine_changes_no_probability() -> None:
     fine = find(case, effects=[FineOpening(), FineVolume(), CoupledRoom()], controls=controls(case))
     for name, p in coarse.probabilities.items():
         assert fine.probabilities[name] == pytest.approx(p, abs=0.02), name
-
-
-@pytest.mark.long
-def test_effects_can_be_left_out_and_their_odds_stated() -> None:
-    case = louder()
-    rooms = controls(case)
-    usual = find(case, controls=rooms)
-    assert "air" not in find(case, without=["air"], controls=rooms).probabilities
-    few = find(case, only=["opening", "volume"], controls=rooms)
-    assert set(few.effects) == {"opening", "volume"}
-    assert few.probabilities["coefficients"] == 0
-    likelier = find(case, prior={"opening": 20.0}, controls=rooms)
-    assert likelier.probabilities["opening"] > 2 * usual.probabilities["opening"]
-    for bad, words in (
-        ({"without": ["organ"]}, 'without has "organ"'),
-        ({"only": ["organ"]}, 'only has "organ"'),
-        ({"prior": {"organ": 1.0}}, 'prior has "organ"'),
-        ({"prior": {"opening": 0.0}}, "above 0"),
-        ({"without": [e.name for e in library()]}, "no effect to try"),
-    ):
-        with pytest.raises(DataError, match=words):
-            find(case, controls=rooms, **bad)
-
-
-def test_odds_on_the_command_line_are_effect_and_number(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    path = tmp_path / "case.json"
-    louder().save(str(path))
-    with pytest.raises(DataError, match="is not EFFECT=ODDS"):
-        CliRunner().invoke(cli, ["find", str(path), "--prior", "opening"], catch_exceptions=False)
 
 
 def test_what_states_no_uncertainty_gets_it_from_theory_and_reproducibility() -> None:

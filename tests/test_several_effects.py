@@ -15,7 +15,7 @@ from scipy.stats import multivariate_t
 import rtcal as rt
 from rtcal.finder import Case, Configuration, Effect, Finding, library
 from rtcal.finder import evidence as densities
-from rtcal.finder.claim import Reason, numbers_of
+from rtcal.finder.claim import numbers_of
 from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.evidence import DEGREES, UNKNOWN, prior_of
 from rtcal.finder.means import problem
@@ -152,20 +152,6 @@ def test_a_set_has_an_error_of_the_direct_sound() -> None:
     change = problem.DIRECT_SOUND * (up - down) / 0.02
     np.testing.assert_allclose(added, change.ravel() ** 2, rtol=0.05, atol=1e-9)
     np.testing.assert_array_equal(features_of(case), features_of(case, far=1.0))
-
-
-def test_an_effect_without_a_finite_t_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = problem.predict_states
-
-    def broken(case: Case, states: Sequence[object]) -> object:
-        predicted = whole(case, states)
-        features = predicted.features.copy()
-        features[1:] = np.inf
-        return replace(predicted, features=features)
-
-    monkeypatch.setattr(problem, "predict_states", broken)
-    with pytest.raises(DataError, match=r"effect .* has no finite T"):
-        predict_hypotheses(case_with(), library()[:1])
 
 
 def at_the_points(c: MeansProblem) -> MeansProblem:
@@ -316,19 +302,6 @@ def test_a_shaded_direct_sound_is_no_second_effect() -> None:
     assert found.numbers[2] < 0.5
 
 
-@pytest.mark.long
-def test_likely_pairs_are_evaluated_deeply_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As if all of their parameters were evaluated."""
-    coupled = {"aperture": 10.0, "volume": 400.0, "alpha": 0.2}
-    case = case_with(AppliedEffect("coupled room", coupled), BOTH[0])
-    c = compared_case(case, [e for e in library() if e.name in ("volume", "coupled room", "air")])
-    prior = prior_of(case.room, list(c.predicted.effects.values()), {})
-    some = posterior_of_sets(c, prior, most=2).sets
-    monkeypatch.setattr("rtcal.finder.means.problem.KEPT", ((0.0, 1.0, 10_000),))
-    every = posterior_of_sets(c, prior, most=2).sets
-    assert sum(abs(p - some[s]) for s, p in every.items()) < 0.02
-
-
 def test_alpha_is_the_posterior_mean_of_the_linear_model() -> None:
     c = compared(BOTH[0])
     near = [abs(p["ratio"] - 1.3) for p in c.predicted.parameters if set(p) == {"ratio"}]
@@ -361,19 +334,6 @@ def test_three_effects_are_tried_where_two_do_not_explain_the_measurement() -> N
     assert len(sought(case, only, most=2).members) == 2
 
 
-@pytest.mark.parametrize(
-    ("argument", "value", "words"),
-    [
-        ("most", 4, "most = 4 is not from 1 to 3"),
-        ("most", 0, "most = 0"),
-    ],
-)
-def test_bad_numbers_of_effects_are_refused(argument: str, value: float, words: str) -> None:
-    case = case_with()
-    with pytest.raises(DataError, match=words):
-        sought(case, **{argument: value})
-
-
 def test_odds_of_none_are_those_of_no_effect_against_a_poisson_number() -> None:
     """The evidence of sets with one number does not depend on the prior of that number."""
     case = case_with()
@@ -390,25 +350,6 @@ def test_a_decay_that_the_second_room_decides_can_be_calibrated() -> None:
     coupled = AppliedEffect("coupled room", {"aperture": 8.0, "volume": 900.0, "alpha": 0.02})
     case = replace(case_with(coupled), applied=[coupled])
     np.testing.assert_allclose(rt.finder.recalibrate(case).alpha, ALPHA, atol=0.01)
-
-
-@pytest.mark.parametrize(
-    ("code", "families", "together"),
-    [("too large", {"scale", "measurement"}, ("measurement", "scale")), ("gap grows", set(), ())],
-)
-def test_a_doubt_of_a_size_leaves_the_families_of_a_set_claimed(
-    code: str, families: set[str], together: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As of one effect: a doubt of the size or the fit speaks against no family."""
-    values = {"effect": "volume", "share": 1.0, "most": 0.5, "before": 1.0, "after": 2.0}
-    doubt = Reason(code, values)
-    monkeypatch.setattr("rtcal.finder.means.search.doubts", lambda *_: (doubt,))
-    found = sought(case_with(*BOTH))
-    assert found.named == ()
-    assert {f.split(",")[0] for f in found.named_families} == families
-    assert found.named_set == together
-    assert found.verdict == ("family" if families else "ambiguous")
-    assert found.reasons == (doubt,)
 
 
 def test_a_single_effect_is_a_set_of_one() -> None:

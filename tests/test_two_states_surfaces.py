@@ -10,7 +10,6 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder.finding import Finding
-from rtcal.finder.states import sets_of
 from rtcal.report.finding_words import headline
 from rtcal.simulators import PathTracing
 from rtcal.support.types import Array
@@ -84,18 +83,6 @@ def test_the_wall_that_changed_is_claimed_and_no_other(finding: Finding) -> None
     np.testing.assert_allclose(sum(finding.sets.values()), 1, rtol=1e-9)
 
 
-@pytest.mark.long
-def test_in_the_other_order_it_is_the_same_wall(
-    finding: Finding, states: tuple[rt.Measurement, rt.Measurement]
-) -> None:
-    model = finding.case.simulator
-    back = rt.find(finding.case.room, states[0], model, before=states[1])
-    assert back.family is not None
-    assert back.family.startswith("removed")
-    assert back.identified_surfaces == ("east",)
-    assert dict(back.surfaces) == pytest.approx(dict(finding.surfaces), rel=1e-9)
-
-
 def test_without_the_directivity_something_changed_but_no_surface_is_told(
     states: tuple[rt.Measurement, rt.Measurement],
 ) -> None:
@@ -104,38 +91,6 @@ def test_without_the_directivity_something_changed_but_no_surface_is_told(
     assert found.detected
     assert found.surfaces == {}
     assert any("S1, S2, S3 and 3 more is not given" in str(note) for note in found.notes)
-
-
-@pytest.mark.long
-def test_another_gain_is_a_caution_whether_something_changed_or_not(
-    states: tuple[rt.Measurement, rt.Measurement],
-) -> None:
-    model = simulator(dict.fromkeys(PLACES, POINT))
-    for state in states:
-        other = np.array([3.0 * (source == "S1") for source, _ in state.pairs])[:, np.newaxis]
-        noise = 0.001 * np.random.default_rng(1).standard_normal(state.values["t20"].shape)
-        louder = {"t20": state.values["t20"] * (1 + noise), "g": state.values["g"] + other}
-        after = replace(state, values={**state.values, **louder})
-        found = rt.find(model.room, after, model, before=states[0])
-        assert found.detected == (state is states[1])
-        assert found.reasons[0].code == "gains differ"
-        assert str(found).count("Caution: The level of S1 (by +") == 1
-
-
-def test_where_several_surfaces_may_have_changed_their_sum_is_explained(
-    finding: Finding,
-) -> None:
-    some = replace(finding, surfaces={"north": 0.7, "south": 0.6})
-    assert "several may have changed together" in " ".join(str(some).split())
-    assert "probability that nothing changed" not in " ".join(headline(finding))
-    open_ = replace(finding, probabilities={**finding.probabilities, "none": 0.12})
-    assert headline(open_)[-1] == "The probability that nothing changed is 12 %."
-
-
-def test_a_finding_with_surfaces_is_saved_and_loaded(finding: Finding, tmp_path) -> None:
-    again = rt.load(finding.save(tmp_path))
-    assert again.surfaces == finding.surfaces
-    assert str(again) == str(finding)
 
 
 def test_the_changed_room_has_the_claimed_wall_as_a_material(finding: Finding, tmp_path) -> None:
@@ -154,18 +109,3 @@ def test_the_changed_room_has_the_claimed_wall_as_a_material(finding: Finding, t
     t = np.nanmean(again.simulate(again.room.alpha, seed=2).values["t20"], axis=0)
     after = finding.case.times[1]
     np.testing.assert_allclose(t, after, rtol=0.25)
-
-
-def test_sets_are_of_one_to_all_walls() -> None:
-    model = simulator({})
-    surfaces = {name: np.array([i]) for i, name in enumerate(model.geometry.names)}
-    sets = sets_of(model, surfaces)
-    assert len(sets) == 6 + 15 + 4 + 1
-    assert ("east", "north", "south", "west") in sets
-
-
-def test_a_simulator_of_another_room_is_refused(
-    states: tuple[rt.Measurement, rt.Measurement],
-) -> None:
-    with pytest.raises(rt.errors.DataError, match="simulator is of another room"):
-        rt.find(stated(), states[1], simulator({}), before=states[0])

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,19 +13,14 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.acoustics.observables import observable
-from rtcal.command.finder import read_case
 from rtcal.command.main import cli
 from rtcal.finder.claim import Detection
 from rtcal.finder.effects import library
 from rtcal.finder.positions.search import THRESHOLD, find_by_positions
 from rtcal.finder.positions.surfaces import patched
-from rtcal.io import tables
-from rtcal.loop import measured_pairs
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError, ModelError
-from tests.conftest import also
 
 BANDS = (500.0, 1000.0, 2000.0)
 SIZE = (7.0, 5.0, 3.0)
@@ -157,17 +150,6 @@ def with_coefficient(value: float, n_paths: int = 4800) -> rt.finder.PositionsCa
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("extreme", [0.0, *also(1.0)])
-def test_a_coefficient_of_0_or_1_has_a_score(
-    extreme: float, kept: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The derivative by an alpha of 1.0 had been 0 / 0, and the score nan."""
-    monkeypatch.setattr(measured_pairs, "RUNS", 4)
-    case = with_coefficient(extreme, n_paths=600)
-    assert np.isfinite(find_by_positions(case, library(), None, kept, 0, ()).score)
-
-
-@pytest.mark.long
 @pytest.mark.parametrize(("extreme", "near"), [(0.0, 0.001), (1.0, 0.99)])
 def test_a_coefficient_of_0_or_1_is_weighed(extreme: float, near: float, kept: Path) -> None:
     """At the default number of paths. With 4,800 other seeds alone moved one score by 2 nats."""
@@ -206,45 +188,6 @@ def test_an_absorbing_ceiling_over_walls_that_scatter_little_lacks_nothing(kept:
     finding = find_by_positions(case, library(), None, kept, 0, ())
     assert finding.score < 0.0
     assert finding.verdict == "none"
-
-
-@pytest.mark.long
-def test_a_level_between_positions_is_enough(kept: Path) -> None:
-    case = rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(True, "level"))
-    finding = rt.find(case, cache=kept)
-    assert finding.detected
-    assert "east" in finding.likely_surfaces
-
-
-@pytest.mark.long
-def test_a_receiver_that_stands_elsewhere_is_a_hint(kept: Path) -> None:
-    """With three receivers the evidence stays below the threshold."""
-    truth = tracing(stated(), receivers=RECEIVERS | {"R1": (2.2, 2.0, 1.2)}, n_paths=19200)
-    case = rt.finder.PositionsCase(
-        simulator=tracing(stated()), measured=heard(truth, truth.room.alpha)
-    )
-    finding = rt.find(case, cache=kept)
-    assert finding.verdict == "hint"
-    best = finding.best
-    assert best is not None
-    assert best.family == "measurement"
-    assert "R1" in best.place
-    assert finding.surface is None
-
-
-@pytest.mark.long
-def test_t30_is_matched_where_t20_is_absent(kept: Path) -> None:
-    """It was refused, as if nothing had been measured."""
-    model = tracing(stated())
-    every = heard(model, model.room.alpha, match=("t20", "t30"))
-    alone = heard(model, model.room.alpha, match=("t30",))
-    case = rt.finder.PositionsCase(simulator=model, measured=alone)
-    assert case.match == ("t30", *MATCH[1:])
-    finding = rt.find(case, cache=kept)
-    assert finding.parameters == ("t30",)
-    assert "T30 is matched in place of T20, which was not measured." in finding.notes
-    both = rt.finder.PositionsCase(simulator=model, measured=every)
-    assert both.match == MATCH
 
 
 def test_the_user_says_where_on_which_surface(of_openings: rt.finder.Finding) -> None:
@@ -338,103 +281,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return where
 
 
-def find_in(folder: Path, *options: str, code: int = 0) -> str:
-    files = [str(folder / "room.toml"), str(folder / "pairs.csv")]
-    return run("find", *files, "--scattering", "0.4", "--paths", "4800", *options, code=code)
-
-
 def run(*stated: str, code: int = 0) -> str:
     done = CliRunner().invoke(cli, [*stated], catch_exceptions=False)
     assert done.exit_code == code, done.output
     return str(done.stdout if code == 0 else done.output)
-
-
-def test_a_workbook_is_read_as_every_command_reads_it(folder: Path) -> None:
-    """`find` had refused what `calibrate` and `fit` take."""
-    pytest.importorskip("openpyxl")
-    made = rt.Measurement.from_file(str(folder / "pairs.csv"))
-    tables.write(made, folder / "pairs.xlsx")
-    of_text, of_book = (
-        read_case(
-            {
-                "case": str(folder / "room.toml"),
-                "measured": str(folder / f"pairs.{ending}"),
-                "scattering": 0.4,
-            }
-        )
-        for ending in ("csv", "xlsx")
-    )
-    assert of_book.pairs == of_text.pairs
-    assert of_book.measured.values["t20"] == pytest.approx(of_text.measured.values["t20"])
-
-
-@pytest.mark.long
-def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
-    page = str(tmp_path / "page")
-    found = json.loads(find_in(folder, "--json", "--out", page))
-    assert found["likely_surfaces"][0] == "east"
-    run("apply", page, "--out", str(tmp_path / "corrected"), "--quiet")
-    mesh = rt.io.obj.read(tmp_path / "corrected" / "room.obj")
-    room = rt.Room.from_file(str(tmp_path / "corrected" / "room.toml"))
-    assert set(mesh.materials) == set(room.materials)
-    assert mesh.areas[room.materials[-1]] == pytest.approx(room.areas[-1])
-    assert (tmp_path / "corrected" / "catt.txt").exists()
-    assert (tmp_path / "corrected" / "odeon.txt").exists()
-    run("apply", page, "--out", str(tmp_path / "there"), "--place", "7,2.2,1.4")
-    there = rt.io.obj.read(tmp_path / "there" / "room.obj")
-    hole = there.vertices[list(there.faces[there.materials.index(room.materials[-1])])]
-    assert hole.mean(axis=0) == pytest.approx([7.0, 2.2, 1.4])
-    run("apply", page, "--out", str(tmp_path / "wall"), "--form", "material", "--quiet")
-    assert len(rt.io.obj.read(tmp_path / "wall" / "room.obj").faces) == 6
-    run("verify", page)
-    names = {"report.html", "result.json", "plan.png", "gap.png"}
-    assert {
-        p.name for p in (tmp_path / "page").iterdir() if not p.name.startswith(".rtcal_files")
-    } == names
-    page = (tmp_path / "page" / "report.html").read_text()
-    assert page.index("not fitted") < page.index("Where the model disagrees")
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("room.obj", "nowhere.obj", "nowhere.obj"),
-        ("[geometry]", "[geometry]\nposition_uncertainty = 50.0", "position_uncertainty"),
-        ("mesh =", "mash =", "mash"),
-    ],
-)
-def test_a_wrong_file_is_refused(
-    folder: Path, tmp_path: Path, old: str, new: str, message: str
-) -> None:
-    text = (folder / "room.toml").read_text()
-    assert old in text
-    (tmp_path / "room.toml").write_text(text.replace(old, new))
-    for name in ("room.obj", "pairs.csv"):
-        (tmp_path / name).write_bytes((folder / name).read_bytes())
-    with pytest.raises(DataError, match=re.escape(message)):
-        find_in(tmp_path)
-
-
-def test_the_scales_are_linear_in_absorption() -> None:
-    """Exponential decays of a diffuse field: k and 1 / energy in proportion to the absorption area."""
-    rate = 13.8 * np.array([1.0, 2.0, 0.5])  # as stated, twice and half of the absorption
-
-    values = {
-        "t20": np.log(6 * np.log(10) / rate),
-        "ts": -np.log(rate),
-        "c80": 10 * np.log10(np.expm1(0.08 * rate)),
-        "level": -10 * np.log10(rate),
-    }
-    for name, each in values.items():
-        got = observable(name).linear(each, each[:1])
-        if name in ("t20", "ts", "level"):
-            got = -got  # 1 / T rises with the absorption, the scale of ln T falls
-        assert got == pytest.approx([0.0, 1.0, -0.5]), name
-        step = 1e-6
-        slope = (
-            observable(name).linear(each + step, each[:1]) - observable(name).linear(each, each[:1])
-        ) / step
-        assert observable(name).linear_slope(each, each[:1]) == pytest.approx(slope, rel=1e-4), name
 
 
 @pytest.mark.long

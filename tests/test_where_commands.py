@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,7 @@ import rtcal as rt
 from rtcal.command.main import main
 from rtcal.finder.finding import Finding
 from rtcal.finder.verification import Verification
-from rtcal.loop import measured_pairs
-from tests.test_where import RECEIVERS, SOURCES, measured, stated, tracing
+from tests.test_where import RECEIVERS, SOURCES, measured, stated
 from tests.test_where_page import PLACE, finding_of, verification_of
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
@@ -54,18 +52,6 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Finding:
     measured(False).save("pairs.csv")
     finding.save(FOUND)
     return finding
-
-
-def test_the_next_position_is_proposed(found: Finding, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("plan", FOUND, "--json") == 0
-    record = json.loads(capsys.readouterr().out)
-    assert record["places"] == [
-        {"point": list(PLACE.point), "source": PLACE.source, "nats": PLACE.nats}
-    ]
-    claimed = replace(found, surface="floor")
-    claimed.save(FOUND)
-    assert run("plan", FOUND) == 0
-    assert "No surfaces are in question" in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_same_search_is_made_once(found: Finding, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,31 +111,3 @@ def test_a_wrong_option_is_refused(
     assert run("apply", FOUND, "--out", "corrected", *options) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "corrected").exists()
-
-
-def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(measured_pairs, "RUNS", 4)
-    case = rt.finder.PositionsCase(
-        simulator=tracing(stated(), n_paths=320), measured=measured(False)
-    )
-    tried = {"only": ("opening",), "cache": tmp_path}
-    told: list[str] = []
-
-    def stop(what: str, done: int, of: int) -> None:
-        assert 0 < done <= of
-        told.append(what)
-        if what != "reference simulations":
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        rt.find(case, **tried, progress=stop)
-    assert told.count("reference simulations") > 1
-    again: list[str] = []
-    rt.find(case, **tried, progress=lambda what, done, of: again.append(what))
-    assert again
-    assert "reference simulations" not in again
-    last: list[str] = []
-    rt.find(case, **tried, progress=lambda what, done, of: last.append(what))
-    assert not last

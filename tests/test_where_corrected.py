@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +11,7 @@ import rtcal as rt
 from rtcal.finder import PositionsCase
 from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.claim import Candidate
-from rtcal.finder.positions.surfaces import of_geometry, patched
-from rtcal.io import catt, geometry_files, obj, odeon
+from rtcal.finder.positions.surfaces import patched
 from rtcal.simulators import ImageSource, PathTracing, Polyhedron, RayTracing
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
@@ -144,21 +142,6 @@ def box() -> PositionsCase:
 
 
 @pytest.mark.parametrize("form", ["patch", "material"])
-def test_what_is_stated_of_the_areas_stays_in_the_corrected_room(form: str) -> None:
-    """A room that stated how sure its areas are had no corrected room: a row was missing."""
-    geometry = Polyhedron.shoebox(SIZE, {w: f"{w} wall" for w in SHOEBOX_WALLS})
-    stated = {"east wall": 0.05, "floor wall": 0.02}
-    made = corrected_geometry(
-        case_in(geometry, area_sigma=stated), candidate("east", 6.0), form
-    ).room
-    assert dict(zip(made.materials, made.area_sigma.tolist(), strict=True)) == {
-        **dict.fromkeys(made.materials, 0.0),
-        **{name: sigma for name, sigma in stated.items() if name in made.materials},
-    }
-    assert "floor wall" in made.materials
-
-
-@pytest.mark.parametrize("form", ["patch", "material"])
 def test_the_corrected_room_absorbs_what_was_found(box: PositionsCase, form: str) -> None:
     made = corrected_geometry(box, candidate("east", 6.0), form)
     assert made.form == form
@@ -249,34 +232,3 @@ def test_pyroomacoustics_hears_the_correction(box: PositionsCase) -> None:
         ratio = rays(made.geometry, made.room) / before
         assert ratio == pytest.approx(other, rel=0.06), form
         assert (ratio < 0.87).all()
-
-
-@pytest.mark.parametrize("geometry", [prism(L_PLAN), triangulated(prism(L_PLAN))])
-def test_what_is_written_is_read_again(geometry: Polyhedron, tmp_path: Path) -> None:
-    """Areas, names and materials by rtcal's own readers; the lists have the room's coefficients."""
-    case = case_in(geometry, alpha=0.2)
-    made = corrected_geometry(case, candidate("floor", 10.0), at=(6.0, 2.0, 0.0))
-    corrected_geometry(case, candidate("ceiling", 4.0)).save(tmp_path)  # which is written over
-    made.save(tmp_path)
-    room = rt.Room.from_file(str(tmp_path / "room.toml"))
-    mesh = obj.read(tmp_path / "room.obj")
-    assert mesh.areas == pytest.approx(made.geometry.areas)
-    assert dict(zip(room.materials, room.areas, strict=True)) == pytest.approx(mesh.areas)
-    assert mesh.names == made.geometry.names
-    assert list(of_geometry(mesh)) == list(of_geometry(made.geometry))
-    assert (room.scene.sources, room.scene.receivers) == (SOURCES, RECEIVERS)
-    heard = geometry_files.path_tracing(room, n_paths=6400)
-    assert mean_t(heard, room.alpha) == pytest.approx(
-        mean_t(made.simulator(), room.alpha), rel=1e-9
-    )
-    for program, name in ((catt, "catt.txt"), (odeon, "odeon.txt")):
-        listed = program.read(tmp_path / name)
-        assert len(listed.materials) == room.n_materials
-        for material, alpha in zip(listed.materials, room.alpha, strict=True):
-            columns = [list(material.centre_frequencies).index(f) for f in BANDS]
-            assert np.asarray(material.alpha)[columns] == pytest.approx(alpha, abs=0.005)
-    assert made.room.scattering is not None
-    assert "scattering" in made.reports["odeon.txt"].lost  # a list for ODEON has no column for it
-    assert "scattering" not in made.reports["catt.txt"].lost
-    for name in ("catt.txt", "odeon.txt"):  # the lists have bands that the room lacks
-        assert made.reports[name].notes

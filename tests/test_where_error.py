@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from rtcal.finder.positions.problem import COMMON, OWN, Likelihood, levels, simulator_error
-from rtcal.finder.positions.weighing import TRACED, TRACINGS, _at_shares, without_noise
+from rtcal.finder.positions.weighing import TRACED, TRACINGS, without_noise
 from rtcal.loop.measured_pairs import ControlRuns
-from rtcal.support.errors import DataError
 
 RUNS, GROUPS = 400, 200
 SHAPE = (2, 6, 3)
@@ -185,22 +183,3 @@ def test_patterns_over_the_pairs_that_are_noise_are_drawn_to_their_mean(
     assert np.sqrt((off**2).mean()) == pytest.approx(
         kept * np.sqrt((expected**2).mean()), rel=0.05, abs=0.02
     )
-
-
-def test_a_surface_that_leaves_a_decay_without_a_parameter_is_that_of_a_smaller_share() -> None:
-    """Room 163 of the geometric world: a search ended in an error where one surface was open."""
-
-    def parameters(energy: np.ndarray) -> np.ndarray:
-        if (energy <= 0).any():
-            raise DataError("the decay has no EDT")
-        return energy[np.newaxis]
-
-    weighing: Any = SimpleNamespace(parameters=parameters)
-
-    def at_shares(*energy: float) -> list[float]:
-        return np.ravel(_at_shares(weighing, np.array(energy))).tolist()
-
-    assert at_shares(3.0, 1.0, 2.0) == [3.0, 1.0, 2.0]
-    assert at_shares(3.0, 1.0, 0.0, 2.0) == [3.0, 1.0, 1.0, 2.0]
-    with pytest.raises(DataError, match="no EDT"):
-        at_shares(0.0, 1.0)

@@ -10,7 +10,6 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.observables import observable
-from rtcal.finder.claim import Candidate
 from rtcal.finder.positions.problem import (
     Likelihood,
     ScatteringLevels,
@@ -21,8 +20,6 @@ from rtcal.finder.positions.problem import (
 )
 from rtcal.finder.positions.search import _candidate
 from rtcal.finder.positions.weighing import Aperture
-from rtcal.simulators.base import values_of_decays
-from rtcal.support.errors import DataError
 
 WIDTH = 0.002
 
@@ -75,14 +72,6 @@ def test_no_more_goes_through_an_aperture_than_the_room_loses() -> None:
     opened = np.tile(np.exp(-12 * t), (2, 2, 1))
     heard = Aperture(90.0, 400.0, 0.03).returned_to(opened, room(), WIDTH, 1)
     assert np.isfinite(observable("t20").value(heard, WIDTH)).all()
-
-
-def test_an_aperture_is_named_and_not_added() -> None:
-    common = {"family": "field", "surface": "north", "place": "north", "probability": 1.0}
-    sizes = {"size": 4.0, "low": 2.0, "high": 8.0, "unit": "m²", "parameters": {}}
-    aperture = Candidate(effect="coupled room", spectrum=np.ones(2), **common, **sizes)  # type: ignore[arg-type]
-    assert not aperture.can_be_added
-    assert replace(aperture, effect="opening").can_be_added
 
 
 @pytest.mark.parametrize(("area", "within"), [(40.0, False), (9.0, True)])
@@ -154,25 +143,6 @@ def test_the_error_of_a_place_is_integrated_as_a_covariance(uneven: float) -> No
 def test_what_covers_a_whole_surface_is_even() -> None:
     factors = unevenness(np.array([1.0, 0.5, 1 / 9, 0.01]))
     assert factors == pytest.approx([0.0, 1.0, np.sqrt(8), np.sqrt(8)])
-
-
-@pytest.mark.study
-def test_decays_together_have_the_values_of_each() -> None:
-    pairs, parameters = (("S", "R1"), ("S", "R2")), ("t20", "edt", "c80", "ts", "level")
-    t = WIDTH * np.arange(900)
-    times = np.array([0.3, 0.5, 0.8, 1.2])[:, np.newaxis, np.newaxis, np.newaxis]
-    energy = np.exp(
-        -6 * np.log(10) * t / (times * np.array([[1.0, 1.1], [0.9, 1.0]])[..., np.newaxis])
-    )
-    frequencies = np.array([500.0, 1000.0])
-    every = values_of_decays(energy, WIDTH, parameters, pairs, frequencies)
-    assert every.shape == (5, 4, 2, 2)
-    for n, decay_of_one in enumerate(energy):
-        alone = values_of_decays(decay_of_one, WIDTH, parameters, pairs, frequencies)
-        np.testing.assert_array_equal(every[:, n], alone)
-    energy[2, 1, 0, 30:] = 0.0  # nothing comes after 60 ms
-    with pytest.raises(DataError, match="from S to R2, 500 Hz has no C80"):
-        values_of_decays(energy, WIDTH, ("c80",), pairs, frequencies)
 
 
 def test_the_hidden_worlds_tracer_hears_the_same_second_room() -> None:

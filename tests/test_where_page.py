@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,10 +19,9 @@ from rtcal.finder.finding import Finding
 from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification
 from rtcal.loop.measured_pairs import ControlRuns
-from rtcal.report import of_finding, room_view, verification_words
+from rtcal.report import room_view, verification_words
 from rtcal.report.room_view import ABOVE, into_picture
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
-from tests.typed import wrongly_typed
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
@@ -67,17 +64,6 @@ def finding_of(shares: dict[str, float], groups: tuple[tuple[str, ...], ...] = (
 def finding() -> Finding:
     shares = {"wall 5": 0.6, "wall 0": 0.25, "ceiling": 0.15}
     return finding_of(shares, (("wall 5", "wall 0"), ("wall 1", "wall 2")))
-
-
-def test_each_likely_surface_is_in_a_group_or_the_text_says_why_not() -> None:
-    groups = (("wall 5", "wall 0"),)
-    nearly = finding_of({"wall 5": 0.4, "wall 0": 0.25, "ceiling": 0.2}, groups)
-    said = " ".join(str(nearly).split())
-    assert "ceiling: porous absorber there would be distinguished or is not tried" in said
-    less = finding_of({"wall 5": 0.64, "ceiling": 0.06, "wall 0": 0.05}, groups)
-    said = " ".join(str(less).split())
-    assert "ceiling: less probable than the first by more than ten to one." in said
-    assert "ten to one" not in str(finding_of({"wall 5": 0.6, "wall 0": 0.4}, groups))
 
 
 def verification_of(
@@ -161,28 +147,6 @@ def test_a_mean_that_is_missed_is_never_supported(name: str) -> None:
     assert not with_band(1.2 + 12 * (-1.0) ** np.arange(6)).misses
 
 
-def test_a_gap_that_hardly_shrinks_supports_nothing_however_sure_it_is() -> None:
-    """1.75 to 1.74 JND, known to 0.001 JND."""
-    result = verification_of(PAIRS, {"before": 3.0, "plain": 1.75, "corrected": 1.74}, 0.001)
-    assert result.gain > 5 * result.uncertainty
-    assert result.verdict == "unproven"
-
-
-@pytest.mark.parametrize("verdict", ["none", "hint", "named", "family", "ambiguous", "unknown"])
-def test_attributes_have_one_type_whatever_was_found(finding: Finding, verdict: str) -> None:
-    nothing = verdict == "none"
-    found = replace(
-        finding,
-        verdict=verdict,
-        named=("porous",) if verdict == "named" else (),
-        family="added absorption" if verdict in ("named", "family") else None,
-        surface=None if nothing else "wall 5",
-        surfaces={} if nothing else finding.surfaces,
-        candidates=() if nothing else finding.candidates,
-    )
-    assert wrongly_typed(found) == []
-
-
 def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven() -> None:
     """It had been enough that every seed's mean was smaller."""
 
@@ -195,22 +159,6 @@ def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven() -> None:
     assert result.verdict == "unproven"
 
 
-def test_what_is_predicted_scatters_as_it_was_calibrated(
-    finding: Finding, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The scattering was fitted with alpha, and then forgotten: another simulator was predicted."""
-    tracer = finding.case.simulator
-    fitted = replace(tracer, scattering=0.9)
-    result = SimpleNamespace(tracer=fitted, alpha=tracer.room.alpha)
-    monkeypatch.setattr(verification, "calibrate_positions", lambda *_, **__: result)
-    heard = verification.calibrated_at(finding.case, tracer, finding, 0)
-    alpha = tracer.room.alpha
-    assert np.array_equal(heard.values, fitted.observe(alpha, finding.parameters, seed=0).values)
-    assert not np.array_equal(
-        heard.values, tracer.observe(alpha, finding.parameters, seed=0).values
-    )
-
-
 @pytest.mark.parametrize("surface", [f"wall {i}" for i in range(6)])
 def test_the_room_is_looked_at_so_that_the_surface_is_seen(surface: str) -> None:
     """From behind, it would be an outline."""
@@ -219,20 +167,3 @@ def test_the_room_is_looked_at_so_that_the_surface_is_seen(surface: str) -> None
     turn = json.loads(room.data)["turn"]
     normals = finding.case.geometry.normals[finding.case.faces[surface]]
     assert (normals @ into_picture(turn, ABOVE) > 0).all()
-
-
-def test_the_page_begins_with_the_answer_and_the_three_bars(
-    finding: Finding, tmp_path: Path
-) -> None:
-    result = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.99}, 1.0)
-    of_finding.write(finding, result, tmp_path, place=PLACE)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    body = page[page.index("<main>") :]
-    assert body.index("The room absorbs more") < body.index("Unproven") < body.index("<img")
-    assert "Three bars" in body[body.index("<img") :][:40]
-    assert body.count("<img") == 3
-    for alt in re.findall(r'<img alt="([^"]+)"', body):
-        assert len(alt) > 60, alt
-    assert "measure at (6.5, 3.0, 1.2) m with source S" in " ".join(body.split())
-    record = json.loads((tmp_path / "result.json").read_text())
-    assert (record["rtcal"], record["verdict"]) == (Verification.record_kind, "unproven")

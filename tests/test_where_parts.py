@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.effects import library
 from rtcal.finder.positions import surfaces
 from rtcal.finder.positions.problem import materials, on_parts, shifts
 from rtcal.finder.positions.surfaces import divided, face_at, patched
-from rtcal.report import figures
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 
@@ -159,38 +156,6 @@ def test_the_odds_of_a_surface_do_not_depend_on_its_parts(
     on_one = [s for s in both if s.part is not None]
     assert {s.effect for s in on_one} >= {"opening", "porous", "curtain", "resonator"}
     assert all(s.sizes.max() <= case.divided.parts[s.part].area for s in on_one)
-
-
-@pytest.mark.long
-def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
-    case: rt.finder.PositionsCase, tmp_path: Path
-) -> None:
-    """All four long surfaces say so, and patch and picture show it there."""
-    pytest.importorskip("matplotlib", reason="needs the extra report")
-    finding = rt.find(case, cache=tmp_path)
-    assert finding.detected
-    assert "east" not in finding.likely_surfaces
-    least = 0.1 * max(finding.surfaces.values())
-    assert all(finding.surfaces[name] > least for group in finding.groups for name in group)
-    assert rt.finder.positions.next_position(finding, number=4)[0].nats > 0
-    south = next(c for c in finding.candidates if c.title == 'opening on "south"')
-    assert south.middle == pytest.approx((3.0, 0.0, 1.5))
-    assert 0.6 * south.probability < sum(p for _, p in south.parts) <= south.probability
-    made = corrected_geometry(case, south)
-    hole = made.geometry.names.index(made.material)
-    assert made.geometry.vertices[list(made.geometry.faces[hole])].mean(axis=0) == pytest.approx(
-        [3.0, 0.0, 1.5]
-    )
-    again = rt.find(case, cache=tmp_path)  # from what is kept
-    assert [c.title for c in again.candidates] == [c.title for c in finding.candidates]
-    for kept, first in zip(again.candidates, finding.candidates, strict=True):
-        assert [p for _, p in kept.parts] == pytest.approx([p for _, p in first.parts])
-    others = {c.surface: 0.0 for c in finding.candidates if c.surface not in (None, "south")}
-    said = replace(finding, surfaces={"south": 1.0} | others)
-    assert said.located is not None
-    assert said.located.middle == pytest.approx((3.0, 0.0, 1.5))
-    legend = figures.plan(said).axes[0].get_legend_handles_labels()[1]
-    assert "most probable part of its surface" in legend
 
 
 def test_coefficients_that_were_measured_are_seldom_off(

@@ -10,7 +10,6 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder.apply import corrected_geometry
-from rtcal.loop import ControlRuns
 from rtcal.simulators import RayTracing
 from rtcal.support.errors import DataError
 from tests.test_where import BANDS, RECEIVERS, SOURCES, measured, stated, tracing
@@ -73,31 +72,6 @@ def test_the_disagreement_is_the_programs(folder: Path) -> None:
     assert best.family.startswith("added absorption") or best.surface is None
 
 
-@pytest.mark.long
-def test_what_neither_has_is_left_out(folder: Path) -> None:
-    """A program's blank cell made every probability NaN."""
-    case = read(folder)
-    assert case.simulated is not None
-
-    def blank(data: rt.Measurement) -> rt.Measurement:
-        values = {name: data.values[name].copy() for name in MATCH}
-        values["ts"][2, 0] = np.nan
-        return rt.Measurement(centre_frequencies=BANDS, pairs=data.pairs, values=values)
-
-    less = replace(
-        case,
-        simulator=replace(case.simulator, n_paths=600),
-        measured=blank(case.measured),
-        simulated=blank(case.simulated),
-    )
-    pairs = less.measured.pairs
-    errors = 0.1 * np.random.default_rng(1).normal(size=(8, len(MATCH), len(pairs), len(BANDS)))
-    controls = ControlRuns(parameters=MATCH, pairs=pairs, errors=errors)
-    finding = rt.find(less, controls=controls)
-    assert np.isfinite(finding.score)
-    assert np.isnan(finding.map).sum() == 1
-
-
 def beside(run: rt.Measurement, of: rt.Measurement) -> rt.finder.PositionsCase:
     return rt.finder.PositionsCase(simulator=tracing(stated()), measured=of, simulated=run)
 
@@ -156,17 +130,3 @@ def test_a_run_with_nothing_that_was_measured_is_refused() -> None:
     with pytest.raises(DataError, match=r"no pair in common: the run has S1 to R1, .* S2 to R3"):
         beside(first, last)
     assert beside(given("t30"), given("t20", "t30")).match[0] == "t30"
-
-
-def test_a_level_without_its_reference_is_no_g() -> None:
-    """G is absolute; a program's level that is not must not be compared with it."""
-    case = beside(given("t20", "level"), given("t20", "g"))
-    assert any("the run lacks it: G." in note for note in case.notes)
-
-
-def test_a_run_at_positions_has_the_coefficients_of_the_room(folder: Path) -> None:
-    case = read(folder)
-    assert case.simulated is not None
-    at = rt.Run(case.room.replace(alpha=0.9 * case.room.alpha), case.simulated)
-    with pytest.raises(DataError, match="at positions a run is at the room's own coefficients"):
-        rt.finder.case_of(case.room, case.measured, case.simulator, simulated=at)

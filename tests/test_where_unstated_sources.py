@@ -13,9 +13,7 @@ from rtcal.finder.positions import search
 from rtcal.finder.positions.problem import covariance_of_lobes
 from rtcal.finder.positions.weighing import lobes
 from rtcal.simulators import PathTracing
-from tests.conftest import also
 from tests.test_where import MATCH, RECEIVERS, SOURCES, heard, stated, tracing
-from tests.test_where import measured as opened
 
 MICROPHONE = {"M": (3.9, 2.2, 1.3)}
 SPEAKERS = {
@@ -90,62 +88,6 @@ def test_an_index_that_is_off_is_not_claimed_of_the_room(
     monkeypatch.setattr(search, "MISCALIBRATED", 1e-300)
     exact = rt.find(case, cache=kept)
     assert (exact.score > 20) == (off != 0)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("nats", "level"),
-    [(20.0, False), *also((5.0, True))],
-)
-def test_lobes_that_are_not_certain_leave_the_level_and_its_surfaces(
-    nats: float, level: bool, kept: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A covered wall had no surface by level of any reference: 2.55 nats for lobes, 0.4 by G."""
-    case = rt.finder.PositionsCase(
-        simulator=tracing(stated(), n_paths=800), measured=opened(True, "level")
-    )
-    monkeypatch.setattr(search, "gain", lambda *_: nats)
-    finding = rt.find(case, cache=kept)
-    assert finding.detected
-    assert ("level" in finding.parameters) == level
-    assert bool(finding.case.simulator.unknown_sources) != level
-    words = "count as far as they are likely" if level else "not taken as omnidirectional"
-    assert any(words in str(note) for note in finding.notes)
-
-
-@pytest.mark.long
-def test_lobes_are_tried_where_a_pair_seems_noisy(
-    kept: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Aimed sources with a G off by source and band had been the noise of one pair, 100 %."""
-    middle = np.mean(list(RECEIVERS.values()), axis=0)
-    aimed_at = {n: rt.Directivity(index=INDEX, aim=tuple(middle - p)) for n, p in SOURCES.items()}
-    made = heard(tracing(stated(), n_paths=4800, directivity=aimed_at), stated().alpha, "level")
-    case = rt.finder.PositionsCase(simulator=tracing(stated(), n_paths=800), measured=made)
-    first = [(-24.0, 20.0)]
-    scores = search.scores
-    monkeypatch.setattr(search, "scores", lambda *given: first.pop() if first else scores(*given))
-    finding = rt.find(case, cache=kept)
-    assert finding.case.simulator.unknown_sources == ("S1", "S2")
-    assert not finding.detected
-
-
-@pytest.mark.long
-def test_what_absorbs_is_found_with_a_stated_index(kept: Path) -> None:
-    """All parameters count where the index is right."""
-    absorbing = stated().alpha.copy()
-    absorbing[5] += 0.6
-    lobes = aimed(INDEX)
-    heard_there = heard(box(scattering=0.45, n_paths=9600, directivity=lobes), absorbing)
-    case = rt.finder.PositionsCase(
-        simulator=box(n_paths=800, directivity=lobes), measured=heard_there, match=MATCH
-    )
-    finding = rt.find(case, cache=kept)
-    assert finding.detected
-    assert finding.parameters == MATCH
-    assert sum(p for f, p in finding.families.items() if f.startswith("added absorption")) > 0.9
-    # Without "unknown" among what is tried.
-    assert rt.find(case, cache=kept, only=("opening",)).detected
 
 
 def test_lobes_are_those_of_sources_of_which_nothing_or_an_index_is_stated() -> None:
