@@ -7,19 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.acoustics.changes import Variant
-from rtcal.command.main import cli
-from rtcal.loop import ControlRuns, predict_positions
-from rtcal.loop.positions import PositionsResult
+from rtcal.loop import predict_positions
 from rtcal.prediction import Change
 from rtcal.prediction.predicted import Predictions
-from rtcal.prediction.words import ALIKE, CHANGED_ALONE, PLACES, SIZES
+from rtcal.prediction.words import SIZES
 from rtcal.report import pages
 from rtcal.simulators import PathTracing, Polyhedron
-from rtcal.support.errors import DataError
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 
@@ -123,20 +119,6 @@ def test_no_change_is_what_was_measured(measured, predicted) -> None:
 
 
 @pytest.mark.long
-def test_parts_add_up_and_the_new_material_is_named(predicted) -> None:
-    for found in predicted.predictions:
-        for parameter in found.parameters:
-            parts = found.parts(parameter)
-            assert sum(parts.values()) == pytest.approx(1.0)
-            assert min(float(part.min()) for part in parts.values()) > -1e-6
-            assert {ALIKE, CHANGED_ALONE, PLACES} <= set(parts)
-            assert parts[PLACES].any() == (found is not predicted.predictions[2])
-    shares = predicted.predictions[0].parts("t20")
-    assert next(iter(shares)) == 'alpha of "panel"'
-    assert 'alpha of "opening"' not in predicted.predictions[1].parts("t20")
-
-
-@pytest.mark.long
 def test_every_observable_has_pairs_mean_and_interval(predicted, tmp_path: Path) -> None:
     found = predicted.predictions[0]
     assert found.parameters == ("t20", "edt", "c80", "ts", "level", "d50", "sti")
@@ -169,89 +151,3 @@ def test_an_uncertain_room_counts_before_and_after_the_change(result, predicted)
     assert alone == pytest.approx([0.1, 0.1], rel=0.2)  # without air T is nearly as V
     shared = np.sqrt(found.sigma[0, -1] ** 2 * found.parts("t20")[SIZES])
     assert (shared < 0.5 * alone).all()
-
-
-@pytest.fixture(scope="module")
-def small() -> PositionsResult:
-    """Few paths: what is refused is refused before they count."""
-    few = tracing(a_room(), n_paths=160)
-    controls = ControlRuns(
-        parameters=("t20",), pairs=few.pairs, errors=0.1 * np.ones((4, 1, len(few.pairs), 2))
-    )
-    heard = few.simulate(TRUTH, seed=9)
-    return rt.calibrate_positions(
-        few, a_room(), heard, ("t20",), controls=controls, more_paths=1, fit_scattering=False
-    )
-
-
-def test_a_change_without_a_place_is_refused(small) -> None:
-    with pytest.raises(DataError, match='add 3 m² of "panel": a simulator does not know where'):
-        small.predict(Change(add=PANEL, area=3))
-
-
-def test_what_can_be_checked_is_refused_before_anything_is_simulated(small) -> None:
-    def told(done: int, total: int) -> None:
-        raise AssertionError("a reference simulation was simulated")
-
-    for change, said in (
-        (
-            Change(cover="tiles", by=PANEL, area=50),
-            'cover 50 m² of "tiles" by "panel": area = 50 m² is more than',
-        ),
-        (Change(open="door"), '"door" is no material'),
-    ):
-        with pytest.raises(DataError, match=said):
-            predict_positions(small, [HALF, Variant("wrong", (change,))], progress=told)
-    with pytest.raises(DataError, match="t99"):
-        predict_positions(small, [HALF], wanted=("t99",), progress=told)
-
-
-def test_the_command_refuses_a_change_before_it_calibrates(tmp_path: Path) -> None:
-    room, change = tmp_path / "room.toml", tmp_path / "change.toml"
-    a_room(air=rt.Air(20, 50)).save(str(room))
-    change.write_text(
-        '[[variant]]\nname = "tiles off"\n[[variant.change]]\nopen = "tiles"\narea = 300\n'
-    )
-    pairs = tmp_path / "never read.csv"
-    told = CliRunner().invoke(cli, ["predict", str(room), str(pairs), "--change", str(change)])
-    assert told.exit_code != 0
-    assert 'open 300 m² of "tiles": area = 300' in str(told.exception)
-
-
-@pytest.mark.long
-def test_another_climate_is_the_room_in_other_air(result) -> None:
-    dry = result.predict(Change(air=rt.Air(20, 20)), wanted=("t20",))
-    assert (dry.change("t20")[-1] < 0).all()  # the room states no air: it takes nothing
-
-
-@pytest.mark.long
-def test_the_command_takes_a_room_or_a_calibration(measured, result, tmp_path: Path) -> None:
-    room, pairs, change = (tmp_path / name for name in ("room.toml", "pairs.csv", "change.toml"))
-    a_room(air=rt.Air(20, 50)).save(str(room))
-    measured.save(str(pairs))
-    change.write_text(
-        '[[variant]]\nname = "tiles off"\n[[variant.change]]\nopen = "tiles"\narea = 3\n'
-    )
-    result.save(tmp_path / "fitted")
-    rt.calibrate(rt.Room.from_file(str(room)), measured).save(tmp_path / "calibrated")
-
-    def predicted(*of: Path) -> Predictions:
-        out = tmp_path / "after"
-        arguments = ["predict", *map(str, of), "--change", str(change), "--out", str(out)]
-        told = CliRunner().invoke(cli, [*arguments, "--force"])
-        assert told.exit_code == 0, told.output
-        found = rt.load(out)
-        assert isinstance(found, Predictions)
-        return found
-
-    (of_fit,) = predicted(tmp_path / "fitted").predictions
-    assert of_fit.pairs == tuple(measured.pairs)
-    assert of_fit.simulator == result.simulator
-    (of_folder,), (of_room,) = (
-        predicted(*of).predictions for of in ([tmp_path / "calibrated"], [room, pairs])
-    )
-    np.testing.assert_allclose(of_folder.mean, of_room.mean, rtol=1e-12)
-    refused = CliRunner().invoke(
-        cli, ["predict", str(tmp_path / "fitted"), str(pairs), "--change", str(change)]
-    )
-    assert "leave MEASURED out" in str(refused.exception)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +14,6 @@ from rtcal.finder.positions.problem import _prior
 from rtcal.finder.positions.weighing import AIR
 from rtcal.loop.positions import PositionsResult
 from rtcal.prediction import Assumptions, predict
-from tests.conftest import also
 
 SABINE = rt.Sabine()
 PAIRS = (("S", "R1"), ("S", "R2"))
@@ -148,23 +146,6 @@ def test_a_loop_gives_the_materials_coefficients_beside_the_simulators() -> None
     assert "volume 10 %" in " ".join(str(result).split())
     exact = rt.calibrate_simulator(simulator, room_of(), measured, equation=SABINE, tolerance=0.01)
     assert exact.of_uncertain_room is None
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "stated",
-    [{"volume_sigma": 0.1}, *also({"common_area_sigma": 0.1}, {"common_alpha_sigma": 0.1})],
-)
-def test_the_finder_doubts_an_uncertain_room_before_it_finds(
-    stated: dict[str, float], kept: Path
-) -> None:
-    exact, uncertain = (
-        room_of(**kind).replace(sigma=0.05 * room_of().alpha) for kind in ({}, stated)
-    )
-    t = 1.15 * SABINE.reverberation_time(exact)
-    measured = rt.Measurement.from_values(exact.centre_frequencies, t20=t)
-    score = [rt.find(room, measured, cache=kept).score for room in (exact, uncertain)]
-    assert score[1] < score[0] - 1.0
 
 
 @pytest.mark.parametrize("stated", [{"volume_sigma": 0.1}, {"area_sigma": 0.1}])

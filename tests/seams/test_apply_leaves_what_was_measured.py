@@ -19,13 +19,10 @@ import rtcal as rt
 from rtcal.finder import Case
 from rtcal.finder.apply import corrected_case
 from rtcal.finder.effects import AppliedEffect, Effect, checked_grid, library
-from rtcal.finder.finding import Finding
 from rtcal.finder.means.problem import state
 from rtcal.report import of_finding
-from rtcal.report.finding_words import percent
 from rtcal.support.errors import DataError
 from tests.conftest import also
-from tests.test_where_page import finding_of
 
 ABOUT = {"area", "volume"}
 """Effects that are about a stated number itself."""
@@ -84,50 +81,6 @@ def test_the_order_of_two_absorbers_leaves_the_total(case: Case) -> None:
     )
 
 
-def with_odds(finding: Finding, verdict: str, **probabilities: float) -> Finding:
-    """Return the finding with other probabilities of its best candidates, not claimed by name."""
-    best, *others = finding.candidates
-    changed = [
-        replace(c, probability=p)
-        for c, p in zip((best, *others), probabilities.values(), strict=False)
-    ]
-    table = dict(zip([c.effect for c in changed], probabilities.values(), strict=True))
-    return replace(
-        finding,
-        verdict=verdict,
-        named=(),
-        candidates=tuple(changed),
-        probabilities={**finding.probabilities, **table},
-    )
-
-
-@pytest.mark.long
-def test_an_improbable_candidate_is_added_only_by_its_name(found: Finding) -> None:
-    """Nine of 41 first candidates with less than 0.3 were right."""
-    unsure = with_odds(found, "ambiguous", first=0.29, second=0.2)
-    names = [c.effect for c in unsure.candidates]
-    assert unsure.can_be_added
-    with pytest.raises(DataError, match="No effect is chosen") as refused:
-        unsure.apply()
-    assert all(f"{n} ({percent(unsure.probabilities[n])})" in str(refused.value) for n in names)
-    assert not unsure.can_be_verified
-    assert [p.name for p in unsure.apply(effect=names[0]).case.applied] == names[:1]
-    with pytest.raises(DataError, match='effect = "organ" is no candidate'):
-        unsure.apply(effect="organ")
-    sure = with_odds(found, "ambiguous", first=0.3, second=0.2)
-    assert [p.name for p in sure.apply().case.applied] == [sure.best_effect]
-
-
-def test_no_page_advises_an_improbable_candidate(found: Finding, tmp_path: Path) -> None:
-    unsure = with_odds(found, "ambiguous", first=0.29, second=0.2)
-    assert of_finding._corrected(unsure, None) == []
-    said = " ".join(of_finding.to_do(unsure, None))
-    assert "Put none of the effects into the model" in said
-    assert "Use the corrected" not in said
-    with pytest.raises(DataError, match="No effect is chosen"):
-        of_finding.correct(unsure, tmp_path / "case.json")
-
-
 def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case, kept: Path) -> None:
     hidden: Any = AppliedEffect("volume", {"ratio": 1.3})
     found = rt.find(case, only=["volume", "opening"], cache=kept)
@@ -147,54 +100,3 @@ def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case, kept: P
     assert of_finding._corrected(guess, None) == []
     claimed = replace(guess, verdict="named", named=("volume",), probabilities={"volume": 0.95})
     assert claimed.apply().room.volume == pytest.approx(1.3 * case.room.volume)
-
-
-def torn_at_positions(first: float, verdict: str = "ambiguous") -> Finding:
-    """Return a finding whose best candidate has a probability, two of one family on another wall."""
-    found = finding_of({"wall 5": 1.0, "wall 0": 1.0, "ceiling": 1.0})
-    wall, other, ceiling = found.candidates
-    every = [
-        replace(wall, probability=first),
-        replace(other, probability=0.16),
-        replace(other, effect="curtain", family="added absorption, rising", probability=0.1),
-        replace(ceiling, effect="area", family="scale", probability=0.14),
-    ]
-    return replace(found, verdict=verdict, named=(), family=None, candidates=tuple(every))
-
-
-def test_at_positions_an_improbable_candidate_is_added_only_where_it_is_stated() -> None:
-    unsure = torn_at_positions(0.29)
-    assert unsure.can_be_added
-    with pytest.raises(DataError, match=r"less than 30 %.*effect = NAME, or its place") as refused:
-        unsure.apply()
-    assert all(
-        f"{c.title} ({100 * c.probability:.0f} %)" in str(refused.value) for c in unsure.candidates
-    )
-    assert unsure.apply(effect="porous").added.surface == "wall 5"
-    assert unsure.apply(effect="curtain").added.surface == "wall 0"
-    with pytest.raises(DataError, match='effect = "organ" is no candidate'):
-        unsure.apply(effect="organ")
-    geometry = unsure.case.geometry
-    corners = geometry.vertices[list(geometry.faces[unsure.case.faces["wall 0"][0]])]
-    there = unsure.apply(at=tuple(corners.mean(axis=0)))
-    assert there.added.title == 'porous on "wall 0"'
-    with pytest.raises(DataError, match=r'effect = "area" is no candidate\. Candidates: porous'):
-        unsure.apply(at=tuple(corners.mean(axis=0)), effect="area")
-    assert torn_at_positions(0.31).apply().added.surface == "wall 5"
-
-
-def test_which_member_of_a_family_stands_on_a_surface_is_no_question() -> None:
-    """Porous with 0.2 and curtain with 0.2 on one wall: absorption is missing there with 0.4."""
-    found = torn_at_positions(0.2)
-    first = found.candidates[0]
-    curtain = replace(first, effect="curtain", family="added absorption, rising")
-    both = replace(found, candidates=(first, curtain, *found.candidates[1:]))
-    assert both.apply().added.surface == "wall 5"
-
-
-def test_where_most_is_unknown_shares_are_those_of_the_rest() -> None:
-    found = torn_at_positions(0.2, "unknown")
-    alone = replace(found.candidates[0], effect="unknown", family="unknown", surface=None, place="")
-    rest = replace(found, candidates=(replace(alone, probability=0.4), *found.candidates))
-    assert rest.undecided is None
-    assert rest.apply().added.surface == "wall 5"

@@ -12,11 +12,10 @@ import pytest
 from numpy.typing import ArrayLike
 
 import rtcal as rt
-from rtcal.command.main import cli
 from rtcal.datasets import examples
 from rtcal.finder.effects import library
 from rtcal.support.errors import OtherBandsWarning
-from tests.conftest import also, program_of
+from tests.conftest import program_of
 
 THIRDS = (200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000, 2500)
 IN_BANDS: dict[str, Callable[[rt.Measurement], rt.Measurement]] = {
@@ -89,31 +88,6 @@ OTHERS = {
     "thirds": (THIRDS, "converted from third-octaves to octaves"),
     "few": ([500, 1000], "no T was measured at 125 Hz, 250 Hz, 2000 Hz, 4000 Hz"),
 }
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("frequencies", "said"), OTHERS.values(), ids=OTHERS)
-@pytest.mark.parametrize(
-    "command",
-    [
-        ["predict", "--change", "variants.toml"],
-        *also(["design", "--treatments", "treatments.toml"]),
-        ["loop start", "--state", "loop.json", "--out", "next.toml"],
-    ],
-    ids=lambda command: command[0],
-)
-def test_commands_on_t_say_what_bands_they_lack(
-    command: list[str], frequencies: list[float], said: str, tmp_path: Path, monkeypatch
-) -> None:
-    """They were silent, and a band without T looks like the others."""
-    for name, content in examples.example("change").files.items():
-        (tmp_path / name).write_bytes(content)
-    monkeypatch.chdir(tmp_path)
-    times = np.full(len(frequencies), 1.8)
-    rt.Measurement.from_values(frequencies, t20=times).save("measured.csv")
-    name, *options = command
-    with pytest.warns(OtherBandsWarning, match=said):
-        cli.main([*name.split(), "room.toml", "measured.csv", *options], standalone_mode=False)
 
 
 @pytest.mark.parametrize(("frequencies", "said"), OTHERS.values(), ids=OTHERS)

@@ -119,14 +119,6 @@ def test_a_file_keeps_the_record(room_and_times, tmp_path) -> None:
         rt.calibrate(rt.Room.from_file(str(tmp_path / "room.toml")), times)
 
 
-def test_a_copied_decay_time_is_said(room_and_times) -> None:
-    room, times = room_and_times
-    copied = rt.Measurement.from_values(room.centre_frequencies, t20=times, t30=times)
-    assert "one of them is a copy" in " ".join(str(rt.calibrate(room, copied)).split())
-    other = rt.Measurement.from_values(room.centre_frequencies, t20=times, t30=1.01 * times)
-    assert "is a copy" not in " ".join(str(rt.calibrate(room, other)).split())
-
-
 @pytest.mark.parametrize(("factor", "said"), [(1.0, True), (1.01, False)])
 def test_a_copied_decay_time_is_said_at_every_position(room_and_times, factor, said) -> None:
     room, times = room_and_times
@@ -140,23 +132,6 @@ def test_a_copied_decay_time_is_said_at_every_position(room_and_times, factor, s
     match = ("t20", "t30")
     data = pairs_to_match(room, heard, match, Observations.of_measurement(heard, match, pairs))
     assert any("leave one out of match" in note for note in data.notes) == said
-
-
-def test_an_empty_calibration_is_refused() -> None:
-    hall = rt.datasets.halls.corridor()
-    tracer = rt.simulators.PathTracing(
-        geometry=hall.geometry,
-        room=hall.room,
-        sources=hall.sources,
-        receivers=hall.receivers,
-        n_paths=320,
-    )
-    values = {"t20": np.ones((4, 7)), "edt": np.ones((4, 7))}
-    measured = rt.Measurement(
-        centre_frequencies=hall.room.centre_frequencies, values=values, pairs=tracer.pairs
-    )
-    with pytest.raises(DataError, match=r"calibration = \[\] is not a rtcal"):
-        rt.calibrate_positions(tracer, hall.room, measured, match=("t20", "edt"), calibration=[])
 
 
 @pytest.mark.parametrize("match", [("t20",), ("edt", "t20"), ("edt",)])

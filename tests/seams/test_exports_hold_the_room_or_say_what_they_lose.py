@@ -21,9 +21,8 @@ import rtcal as rt
 from rtcal.finder.apply import Corrected, corrected_geometry
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
 from rtcal.loop.positions import PositionsResult
-from rtcal.report import figures, of_positions
+from rtcal.report import figures
 from rtcal.simulators import Polyhedron, of_equation
-from rtcal.support.errors import DataError
 from tests.test_where_corrected import candidate
 
 
@@ -264,26 +263,6 @@ def test_a_list_holds_what_it_does_not_say(
         assert np.abs(again.scattering - 0.1).max() > 0.02  # fitted, not what it began with
 
 
-@pytest.mark.parametrize("field", sorted({f.name for f in dataclasses.fields(rt.Scene)} - {"unit"}))
-def test_a_list_says_of_each_part_of_a_scene_that_it_is_lost(field: str, tmp_path: Path) -> None:
-    """The unit is the mesh's. Sources and receivers are stated both, or neither."""
-    points = {"sources": {"S1": (1, 1, 1)}, "receivers": {"R1": (2, 2, 1)}}
-    state: dict[str, Any] = {
-        "mesh": "box.obj",
-        "position_uncertainty": 0.2,
-        "surfaces": {"front": ["wall"]},
-        "directivity": {"S1": "unknown"},
-        **points,
-    }
-    needed = points if field == "directivity" else {}
-    alone = points if field in points else needed | {field: state[field]}
-    of = [
-        bras.write(stated().replace(scene=rt.Scene(**scene)), tmp_path / f"{n}.csv").lost
-        for n, scene in enumerate((needed, alone))
-    ]
-    assert len(of[1]) == len(of[0]) + 1
-
-
 @pytest.mark.parametrize("name", ["native", "catt", "pyroomacoustics"])
 def test_what_a_fit_has_gained_is_in_the_file(name: str, tmp_path: Path) -> None:
     """T of the exported room is that of the fit, whose scattering was fitted."""
@@ -318,16 +297,6 @@ def test_what_a_fit_has_gained_is_in_the_file(name: str, tmp_path: Path) -> None
     assert np.abs(first / fit - 1).max() > 0.03
 
 
-def test_the_page_of_a_fit_names_the_command_that_made_it() -> None:
-    """A scattering that was fitted began with "random", whatever meaning the fit has chosen."""
-    result = replace(fitted(), tracer=replace(fitted().tracer, scattering_model="vector"))
-    assert "--scattering-model" not in str(of_positions.command(result))
-    other = replace(result, prior=result.prior.replace(scattering_model="vector"))
-    assert "--scattering-model random" in str(of_positions.command(other))
-    kept = replace(result, scattering=None)
-    assert "--scattering-model vector" in str(of_positions.command(kept))
-
-
 def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path: Path) -> None:
     made = patched()
     made.save(tmp_path)
@@ -349,20 +318,6 @@ def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path: Path) -> None
         words = {SAID[n] for n in SAID if n not in ("dimensions", "clipped", "scattering", "scene")}
         assert {"mesh", "sources and receivers"} <= {*report.lost}
         assert words - {"what scattering means", SAID["calibration"]} <= set(report.lost), name
-
-
-def test_a_patchs_folder_names_the_balloons_files(tmp_path: Path) -> None:
-    """A balloon as numbers is larger than a room's file may be."""
-    made = patched()
-    file = rt.Directivity(file=tmp_path / "speaker.sofa", aim=(1, 0, 0))
-    scene = replace(made.case.room.scene, directivity={"S1": file})
-    simulator = made.case.simulator
-    simulator = replace(simulator, room=simulator.room.replace(scene=scene))
-    corrected_geometry(replace(made.case, simulator=simulator), made.added).save(tmp_path / "new")
-    stated = (tmp_path / "new" / "room.toml").read_text(encoding="utf-8")
-    assert 'file = "../speaker.sofa"' in stated
-    read = rt.Room.from_file(str(tmp_path / "new" / "room.toml")).scene.directivity["S1"]
-    assert Path(read.file).resolve() == Path(file.file).resolve()
 
 
 @pytest.mark.parametrize("ending", ["csv", "xlsx"])
@@ -389,69 +344,6 @@ def test_a_measurement_is_read_back(ending: str, tmp_path: Path) -> None:
         assert one.keys() == other.keys()
         for name in other:  # a workbook keeps 16 digits
             np.testing.assert_allclose(one[name], other[name], rtol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("scene", "words"),
-    [
-        (rt.Scene(mesh="room.obj"), "mesh"),
-        (rt.Scene(sources=SOURCES, receivers=RECEIVERS), "sources and receivers"),
-        (rt.Scene(mesh="room.obj", sources=SOURCES, receivers=RECEIVERS), "sources and receivers"),
-        (rt.Scene(surfaces={"floor": ("floor",)}), "names of surfaces"),
-    ],
-)
-def test_sources_that_are_not_there_are_not_said_to_be_lost(
-    scene: rt.Scene, words: str, tmp_path: Path
-) -> None:
-    report = odeon.write(stated(scene=scene), tmp_path / "out")
-    assert words in report.lost
-    assert ("mesh" in report.lost) == (scene.mesh is not None)
-    assert ("receivers" in str(report)) == ("receivers" in words)
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_nothing_is_lost_in_silence_that_is_not_stated(name: str, tmp_path: Path) -> None:
-    """A report names only what the room has."""
-    bands = OCTAVES
-    plain = rt.Room(
-        name="plain",
-        volume=200.0,
-        materials=NAMES,
-        areas=[AREAS[n] for n in NAMES],
-        alpha=np.full((2, len(bands)), 0.2),
-        sigma=np.full((2, len(bands)), 0.05),
-        centre_frequencies=bands,
-    )
-    report = FORMATS[name].write(plain, tmp_path / "out")
-    assert report.lost == ("name", "areas and volume", "sigma")
-
-
-def test_the_own_bytes_of_a_list_stay(tmp_path: Path) -> None:
-    given = template("catt", tmp_path, "without scattering")
-    assert given is not None
-    catt.write(calibrated(), tmp_path / "out", template=given)
-    written = (tmp_path / "out").read_bytes()
-    first, second = written.split(b"\r\n")[:2]
-    assert first.endswith(b"> {9 9 9}")
-    assert b"> L <" in first
-    assert second.endswith(b">")
-
-
-def test_a_single_material_of_bras_gets_its_scattering(tmp_path: Path) -> None:
-    given = tmp_path / "floor.csv"
-    given.write_text("125, 250\n0.1, 0.2\n0.1, 0.1\n", encoding="utf-8")
-    room = rt.Room(
-        name="one",
-        volume=20.0,
-        materials=["floor"],
-        areas=[50.0],
-        alpha=[[0.3, 0.4]],
-        sigma=[[0.1, 0.1]],
-        scattering=[[0.5, 0.6]],
-        centre_frequencies=[125, 250],
-    )
-    bras.write(room, given)
-    assert given.read_text(encoding="utf-8") == "125, 250\n0.300, 0.400\n0.500, 0.600\n"
 
 
 def apart(names: list[str], **rows: Any) -> rt.Room:
@@ -490,29 +382,3 @@ def test_two_names_of_one_material_hold_the_rooms_values(
     np.testing.assert_allclose(again.alpha, room.alpha, rtol=0, atol=1e-12)
     np.testing.assert_allclose(again.scattering, room.scattering, rtol=0, atol=1e-12)
     assert b"> {1 2 3} ; brick\r\n" in path.read_bytes()
-
-
-def test_a_row_of_odeon_holds_one_material(tmp_path: Path) -> None:
-    """Its second name is its number and description: there is no second row to write."""
-    path = tmp_path / "list.li8"
-    path.write_bytes(b"101 floor\r\n" + b"\t0.1" * 8 + b"\r\n")
-    names = ["floor", "101 floor"]
-    assert odeon.read(path).aliases == {"floor": "101 floor"}
-    other = np.repeat([[0.2], [0.3]], 6, axis=1)
-    with pytest.raises(DataError, match="is the same material"):
-        odeon.write(apart(names, alpha=other), path)
-    odeon.write(apart(names), path)
-    assert odeon.read(path).listed("floor").alpha[1:7] == (0.2,) * 6
-
-
-def test_the_lists_with_two_names_for_a_material_are_known(tmp_path: Path) -> None:
-    """The laws above are those of every such list; another one is to be added to them."""
-    with_aliases = set()
-    for name, module in FORMATS.items():
-        path = template(name, tmp_path, "without scattering")
-        assert path is not None
-        if name == "catt":
-            path.write_bytes(path.read_bytes() + b"ABS door = walls\r\n")
-        if module.read(path).aliases:
-            with_aliases.add(name)
-    assert with_aliases == {"catt", "odeon"}

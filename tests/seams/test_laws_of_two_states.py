@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,6 @@ from benchmarks.studies.means import real_data
 from benchmarks.studies.states import two_states
 from rtcal.finder import StatesCase
 from rtcal.finder.finding import Finding
-from rtcal.report.pages import page as page_of_result
 from tests.two_states import ALPHA, AREAS, BANDS, measured, room, times
 
 Two = tuple[rt.Room, rt.Measurement, rt.Measurement]
@@ -170,66 +168,6 @@ def test_the_order_of_pairs_and_of_effects_changes_nothing() -> None:
     np.testing.assert_allclose(turned.change, there.change, rtol=1e-6)
 
 
-def in_climates(seed: int, panels: float) -> Finding:
-    """Return the finding of panels that were added, each state in a climate as it is stated."""
-    rng = np.random.default_rng(seed)
-    two = [
-        measured(times(area, rt.Air(20 + 2 * rng.standard_normal(), 50 + 10 * rng.standard_normal())),
-                 100 * seed + j, pairs=30)
-        for j, area in enumerate((0.0, panels))
-    ]  # fmt: skip
-    return rt.find(room(), two[1], before=two[0])
-
-
-@pytest.mark.long
-def test_panels_that_change_t_by_a_twentieth_are_no_climate() -> None:
-    """ "another climate of the air, and nothing else", 0.96 and 0.997, where panels were turned."""
-    assert np.log(times() / times(0.9))[2:4].mean() == pytest.approx(0.05, abs=0.01)
-    for seed in range(4):
-        finding = in_climates(seed, 0.9)
-        assert finding.family is not None
-        assert finding.family.startswith("added absorption")
-        assert finding.probabilities["air"] < 0.01
-
-
-@pytest.mark.long
-def test_a_climate_that_is_named_explains_t_and_leaves_no_interval_of_nothing() -> None:
-    claims = []
-    for seed in range(6):
-        finding = in_climates(seed, 0.0)
-        claims += [] if finding.family is None else [finding.family]
-        assert "+0.0 (+0.0 to +0.0)" not in str(finding)
-        assert np.isfinite(finding.change).all()
-        assert (finding.change[1] < finding.change[2]).all()
-    assert len(claims) >= 3
-    assert set(claims) == {"climate"}
-
-
-def test_a_climate_that_does_not_explain_t_is_not_named() -> None:
-    """No surface is tried, so that the climate is the only one to explain panels."""
-    before, after = measured(times(), 1, pairs=30), measured(times(6), 2, pairs=30)
-    alone = rt.find(room(), after, before=before, only=["air"], without=["unknown"])
-    assert set(alone.probabilities) == {"none", "air"}
-    assert alone.verdict == "ambiguous"
-    assert alone.family is None
-    assert alone.reasons[0].code == "not the climate alone"
-    assert "not tried" in str(alone)
-    assert "nan" not in str(alone)
-
-
-@pytest.mark.long
-def test_a_climate_is_as_well_known_as_it_is_stated() -> None:
-    two = [measured(times(air=rt.Air(20, h)), j, pairs=30) for j, h in enumerate((50, 35), 3)]
-    by_uncertainty = [
-        rt.find(
-            StatesCase(room=room(), before=two[0], after=two[1], climate_uncertainty=uncertainty)
-        ).probabilities["air"]
-        for uncertainty in ((0.1, 0.5), (2.0, 10.0))
-    ]
-    assert by_uncertainty[0] < 0.1
-    assert by_uncertainty[1] > 0.9
-
-
 def test_an_option_without_effect_is_refused() -> None:
     stated, before, after = drawn(1)
     two = {"room": stated, "before": before, "after": after}
@@ -249,17 +187,3 @@ def test_an_option_without_effect_is_refused() -> None:
         rt.find(stated, after, before=before, effects=volume)
     with pytest.raises(rt.errors.DataError, match="the room has none"):
         StatesCase(**{**two, "room": stated.replace(air=None)}, climate_uncertainty=(1, 5))
-
-
-def test_a_climate_alone_has_numbers_and_a_page_without_nan(tmp_path: Path) -> None:
-    pytest.importorskip("jinja2")
-    pytest.importorskip("matplotlib")
-    two = [measured(times(air=rt.Air(20, h)), j, pairs=30) for j, h in enumerate((50, 28), 3)]
-    found = rt.find(room(), two[1], before=two[0], only=["air"], without=["unknown"])
-    assert found.family == "climate"
-    assert rt.finder.verify(found).verdict == "supported"
-    json.dumps(found.to_dict(), allow_nan=False)
-    assert str(rt.load(found.save(tmp_path))) == str(found)
-    page = page_of_result(found)
-    assert "The climate of the air changed, and nothing else" in page
-    assert "nan" not in page.split("<img")[0].lower()

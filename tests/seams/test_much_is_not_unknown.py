@@ -30,8 +30,7 @@ from rtcal.finder.positions.weighing import responses_of
 from rtcal.report.finding_words import headline
 from tests.conftest import also
 from tests.test_where import MATCH, measured, stated, tracing
-from tests.test_where_corrected import candidate
-from tests.test_where_page import finding_of, verification_of
+from tests.test_where_page import finding_of
 
 LARGER = 9.0
 """Variance of the simulator's error that is added, over the one that a search assumes."""
@@ -146,45 +145,3 @@ def test_what_holds_most_of_the_rest_is_said_and_applied() -> None:
     assert not torn.can_be_added
     with pytest.raises(rt.errors.DataError, match="no effect of the library"):
         torn.apply()
-
-
-def test_that_an_effect_does_not_explain_everything_is_said() -> None:
-    found = replace(finding_of({"wall 5": 1.0}), surface="wall 5", unexplained=0.93)
-    assert "differs from the model as well (93 %)" in " ".join(headline(found))
-    assert "does not explain everything" not in str(finding_of({"wall 5": 1.0}))
-
-
-def test_halves_that_found_another_thing_stand_in_the_verdict() -> None:
-    """The whole was supported by halves that had added something else, which stood further down."""
-    found = finding_of({"wall 5": 0.75, "wall 0": 0.25}, (("wall 5", "wall 1"),))
-    shrinks = {"before": 3.0, "plain": 2.0, "corrected": 1.0}
-    claimed = replace(found, surface="wall 5")
-    same, alike, other = (candidate(name, 6.0) for name in ("wall 5", "wall 1", "wall 0"))
-    lacks = replace(same, family="less absorption", effect="covered surface")
-    agreed = verification_of(claimed, shrinks, added=(same, same))
-    assert agreed.verdict == "supported"
-    assert agreed.sentence.startswith("Supported: with what was found, the mean deviation")
-    placed = verification_of(claimed, shrinks, added=(same, alike))
-    assert placed.verdict == "supported"
-    assert placed.sentence.startswith(
-        "Supported for added absorption, not for its surface: half of the pairs found porous on "
-        '"wall 1", not porous on "wall 5" as all pairs did; with what was found'
-    )
-    at_another = verification_of(found, shrinks, added=(other, other))
-    assert at_another.verdict == "supported"
-    assert at_another.sentence.startswith("Supported for added absorption, not for its surface: ")
-    for added, said in {
-        (same, other): 'half of the pairs found porous on "wall 0", not porous on "wall 5"',
-        (
-            other,
-            None,
-        ): 'the halves of the pairs found porous on "wall 0" and nothing, not porous on',
-        (lacks, same): 'half of the pairs found covered surface on "wall 5", not porous on',
-    }.items():
-        differing = verification_of(claimed if lacks not in added else found, shrinks, added=added)
-        assert differing.verdict == "unproven"
-        assert differing.sentence.startswith(f"Unproven: {said}")
-    larger = {"before": 3.0, "plain": 1.0, "corrected": 2.0}
-    grows = verification_of(claimed, larger, added=(same, other))
-    assert grows.verdict == "withdrawn"
-    assert grows.sentence.startswith("Withdrawn: half of the pairs found")

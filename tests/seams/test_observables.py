@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 from pathlib import Path
 
@@ -17,10 +16,8 @@ from rtcal.io import impulse_responses, tables
 from rtcal.io.impulse_responses import means, with_uncertainty
 from rtcal.loop import measured_pairs
 from rtcal.simulators import ImageSource
-from tests import test_where
 from tests.test_positions_input import BOX, IN_BOX
 
-ROOT = Path(__file__).resolve().parents[2]
 WIDTH = 1e-3
 NEW = ("d50", "sti")
 """Observables that were added as one file each."""
@@ -131,20 +128,6 @@ def test_new_observables_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(observable(p).label in str(result) for p in NEW)
 
 
-@pytest.mark.long
-def test_new_observables_are_found_with(kept: Path) -> None:
-    """An opening is detected by D50 and STI beside T20. Without a level they do not tell its wall."""
-    room = test_where.stated()
-    hole = test_where.measured(True, match=("t20", *NEW))
-    case = rt.finder.PositionsCase(
-        simulator=test_where.tracing(room), measured=hole, match=("t20", *NEW)
-    )
-    finding = rt.find(case, cache=kept)
-    assert finding.parameters == ("t20", *NEW)
-    assert finding.detected
-    assert finding.map.shape == (3, len(finding.pairs), len(test_where.BANDS))
-
-
 def test_an_observable_from_outside_is_heard() -> None:
     """As one file would: registered, it is simulated, fitted and printed."""
 
@@ -181,42 +164,3 @@ def test_an_observable_from_outside_is_heard() -> None:
     finally:
         OBSERVABLES.clear()
         OBSERVABLES.update(before)
-
-
-def named(path: Path) -> set[str]:
-    """Return the keys of observables that a module has as a text or an argument of its own.
-
-    "g" and "level" are words for other things as well, and are not counted.
-    """
-    counted = {*OBSERVABLES} - {"g", "level"}
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            found |= {node.value} & counted
-        elif isinstance(node, ast.keyword) and node.arg is not None:
-            found |= {node.arg} & counted
-    return found
-
-
-THE_MEANS_HAVE_FIVE = {
-    *(f"finder/{name}.py" for name in ("apply", "case", "model")),
-    *(
-        f"finder/means/{name}.py"
-        for name in (
-            *("engines", "planning", "problem"),
-            *("recalibration", "search"),
-        )
-    ),
-}
-"""The closed-form model of a room predicts five features, of T20, EDT, T30, C80 and G."""
-
-
-@pytest.mark.long
-def test_no_module_outside_the_registry_names_an_observable() -> None:
-    package = ROOT / "rtcal"
-    modules = {
-        path.relative_to(package).as_posix()
-        for path in package.rglob("*.py")
-        if path.stem != "observables" and named(path)
-    }
-    assert modules == THE_MEANS_HAVE_FIVE

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.prediction import Change
-from rtcal.prediction.predicted import Prediction
 from rtcal.simulators.external import of_equation
 
 STATED = {"volume_sigma": 0.08, "area_sigma": 0.05}
@@ -33,23 +31,6 @@ def test_a_loop_takes_it_as_exact_and_does_not_push_the_target(room: rt.Room) ->
         loops.append(rt.calibrate_simulator(simulator, each, measured(each)))
     np.testing.assert_allclose(loops[1].room.alpha, loops[0].room.alpha, rtol=0, atol=1e-12)
     assert np.abs(loops[0].room.alpha - room.alpha).max() > 0.001
-
-
-@pytest.mark.long
-def test_a_predicted_change_hardly_depends_on_it(room: rt.Room) -> None:
-    """T before is known, so that a volume, and an error common to all areas, cancel in the change."""
-    change = Change(air=rt.Air(25, 30))
-    usual, *others = (
-        rt.calibrate(room.replace(**more), measured(room)).predict(change)
-        for more in ({}, {"volume_sigma": 0.03, "area_sigma": 0.03}, {"volume_sigma": 0.08}, STATED)
-    )
-
-    def ratios(prediction: Prediction) -> list[np.ndarray]:
-        return [t / prediction.time_before for t in (prediction.mean, *prediction.interval)]
-
-    for other in others:
-        np.testing.assert_allclose(ratios(other), ratios(usual), rtol=0.02)
-        assert (other.parts["volume, areas and climate"] < 0.05).all()
 
 
 def test_an_archive_counts_it(room: rt.Room) -> None:

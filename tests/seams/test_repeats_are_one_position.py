@@ -130,24 +130,5 @@ def test_the_repeats_share_what_is_uncertain_at_their_place() -> None:
     np.testing.assert_allclose(stated.mean_uncertainty("t20"), of_one)
 
 
-def test_a_missing_repeat_leaves_the_others() -> None:
-    values = SWEEPS.copy()
-    values[1, 0] = np.nan
-    measured = rt.Measurement(
-        centre_frequencies=BANDS,
-        values={"t20": values},
-        pairs=[("S1", n) for n in NAMES["numbered"]],
-    )
-    assert measured.mean("t20")[0] == pytest.approx(values[[0, 2, 3, 4], 0].mean())
-
-
 def test_seats_with_numbers_stay_positions() -> None:
     assert len(of_names(["Seat #1", "Seat #2", "Seat #3"]).pairs) == 3
-
-
-def test_select() -> None:
-    measured = of_names(["R1", "R2", "R3"])
-    chosen = measured.select([("S1", "R3"), ("S1", "R1")])
-    np.testing.assert_array_equal(chosen.values["t20"], SWEEPS[[2, 0]])
-    with pytest.raises(DataError, match="S1 to R9, which the measurement lacks"):
-        measured.select([("S1", "R9")])

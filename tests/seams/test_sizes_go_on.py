@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtcal.finder import Case
-from rtcal.finder.claim import MISTAKE, Reason, conclude
+from rtcal.finder.claim import MISTAKE
 from rtcal.finder.effects import (
     Effect,
     NoiseFloor,
@@ -21,7 +21,6 @@ from rtcal.finder.effects import (
 from rtcal.finder.means.problem import predict_hypotheses, state
 from rtcal.finder.positions.problem import LEAST, RATIO, areas_tried
 from rtcal.finder.search import find
-from rtcal.report.finding_words import headline
 from tests.test_discrepancy import case_with, controls_of, opened
 
 FAR: list[tuple[Effect, dict[str, float]]] = [
@@ -71,34 +70,6 @@ def test_a_size_beyond_the_grid_is_found(effect: Effect, theta: dict[str, float]
         assert any(size.words in str(reason) for reason in finding.reasons)
     else:
         assert size.low < true < size.high
-
-
-def test_a_doubt_about_the_size_leaves_the_family_and_the_amount_leads() -> None:
-    case = opened(60.0)  # 30 % of all surfaces
-    finding = find(case, effects=[Opening()], controls=controls_of(case))
-    assert finding.reasons[0].code == "too large"
-    assert (finding.verdict, finding.family) == ("family", "added absorption, flat")
-    assert finding.size is not None
-    assert finding.size.low < 60 < finding.size.high
-    base = state(case, case.configurations[0])
-    added = 60 * (1 - base.areas @ base.alpha / base.total_area)
-    percent = 100 * (added / (base.areas @ base.alpha + 4 * base.air * base.volume).mean()).mean()
-    said = float(headline(finding)[0].removeprefix("The room absorbs ").split(" %")[0])
-    assert said == pytest.approx(percent, rel=0.5)
-    assert finding.to_dict()["text"] == headline(finding)
-
-
-def test_only_a_doubt_about_the_effect_leaves_a_hint() -> None:
-    size, fit, effect = (Reason(c) for c in ("too large", "not explained", "gap grows"))
-
-    def left(probable: float, *reasons: Reason, family: float = 0.95) -> str:
-        probabilities = {"coupled room": probable, "none": 1 - probable}
-        return conclude(None, probabilities, {"field": family}, reasons=reasons).verdict
-
-    assert left(0.95) == "named"
-    assert left(0.95, size) == left(0.5, fit, size) == "family"
-    assert left(0.95, size, effect) == left(0.95, fit, family=0.5) == "hint"
-    assert left(0.5, effect, family=0.5) == "ambiguous"
 
 
 @pytest.mark.parametrize("area", [0.04, 3.0, 5.0 * LEAST * RATIO**20, 1000.0])

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
-from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.command.main import cli
 from rtcal.loop import positions
 from rtcal.support.errors import DataError, FewPathsWarning
 
 HALL = rt.datasets.halls.lecture_hall()
-OPTIONS = ["--paths", "100", "--match", "t20", "--match", "edt"]
 
 
 def tracer(n_paths: int) -> rt.simulators.PathTracing:
@@ -46,21 +41,6 @@ def test_in_python(measured: rt.Measurement) -> None:
         rt.calibrate_positions(tracer(16), HALL.room, measured, match=("t20", "edt"), more_paths=1)
     with pytest.raises(AssertionError, match="have begun"):  # enough paths come to them
         rt.calibrate_positions(tracer(160), HALL.room, measured, match=("t20", "edt"))
-
-
-def test_by_command(
-    measured: rt.Measurement, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # The option is at least 100, which suffices in this hall: as many are weighed as of 16.
-    monkeypatch.setattr(positions, "precise", lambda s, _: replace(s, n_paths=64, n_batches=16))
-    scene = rt.Scene(mesh=tmp_path / "room.obj", sources=HALL.sources, receivers=HALL.receivers)
-    HALL.room.replace(scene=scene).save(str(tmp_path / "room.toml"))
-    measured.save(str(tmp_path / "pairs.csv"))
-    HALL.geometry.save(tmp_path / "room.obj")
-    files = [str(tmp_path / n) for n in ("room.toml", "pairs.csv")]
-    done = CliRunner().invoke(cli, ["fit", *files, *OPTIONS])
-    assert isinstance(done.exception, DataError)
-    assert "Take a larger --paths" in str(done.exception)
 
 
 def test_a_noise_that_hides_what_is_matched_is_told(measured: rt.Measurement) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,9 +10,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import PositionsCase
-from rtcal.finder.claim import LEADING, Candidate, Reason
+from rtcal.finder.claim import LEADING, Reason
 from rtcal.finder.finding import Finding
-from rtcal.report import figures
 from rtcal.report.finding_words import headline
 from tests.test_where import heard, stated, tracing
 
@@ -53,31 +51,3 @@ def test_the_doubt_of_means_about_what_is_stated_leads(
     assert headline(led)[0].startswith(f"{doubt} If there is none: The room absorbs")
     assert led.to_dict()["mistake"] == doubt.to_dict()
     assert str(doubt) not in headline(finding)[0]
-
-
-def test_a_whole_ceiling_of_foam_is_tried(finding: Finding) -> None:
-    """It was 13 m² on a wall: no area beyond 1.4 times the stated absorption area had been tried."""
-    assert finding.detected
-    best = next(c for c in finding.candidates if c.surface is not None)
-    assert best.surface == "ceiling"
-    assert best.low < best.high == pytest.approx(finding.case.areas["ceiling"])
-
-
-def test_likely_surfaces_are_told_where_something_stands_on_one(finding: Finding) -> None:
-    """Beside a receiver that stood elsewhere, 58 %, and "unknown", 42 %, the ceiling was listed."""
-    assert finding.likely_surfaces
-    receiver = Candidate(
-        effect="position", family="measurement", place="receiver R1", probability=0.98
-    )
-    few = replace(
-        finding,
-        verdict="ambiguous",
-        surface=None,
-        candidates=(
-            receiver,
-            *(replace(c, probability=0.02 * c.probability) for c in finding.candidates),
-        ),
-    )
-    assert few.likely_surfaces == ()
-    assert not any(figures.likely_shares(few).values())
-    assert "ceiling" not in " ".join(headline(few))
