@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ import rtcal as rt
 from benchmarks.studies.archives import archive as study
 from rtcal.calibration import archive as model
 from rtcal.calibration.archive import Evidence, RoomData, Spread
-from rtcal.command.main import cli, main
+from rtcal.command.main import cli
 from rtcal.report import pages
 from rtcal.support.errors import DataError
 
@@ -212,32 +211,6 @@ def test_configurations_are_learned_as_one_room(
     assert rt.learn(rt.archive.read_folder(tmp_path)).lessons == archive.lessons
 
 
-@pytest.mark.long
-def test_results_of_other_kinds_count_for_nothing(
-    rooms: list[rt.calibration.CalibrationResult],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """Among as many predictions 251 of 260 calibrations were read, without a word."""
-    panel = rt.Material("panel", [0.5] * rooms[0].prior.n_bands, [0.1] * rooms[0].prior.n_bands)
-    cover = rt.prediction.Change(cover=rooms[0].prior.materials[0], by=panel, area=1.0)
-    for i, result in enumerate(rooms):
-        result.save(tmp_path / f"room {i}" / "calibrated")
-        for n in range(3):
-            result.predict(cover).save(tmp_path / f"room {i}" / f"before {n}")
-    names = [result.prior.name for result in rooms]
-    monkeypatch.setattr("rtcal.calibration.archive._MOST", len(rooms))
-    assert [r.prior.name for r in rt.archive.read_folder(tmp_path)] == names
-    with pytest.raises(SystemExit) as end:
-        main(["learn", str(tmp_path)])
-    assert end.value.code == 0
-    assert f"Left out, results of other kinds: {3 * len(rooms)}" in capsys.readouterr().out
-    monkeypatch.setattr("rtcal.calibration.archive._MOST", len(rooms) - 1)
-    with pytest.raises(DataError, match=f"more than {len(rooms) - 1} calibrations"):
-        rt.archive.read_folder(tmp_path)
-
-
 def test_the_library_is_the_next_calibrations_input(
     rooms: list[rt.calibration.CalibrationResult],
 ) -> None:
@@ -317,50 +290,6 @@ def test_a_material_that_it_does_not_know_is_off_as_all_tables_are(
     again = archive.apply(known)
     np.testing.assert_array_equal(again.alpha, known.alpha)
     assert again.sources == known.sources
-
-
-def test_a_room_is_judged_by_the_spread_of_the_others(
-    rooms: list[rt.calibration.CalibrationResult], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A room that does not fit would excuse itself."""
-    fitted, left_out = Evidence.fitted, []
-
-    def noted(evidence: Evidence, kept: Any = None, *more: Any) -> Spread:
-        left_out.append(None if kept is None else set(evidence.room[~kept].tolist()))
-        return fitted(evidence, kept, *more)
-
-    monkeypatch.setattr(Evidence, "fitted", noted)
-    rt.learn(rooms)
-    assert [of for of in left_out if of] == [{0}, {1}, {2}]
-
-
-def test_record_and_table_state_what_is_known(
-    rooms: list[rt.calibration.CalibrationResult],
-) -> None:
-    archive = rt.learn(rooms)
-    record = archive.to_dict()
-    for i, material in enumerate(record["materials"]):
-        assert material["name"] == archive.materials[i]
-        np.testing.assert_array_equal(material["table"], archive.table[i])
-        np.testing.assert_array_equal(material["alpha"], archive.alpha[i])
-    text = " ".join(str(archive).split())
-    assert "sigma reduced by" in text
-    together, sigma = 100 * archive.together, 100 * archive.together_sigma
-    assert f"together are off by {together:+.0f} ± {sigma:.0f} %" in text
-
-
-def test_bands_that_it_lacks_are_named(rooms: list[rt.calibration.CalibrationResult]) -> None:
-    archive = rt.learn(rooms)
-    room = rooms[0].prior
-    f = np.append(room.centre_frequencies, 2 * room.centre_frequencies[-1])
-    wide = room.replace(
-        centre_frequencies=f,
-        **{
-            name: np.hstack([getattr(room, name), getattr(room, name)[:, -1:]])
-            for name in ("alpha", "sigma")
-        },
-    )
-    assert archive.left_as_stated(wide)[-1].endswith(f"does not know them: {f[-1]:g} Hz.")
 
 
 def test_it_is_saved_and_read_back(

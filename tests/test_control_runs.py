@@ -5,18 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.loop.measured_pairs import (
     COMMON_LEFT,
     ControlRuns,
     basis,
     errors_by_scattering,
-    simulated_controls,
 )
 from rtcal.loop.positions import unexplained_errors
-from rtcal.simulators import PathTracing, Polyhedron, path_tracing
-from rtcal.simulators.geometry import SHOEBOX_WALLS
+from rtcal.simulators import PathTracing
 from rtcal.support.errors import DataError
 
 PAIRS = tuple(("S", f"R{i}") for i in range(6))
@@ -123,40 +120,6 @@ def test_a_control_run_far_from_all_others_counts_little():
         variances.append(np.diag(fit.covariance(0.475, "random")).mean())
     usual, with_one = variances
     assert with_one < 8 * usual  # by least squares some 50 times
-
-
-def test_no_control_run_is_traced_twice(monkeypatch):
-    """Between hard walls with little scattering T20 is many times Eyring's T."""
-    walls = {wall: "hard" if wall in ("west", "east") else "soft" for wall in SHOEBOX_WALLS}
-    geometry = Polyhedron.shoebox([6.0, 5.0, 2.8], walls)
-    room = rt.Room(
-        name="hard walls",
-        volume=84.0,
-        materials=["hard", "soft"],
-        areas=[2 * 5.0 * 2.8, 2 * 6.0 * (5.0 + 2.8)],
-        alpha=[[0.02], [0.6]],
-        sigma=[[0.006], [0.18]],
-        centre_frequencies=[1000.0],
-        scattering=[[0.1], [0.1]],
-    )
-    tracer = PathTracing(
-        geometry=geometry,
-        room=room,
-        sources={"S": [1.5, 1.2, 1.4]},
-        receivers={"R1": [4.5, 3.5, 1.2], "R2": [3.0, 3.9, 1.2]},
-        n_paths=800,
-    )
-    traced, trace = [], path_tracing.trace
-
-    def counted(*points, **options):
-        traced.append(options["seed"])
-        return trace(*points, **options)
-
-    monkeypatch.setattr(path_tracing, "trace", counted)
-    made = simulated_controls(tracer, room, ("t20", "edt"))
-    assert len(traced) == 1 + 16  # the simulator itself, and each run
-    assert 12 <= len(made.errors) <= 16
-    assert len(made.levels) == len(made.models) == len(made.errors)
 
 
 def test_groups_of_paths_have_the_mean_of_all_and_their_noise():

@@ -1,7 +1,5 @@
 """`rtcal loop start` and `next`: a program run by hand, between runs of the command."""
 
-import json
-
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -44,35 +42,6 @@ def test_a_program_run_by_hand_is_calibrated(cr2, tmp_path):
     wanted = measured.reverberation_time
     assert np.abs(final / wanted - 1).max() < 0.05
     assert np.abs(1.3 * rt.Eyring().reverberation_time(room) / wanted - 1).max() > 0.2
-
-
-@pytest.mark.filterwarnings("ignore::rtcal.support.errors.OtherBandsWarning")
-def test_a_band_without_a_measured_t_goes_through_the_loop_by_hand(cr2, tmp_path):
-    room, measured = cr2
-    times = measured.mean("t30").copy()
-    times[0] = np.nan
-    partial = rt.Measurement.from_values(room.centre_frequencies, t20=times)
-    done, runner, command, files = begun(room, partial, tmp_path)
-    assert done.exit_code == 0, done.output
-    states = []
-    for factor in (1.5, 1.3):  # two tables that leave the loop unfinished
-        simulated = rt.Room.from_file(str(tmp_path / "next.toml"))
-        assert np.array_equal(simulated.alpha[:, 0], room.alpha[:, 0])
-        table = str(tmp_path / "s.csv")
-        rt.Measurement.from_values(
-            room.centre_frequencies, t20=factor * rt.Eyring().reverberation_time(simulated)
-        ).save(table)
-        done = runner.invoke(cli, [*command, table, *files])
-        assert done.exit_code == 0, done.output
-        assert done.output.count("no measured T") == 1
-        states.append((tmp_path / "loop.json").read_bytes())
-    assert json.loads(states[1])["steps"][1]["target"][0] is None
-    room_file, page = str(tmp_path / "room.toml"), str(tmp_path / "page.html")
-    done = runner.invoke(cli, ["report", str(tmp_path / "loop.json"), "--out", page])
-    assert done.exit_code == 0, done.output
-    done = runner.invoke(cli, ["loop", "back", room_file, *files])
-    assert done.exit_code == 0, done.output
-    assert (tmp_path / "loop.json").read_bytes() == states[0]
 
 
 def begun(room, measured, tmp_path, *more):
@@ -172,28 +141,6 @@ def test_a_simulation_in_another_unit_is_named_first(cr2, tmp_path, step, factor
     assert runner.invoke(cli, [*command, simulate(begun_anew, 3), *files]).exit_code == 0
 
 
-def test_the_room_of_the_last_step_simulated_again_is_named(cr2, tmp_path):
-    """With other random numbers no digit is the same, and T is not that of the coefficients."""
-    room, measured = cr2
-    _, runner, command, files = begun(room, measured, tmp_path)
-    first = rt.Room.from_file(str(tmp_path / "next.toml"))
-    assert runner.invoke(cli, [*command, simulate(tmp_path), *files]).exit_code == 0
-    noise = 1 + 0.005 * np.array([1, -1, 1, 1, -1, 1])
-    times = 1.4 * noise * rt.Eyring().reverberation_time(first)
-    table = str(tmp_path / "old.csv")
-    rt.Measurement.from_values(room.centre_frequencies, t20=times).save(table)
-    done = runner.invoke(cli, [*command, table, *files])
-    assert "T is about that of the last step, though alpha changed" in str(done.exception)
-    # Half of the equation's change is that of a hall with uneven absorption.
-    halfway = np.sqrt(
-        1.4
-        * rt.Eyring().reverberation_time(first)
-        * np.array(rt.Measurement.from_file(simulate(tmp_path)).mean("t20"))
-    )
-    rt.Measurement.from_values(room.centre_frequencies, t20=halfway).save(table)
-    assert runner.invoke(cli, [*command, table, *files]).exit_code == 0
-
-
 def test_the_last_step_is_taken_back(cr2, tmp_path):
     room, measured = cr2
     _, runner, command, files = begun(room, measured, tmp_path)
@@ -243,36 +190,3 @@ def test_t_of_other_coefficients_is_refused(cr2, tmp_path):
     done = runner.invoke(cli, [*command, table, *files])
     assert "T is about that of the last step" in str(done.exception)
     assert runner.invoke(cli, [*command, simulate(tmp_path), *files]).exit_code == 0
-
-
-@pytest.mark.parametrize("name", ["sabine", "kuttruff"])
-def test_the_equation_of_the_loop_is_chosen_at_its_start(name: str, cr2, tmp_path):
-    room, measured = cr2
-    done, *_ = begun(room, measured, tmp_path, "--equation", name)
-    assert done.exit_code == 0, done.output
-    assert json.loads((tmp_path / "loop.json").read_text())["equation"]["name"].lower() == name
-    equation = {"sabine": rt.Sabine(), "kuttruff": rt.Kuttruff()}[name]
-    expected = rt.calibrate(room, measured, equation=equation, unreachable="nearest").alpha
-    np.testing.assert_allclose(
-        rt.Room.from_file(str(tmp_path / "next.toml")).alpha, expected, rtol=0, atol=1e-9
-    )
-    refused, *_ = begun(room, measured, tmp_path, "--equation", "fitzroy")
-    assert refused.exit_code == 2
-    assert "fitzroy" in refused.output
-
-
-def test_a_loop_that_begins_with_a_run_has_the_cautions_of_its_coefficients(cr2, tmp_path):
-    """Measured T of a third were matched with coefficients at their bounds, without a word."""
-    room, measured = cr2
-    times = measured.reverberation_time
-    paths = {name: str(tmp_path / name) for name in ("room.toml", "t.csv", "run.csv", "s", "next")}
-    room.save(paths["room.toml"])
-    for name, factor in (("t.csv", 1 / 3), ("run.csv", 1.0)):
-        t20 = factor * times
-        rt.Measurement.from_values(measured.centre_frequencies, t20=t20).save(paths[name])
-    files = ["room.toml", "t.csv", "--simulated", "run.csv", "--state", "s", "--out", "next"]
-    done = CliRunner().invoke(cli, ["loop", "start", *(paths.get(each, each) for each in files)])
-    assert done.exit_code == 0, done.output
-    said = unwrapped(done.output)
-    assert "Caution: [z] " in said
-    assert "The measurement contradicts the input" in said

@@ -163,34 +163,6 @@ def test_integrals_of_a_box():
     np.testing.assert_allclose(corner[1, 0], -corner[0, 0])
 
 
-@pytest.mark.parametrize("factor", [0.4, 2.0])
-def test_decays_that_are_all_off_by_a_factor_are_told(factor):
-    """A rate of energy given as one of amplitude was taken without a word: Q was likely enough."""
-    modes, sure = heard(TRUTH), ROOM.replace(sigma=np.full((6, 3), 0.04))
-    off = replace(
-        modes, decays=factor * modes.decays, decay_uncertainty=factor * modes.decay_uncertainty
-    )
-    result = rt.calibrate_modes(sure, off)
-    (mark,) = [m for m in result.trust_marks if m.kind == "implausible_modes"]
-    assert "times as fast as the input coefficients make them (z = " in mark.text
-    assert "are T and decays called so" in " ".join(result.every_note)
-
-
-def test_a_band_without_a_mode_of_its_own_is_carried_by_none():
-    modes = heard(TRUTH)
-    low = modes.only(np.flatnonzero(modes.frequencies < 88))
-    room = ROOM.replace(centre_frequencies=[125, 250, 500])
-    assert (low.frequencies >= 62.5).sum() >= 3
-    assert rt.calibrate_modes(room, modes).carried[0]
-    assert not rt.calibrate_modes(room, low).carried[0]
-
-
-def test_modes_below_all_bands_tell_them_nothing():
-    high = ROOM.replace(centre_frequencies=[500, 1000, 2000], alpha=ROOM.alpha, sigma=ROOM.sigma)
-    with pytest.raises(DataError, match="no mode used reaches 250 Hz, an octave below"):
-        rt.calibrate_modes(high, heard(TRUTH), [0.5, 0.5, 0.5])
-
-
 def test_modes_tell_the_pairs_of_walls_apart():
     modes, t = heard(TRUTH), times(TRUTH)
     result = rt.calibrate_modes(ROOM, modes, t)
@@ -222,18 +194,6 @@ def test_without_t_and_without_a_change():
     # What a mode tells of does not hang on its misfit.
     assert {r.values[-1] for r in result.blocks()[0].rows} >= {"south, north", "floor, ceiling"}
     assert result.scale == pytest.approx(1.0)
-
-
-def test_a_room_of_uncertain_volume():
-    """T above the Schroeder frequency is matched within what the volume allows, the modes as before."""
-    exact, unsure = (
-        rt.calibrate_modes(ROOM.replace(volume_sigma=v), heard(TRUTH), times(TRUTH))
-        for v in (0, 0.1)
-    )
-    assert unsure.certificate.worst < 1e-9
-    np.testing.assert_allclose(unsure.alpha[:, 0], exact.alpha[:, 0], atol=0.005)
-    reached = [ROOM.areas @ r.alpha[:, 2] for r in (exact, unsure)]
-    assert abs(reached[1] - reached[0]) > 0.002 * reached[0]
 
 
 def test_order_of_walls_does_not_matter():
@@ -403,24 +363,6 @@ def test_wrong_tables(tmp_path, table, place):
     path.write_text(table)
     with pytest.raises(DataError, match=place):
         rt.modes.read(path)
-
-
-@pytest.mark.parametrize(
-    "table",
-    [
-        "# of the 3rd of May\nf,T,u_T\n34.1,1.33,0.0532\n",
-        "frequency / kHz;T / ms;u_T / %\n0,0341;1330;4\n",
-        'f [Hz],"T (s)",u_T / ms\n"34,1","1,33","53,2"\n',
-        "f / Hz\tdelta / 1/s\tdelta uncertainty (%)\n34,1\t5,193801\t4\n",
-    ],
-)
-def test_units_and_decimals_of_a_table(tmp_path, table):
-    path = tmp_path / "modes.csv"
-    path.write_text(table)
-    modes = rt.modes.read(path)
-    np.testing.assert_allclose(modes.frequencies, [34.1])
-    np.testing.assert_allclose(modes.decay_times, [1.33], rtol=1e-6)
-    np.testing.assert_allclose(modes.decay_uncertainty, 0.04 * modes.decays, rtol=1e-6)
 
 
 def test_result_is_saved_whole(tmp_path):

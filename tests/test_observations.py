@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.observables import MATCH, OBSERVABLES, gradients, observable, register
+from rtcal.acoustics.observables import OBSERVABLES, gradients, observable, register
 from rtcal.datasets import halls
 from rtcal.io import tables
 from rtcal.simulators import (
@@ -16,9 +16,9 @@ from rtcal.simulators import (
     Polyhedron,
     kernels,
 )
-from rtcal.simulators.base import differences, jacobian, observe
+from rtcal.simulators.base import differences, jacobian
 from rtcal.simulators.geometry import SHOEBOX_WALLS
-from rtcal.support.errors import DataError, SimulatorError
+from rtcal.support.errors import DataError
 from tests.reference import in_place_of
 from tests.reference import paths as reference
 
@@ -113,35 +113,6 @@ def test_the_derivative_by_scattering_is_that_of_other_paths():
         assert slope[wall] == pytest.approx((after - before) / 0.8, abs=0.03)
 
 
-def test_a_material_without_a_face_has_no_derivatives():
-    """Furniture may be in the room alone."""
-    hall = halls.lecture_hall()
-    stated = hall.room
-    more = [[0.1] * stated.n_bands]
-    room = rt.Room(
-        name=stated.name,
-        volume=stated.volume,
-        materials=[*stated.materials, "chairs"],
-        areas=[*stated.areas, 5.0],
-        centre_frequencies=stated.centre_frequencies,
-        air=stated.air,
-        alpha=np.vstack([stated.alpha, more]),
-        sigma=np.vstack([stated.sigma, more]),
-    )
-    made = PathTracing(
-        geometry=hall.geometry,
-        room=room,
-        sources=hall.sources,
-        receivers=hall.receivers,
-        n_paths=320,
-        scattering=0.4,
-    )
-    for slope in (made.jacobian(room.alpha, ["ts"]), made.scattering_jacobian(room.alpha, ["ts"])):
-        assert slope.shape[-1] == room.n_materials
-        assert slope[..., :-1].any()
-        assert not slope[..., -1].any()
-
-
 def test_what_scatters_nothing_or_everything_has_no_derivative_by_scattering(tracer):
     stated = np.linspace(0.0, 1.0, tracer.room.n_materials)
     ends = replace(tracer, scattering=stated)
@@ -183,13 +154,6 @@ def test_other_simulators_are_differentiated_by_differences():
     np.testing.assert_allclose(found[0, 0], expected, rtol=0.02)
 
 
-def test_parameters_that_a_simulator_does_not_give_are_named():
-    room, _ = rt.datasets.bras_cr2()
-    simulator = rt.simulators.of_equation(room=room, equation=rt.Sabine())
-    with pytest.raises(SimulatorError, match="does not give C80, level"):
-        observe(simulator, room.alpha, MATCH[:1] + MATCH[2:3] + MATCH[4:])
-
-
 @pytest.mark.parametrize(
     ("match", "said"),
     [
@@ -202,11 +166,6 @@ def test_parameters_that_a_simulator_does_not_give_are_named():
 def test_wrong_parameters_are_refused(tracer, match, said):
     with pytest.raises(DataError, match=said):
         tracer.observe(tracer.room.alpha, match)
-
-
-def test_nothing_reflected_has_no_c80(tracer):
-    with pytest.raises(DataError, match="has no"):
-        tracer.observe(np.ones_like(tracer.room.alpha), ["c80"])
 
 
 def share(**attributes):

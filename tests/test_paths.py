@@ -246,27 +246,6 @@ def test_a_hidden_source_is_heard_from_its_first_reflection():
     assert energy[0] > 0
 
 
-def test_memory_per_path():
-    hall = halls.lecture_hall()
-    receivers = list(hall.receivers.values())
-    made = trace(hall.geometry, [hall.sources["S1"]], receivers, 0.3, 1.0, n_paths=1600)
-    hits = C * 1.0 / made.free_paths[0]
-    # Two bytes a hit and ten a time that a receiver hears it (about one a receiver and second),
-    # eight for where the path starts.
-    assert made.nbytes / made.n_paths == pytest.approx(2 * hits + 10 * 3.5 + 8, rel=0.05)
-
-
-def test_walls_with_gaps_let_paths_out():
-    closed = Polyhedron.shoebox((5, 7, 3), "wall")
-    gap = object.__new__(Polyhedron)  # behind the constructor's back, which would refuse it
-    for name, value in vars(closed).items():
-        object.__setattr__(gap, name, value)
-    object.__setattr__(gap, "triangles", closed.triangles[1:])
-    object.__setattr__(gap, "triangle_faces", closed.triangle_faces[1:])
-    with pytest.raises(DataError, match="hit no wall"):
-        trace(gap, SOURCE, RECEIVERS, 0.5, 0.1)
-
-
 def leaky_box(hole):
     """Return the box with a square hole in its floor, ``hole`` m wide."""
     closed = Polyhedron.shoebox((5, 7, 3), "wall")

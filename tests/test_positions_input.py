@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,13 +17,12 @@ from rtcal.command.main import cli
 from rtcal.datasets import halls
 from rtcal.loop import measured_pairs
 from rtcal.loop.measured_pairs import response_noise
-from rtcal.report import figures
 from rtcal.simulators import (
     ImageSource,
     PathTracing,
     ScatteringDelayNetwork,
 )
-from rtcal.support.errors import DataError, SimulatorError
+from rtcal.support.errors import DataError
 from tests.conftest import also
 
 HALL = halls.lecture_hall()
@@ -133,16 +131,6 @@ def test_what_was_not_measured_is_left_out(tracer, measured, changed, parameters
     assert note in " ".join(str(result).split())
 
 
-def test_a_missing_value_is_left_out_alone(tracer, measured):
-    c80 = measured.values["c80"].copy()
-    c80[0, 2] = np.nan
-    result = calibrate(tracer, only(measured, list(range(len(c80))), c80=c80))
-    assert result.measured.used.sum() == result.measured.used.size - 1
-    assert np.isnan(result.gap_after[1, 0, 2])
-    assert np.isfinite(result.alpha).all()
-    assert json.loads(result.to_json())["matched"]["gap_after_jnd"][1][0][2] is None
-
-
 def test_stated_uncertainties_replace_the_assumed_ones(tracer, measured):
     rows, shape = list(range(len(measured.pairs))), measured.values["t20"].shape
     own, common = np.full(shape, 0.02), np.full(shape[1], 0.1)
@@ -184,13 +172,6 @@ def test_control_runs_of_another_simulator_are_refused(tracer, measured):
         measured_pairs.ControlRuns(
             parameters=("t20",), pairs=(("S", "R"),), errors=np.zeros((1, 1, 1, 3))
         )
-
-
-def test_a_simulator_without_any_of_the_parameters_is_refused():
-    room, measured = rt.datasets.bras_cr2()
-    equation = rt.simulators.of_equation(room=room, equation=rt.Sabine())
-    with pytest.raises(SimulatorError, match="gives none of C80, Ts"):
-        rt.calibrate_positions(equation, room, measured, match=("c80", "ts"))
 
 
 BOX = rt.Room(
@@ -271,30 +252,6 @@ def fit(folder: Path, *options: str):
     return CliRunner().invoke(cli, ["fit", *files, "--paths", "160", *options])
 
 
-@pytest.mark.long
-def test_the_command_writes_room_and_record_whole(folder):
-    done = fit(folder, "--match", "t20", "--match", "c80", "--out", str(folder / "made"), "--json")
-    assert done.exit_code == 0, done.output
-    assert json.loads(done.stdout)["parameters"] == ["t20", "c80"]
-    room = rt.Room.from_file(str(folder / "made" / "room.toml"))
-    record = json.loads((folder / "made" / "result.json").read_text())
-    assert room.calibration.method == "positions"
-    np.testing.assert_allclose(room.alpha[0], record["materials"][0]["alpha_after"], rtol=1e-9)
-    assert {
-        p.name for p in (folder / "made").iterdir() if not p.name.startswith(".rtcal_files")
-    } == set(figures.POSITION_FILES)
-    assert len(list((folder / ".rtcal_cache").glob("*.array"))) == 1
-    kept_as_stated = fit(folder, "--match", "t20", "--keep-scattering", "--json")
-    assert json.loads(kept_as_stated.stdout)["scattering"] is None
-    vectors = fit(folder, "--match", "t20", "--scattering-model", "vector")
-    assert 'The input scattering was kept: only the model "random"' in " ".join(
-        vectors.output.split()
-    )
-    without = fit(folder, "--exclude", "S1:R1", "--match", "t20", "--match", "edt")
-    assert without.exit_code == 0
-    assert "Left out, as asked for: S1 to R1" in without.output
-
-
 def test_a_fit_that_leads_no_nearer_writes_nothing_and_has_a_code_of_its_own(folder):
     """Nothing may move, so that the start is returned."""
     room = rt.Room.from_file(str(folder / "room.toml"))
@@ -311,42 +268,3 @@ def test_a_fit_that_leads_no_nearer_writes_nothing_and_has_a_code_of_its_own(fol
     np.testing.assert_array_equal(written.alpha, room.alpha)
     assert written.calibration is None
     assert fit(folder, *options, "--quiet").exit_code == NOT_NEARER
-
-
-def test_a_fit_starts_at_a_told_scattering_where_the_room_states_none(folder, monkeypatch):
-    """As after an import of the catalogue, which has no scattering: it had been refused."""
-    room = rt.Room.from_file(str(folder / "room.toml"))
-    room.replace(scattering=None).save(str(folder / "room.toml"))
-    started = []
-
-    def stop(tracer, *_, **__):
-        started.append(tracer.scattering.max())
-        raise DataError("stopped")
-
-    monkeypatch.setattr("rtcal.loop.positions.calibrate_positions", stop)
-    for option, start in (((), 0.1), (("--scattering", "0.3"), 0.3)):
-        done = fit(folder, *option)
-        assert str(done.exception) == "stopped"
-        assert ("has no scattering: the fit starts at 0.1" in done.stderr) == (not option)
-        assert started.pop() == pytest.approx(start)
-
-
-def test_without_a_mesh_the_room_is_a_box_or_refused(folder):
-    room = rt.Room.from_file(str(folder / "room.toml"))
-    room.replace(scene=replace(room.scene, mesh=None)).save(str(folder / "room.toml"))
-    assert "states neither a mesh nor dimensions" in str(fit(folder).exception)
-    room.replace(scene=rt.Scene(mesh=room.scene.mesh)).save(str(folder / "room.toml"))
-    assert "write [sources] and [receivers] into its file" in str(fit(folder).exception)
-
-
-def test_a_room_keeps_what_its_scattering_means(folder):
-    """A fit's coefficients were traced as the other model's once the room had been read again."""
-    done = fit(
-        folder, "--scattering-model", "vector", "--match", "t20", "--out", str(folder / "made")
-    )
-    assert done.exit_code == 0, done.output
-    room = rt.Room.from_file(str(folder / "made" / "room.toml"))
-    assert room.scattering_model == "vector"
-    again = rt.io.geometry_files.path_tracing(room)
-    assert again.scattering_model == "vector"
-    assert again.geometry.areas == rt.io.obj.read(folder / "room.obj").areas

@@ -47,13 +47,6 @@ def test_the_same_parameters_pairs_and_values_are_compared() -> None:
     assert run.lacking(measured) == {"t30": "run", "c80": "measurement"}
 
 
-def test_means_are_compared_where_no_pair_is_common() -> None:
-    run = rt.Run(box(), rt.Measurement.from_values(F, t20=[1.0, 1.1]))
-    ours, theirs = run.beside(of_pairs(t20=[[1, 1], [3, 3]]))
-    assert ours.mean("t20").tolist() == [1.0, 1.1]
-    assert theirs.mean("t20").tolist() == [2, 2]
-
-
 def test_bands_are_converted_and_t20_is_not_t30() -> None:
     thirds = rt.Measurement.from_values([400, 500, 630], t20=[1.0, 1.0, 1.0])
     with pytest.warns(OtherBandsWarning, match="the run is converted from third-octaves"):
@@ -148,21 +141,6 @@ def test_the_program_agrees_only_where_no_parameter_disagrees() -> None:
         assert ("where the program agrees with the measurement" in said) == agrees
 
 
-def test_positions_that_deviate_alike_are_said_so_and_others_named() -> None:
-    pairs = [("S1", f"R{i}") for i in range(1, 5)]
-    one = rt.Measurement(centre_frequencies=F, values={"t20": np.ones((4, 2))}, pairs=pairs)
-    for sizes, said in (
-        ([0.8] * 4, "20 % too short in all bands, at all positions alike"),
-        ([0.7, 0.7, 0.7, 0.2], "not at all positions alike"),
-        ([1, 1, 1, 0.4], "agrees with the measurement in the mean over the pairs"),
-    ):
-        values = {"t20": np.repeat(np.array(sizes)[:, None], 2, axis=1)}
-        run = rt.Run(box(), rt.Measurement(centre_frequencies=F, values=values, pairs=pairs))
-        found = rt.compare(box(), one, run)
-        assert said in found.sentence
-    assert "Largest at one pair: T20 from S1 to R4, -12.0 JND" in " ".join(str(found).split())
-
-
 def test_without_a_run_the_equation_is_compared() -> None:
     measured = rt.Measurement.from_values(F, t20=1.5 * rt.Sabine().reverberation_time(box()))
     found = rt.compare(box(), measured, equation=rt.Sabine())
@@ -209,28 +187,3 @@ def test_a_loop_that_begins_with_a_run_needs_one_simulation_less(equation: rt.Ey
     eyring = rt.Eyring().reverberation_time(room)
     target = begun.wanted * eyring / run.simulated.mean("t20")
     np.testing.assert_allclose(begun.next_target, target)
-
-
-def test_loop_start_takes_a_run_once(tmp_path, capsys) -> None:
-    room, measured, run, state, out = (
-        str(tmp_path / n) for n in ("room.toml", "m.csv", "run.csv", "loop.json", "next.toml")
-    )
-    box().save(room)
-    rt.Measurement.from_values(F, t20=[0.9, 1.0]).save(measured)
-    rt.Measurement.from_values(F, t20=[1.3, 1.2]).save(run)
-    files = ["--state", state, "--out", out]
-
-    def called(*arguments: str) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as ended:
-            main([*arguments, *files])
-        return (ended.value.code or 0, *capsys.readouterr())
-
-    code, _, error = called("loop", "start", room, measured, "--simulated", measured)
-    assert code == 2
-    assert "is it the measurement itself" in error
-    code, text, _ = called("loop", "start", room, measured, "--simulated", run)
-    assert code == 0
-    assert "first simulation" in text
-    code, _, error = called("loop", "next", room, run)
-    assert code == 2
-    assert "the table is the last step's" in error

@@ -16,7 +16,6 @@ from rtcal.finder import Finding
 from rtcal.loop.measured_pairs import ControlRuns
 from rtcal.report.pages import page_of
 from rtcal.simulators import of_equation
-from rtcal.support import __version__
 from rtcal.support.errors import DataError
 from tests.test_positions import HALL, MATCH, heard, tracing
 from tests.test_where_page import finding_of, verification_of
@@ -168,18 +167,6 @@ def test_another_file_is_refused_by_name(
     path.write_text(content)
     with pytest.raises(DataError, match=f"(?s){name}.*{rule}"):
         rt.load(path)
-
-
-def test_a_case_a_folder_without_a_result_and_another_kind_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=f"has no {NUMBERS}"):
-        rt.load(tmp_path)
-    rt.datasets.hidden_room()[0].save(str(tmp_path / NUMBERS))
-    with pytest.raises(DataError, match="is a case, and a saved result is needed"):
-        rt.load(tmp_path)
-    room = {"version": __version__, "objects": plain(rt.datasets.bras_cr2()[0])}
-    (tmp_path / NUMBERS).write_text(json.dumps({"rtcal": "calibration 1", "object": room}))
-    with pytest.raises(DataError, match="is no 'calibration 1'"):
-        rt.load(tmp_path)
 
 
 def test_a_comparison_of_files_sees_one_bit() -> None:

@@ -181,19 +181,6 @@ def test_all_nine_scores_of_table_2_lie_within_three_standard_deviations_of_one_
     assert missed == {("scaling", 0.05), ("mle", 0.05), ("scaling", 0.1), ("mle", 0.1)}
 
 
-def test_a_study_states_its_sampling() -> None:
-    own = studies.run(SHOEBOX, 0.1, 50, 20, seed=1, sampling="sigma_n")
-    scale = studies.run(SHOEBOX, 0.1, 50, 20, seed=1)
-    assert (own.sampling, scale.sampling) == ("sigma_n", "sigma_r")
-    assert own.redrawn_share > scale.redrawn_share == 0
-    same = studies.run(SHOEBOX, 0.1, 50, 20, seed=1, sampling="sigma_n").scores()
-    assert own.scores().tolist() == same.tolist() != scale.scores().tolist()
-    with pytest.raises(DataError, match="sampling = 'text' is not one of sigma_r, sigma_n"):
-        studies.analytic_scores(SHOEBOX, 0.1, 9, sampling="text")  # type: ignore[arg-type]
-    with pytest.raises(DataError, match=r"sigma_r = 0\.26 is not from 1e-09 to 0\.25"):
-        studies.analytic_scores(SHOEBOX, 0.26, 9)
-
-
 @pytest.mark.parametrize(
     "areas", [SHOEBOX, HALL, np.array([1.0, 50.0])], ids=["box", "hall", "two"]
 )
@@ -202,24 +189,6 @@ def test_lse_scores_the_same_whatever_the_areas(areas: np.ndarray) -> None:
     theory = 1 - np.sqrt(1 - 1 / areas.size)
     assert abs(row.score - theory) < 4 * row.standard_error
     assert row.score > 10 * row.standard_error
-
-
-@pytest.mark.long
-def test_simulated_scores_agree_with_the_analytic_and_their_standard_errors_hold() -> None:
-    analytic = by_method(studies.analytic_scores(SHOEBOX, 0.1, 40_000, seed=8))
-    scores = np.array(
-        [
-            [
-                [by_method(table)[m, False][c] for c in ("score", "standard_error")]
-                for m in ("scaling", "lse", "mle")
-            ]
-            for table in (studies.run(SHOEBOX, 0.1, 100, 50, seed=s).scores() for s in range(60))
-        ]
-    )
-    for k, m in enumerate(("scaling", "lse", "mle")):
-        spread = scores[:, k, 0].std(ddof=1)
-        assert scores[:, k, 1].mean() == pytest.approx(spread, rel=0.35)  # 60 seeds: 9 % a sigma
-        assert abs(scores[:, k, 0].mean() - analytic[m, False].score) < 4 * spread / np.sqrt(60)
 
 
 def test_bounds_help_and_the_control_variate_shows_it() -> None:

@@ -10,9 +10,7 @@ import rtcal as rt
 from benchmarks.studies.calibrations import uncertain_room
 from rtcal.acoustics.room_errors import target_changes
 from rtcal.calibration.unknowns import Configurations
-from rtcal.prediction import Change, changed
-from rtcal.report.of_calibration import assumed
-from rtcal.support.errors import DataError, ModelError
+from rtcal.support.errors import DataError
 from tests.conftest import also
 
 AREAS = np.array([35.0, 30.0, 21.0, 15.0])
@@ -226,14 +224,6 @@ def test_a_common_factor_alone_has_an_interval() -> None:
     np.testing.assert_allclose(result.interval[1][inside], high[inside], rtol=0, atol=2e-3)
 
 
-@pytest.mark.parametrize("method", ["soft", "smooth", "robust", "lse"])
-def test_every_method_takes_an_uncertain_room(method: str) -> None:
-    room = room_of(5, air=rt.Air(), **STATED)
-    result = rt.calibrate(room, times(room, 5), method, SABINE)
-    assert result.joint.matches_uncertain_room == (method != "lse")
-    assert result.certificate.worst < 1e-8
-
-
 def test_a_missing_band_and_a_coefficient_that_is_known() -> None:
     room = room_of(6, air=rt.Air(), common_alpha_sigma=0.1, **STATED)
     sigma = room.sigma.copy()
@@ -272,54 +262,3 @@ def test_a_missing_band_and_a_coefficient_that_is_known() -> None:
 def test_a_statement_that_is_none_is_refused(stated: dict[str, object], message: str) -> None:
     with pytest.raises(DataError, match=message):
         room_of(0, **{"air": rt.Air(), **stated})
-
-
-def test_robust_has_no_common_factor() -> None:
-    room = room_of(0, air=rt.Air(), common_alpha_sigma=0.1)
-    with pytest.raises(ModelError, match="common_alpha_sigma"):
-        rt.calibrate(room, times(room, 0), "robust")
-
-
-def test_a_changed_room_keeps_what_was_stated_of_its_areas() -> None:
-    room = room_of(1, area_sigma=[0.03, 0.01, 0.0, 0.0])
-    panel = rt.Material("panel", [0.5] * 4, [0.1] * 4)
-
-    def errors(*changes: Change) -> dict[str, float]:
-        after = changed(room, changes)
-        return dict(zip(after.materials, after.area_sigma.round(6).tolist(), strict=True))
-
-    stated = {"floor": 0.03, "ceiling": 0.01, "wall": 0.0, "door": 0.0}
-    assert errors(Change(cover="floor", by=panel, area=10)) == {**stated, "panel": 0.03}
-    assert errors(Change(open="floor", area=10)) == {**stated, "opening": 0.03}
-    assert errors(Change(add=panel, area=10)) == {**stated, "panel": 0.0}
-    assert errors(Change(add="floor", area=10)) == stated
-    assert (
-        errors(Change(cover="floor", by="ceiling", area=10))["ceiling"] == 0.015
-    )  # 0.01 of 30 m², 0.03 of 10 m²
-    assert errors(Change(remove="floor")) == {
-        name: stated[name] for name in ("ceiling", "wall", "door")
-    }
-
-
-def at_one_pair(t: np.ndarray, uncertainty: np.ndarray) -> rt.Measurement:
-    return rt.Measurement(
-        centre_frequencies=BANDS,
-        pairs=[("S", "R")],
-        values={"t20": t[np.newaxis]},
-        uncertainty={"t20": uncertainty[np.newaxis]},
-    )
-
-
-def volume_is_wrong(**stated: object) -> tuple[rt.Room, np.ndarray]:
-    """A room whose T are all 15 % too short for the stated volume, which may be off."""
-    room = room_of(3, **stated).replace(sigma=np.full((4, 4), 0.01))
-    return room, 0.85 * SABINE.reverberation_time(room)
-
-
-def test_the_assumption_on_t_is_the_one_that_was_made() -> None:
-    room, t = volume_is_wrong(area_sigma=0.01)
-    exact = assumed(rt.calibrate(room, t, equation=SABINE))
-    assert any("when T is exact and the room" in sentence for sentence in exact)
-    measured = at_one_pair(t, 0.05 * t)
-    own = assumed(rt.calibrate(room, measured, equation=SABINE))
-    assert any("when T has its own uncertainty and the room" in sentence for sentence in own)
