@@ -197,10 +197,7 @@ def _progress(unit: str) -> Iterator[Callable[[str, int, int], None]]:
 def saved(path: str) -> tuple[Any, Any]:
     """Return the finding that ``find`` or ``diagnose --out`` wrote, and its verification or None.
 
-    Raises
-    ------
-    DataError
-        For a file that holds no finding, with the command that writes one.
+    DataError for a file that holds no finding, with the command that writes one.
     """
     from rtcal.finder.diagnosis import Diagnosis
     from rtcal.finder.finding import Finding

@@ -84,15 +84,7 @@ def hidden_room(which: str = "case") -> tuple[Case, dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Example:
-    """Files of a small project, and the commands that use them.
-
-    Attributes
-    ----------
-    files : mapping of str to bytes
-        Contents by file name.
-    commands : tuple of str
-        Commands to run in the files' folder, in order.
-    """
+    """Files of a small project by name, and the commands to run in their folder, in order."""
 
     files: Mapping[str, bytes]
     commands: tuple[str, ...]

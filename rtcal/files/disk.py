@@ -414,11 +414,6 @@ def json_numbers(value: Any) -> Any:
 
     A table, an array with names, is a list with an object per row. What has a ``to_dict`` is what that
     returns; another dataclass its fields, or its text where it has one.
-
-    Examples
-    --------
-    >>> json_numbers({"T / s": np.array([1.5, np.nan])})
-    {'T / s': [1.5, None]}
     """
     if value is None or isinstance(value, str | bool):
         return value

@@ -91,14 +91,9 @@ class Result(ABC):  # some kinds have methods that each of them must have
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write a file that `rtcal.load` reads, whole or not at all, and return its path.
 
-        ``path`` is a folder, which gets a ``result.json``, or a file's name that ends in ``.json``. The
-        file holds `to_json`.
-
-        Raises
-        ------
-        DataError
-            If the folder cannot be made, the file cannot be written, or the result holds an object that
-            no file can hold.
+        ``path`` is a folder, which gets a ``result.json``, or a file's name that ends in ``.json``.
+        Raises DataError if the file cannot be written, or the result holds an object that no file can
+        hold.
         """
         place = checks.path("path", path)
         if place.suffix != ".json" or place.is_dir():
@@ -172,18 +167,12 @@ def _result(record: Mapping[str, Any], folder: Path) -> Result:
 def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]:
     """Return a dataclass as a list of plain objects for JSON: each after those that it holds.
 
-    Files are named as seen from ``folder``; without one, by their whole path.
-
-    Raises
-    ------
-    CannotBeSavedError
-        For an object that is no dataclass of rtcal's kinds.
+    Files are named as seen from ``folder``; without one, by their whole path. Raises CannotBeSavedError
+    for an object that is no dataclass of rtcal's kinds.
 
     Examples
     --------
     >>> from rtcal.acoustics.air import Air
-    >>> plain(Air(20.0, 50.0))[0]["class"]
-    'rtcal.acoustics.air.Air'
     >>> restored(plain(Air(20.0, 50.0)))
     Air(temperature=20.0, humidity=50.0, pressure=101.325)
     """

@@ -48,23 +48,12 @@ class FileTable(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def read(kind: type[T], data: object, place: str = "") -> T:
-    """Return the content of a file, or of a part of it, as a value of a type.
+    """Return the content of a file, or of a part of it, as a value of a type that msgspec knows.
 
-    Parameters
-    ----------
-    kind : type
-        A `FileTable`, a dataclass, or another type that msgspec knows.
-    data : plain values
-        As `json_object` and `toml_table` return them.
-    place : str
-        The part's name in messages; empty for the whole file. With ``:`` at its end a message goes on
-        after a blank, else after a dot.
-
-    Raises
-    ------
-    DataError
-        For an unknown key, a key that is missing, a value of another type, or one that an object's
-        constructor refuses; the message names place, value and rule, and the key that is likely meant.
+    ``data`` is as `json_object` and `toml_table` return it. ``place`` is the part's name in messages,
+    "" for the whole file; with ``:`` at its end a message goes on after a blank, else after a dot.
+    Raises DataError for an unknown or missing key, a value of another type, or one that an object's
+    constructor refuses; the message names place, value and rule, and the key that is likely meant.
 
     Examples
     --------
@@ -251,11 +240,6 @@ def json_object(text: str) -> dict[str, Any]:
     Raises DataError, without the file's name, for anything but one object, a key that is given twice,
     NaN and Infinity, an integer of more than `MAX_DIGITS`, more than `MAX_DEPTH` levels, and half of a
     surrogate pair in a text.
-
-    Examples
-    --------
-    >>> json_object('{"volume": 100}')
-    {'volume': 100}
     """
     try:
         value = json.loads(
@@ -272,13 +256,7 @@ def json_object(text: str) -> dict[str, Any]:
 
 
 def toml_table(text: str) -> dict[str, Any]:
-    """Return the table that a TOML text holds; DataError as `json_object`.
-
-    Examples
-    --------
-    >>> toml_table("volume = 100")
-    {'volume': 100}
-    """
+    """Return the table that a TOML text holds; DataError as `json_object`."""
     if not isinstance(text, str):
         raise DataError(f"content = {shown(text)} is not a text")
     if any(line.count(".") > MAX_DOTS for line in text.split("\n") if "=" not in line[:MAX_DOTS]):
@@ -401,15 +379,7 @@ class OtherKindError(DataError):
 
 @contextmanager
 def expecting(kind: str, path: str | os.PathLike[str]) -> Iterator[None]:
-    """Let errors of reading a file name it, and say so where it is a file of another kind.
-
-    Raises
-    ------
-    OtherKindError
-        For a file that `kind_of` knows as another one than ``kind``.
-    DataError
-        That of the block, with the path before it.
-    """
+    """Let errors of reading a file name it; OtherKindError where `kind_of` knows it as another kind."""
     place = os.fspath(checks.path("path", path))
     try:
         yield
@@ -431,16 +401,6 @@ def toml_text(table: Mapping[str, Any]) -> str:
     """Return plain values as the text of a TOML file, with each list of numbers on one line.
 
     A list of tables, which hold no tables themselves, stands at the end: ``[[key]]`` for each.
-
-    Examples
-    --------
-    >>> print(toml_text({"volume": 60.0, "material": [{"name": "wall", "alpha": [0.1, 0.2]}]}))
-    volume = 60.0
-    <BLANKLINE>
-    [[material]]
-    name = "wall"
-    alpha = [0.1, 0.2]
-    <BLANKLINE>
     """
     import tomli_w
 

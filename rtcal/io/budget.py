@@ -26,15 +26,7 @@ MAX_SAMPLES = 2**24
 
 
 def require(number: float, most: float, of: str, path: str, remedy: str = "") -> None:
-    """Raise DataError if a file declares more of something than the budget has.
-
-    Examples
-    --------
-    >>> require(2e6, MAX_FACES, "faces", "hall.ply")
-    Traceback (most recent call last):
-    ...
-    rtcal.support.errors.DataError: hall.ply: declares 2000000 faces; at most 100000 are read
-    """
+    """Raise DataError if a file declares more of something than the budget has."""
     if number > most:
         advice = f": {remedy}" if remedy else ""
         raise DataError(f"{path}: declares {number:.0f} {of}; at most {most:.0f} are read{advice}")

@@ -50,12 +50,6 @@ def mesh_doubt(room: Room) -> str:
 
     A room that states no mesh has none to differ from. A mesh that cannot be read is a doubt, too.
     DataError as `rtcal.simulators.path_tracing.refuse_powers_of_ten`.
-
-    Examples
-    --------
-    >>> import rtcal as rt
-    >>> mesh_doubt(rt.datasets.bras_cr2()[0])
-    ''
     """
     if checks.instance("room", room, Room).scene.mesh is None:
         return ""

@@ -161,19 +161,10 @@ class Floor(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Analysis:
-    """The parameters of impulse responses, the reasons for missing values, and notes.
+    """The parameters of impulse responses, the reasons for missing values, and doubts about the others.
 
-    Attributes
-    ----------
-    measurement : Measurement
-    impulse_to_noise_ratio : array (n_pairs, n_bands)
-        dB; of repeats, the least.
-    floors : tuple of tuples of Floor, (n_pairs, n_bands)
-        What ends each decay's range.
-    minimum_range : mapping of str to float
-        Impulse-to-noise ratio in dB that each parameter needed.
-    notes : tuple of str
-        Doubts about the other values.
+    The impulse-to-noise ratio is in dB, (n_pairs, n_bands), of repeats the least; ``floors``, alike,
+    are what ends each decay's range. ``minimum_range`` is the ratio in dB that each parameter needed.
     """
 
     measurement: Measurement
@@ -545,12 +536,6 @@ def clipped_samples(time: Array) -> int:
 
     They are exactly at the largest positive or negative value. A smooth maximum that rounding has
     flattened is not counted: its neighbours are a few of the file's steps lower.
-
-    Examples
-    --------
-    >>> loud = 5 * np.exp(-np.arange(100) / 20) * np.cos(np.arange(100))
-    >>> clipped_samples(np.clip(loud, -1, 1)), clipped_samples(loud)
-    (19, 0)
     """
     steps = np.abs(np.diff(time))
     if not steps.any():

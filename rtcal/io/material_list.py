@@ -87,34 +87,14 @@ Token = tuple[str, int, int]
 
 @dataclass(frozen=True, kw_only=True)
 class ListedMaterial:
-    """One material of a list.
+    """One material of a list, on a ``line`` of the file, from 1.
 
-    Parameters
-    ----------
-    name : str
-    line : int
-        Line of the file, from 1.
-    alpha : sequence (n_bands,)
-        Absorption coefficients, 0 to 1.
-    centre_frequencies : sequence (n_bands,)
-        Hz.
-    spans : sequence of (start, end) (n_bands,)
-        Characters of the file's text that hold each coefficient.
-    unit : float
-        Factor from the file's number to alpha: 0.01 for percent.
-    decimals : int or None
-        Decimals of written numbers; None for all digits.
-    scattering : sequence (n_bands,), optional
-        Scattering coefficients, 0 to 1.
-    scattering_spans : sequence of (start, end) (n_bands,)
-        Characters of the file's text that hold each of them.
-    scattering_place : int, optional
-        Where the format takes those of a material that states none; None if nowhere.
-    source : str
-        Where the coefficients come from, if not from the list itself.
-    doubt : str
-        Why a room is not to have the coefficients as they are read, and what to write; empty if
-        they are plain.
+    ``alpha`` and ``scattering`` are coefficients from 0 to 1 in bands of ``centre_frequencies`` in Hz,
+    each (n_bands,). ``spans`` and ``scattering_spans`` are where the file's text has each; ``unit`` is
+    the factor from the file's number (0.01 for percent), ``decimals`` are those of a written number,
+    None for all digits. ``scattering_place`` is where the format takes the scattering of a material
+    that states none. ``source`` is where the coefficients come from, if not from the list itself, and
+    ``doubt`` why a room is not to have them as they are read.
     """
 
     name: str
@@ -189,18 +169,10 @@ class ListedMaterial:
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialList:
-    """The materials of a foreign file, and the file's text.
+    """The materials of a foreign file, whose name in messages is ``path``, and the file's ``text``.
 
-    Parameters
-    ----------
-    path : str
-        The file's name in messages.
-    text : Text
-    materials : sequence of ListedMaterial
-    aliases : mapping of str to str
-        Further names of materials.
-    scattering_text : callable, optional
-        Returns the text for a `ListedMaterial.scattering_place`, of one number per band.
+    ``aliases`` are further names of materials. ``scattering_text`` returns the text for a
+    `ListedMaterial.scattering_place`, of one number per band.
 
     Examples
     --------
@@ -248,35 +220,16 @@ class MaterialList:
         others: Mapping[str, ListedMaterial] | None = None,
         air: Air | None = None,
     ) -> Room:
-        """Return a room of these materials.
+        """Return a room of these materials in its bands, by default those that all of them have.
 
-        Parameters
-        ----------
-        name : str
-        volume : float
-            m³.
-        areas : mapping of str to float, or sequence of Surface
-            Area of each material in m², by name or alias; or surfaces, for example of a mesh
-            (`rtcal.io.obj`).
-        centre_frequencies : sequence, optional
-            The room's bands in Hz, converted from the list's if they are of another width; by
-            default the bands that all of the room's materials have.
-        sigma_rule : SigmaRule, optional
-            A list states no uncertainty; by default sigma = max(0.3 alpha, 0.01).
-        sigma : mapping of str to ListedMaterial or float, optional
-            Stated sigma of some materials, in any bands or as one number.
-        scattering : float, optional
-            Scattering coefficient of materials that state none. Without it, the room has scattering
-            only if all its materials state it.
-        others : mapping of str to ListedMaterial, optional
-            Materials from another source, for instance a catalogue.
-        air : Air, optional
+        ``volume`` is in m³; ``areas`` are in m² by name or alias, or surfaces, such as those of a mesh.
+        A list states no uncertainty: a material's sigma is that of ``sigma``, else of the rule (by
+        default max(0.3 alpha, 0.01)). ``scattering`` is the coefficient of materials that state none;
+        without it, the room has scattering only if all its materials state it. ``others`` are materials
+        of another source.
 
-        Raises
-        ------
-        DataError
-            For a material that the list lacks or whose coefficients are in doubt, a missing area,
-            a band that a material lacks, and as `Room` does.
+        Raises DataError for a material that the list lacks or whose coefficients are in doubt, a
+        missing area, a band that a material lacks, and as `Room` does.
         """
         surfaces = (
             [Surface(n, n, a) for n, a in areas.items()]
@@ -377,20 +330,13 @@ class MaterialList:
     def with_room(self, room: Room) -> tuple[bytes, Room, tuple[str, ...]]:
         """Return the file with the room's coefficients, the room as read from it, and what it lacks.
 
-        If the file has octaves and the room thirds, the file gets the means of the thirds. If the file
-        has thirds and the room octaves, each third gets its octave's value. The returned room has the
-        file's bands. A number is replaced only if the coefficient, rounded to the file's decimals,
-        differs from it.
+        Octaves of the file get the means of the room's thirds, its thirds the room's octaves. A number
+        is replaced only if the coefficient, rounded to the file's decimals, differs from it. Scattering
+        is written where the file holds it, or its format takes it; what is lacking are the materials
+        without it, and without it in all of them, the room as read has none.
 
-        Scattering is written where the file holds it or its format takes it in that place. What is
-        lacking are the materials whose scattering is not written; without it in all of them, the room
-        as read has none.
-
-        Raises
-        ------
-        DataError
-            For a material that the file lacks, for a material that has none of the room's bands,
-            and for two aliases of one material with different coefficients.
+        Raises DataError for a material that the file lacks or that has none of the room's bands, and
+        for two aliases of one material with different coefficients.
         """
         common = set.intersection(*(set(self.listed(n).centre_frequencies) for n in room.materials))
         room = self._in_file_bands(room, sorted(common))
@@ -533,25 +479,10 @@ LOST = {
 class ExportReport:
     """The room as a program reads it from the written file, and the effect on T.
 
-    Parameters
-    ----------
-    path : str
-    template : str or None
-        The list whose numbers were changed; None for a new list.
-    equation : str
-        The reverberation equation that gives both T.
-    room : Room
-        The room as read from the file: in the file's bands, rounded to its decimals.
-    reverberation_time : array (n_bands,)
-        T in s of the room that was exported, converted to the file's bands.
-    reverberation_time_as_read : array (n_bands,)
-        T in s of ``room``.
-    bands_not_written : sequence of float
-        Bands of the exported room in Hz that the file does not have for every material.
-    notes : sequence of str
-        How bands were converted or filled.
-    lost : sequence of str
-        What the exported room states and the file does not hold.
+    ``template`` is the list whose numbers were changed, None for a new list. The ``equation`` of this
+    name gives both T in s, (n_bands,): of the exported room, converted to the file's bands, and
+    ``as_read``. ``bands_not_written`` are bands of the exported room in Hz that the file does not have
+    for every material, ``lost`` is what the room states and the file does not hold.
     """
 
     path: str
@@ -610,19 +541,11 @@ class ExportReport:
 class Format:
     """A program's list of materials: its grammar, by which lists are read, written and changed.
 
-    Parameters
-    ----------
-    parse : callable
-        Returns the `MaterialList` of a file's content, path, and what else `read` is given.
-    new : callable
-        Returns the content of a new list of a room's materials, with the names that they have in the
-        list; the room's own names come second.
-    bands : callable
-        Returns the bands in Hz of a new list for a room; none where it has the room's own.
-    readable : callable
-        Returns the name that a new list has for a material without one in ``entries``.
-    prepared : callable
-        Returns the list as it is to be changed for a room.
+    ``parse`` returns the `MaterialList` of a content, its path, and what else `read` is given. ``new``
+    returns the content of a new list of a room whose materials are named as in the list; their names in
+    the room come second. ``bands`` are a new list's in Hz, none where it has the room's. ``readable``
+    returns the name of a material in a new list, ``prepared`` the list as it is to be changed for a
+    room.
     """
 
     parse: Callable[..., MaterialList]
@@ -1343,15 +1266,8 @@ bras = Format(parse=_parse_bras, new=_new_bras)
 def read_sigma(path: str | os.PathLike[str]) -> dict[str, ListedMaterial | float]:
     """Return sigma by material of a CSV file, whose bands may differ from the room's.
 
-    A row has one number per material, or one per band::
-
-        material,sigma           material,125,250,500
-        brick,0.02               brick,0.02,0.02,0.03
-
-    Raises
-    ------
-    DataError
-        Naming file, line and rule.
+    A row has one number per material, under ``material,sigma``, or one per band, under
+    ``material,125,250,500``. Raises DataError, naming file, line and rule.
     """
     content, place = read_bytes(path, MAX_TEXT), os.fspath(path)
     rows = [

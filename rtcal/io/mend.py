@@ -85,19 +85,10 @@ Face = list[int]
 
 @dataclass(frozen=True)
 class Faces:
-    """The faces of a mesh as they are drawn.
+    """The faces of a mesh as they are drawn, in the file of a ``path``: corners (n, 3) in m of each.
 
-    Parameters
-    ----------
-    path : str
-        The file's name, for messages.
-    polygons : sequence of array (n, 3)
-        Corners in m.
-    materials, names : sequence of str
-    notes : sequence of str
-        What the reader did: units, axes.
-    unit : float, optional
-        Length of the file's unit in m as the user, the file or its format states it.
+    ``notes`` are what the reader did, ``unit`` is the length of the file's unit in m, if the user, the
+    file or its format states it.
     """
 
     path: str
@@ -110,26 +101,11 @@ class Faces:
 
 @dataclass(frozen=True)
 class Defect:
-    """A kind of defect, and what was done.
+    """A kind of defect, and in words what was done; ``places`` are names or corners of the first few.
 
-    Parameters
-    ----------
-    kind : str
-        "joint", "sliver", "twice", "bent", "hole", "overlay", "open bottom", "panel",
-        "partly outside", "outside", "through", "contact", "gap", "solids".
-    number : int
-    area : float
-        Of the faces concerned, in m².
-    volume_effect, area_effect : float
-        Change of V in m³ and of S in m² by mending.
-    volume_uncertainty : float
-        Standard uncertainty of V in m³ that remains.
-    places : sequence of str
-        Names or corners of the first few.
-    done : str
-        What was done, in words.
-    area_uncertainty : mapping of str to float
-        Standard uncertainty of each material's area in m² that remains.
+    ``area`` is that of the faces concerned in m², the effects are changes of V in m³ and of S in m² by
+    mending. The uncertainties are standard uncertainties that remain: of V in m³, and of the area of
+    each material in m².
     """
 
     kind: str
@@ -178,20 +154,9 @@ class Defect:
 class Mended:
     """A room as it was read from a mesh, and what was mended.
 
-    Parameters
-    ----------
-    geometry : Polyhedron or None
-        None for a room whose walls do not close, as it is drawn: no tracer takes it.
-    volume, volume_uncertainty : float
-        In m³; of a room that does not close by rays (`volume_by_rays`).
-    areas : mapping of str to float
-        Area of each material in m². Where the walls do not close, every face once, and what is missing
-        is not in it.
-    size : sequence of float
-        Lengths along x, y and z in m of the box around it.
-    defects : sequence of Defect
-    notes : sequence of str
-        What the reader of the file did: units, axes.
+    ``geometry`` is None for a room whose walls do not close, which no tracer takes: its ``volume`` in
+    m³ is by rays (`volume_by_rays`), and its ``areas`` in m² by material are those of every face as
+    drawn. ``size`` are the lengths along x, y and z in m of the box around it.
     """
 
     geometry: Polyhedron | None
@@ -1503,13 +1468,8 @@ def room_between(part: FaceSet) -> FaceSet | None:
     """Return the faces around the largest cavity between closed solids, which is noted.
 
     None if the faces are not several closed solids, or if one is a room that may hold the others.
-
-    Raises
-    ------
-    MeshError
-        If all solids are thin and enclose no cavity: their faces bound material and not air.
-    MissingDependencyError
-        Without manifold3d.
+    Raises MeshError if all solids are thin and enclose no cavity, so that their faces bound material
+    and not air.
     """
     mend = part.mend
     groups = _solids(part.faces)

@@ -41,19 +41,11 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Responses:
-    """The responses of a SOFA file.
+    """The responses of a SOFA file: samples (n_measurements, n_channels, n_samples), the rate in Hz.
 
-    Parameters
-    ----------
-    pairs : sequence of (str, str)
-        Source and receiver of each measurement, (n_measurements,); a pair may occur several times.
-    samples : array (n_measurements, n_channels, n_samples)
-        One channel per receiver of the listener (microphone array), and per emitter.
-    sampling_rate : float
-        In Hz.
-    sources, receivers : mapping of str to (x, y, z)
-        Positions in m, in the coordinates of the file.
-    convention : str
+    ``pairs`` are source and receiver of each measurement, of which one may occur several times. A
+    channel is a receiver of the listener (a microphone array), or an emitter. Positions are in m, in
+    the coordinates of the file.
     """
 
     pairs: tuple[tuple[str, str], ...]
@@ -177,22 +169,10 @@ class _File:
 def balloon(path: str | os.PathLike[str]) -> tuple[Array, Array, Array]:
     """Return a source's energy by direction; `rtcal.io.balloon.read` makes use of it.
 
-    Returns
-    -------
-    directions : array (n_directions, 3)
-        Unit vectors: along the axis (``SourceView``), above it (``SourceUp``) and to its left.
-    energy : array (n_directions, n_frequencies)
-        In any unit.
-    frequencies : array (n_frequencies,)
-        Hz.
-
-    Raises
-    ------
-    DataError
-        As `read` does; for a convention that is no `DIRECTIVITY_CONVENTIONS`, several measurements, or
-        a source whose top is along its axis.
-    MissingDependencyError
-        Without netCDF4.
+    Returned are unit vectors (n_directions, 3) along the axis (``SourceView``), above it (``SourceUp``)
+    and to its left, the energy (n_directions, n_frequencies) in any unit, and frequencies in Hz. Raises
+    as `read`; also for a convention that is no `DIRECTIVITY_CONVENTIONS`, several measurements, or a
+    source whose top is along its axis.
     """
     file = _File(path)
     place, convention = file.path, file.convention

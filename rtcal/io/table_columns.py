@@ -197,24 +197,12 @@ def is_missing(cell: str) -> bool:
 
 @dataclass(frozen=True)
 class Column:
-    """The meaning of a column.
+    """The meaning of a column, by its header.
 
-    Parameters
-    ----------
-    kind : str
-        "value" for a column of values, else what stands in its cells beside the values of a row
-        (``words.toml``); "" for a column that is left out.
-    header : str
-    parameter : str
-        Of values; empty if each row names it, `OPEN` if the name does not say which decay time it is.
-    band : float
-        Of values in Hz; NaN if each row names it.
-    unit : str
-        Empty if the header has none.
-    source, receiver : str
-        The position of all values of the column, such as "S1R2"; empty if each row names it.
-    wrong : str
-        What is wrong with the header: an unknown unit, a frequency that is no band; empty if nothing.
+    ``kind`` is "value" for a column of values, else what stands in its cells beside the values of a row
+    (``words.toml``), "" for a column that is left out. Of values, ``parameter`` (`OPEN` if the name
+    does not say which decay time it is), ``band`` in Hz and the position are empty, or NaN, where each
+    row names them. ``wrong`` is what is wrong with the header, such as an unknown unit.
     """
 
     kind: str

@@ -1286,13 +1286,7 @@ def means(measurement: Measurement) -> list[str]:
 
 
 def spread(values: Sequence[float] | Array, form: str) -> str:
-    """Return the ends of some values; one number if they are printed alike.
-
-    Examples
-    --------
-    >>> spread([0.5, 0.25], ".2f"), spread([0.5, 0.501], ".2f")
-    ('0.25 to 0.50', '0.50')
-    """
+    """Return the ends of some values; one number if they are printed alike."""
     ends = dict.fromkeys(format(v, form) for v in (np.min(values), np.max(values)))
     return " to ".join(ends)
 

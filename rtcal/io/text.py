@@ -35,23 +35,11 @@ class Text:
 
     @property
     def encoding(self) -> str:
-        r"""The encoding's name in messages.
-
-        Examples
-        --------
-        >>> decode(b"b\xe9ton").encoding
-        'Windows-1252'
-        """
+        """The encoding's name in messages."""
         return _NAMES.get(self.codec, self.codec.upper())
 
     def encode(self, characters: str) -> bytes:
-        """Return other characters in this file's encoding.
-
-        Raises
-        ------
-        DataError
-            If the encoding lacks one of the characters.
-        """
+        """Return other characters in this file's encoding; DataError if it lacks one of them."""
         try:
             return self.byte_order_mark + characters.encode(self.codec)
         except UnicodeEncodeError as error:
@@ -62,12 +50,8 @@ class Text:
 def decode(content: bytes, path: str = "file") -> Text:
     """Return a file's text: by its byte order mark, else UTF-8, else Windows-1252.
 
-    Windows-1252 leaves five bytes undefined; a file that has one is read as ISO 8859-1.
-
-    Raises
-    ------
-    DataError
-        If the bytes violate the encoding of the byte order mark.
+    Windows-1252 leaves five bytes undefined; a file that has one is read as ISO 8859-1. Raises
+    DataError if the bytes violate the encoding of the byte order mark.
     """
     checks.content(path, content)
     for mark, codec in _BYTE_ORDER_MARKS.items():
@@ -107,12 +91,7 @@ def line_of(characters: str, position: int) -> int:
 
 
 def number(token: str, place: str) -> float:
-    """Return a decimal number; a typographic minus counts as a minus.
-
-    Raises
-    ------
-    DataError
-        For anything else, and for a number that is not finite.
+    """Return a decimal number; a typographic minus counts as a minus. DataError for anything else.
 
     Examples
     --------
@@ -154,23 +133,11 @@ _GAP = re.compile(r"(?<=\S)(?: {2,}|\t[ \t]*)")
 
 @dataclass(frozen=True)
 class Sheet:
-    """The cells of one table of a file.
+    """The cells of one table of a file; ``place`` names it in messages: the file, and its sheet.
 
-    Parameters
-    ----------
-    place : str
-        The table's name in messages: the file's, and the sheet's of a workbook.
-    rows : sequence of (line, cells)
-    note : str
-        How the cells were read, the first line of the report.
-    name : str
-        The table's own name, which may state a parameter or a position; empty without one.
-    position : (str, str)
-        Source and receiver of values whose rows and columns name none; empty if not known.
-    notes : sequence of str
-        Other lines of the report.
-    separator : str
-        Of the cells in text; empty for other formats.
+    ``note``, the first line of the report, says how the cells were read, ``notes`` are further lines.
+    The table's own ``name`` may state a parameter or a position, ``position`` is source and receiver of
+    values whose rows and columns name none. ``separator`` is that of the cells in text.
     """
 
     place: str

@@ -57,22 +57,14 @@ Everett, has 1.33e7 m³."""
 
 
 def notes(length: float, in_file: float | None, stated: float | None) -> list[str]:
-    """Return the notes on the unit in m that was taken, and on one that the file contradicts.
-
-    >>> notes(1.0, 0.0254, 1.0)
-    ['the file states a unit of 0.0254 m, and 1 m was given and taken']
-    """
+    """Return the notes on the unit in m that was taken, and on one that the file contradicts."""
     if stated is not None and in_file is not None and stated != in_file:
         return [f"the file states a unit of {in_file:g} m, and {stated:g} m was given and taken"]
     return [f"the file's unit is {length:g} m"] if length != 1.0 else []
 
 
 def box_note(size: Sequence[float]) -> str:
-    """Return the note on a file that states no unit, with the box around its room in m, (3,).
-
-    >>> box_note([9.0, 7.0, 3.0])
-    'the file states no unit: with unit = 1 the room is 9 × 7 × 3 m'
-    """
+    """Return the note on a file that states no unit, with the box around its room in m, (3,)."""
     return f"the file states no unit: with unit = 1 the room is {in_words(size)}"
 
 
@@ -86,15 +78,7 @@ class UnitError(DataError):
 
 
 def check_volume(volume: float, unit: float, path: str) -> None:
-    """Raise UnitError for a volume that no room has; the message has the volume in other units.
-
-    Examples
-    --------
-    >>> check_volume(60e9, 1.0, "room.obj")  # doctest: +ELLIPSIS
-    Traceback (most recent call last):
-    ...
-    rtcal.io.units.UnitError: room.obj: V = 6e+10 m³ is not from 0.001 to 2e+07 m³, as ...
-    """
+    """Raise UnitError for a volume in m³ that no room has; the message has it in other units."""
     low, high = VOLUME_LIMITS
     if low <= volume <= high:
         return
@@ -118,24 +102,14 @@ def size_doubt(
 ) -> str:
     """Return the doubt about a size that few rooms have, with that in other units; "" for others.
 
-    Parameters
-    ----------
-    volume : float
-        V in m³ with the unit that was taken.
-    size : sequence of float (3,)
-        Lengths along x, y and z in m of the box around the room; () if not known.
-    unit : float
-        Length in m of the unit that was taken.
-    is_stated : bool
-        Whether the user, the file or its format states that unit: a volume that a few rooms have is
-        then no matter of doubt.
+    ``volume`` in m³ and ``size``, the lengths in m of the box around the room, () if not known, are
+    those with a ``unit`` in m. If the user, the file or its format states it, a volume that a few rooms
+    have is no matter of doubt.
 
     Examples
     --------
     >>> size_doubt(1.644e7, (), 1.0)
     'V = 16440000 m³ is more than nearly any room has; it is 269 m³ in inches (unit = 0.0254)'
-    >>> size_doubt(93150.0, (), 1.0)
-    'V = 93150 m³ is more than most halls have; it is 2640 m³ in feet (unit = 0.3048)'
     >>> size_doubt(21.2, (8.4, 8.4, 0.3), 1.0)
     'a height of 0.3 m is less than any room has: are these walls, or is the unit wrong?'
     """

@@ -200,14 +200,7 @@ def content(
 
     A table has its header in row 1 and its values from A2 on, so that another workbook can refer to a
     cell and finds it there after the next calibration, too. ``notes`` are remarks by the table's name,
-    on a sheet of their own.
-
-    Raises
-    ------
-    DataError
-        For two tables whose names Excel does not keep apart.
-    MissingDependencyError
-        Without openpyxl.
+    on a sheet of their own. Raises DataError for two tables whose names Excel does not keep apart.
     """
     openpyxl = _library()
     book = openpyxl.Workbook()

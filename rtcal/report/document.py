@@ -163,12 +163,8 @@ def render(
 ) -> str:
     """Return a page as HTML; ``progress`` is called after each figure.
 
-    Raises
-    ------
-    MissingDependencyError
-        Without jinja2 or matplotlib.
-    DataError
-        If the page would be larger than 2 MB.
+    Raises MissingDependencyError without jinja2 or matplotlib, and DataError if the page would be
+    larger than 2 MB.
     """
     whole = (heading or Heading()).completed(page.name, page.author)
     subject = page.subject[:1].upper() + page.subject[1:]
@@ -305,18 +301,9 @@ def coefficients(
 ) -> Table:
     """Return the table of coefficients by material and band: input → calibrated, and the interval.
 
-    Parameters
-    ----------
-    title : str
-    room : Room
-        With the input coefficients.
-    alpha : array (n_materials, n_bands)
-    interval : (array, array), optional
-        Ends of their 90 % intervals, each (n_materials, n_bands).
-    at_bound : array of bool (n_materials, n_bands), optional
-        Which coefficients stand at a bound; they get a star.
-    most : sequence of int, optional
-        Numbers of the materials that a page shows; all by default.
+    ``room`` has the input coefficients, ``alpha`` is (n_materials, n_bands), as are the ends of the 90
+    % ``interval`` and ``at_bound``: coefficients at a bound get a star. ``most`` are the numbers of the
+    materials that a page shows, by default all.
     """
 
     def cell(i: int, k: int) -> str:

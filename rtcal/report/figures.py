@@ -301,22 +301,9 @@ def plane(
 ) -> Any:
     """Return the figure of a calibration of two coefficients (Bellows & Katz 2025, Figs. 1 and 3).
 
-    It shows the prior's ellipses of 1, 2 and 3 standard deviations about mu, the line S'alpha = b
-    of all coefficients with the measured T, and the step from mu to the likeliest point of the
-    line.
-
-    Parameters
-    ----------
-    mu, sigma, areas, alpha : array (2,)
-        Prior, areas in m², calibrated coefficients.
-    target : float
-        b in m².
-    names : (str, str)
-    correlation : float
-        Correlation of the two priors.
-    truth : array (2,), optional
-        True coefficients, if they are known.
-    title : str
+    It shows the prior's ellipses of 1, 2 and 3 standard deviations about mu, the line S'alpha = b of
+    all coefficients with the measured T, and the step from mu to the likeliest point of the line.
+    Arrays are (2,), areas and ``target``, b, in m²; ``truth`` are the true coefficients.
     """
     mu, sigma, areas, alpha = (np.asarray(v, dtype=float) for v in (mu, sigma, areas, alpha))
     figure, axes = new_figure(5.6, 5.9)
@@ -381,11 +368,7 @@ def path(loop: Loop) -> Any:
 
     Above: the measured T20 with its band of one JND, and the simulated T20 of the first, the
     intermediate and each band's best step. Below: each band's gap in JND over the simulations.
-
-    Raises
-    ------
-    DataError
-        If nothing has been simulated yet.
+    DataError if nothing has been simulated yet.
     """
     if not loop.steps:
         raise DataError("the loop has no simulation yet: there is no path to show")
@@ -434,13 +417,8 @@ def predicted_times(
 ) -> Any:
     """Return T(f) before, and of each variant with its 90 % interval, over the range of the target.
 
-    Parameters
-    ----------
-    frequencies, before : array (n_bands,)
-        Hz; T in s.
-    variants : sequence of (name, T, (low, high))
-    target : (low, high), optional
-        T in s; NaN where an end is open.
+    ``frequencies`` in Hz and T in s are (n_bands,); a variant is (name, T, (low, high)). The target's
+    ends are NaN where it is open.
     """
     figure, axes = new_figure()
     top = 1.1 * max(float(np.nanmax(before)), *(float(ends[1].max()) for _, _, ends in variants))
@@ -664,12 +642,7 @@ def position_gaps(
     """Return a plan of the room with its receivers coloured by their gap, before and after.
 
     A receiver's gap is the root mean square over parameters, bands and sources, in JND. It stands
-    beside the receiver's name.
-
-    Raises
-    ------
-    DataError
-        If a receiver of the result has no position.
+    beside the receiver's name. DataError if a receiver of the result has no position.
     """
     names = list(dict.fromkeys(r for _, r in result.pairs))
     if missing := [name for name in names if name not in receivers]:
@@ -716,16 +689,9 @@ def room(
 ) -> Any:
     """Return the figure of a room in which each face has its colour, from several sides.
 
-    Parameters
-    ----------
-    geometry : Polyhedron
-    colours : sequence of str (n_faces,)
-    views : sequence of (turn, tilt, faces)
-        Directions in radians, round z and above the horizontal, and the faces that are drawn.
-    stands : sequence of (kind, name, place, colour)
-        Sources and receivers.
-    scale : (label, colours, ends)
-        What the colours are.
+    A view is (turn, tilt, faces): directions in radians, round z and above the horizontal, and the
+    faces that are drawn. A stand, a source or receiver, is (kind, name, place, colour). ``scale`` is
+    what the colours are: (label, colours, ends).
     """
     figure, _ = new_figure(6.6, 3.7)
     figure.clear()
@@ -836,11 +802,6 @@ def write_folder(
     """Write room, numbers and the figures that ``draw`` makes by file name, all or none.
 
     Without matplotlib there are no figures, and a warning says so.
-
-    Raises
-    ------
-    DataError
-        If the folder cannot be made, or a file cannot be written.
     """
     contents = {
         folder / ROOM: result.room.to_text(folder).encode(),

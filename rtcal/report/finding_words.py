@@ -307,13 +307,7 @@ class _Forms(Formatter):
 
 
 def sentence(reason: Reason) -> str:
-    """Return the sentence of a reason.
-
-    Examples
-    --------
-    >>> sentence(Reason("too large", {"effect": "porous", "share": 0.41, "most": 0.25}))
-    'Porous absorber would take 41 % of all surfaces; more than 25 % is not plausible.'
-    """
+    """Return the sentence of a reason."""
     words = _Forms().vformat(SENTENCES[reason.code], (), reason.values)
     return words if reason.code in _CLAUSES else words[:1].upper() + words[1:]
 

@@ -397,15 +397,7 @@ def write(
     command: str = "",
     place: Place | None = None,
 ) -> None:
-    """Write `page`, numbers and figures, all or none; the arguments are those of `page`.
-
-    Raises
-    ------
-    MissingDependencyError
-        Without matplotlib or jinja2.
-    DataError
-        If the folder cannot be made, or a file cannot be written.
-    """
+    """Write `page`, numbers and figures, all or none; the arguments are those of `page`."""
     made = page(finding, verification, command, place)
     saved = finding if verification is None else verification
     contents = page_files(made, saved, folder, heading)
@@ -509,27 +501,11 @@ def correct(
     form: str | None = None,
     at: Sequence[float] | None = None,
 ) -> tuple[str, dict[str, Any], dict[Path, bytes]]:
-    """Add what was found to the model, with the caution of its verification.
+    """Add what was found to the model, with the caution of its verification, for a folder ``out``.
 
-    Parameters
-    ----------
-    finding : Finding
-    out : Path
-        A folder.
-    verification : Verification, optional
-        The finding's. Of means it holds the calibration with the effect, which is else made.
-    effect, form, at
-        As `Finding.apply` takes them.
-
-    Returns
-    -------
-    (str, dict, dict)
-        The text, its record, and the files to write by path; none if there is nothing to add.
-
-    Raises
-    ------
-    DataError
-        As `Finding.apply`.
+    Of means the verification holds the calibration with the effect, which is else made. ``effect``,
+    ``form`` and ``at`` are as `Finding.apply` takes them, which raises DataError. Returned are the
+    text, its record, and the files to write by path; none if there is nothing to add.
     """
     record = finding.to_dict()
     if finding.refusal is not None:

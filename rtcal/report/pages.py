@@ -117,12 +117,6 @@ def sheets(made: Page) -> dict[str, list[list[Any]]]:
     """Return the tables of a page by the names of their sheets, and its sentences as the first sheet.
 
     A number has a cell of its own: where the page prints several in one, each has a row.
-
-    Examples
-    --------
-    >>> from rtcal.support.blocks import Row
-    >>> sheets(Page("hall", "", "", [Table(["125 Hz"], [Row("T / s", [1.5], ".2f")], "By band: T")]))
-    {'summary': [['text']], 'By band': [['', '125 Hz'], ['T / s', 1.5]]}
     """
     summary: list[list[Any]] = [["text"]]
     made_of: dict[str, list[list[Any]]] = {"summary": summary}

@@ -132,20 +132,9 @@ class Stand:
 class RoomSection:
     """The room on a page, for the template ``room.html``, below a heading of a ``level`` or none.
 
-    Attributes
-    ----------
-    geometry : Polyhedron
-    parts : mapping of str to int array
-        Faces of each part by its name: of a material, or of a surface.
-    part : str
-        What a part is called in a table's head.
-    areas : array (n_parts,)
-        m².
-    quantities : sequence of Quantity
-        The first is shown at first.
-    stands : sequence of Stand
-    whens : sequence of str
-        What each gap of a stand is: input, calibrated.
+    ``parts`` are the numbers of the faces of each material or surface, and ``part`` is what one is
+    called in a table's head; ``areas`` are theirs in m². The first quantity is shown at first.
+    ``whens`` say what each gap of a stand is: input, calibrated.
     """
 
     geometry: Polyhedron
