@@ -29,6 +29,7 @@ from scipy.special import logsumexp
 from rtcal.acoustics.changes import facing
 from rtcal.acoustics.observables import TARGET, observable
 from rtcal.acoustics.priors import NORMAL_90
+from rtcal.acoustics.room import UNKNOWN as UNAIMED
 from rtcal.finder.case import PARAMETERS, Case, Configuration, PositionsCase
 from rtcal.finder.claim import (
     CLAIMED,
@@ -76,7 +77,6 @@ from rtcal.finder.positions.weighing import (
     LIKELY_INDEX,
     LIKELY_LOBES,
     MISCALIBRATED,
-    as_unknown,
     of_lobes,
     parameters,
     responses_of,
@@ -490,7 +490,11 @@ def find_by_positions(
             unexplained = summary_of(case, search.hypotheses, posterior).unexplained >= CLAIMED
         doubted = aimed > (LIKELY_INDEX if indexed else LIKELY_LOBES) or unexplained
         if doubted and reverberation:
-            search, of_gain = searched(as_unknown(case)), -np.inf
+            # Directivities are unknown of which nothing or an index is stated.
+            tracer = case.simulator
+            stated = {name: tracer.directivity.get(name, UNAIMED) for name in tracer.sources}
+            tracer = replace(tracer, directivity=stated | dict.fromkeys(indexed, UNAIMED))
+            search, of_gain = searched(replace(case, simulator=tracer)), -np.inf
             evidence = search.evidence()
             means = None if means is None else evidence_of_means(search.case, effects, cache)
         elif doubted:  # nothing is left that says as much whatever the source

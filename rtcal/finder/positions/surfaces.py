@@ -16,7 +16,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,17 +42,9 @@ def of_geometry(
 ) -> dict[str, Faces]:
     """Return each surface's faces by its name: the name of its largest face.
 
-    Parameters
-    ----------
-    geometry : Polyhedron
-    stated : mapping of str to sequence of str, optional
-        Names of the faces of each surface, in place of the coplanar faces of one material. Faces that
-        it leaves out are no surface.
-
-    Raises
-    ------
-    DataError
-        For a face that the geometry lacks, a face in two surfaces, or a surface without a face.
+    Names of each surface's faces may be ``stated``, in place of the coplanar faces of one material;
+    faces that are left out are no surface. DataError for a face that the geometry lacks, a face in two
+    surfaces, or a surface without a face.
     """
     if stated is not None:
         return _stated(geometry, checks.mapped("surfaces", stated))
@@ -166,19 +158,7 @@ QUARTERS = 4
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A part of a surface.
-
-    Attributes
-    ----------
-    surface : int
-        Number of its surface.
-    faces : int array
-        Its faces in the divided geometry.
-    area : float
-        m².
-    middle : (x, y, z)
-        A point in its middle, in m.
-    """
+    """A part of a surface: its faces in the divided geometry, area in m² and middle in m."""
 
     surface: int
     faces: Faces
@@ -188,16 +168,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Divided:
-    """A geometry whose long surfaces are divided.
-
-    Attributes
-    ----------
-    geometry : Polyhedron
-    surfaces : tuple of int arrays
-        Faces of each surface in it.
-    parts : tuple of Part
-        Of all surfaces that are divided, surface by surface.
-    """
+    """A geometry whose long surfaces are divided: each surface's faces, and the parts of these."""
 
     geometry: Polyhedron
     surfaces: tuple[Faces, ...]
@@ -206,64 +177,45 @@ class Divided:
 
 def divided(geometry: Polyhedron, surfaces: Mapping[str, Faces]) -> Divided:
     """Return the geometry with its long surfaces divided."""
-    pieces: list[tuple[str, str, Array]] = []
     number = np.full(len(geometry.faces), -1)
-    planes: dict[int, Plane] = {}
+    cuts: dict[int, tuple[Array, Array]] = {}  # direction and ends of a long surface's quarters
     for j, faces in enumerate(surfaces.values()):
         number[faces] = j
-        plane = _plane(geometry, faces)
-        if plane.size.max() > LONG * geometry.mean_free_path:
-            planes[j] = plane
+        largest_first = np.argsort(-geometry.face_areas[faces], kind="stable")
+        plane = Plane.of(geometry, faces[largest_first].tolist())
+        length = plane.size.max()
+        if length > LONG * geometry.mean_free_path:
+            axis = (plane.along, plane.across)[int(np.argmax(plane.size))]
+            start = float(plane.middle @ axis) - length / 2
+            cuts[j] = axis, start + np.arange(1, QUARTERS) / QUARTERS * length
+    pieces: list[Polygon] = []
     places: list[tuple[int, int]] = []  # surface and quarter of each piece
     for i, (name, material) in enumerate(zip(geometry.names, geometry.materials, strict=True)):
-        cut = [(0, geometry.vertices[list(geometry.faces[i])])]
-        if number[i] in planes:
-            cut = _quarters(geometry, i, planes[int(number[i])])
+        j, corners = int(number[i]), geometry.vertices[list(geometry.faces[i])]
+        cut = [(0, corners)]
+        if j in cuts:
+            axis, ends = cuts[j]
+            reach = corners @ axis
+            within = ends[(ends > reach.min() + WELD) & (ends < reach.max() - WELD)]
+            made = cut_face(geometry, i, [(axis, float(end)) for end in within])
+            cut = [(int(np.searchsorted(ends, (piece @ axis).mean())), piece) for piece in made]
         for quarter, piece in cut:
             pieces.append((f"{name} ({len(pieces) + 1})", material, piece))
-            places.append((int(number[i]), quarter))
-    solid = Polyhedron.from_polygons(pieces)
+            places.append((j, quarter))
+    solid, parts = Polyhedron.from_polygons(pieces), list[Part]()
     owner, quarters = np.array(places).T
-    return Divided(
-        geometry=solid,
-        surfaces=tuple(np.flatnonzero(owner == j) for j in range(len(surfaces))),
-        parts=tuple(part for j in planes for part in _parts(solid, j, owner, quarters)),
-    )
-
-
-def _plane(geometry: Polyhedron, faces: Faces) -> Plane:
-    """Return the plane of a surface's largest face, and the rectangle that bounds the surface."""
-    largest_first = np.argsort(-geometry.face_areas[faces], kind="stable")
-    return Plane.of(geometry, faces[largest_first].tolist())
-
-
-def _quarters(geometry: Polyhedron, face: int, plane: Plane) -> list[tuple[int, Array]]:
-    """Return the pieces of a face, and in which quarter of the surface's longer side each lies."""
-    side = int(np.argmax(plane.size))
-    axis = (plane.along, plane.across)[side]
-    start = float(plane.middle @ axis) - plane.size[side] / 2
-    ends = start + np.arange(1, QUARTERS) / QUARTERS * plane.size[side]
-    reach = geometry.vertices[list(geometry.faces[face])] @ axis
-    within = ends[(ends > reach.min() + WELD) & (ends < reach.max() - WELD)]
-    pieces = cut_face(geometry, face, [(axis, float(end)) for end in within])
-    return [(int(np.searchsorted(ends, (piece @ axis).mean())), piece) for piece in pieces]
-
-
-def _parts(geometry: Polyhedron, surface: int, owner: Faces, quarters: Faces) -> list[Part]:
-    """Return the parts of a surface, without those that have no face."""
-    out = []
-    for first in range(QUARTERS - 1):
-        inside = (owner == surface) & (quarters >= first) & (quarters <= first + 1)
-        faces = np.flatnonzero(inside)
+    for j, first in product(cuts, range(QUARTERS - 1)):
+        faces = np.flatnonzero((owner == j) & (quarters >= first) & (quarters <= first + 1))
         if not len(faces):
             continue
-        convex = [piece for i in faces.tolist() for piece in convex_parts(geometry, i)]
+        convex = [piece for i in faces.tolist() for piece in convex_parts(solid, i)]
         middles = [piece.mean(axis=0) for piece in convex]
         middle = np.average(middles, axis=0, weights=[facets.area(piece) for piece in convex])
-        normal = geometry.normals[faces[np.argmax(geometry.face_areas[faces])]]
+        normal = solid.normals[faces[np.argmax(solid.face_areas[faces])]]
         x, y, z = _middle_on(middle, normal, convex).tolist()
-        out.append(Part(surface, faces, float(geometry.face_areas[faces].sum()), (x, y, z)))
-    return out
+        parts.append(Part(j, faces, float(solid.face_areas[faces].sum()), (x, y, z)))
+    of_surfaces = tuple(np.flatnonzero(owner == j) for j in range(len(surfaces)))
+    return Divided(solid, of_surfaces, tuple(parts))
 
 
 def _middle_on(middle: Array, normal: Array, parts: Sequence[Array]) -> Array:
@@ -294,28 +246,17 @@ def patched(
     """Return the geometry with a patch on a surface; None where the surface is too small for it.
 
     The patch is a rectangle in the proportions of the surface's bounding rectangle. It ends at the
-    surface's edge, and is larger elsewhere instead. So its area is exact on a surface of any outline,
-    which may consist of several faces in one plane.
-
-    Parameters
-    ----------
-    geometry : Polyhedron
-    faces : iterable of int
-        The surface's faces. Those in the plane of the largest one have the patch, or with ``at`` those
-        in the plane nearest to it.
-    area : float
-        m².
-    material, name : str
-        Of the patch.
-    at : array (3,), optional
-        Its middle in m; by default the middle of the surface.
-
-    Raises
-    ------
-    DataError
-        If ``at`` is further than `NEAR` from the surface.
+    surface's edge, and is larger elsewhere instead. So its area in m² is exact on a surface of any
+    outline. It lies in the plane of the largest of the surface's faces about its middle, or in the
+    plane nearest to ``at`` (3,), its middle in m. DataError if that is further than `NEAR` from it.
     """
-    flat = _in_one_plane(geometry, [int(i) for i in faces], at)
+    from scipy.optimize import brentq
+
+    own = [int(i) for i in faces]
+    first = max(own, key=lambda i: float(geometry.face_areas[i]))
+    if at is not None:
+        first = min(own, key=lambda i: _away(at, geometry, i))
+    flat = [i for i in own if _joined(geometry, [first], i)[0]]
     parts = {i: convex_parts(geometry, i) for i in flat}
     every = [part for some in parts.values() for part in some]
     if area >= LARGEST_PATCH * sum(map(facets.area, every)):
@@ -323,7 +264,14 @@ def patched(
     normal = geometry.normals[flat[0]]
     plane = Plane.of(geometry, flat)
     centre = _middle_on(plane.middle, normal, every) if at is None else _on(at, normal, every)
-    sides = plane.half_planes(centre, _scale(plane, centre, every, area))
+
+    def excess(scale: float) -> float:
+        """Return by how much the bounding rectangle at this scale holds more than the area."""
+        sides = plane.half_planes(centre, scale)
+        return sum(facets.area(facets.inside(part, sides)) for part in every) - area
+
+    # Twice the bounding rectangle about any of its points covers it.
+    sides = plane.half_planes(centre, float(brentq(excess, 0.0, 2.0)))
     taken = set(geometry.names)
     pieces: list[Polygon] = []
     for i, (other, made_of) in enumerate(zip(geometry.names, geometry.materials, strict=True)):
@@ -357,26 +305,6 @@ def face_at(geometry: Polyhedron, point: Array) -> tuple[int, float]:
 def _away(point: Array, geometry: Polyhedron, face: int) -> float:
     """Return a point's distance in m from a face."""
     return facets.distance_in_plane(point, geometry.normals[face], convex_parts(geometry, face))
-
-
-def _in_one_plane(geometry: Polyhedron, faces: list[int], at: Array | None) -> list[int]:
-    """Return the faces in the plane of the largest one, or of the one nearest to a point."""
-    first = max(faces, key=lambda i: float(geometry.face_areas[i]))
-    if at is not None:
-        first = min(faces, key=lambda i: _away(at, geometry, i))
-    return [i for i in faces if _joined(geometry, [first], i)[0]]
-
-
-def _scale(plane: Plane, centre: Array, parts: Sequence[Array], area: float) -> float:
-    """Return the scale at which the rectangle about a point holds an area of the surface."""
-    from scipy.optimize import brentq
-
-    def excess(scale: float) -> float:
-        sides = plane.half_planes(centre, scale)
-        return sum(facets.area(facets.inside(part, sides)) for part in parts) - area
-
-    # Twice the bounding rectangle about any of its points covers it.
-    return float(brentq(excess, 0.0, 2.0))
 
 
 def _on(point: Array, normal: Array, parts: Sequence[Array]) -> Array:

@@ -53,7 +53,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import LEVEL, MATCH, TARGET, longest
-from rtcal.acoustics.room import LARGEST_INDEX, UNKNOWN, Directivity, Room
+from rtcal.acoustics.room import LARGEST_INDEX, Directivity, Room
 from rtcal.files import disk
 from rtcal.finder.case import PositionsCase
 from rtcal.finder.claim import Reason
@@ -114,23 +114,10 @@ class Aperture:
         n_sources: int,
         rate: Array | None = None,
     ) -> Array:
-        """Return the decays with the second room.
+        """Return the decays with the second room, with as many more bins as the slower one needs.
 
-        Parameters
-        ----------
-        energy : array (n_pairs, n_bands, n_bins)
-            Decays with an opening in place of the aperture, source by source.
-        room : Room
-        bin_width : float
-            In s.
-        n_sources : int
-        rate : array (n_bands,), optional
-            At which the mean decay falls, in 1/s (`decay_rate`); by default it is computed.
-
-        Returns
-        -------
-        array (n_pairs, n_bands, n_bins)
-            With as many more bins as the slower decay needs.
+        ``energy`` (n_pairs, n_bands, n_bins) are decays with an opening in place of the aperture,
+        source by source; ``bin_width`` is in s, ``rate`` (n_bands,) is their `decay_rate` in 1/s.
         """
         from scipy.signal import lfilter
 
@@ -143,7 +130,14 @@ class Aperture:
         root = np.sqrt((first - second) ** 2 / 4 + exchange)
         slow, fast = (first + second) / 2 - root, (first + second) / 2 + root
         seconds = min(_FOLLOWED * _NEPERS / float(slow.min()), LONGEST)
-        decays = _followed(energy, first, int(seconds / bin_width), bin_width)
+        decays = energy
+        if (missing := int(seconds / bin_width) - energy.shape[-1]) > 0:
+            last = max(energy.shape[-1] // 5, 1)
+            steps = np.arange(missing + last) - (last - 1)
+            course = np.exp(-first[:, np.newaxis] * bin_width * steps)  # 1 in the last bin there is
+            level = energy[..., -last:].sum(axis=-1) / course[:, :last].sum(axis=-1)
+            further = level[..., np.newaxis] * course[:, last:]
+            decays = np.concatenate([energy, further], axis=-1)
         decays = decays.reshape(n_sources, -1, *decays.shape[1:])
         reverberant = decays.copy()
         reverberant[..., 0] = 0.0  # the second room takes no direct sound
@@ -166,27 +160,8 @@ def decay_rate(energy: Array, bin_width: float) -> Array:
     return np.asarray(_NEPERS / TARGET.value(energy.mean(axis=-3), bin_width))
 
 
-def _followed(energy: Array, rate: Array, n_bins: int, bin_width: float) -> Array:
-    """Return decays that go on exponentially up to a number of bins."""
-    missing = n_bins - energy.shape[-1]
-    if missing <= 0:
-        return energy
-    last = max(energy.shape[-1] // 5, 1)
-    steps = np.arange(missing + last) - (last - 1)
-    course = np.exp(-rate[:, np.newaxis] * bin_width * steps)  # 1 in the last bin that there is
-    level = energy[..., -last:].sum(axis=-1) / course[:, :last].sum(axis=-1)
-    return np.concatenate([energy, level[..., np.newaxis] * course[:, last:]], axis=-1)
-
-
 _AT_ONCE = 8
 """Groups of faces in one sweep: their decays share the memory of one room."""
-
-
-def changed_alpha(alpha: Array, share: float) -> Array:
-    """Return alpha moved by a share of the way to 1, or (below 0) to that of a hard wall."""
-    if share >= 0:
-        return alpha + share * (1 - alpha)
-    return alpha + share * np.maximum(alpha - HARD, 0.0)
 
 
 @dataclass(eq=False)
@@ -229,17 +204,10 @@ class Weighing:
         stretch: float = 1.0,
         number: int = 1,
     ) -> Array:
-        """Return the decays of groups of paths, (number, n_pairs, n_bands, n_bins).
+        """Return the decays of a ``number`` of groups of paths, (number, n_pairs, n_bands, n_bins).
 
-        Parameters
-        ----------
-        alpha : array (n_faces, n_bands)
-        attenuation : array (n_bands,), optional
-            Of the air, in 1/m; by default the room's.
-        stretch : float
-            Factor of all lengths of the room.
-        number : int
-            Of groups.
+        ``alpha`` is (n_faces, n_bands), the air's ``attenuation`` (n_bands,) in 1/m, by default the
+        room's; ``stretch`` is a factor of all lengths of the room.
         """
         room = self.tracer.room
         # Lengths that grow by a factor: bins that are shorter by it, and air that absorbs more.
@@ -254,19 +222,12 @@ class Weighing:
     def of_groups(self, groups: Sequence[Faces], shares: Sequence[float]) -> Iterator[Array]:
         """Yield the decays with each group of faces changed, in one sweep of the paths for many.
 
-        Parameters
-        ----------
-        groups : sequence of int array
-            Numbers of each group's faces.
-        shares : sequence of float
-            See `changed_alpha`.
-
-        Yields
-        ------
-        array (n_shares, n_pairs, n_bands, n_bins)
+        They are (n_shares, n_pairs, n_bands, n_bins). Alpha moves by a share of the way to 1, or (below
+        0) to that of a hard wall.
         """
         room, alpha = self.tracer.room, self.alpha
-        changed = np.array([changed_alpha(alpha, share) for share in shares])
+        ways = {True: 1 - alpha, False: np.maximum(alpha - HARD, 0.0)}
+        changed = np.array([alpha + share * ways[share >= 0] for share in shares])
         width, air = room.speed_of_sound * self.tracer.bin_width, room.air_attenuation
         for start in range(0, len(groups), _AT_ONCE):
             some = groups[start : start + _AT_ONCE]
@@ -318,13 +279,21 @@ def displaced(
 
     (n_parameters, n_pairs, n_bands, n_displacements) each; ``base`` is what is simulated as stated.
     """
-    tracer = case.simulator
+    tracer, geometry = case.simulator, case.geometry
     steps = np.array([sign * axis for axis in np.eye(3) for sign in (-MOVE, MOVE)])
+    # Less where a wall is in the way.
+    tried = np.array([1.0, 0.5, 0.25, -0.5, 0.0])[:, np.newaxis] * steps[:, np.newaxis]
     stated = base.reshape(len(match), len(tracer.sources), len(tracer.receivers), -1)
     out: dict[str, Array] = {}
     for axis, kind in ((2, "receivers"), (1, "sources")):
         points: Mapping[str, object] = getattr(tracer, kind)
-        moved = _inside(case, np.array([*points.values()], dtype=float), steps)
+        places = np.array([*points.values()], dtype=float)[:, np.newaxis, np.newaxis] + tried
+        flat = places.reshape(-1, 3)
+        free = geometry.contains(flat) & (geometry.wall_distance(flat) > _FROM_WALLS)
+        free = free.reshape(places.shape[:-1])
+        free[..., -1] = True  # not moved
+        first = np.argmax(free, axis=-1)[..., np.newaxis, np.newaxis]
+        moved = np.take_along_axis(places, first, axis=2).reshape(-1, 3)
         names = [f"{name} {i}" for name in points for i in range(len(steps))]
         changes: dict[str, Any] = {kind: dict(zip(names, moved, strict=True))}
         fewer = tracer.n_paths
@@ -351,21 +320,6 @@ def displaced(
             shift[rows] = values[rows] - stated[rows][..., np.newaxis]
             out[f"{kind[:-1]} {name}"] = shift.reshape(*base.shape, len(steps))
     return out
-
-
-def _inside(case: PositionsCase, points: Array, steps: Array) -> Array:
-    """Return each point moved by each step, or by less where a wall is in the way.
-
-    Points (n, 3) and steps (m, 3) in m give (n m, 3).
-    """
-    shares = np.array([1.0, 0.5, 0.25, -0.5, 0.0])[:, np.newaxis]
-    trials = points[:, np.newaxis, np.newaxis] + shares * steps[:, np.newaxis]
-    flat = trials.reshape(-1, 3)
-    free = case.geometry.contains(flat) & (case.geometry.wall_distance(flat) > _FROM_WALLS)
-    free = free.reshape(trials.shape[:-1])
-    free[..., -1] = True  # not moved
-    first = np.argmax(free, axis=-1)[..., np.newaxis, np.newaxis]
-    return np.asarray(np.take_along_axis(trials, first, axis=2).reshape(-1, 3))
 
 
 SHARES = (-1.0, -0.5, 0.08, 0.25, 0.55, 1.0)
@@ -471,9 +425,12 @@ def responses_of(
         kept: Any = disk.read(path)
         if kept is not None and kept.dtype.names:
             columns = {name: np.ascontiguousarray(kept[name]) for name in kept.dtype.names}
-            if all(np.isfinite(values).all() for values in columns.values()):
-                return PairShifts(match, pairs, columns)
-    seconds, aimed = _seconds(case, match, seed), lobes(case.simulator)
+            return PairShifts(match, pairs, columns)
+    # Paths are as long as they must be where any surface is hard, so that they are traced once.
+    few = Weighing(replace(case.simulator, n_paths=_FEW_PATHS), match, seed)
+    for _ in few.of_groups([*case.faces.values()], [min(SHARES)]):
+        pass
+    seconds, aimed = min(_SPARE * few.seconds, LONGEST), lobes(case.simulator)
     tracings = []
     for t in range(TRACINGS):
         said = progress and partial(progress, f"surfaces, tracing {t + 1} of {TRACINGS}")
@@ -511,14 +468,10 @@ def _of_tracing(
     airs = [np.maximum(room.air_attenuation + t * reference, 0.0) for t in AIR]
     aimed: list[Array] = []
     for i, of in enumerate(directivities):
-        if (
-            i and of == directivities[i - 1]
-        ):  # only sources of which nothing is stated aim elsewhere
+        if i and of == directivities[i - 1]:  # only those of which nothing is stated aim elsewhere
             aimed.append(aimed[-1])
-        elif of:
-            aimed.append(replace(weighing, tracer=tracer.aimed(of)).observe(alpha))
         else:
-            aimed.append(base)
+            aimed.append(replace(weighing, tracer=tracer.aimed(of)).observe(alpha) if of else base)
     columns = _of_surfaces(case, weighing, base, progress)
     columns |= {
         "base": base[..., np.newaxis],
@@ -582,14 +535,6 @@ def without_noise(shifts: Array) -> Array:
 
     noise = np.mean([square(one) for one in off], axis=0) / (len(shifts) - 1)
     return np.asarray(common + share_of_signal(square(mean - common), noise) * (mean - common))
-
-
-def _seconds(case: PositionsCase, match: Sequence[str], seed: int) -> float:
-    """Return how long paths must be where any surface is hard, so that they are traced once."""
-    few = Weighing(replace(case.simulator, n_paths=_FEW_PATHS), match, seed)
-    for _ in few.of_groups([*case.faces.values()], [min(SHARES)]):
-        pass
-    return min(_SPARE * few.seconds, LONGEST)
 
 
 def _of_surfaces(
@@ -724,10 +669,6 @@ LIKELY_GAINS = 1.0
 """Evidence in nats for gains that may be off from which it is said."""
 
 
-AIMS = (None, *(tuple(sign * axis) for axis in np.eye(3) for sign in (-1.0, 1.0)))
-"""Where the lobes aim: all at the middle of the receivers, or along an axis."""
-
-
 def with_index(tracer: PathTracing) -> dict[str, Directivity]:
     """Return the directivities that an index above 0 states, by source."""
     stated = {n: of for n, of in tracer.directivity.items() if isinstance(of, Directivity)}
@@ -735,7 +676,7 @@ def with_index(tracer: PathTracing) -> dict[str, Directivity]:
 
 
 def lobes(tracer: PathTracing) -> list[dict[str, Directivity]]:
-    """Return what the sources may have for lobes, for each of `AIMS`.
+    """Return what the sources may have for lobes: all at the middle of the receivers, or along an axis.
 
     Sources of which nothing is stated have `LOBE_INDEX`. Those of which an index is stated aim as
     stated, and have one that is larger: together by `INDEX_ERROR`, each for itself by
@@ -755,20 +696,16 @@ def lobes(tracer: PathTracing) -> list[dict[str, Directivity]]:
         }
 
     towards = [Directivity(index=index, aim=tuple(middle[s])) for s in unstated]
-    along = [Directivity(index=index, aim=aim) for aim in AIMS if aim is not None]
+    along = [
+        Directivity(index=index, aim=tuple(sign * axis))
+        for axis in np.eye(3)
+        for sign in (-1.0, 1.0)
+    ]
     own = changed(OWN_INDEX_ERROR)
     return [
         changed(INDEX_ERROR) | dict(zip(names, towards, strict=True)),
         *(own | dict.fromkeys(names, lobe) for lobe in along),
     ]
-
-
-def as_unknown(case: PositionsCase) -> PositionsCase:
-    """Return the case where directivities are unknown of which nothing or an index is stated."""
-    tracer = case.simulator
-    stated = {name: tracer.directivity.get(name, UNKNOWN) for name in tracer.sources}
-    stated |= dict.fromkeys(with_index(tracer), UNKNOWN)
-    return replace(case, simulator=replace(tracer, directivity=stated))
 
 
 def covariances_of_gains(
