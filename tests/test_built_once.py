@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
 import cvxpy as cp
 import numpy as np
@@ -12,12 +11,7 @@ import pytest
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.calibration import qp
-from rtcal.finder import recalibrate, verify
-from rtcal.finder.effects import AppliedEffect, Opening
-from rtcal.finder.search import find
 from tests.conftest import random_room, true_times
-from tests.test_discrepancy import controls_of, opened
 
 EYRING = rt.Eyring()
 
@@ -57,38 +51,6 @@ def test_rooms_of_one_shape_are_compiled_once(solver: str, compilations: list[ob
         np.testing.assert_array_equal(rt.calibrate(room, t, solver=solver).alpha, alpha)
 
 
-def test_another_shape_or_another_term_is_compiled_anew(compilations: list[object]) -> None:
-    ((room, t),) = cases(1)
-    for count, (method, of) in enumerate(
-        [
-            ("mle", room),
-            ("soft", room),
-            ("smooth", room),
-            ("soft", room.replace(centre_frequencies=[125, 250, 500, 1000])),
-            ("soft", room.replace(materials=list("abcdef"))),
-        ],
-        start=1,
-    ):
-        for _ in range(2):
-            rt.calibrate(of, t, method=method)
-        assert len(compilations) == count
-
-
-def test_the_sigma_of_a_prior_is_no_part_of_the_compiled_problem(
-    compilations: list[object],
-) -> None:
-    ((room, t),) = cases(1)
-
-    def alpha(sigma: float | None) -> np.ndarray:
-        return rt.Calibration(terms.PriorDeviation(sigma=sigma)).build(room).solve(t).alpha
-
-    found = [alpha(sigma) for sigma in (None, 0.1, 0.5)]
-    assert len(compilations) == 1
-    assert abs(found[0] - found[1]).max() > 1e-3
-    rt.calibration.forget()
-    np.testing.assert_array_equal(alpha(0.5), found[2])
-
-
 def test_threads_share_one_problem(compilations: list[object]) -> None:
     given = cases(24)
     ready = threading.Barrier(8)
@@ -103,18 +65,6 @@ def test_threads_share_one_problem(compilations: list[object]) -> None:
     for i, answers in enumerate(found):
         for (room, t), alpha in zip(given[i::8], answers, strict=True):
             np.testing.assert_array_equal(rt.calibrate(room, t, "soft").alpha, alpha)
-
-
-def test_the_number_kept_is_bounded_and_forget_empties(compilations: list[object]) -> None:
-    ((room, t),) = cases(1)
-    for i in range(20):
-        rt.Calibration(terms.HuberDeviation(threshold=1.0 + i)).build(room)
-    assert qp._cached.cache_info().currsize == 16
-    rt.calibration.forget()
-    assert qp._cached.cache_info().currsize == 0
-    before = len(compilations)
-    rt.calibrate(room, t)
-    assert len(compilations) == before + 1
 
 
 def test_the_numbers_of_an_effect_are_no_part_of_the_compiled_problem(
@@ -142,24 +92,3 @@ def test_the_numbers_of_an_effect_are_no_part_of_the_compiled_problem(
         fresh_size, fresh_alpha = sizes(*given)
         assert fresh_size == size
         np.testing.assert_array_equal(fresh_alpha, alpha)
-
-
-def test_a_verification_compiles_each_of_its_two_problems_once(
-    compilations: list[object],
-) -> None:
-    """The plain calibration matches T exactly, the corrected one softly, in several steps."""
-    case = opened(25.0)
-    finding = find(case, effects=[Opening()], controls=controls_of(case))
-    rt.calibration.forget()
-    compilations.clear()
-    verify(finding)
-    assert len(compilations) == 2
-    verify(finding)
-    assert len(compilations) == 2
-
-
-def test_the_steps_of_a_recalibration_share_one_problem(compilations: list[object]) -> None:
-    """And one objective without the data, by which the steps are judged."""
-    applied = AppliedEffect("opening", {"area": 8.0})
-    recalibrate(replace(opened(25.0), applied=(applied,)))
-    assert len(compilations) == 2

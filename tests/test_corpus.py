@@ -13,7 +13,6 @@ from benchmarks import drawn_tables
 from rtcal.io import bras, catt, library, obj, odeon, pyroomacoustics, tables
 from rtcal.support.errors import DataError
 from tests import corpus
-from tests.damage import damages
 
 READERS: dict[str, Any] = {
     "bras": bras,
@@ -75,25 +74,3 @@ def values(measured: rt.Measurement) -> dict[tuple[object, ...], float]:
         for f, value in zip(measured.centre_frequencies.tolist(), row, strict=True)
         if np.isfinite(value)
     }
-
-
-SHAPES = (
-    "positions across, the sheet names the parameter",
-    "Dirac's text",
-    "REW, two measurements",
-    "merged headers",
-    "one sheet per position",
-    "an XL2's report",
-    "Aurora's AcouPar",
-)
-
-
-@pytest.mark.parametrize("name", SHAPES)
-def test_broken_tables_raise_typed_errors(name: str) -> None:
-    refused = 0
-    for damaged in damages(corpus.NAMED[name].content, 40):
-        try:
-            tables.parse(damaged)
-        except DataError:
-            refused += 1
-    assert refused > 3

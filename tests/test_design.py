@@ -106,6 +106,20 @@ def test_exhaustive_search_finds_nothing_that_is_cheaper_by_one_percent(index: i
     assert turned.areas[::-1] == pytest.approx(found.areas, abs=1e-9)
 
 
+@pytest.mark.usefixtures("few_draws")
+def test_panels_that_may_be_cut_are_named_where_whole_ones_will_not_do() -> None:
+    result = known()
+    target = Target([np.nan] * 3, [1.3] * 3)
+    some = design(result, TREATMENTS[:1], target, 0.8)
+    area = float(some.areas[0])
+    large = replace(TREATMENTS[0], largest=1.1 * area, unit=0.6 * area)
+    bought = 2 * large.unit * large.cost
+    said = f"No whole panels .*: {area:.1f} m² of ceiling. The cost is {some.cost:.0f} where a cut "
+    said += f"panel is paid by its area, and {bought:.0f} where it is paid whole"
+    with pytest.raises(InfeasibleError, match=said):
+        design(result, [large], target, 0.8)
+
+
 @pytest.mark.long
 def test_the_order_of_materials_changes_nothing() -> None:
     room = a_room()

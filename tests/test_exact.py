@@ -227,23 +227,6 @@ def test_what_does_not_fit_is_an_error() -> None:
         exact.solve(["a"], [0.1], [1], 0.2)
 
 
-@pytest.mark.long
-def test_shapes_broadcast() -> None:
-    rng = np.random.default_rng(4)
-    mu, sigma = rng.uniform(0.2, 0.8, (5, 1, 4)), rng.uniform(0.01, 0.1, (4,))
-    areas, target = rng.uniform(1, 9, (3, 4)), rng.uniform(2, 3, (5, 3))
-    alpha, d, status = exact.solve(mu, sigma, areas, target)
-    assert alpha.shape == (5, 3, 4)
-    assert d.shape == status.shape == (5, 3)
-    for i in range(5):
-        for j in range(3):
-            one = exact.solve(mu[i, 0], sigma, areas[j], target[i, j])
-            np.testing.assert_allclose(alpha[i, j], one.alpha, rtol=0, atol=1e-14)
-            assert one.multiplier == pytest.approx(float(d[i, j]))
-    assert exact.solve(mu[:0], sigma, areas[0], 1.0).alpha.shape == (0, 1, 4)
-    np.testing.assert_allclose((areas * alpha).sum(-1), target, rtol=1e-13)
-
-
 def test_optimum_and_closed_form() -> None:
     rng = np.random.default_rng(6)
     mu, sigma, areas = rng.uniform(0.3, 0.7, 6), rng.uniform(0.01, 0.1, 6), rng.uniform(5, 50, 6)

@@ -107,13 +107,6 @@ def test_an_edge_may_run_along_shorter_ones():
     assert hall.areas["wood"] == pytest.approx(8)
 
 
-def test_a_blank_at_the_end_of_a_name_is_told():
-    """The message was of one line of text alone, which "tiles " is."""
-    walls = [(name, material + " " * (material == "tiles"), p) for name, material, p in l_shape()]
-    with pytest.raises(DataError, match=r"material 'tiles ': .* no blank at its start or end"):
-        Polyhedron.from_polygons(walls).to_text()
-
-
 def test_walls_that_do_not_close_name_the_edge():
     with pytest.raises(DataError, match=r'do not close: the edge from \(.*\) m of "floor" belongs'):
         Polyhedron.from_polygons(l_shape()[:-1])

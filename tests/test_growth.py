@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import time
 import tracemalloc
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.calibration.composition import Composition
-from rtcal.calibration.result import JointResult
 from rtcal.io import mend
 from rtcal.simulators import Polyhedron
 
@@ -67,40 +64,6 @@ def test_memory_of_an_order_of_materials_is_linear_in_them() -> None:
     assert np.log(large / small) / np.log(4) < 1.2
 
 
-def test_what_configurations_share_is_calculated_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    rooms = [large_room(4, seed, f"state {seed}") for seed in range(5)]
-    times = [1.1 * rt.Eyring().reverberation_time(room) for room in rooms]
-    joint = rt.calibrate(rt.Configurations(rooms), times, method="joint")
-    innovation, density = Mock(side_effect=JointResult.innovation.func), Mock()
-    monkeypatch.setattr(JointResult.innovation, "func", innovation)
-    monkeypatch.setattr(JointResult, "density", density)
-    records = [result.to_dict() for result in joint.results]
-    assert innovation.call_count == 1
-    assert density.call_count == 0
-    assert [record["room"] for record in records] == [room.name for room in rooms]
-    assert all(m["interval_after"] for record in records for m in record["materials"])
-
-
-def test_derivative_with_respect_to_every_time_takes_two_assemblies(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    rooms = [large_room(4, seed, f"state {seed}") for seed in range(5)]
-    times = [1.1 * rt.Eyring().reverberation_time(room) for room in rooms]
-    joint = rt.calibrate(rt.Configurations(rooms), times, method="joint")
-    assembled = Mock(side_effect=Composition.numbers, autospec=True)
-    joint.numbers  # noqa: B018 (those of the solve itself)
-    monkeypatch.setattr(Composition, "numbers", lambda *given: assembled(*given))
-    derivative = joint.by_time()
-    assert assembled.call_count == 2
-    # Against calibrating again with one T changed.
-    step = 1e-4
-    changed = [t.copy() for t in times]
-    changed[2][3] *= 1 + step
-    again = rt.calibrate(rt.Configurations(rooms), changed, method="joint")
-    difference = (again.alpha - joint.alpha) / (step * times[2][3])
-    np.testing.assert_allclose(derivative[:, :, 2, 3], difference, rtol=2e-3, atol=1e-7)
-
-
 def seconds_of_mending(n: int) -> float:
     """Processor time in s of mending a hall with n panels over its floor."""
     hall = Polyhedron.shoebox((40.0, 30.0, 8.0), "plaster")
@@ -115,30 +78,6 @@ def seconds_of_mending(n: int) -> float:
     taken = time.process_time() - begin
     assert [defect.number for defect in done.defects] == [n]
     return taken
-
-
-def seconds_of_joining(n: int) -> float:
-    """Processor time in s of mending a box whose walls are drawn as n x n pairs of triangles."""
-    box, at, polygons = Polyhedron.shoebox((20.0, 15.0, 8.0), "plaster"), np.arange(n) / n, []
-    halves = np.array([[0, 0], [1, 0], [1, 1]]), np.array([[0, 0], [1, 1], [0, 1]])
-    for a, b, _, d in (box.vertices[list(face)] for face in box.faces):
-        corners = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 1, 2)
-        polygons += [a + (corners + half / n) @ np.array([b - a, d - a]) for half in halves]
-    drawn = np.concatenate(polygons)
-    names = ["wall"] * len(drawn)
-    begin = time.process_time()
-    done = mend.mended(mend.Faces("box.obj", list(drawn), names, names))
-    assert len(done.geometry.faces) == 6
-    assert done.volume == pytest.approx(2400)
-    return time.process_time() - begin
-
-
-@pytest.mark.long
-def test_time_of_joining_triangles_grows_with_their_number() -> None:
-    """99,372 triangles took 58 s, as their number to the power of 1.5."""
-    seconds_of_joining(16)  # imports
-    small, large = (min(seconds_of_joining(n) for _ in range(2)) for n in (20, 60))
-    assert np.log(large / small) / np.log(9) < 1.2
 
 
 @pytest.mark.long

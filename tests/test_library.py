@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -81,12 +80,3 @@ def test_names_of_the_trade_find_something_sensible() -> None:
         "linoleum_on_concrete: Linoleum, asphalt, rubber, or cork tile on concrete, "
         "alpha 0.03 ± 0.02 at 500 Hz"
     ]
-
-
-def test_json_is_printed_though_quiet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text("Frequency;T20\n500;1,5\n")
-    assert run("table", path, "--json", "-q") == 0
-    assert json.loads(capsys.readouterr().out)["values"]["t20"] == [[1.5]]
-    assert run("table", path, "-q") == 0
-    assert capsys.readouterr().out == ""

@@ -103,6 +103,23 @@ def test_fractions_in_a_list_of_percents_are_refused(tmp_path: Path) -> None:
     assert "line 2: at most 1 %, since ABS is in percent" in room.sources["marble"]
 
 
+def test_decimals_can_be_stated(tmp_path: Path) -> None:
+    path = tmp_path / "hall.geo"
+    path.write_bytes(b"ABS wall = <2 2 2 2 2 2>\nABS1 desk = <0.02 0.02 0.02 0.02 0.02 0.02>\n")
+    room = catt.read(path).room(name="hall", volume=1000, areas={"wall": 700.0, "desk": 9.0})
+    catt.write(room.replace(alpha=np.full((2, 6), 0.0376)), path, decimals=2)
+    assert path.read_bytes() == (
+        b"ABS wall = <4 4 4 4 4 4>\nABS1 desk = <0.04 0.04 0.04 0.04 0.04 0.04>\n"
+    )
+    with pytest.raises(DataError, match="decimals = 1 of a coefficient; they are 2 to 15"):
+        catt.write(room, path, decimals=1)
+    library = tmp_path / "hall.Li8"
+    library.write_bytes(b"1 wall\n.02 0.02 0.02 0.02 0.02 0.02 0.02 0.02\n")
+    room = odeon.read(library).room(name="hall", volume=1000, areas={"1 wall": 700.0})
+    odeon.write(room.replace(alpha=np.full((1, 8), 0.0376)), library, decimals=3)
+    assert library.read_bytes() == b"1 wall\n" + b" ".join([b"0.038"] * 8) + b"\n"
+
+
 def test_catt_constructs() -> None:
     listed = catt.parse(fuzz.CATT[0])
     assert listed.names == ("wood", "audience", "drape", "panel")

@@ -413,6 +413,33 @@ DAE = """<?xml version="1.0"?>
 """
 
 
+PLY_OF_I_SIMPA = b"""ply
+format ascii 1.0
+element vertex 8
+property float x
+property float y
+property float z
+element face 6
+property list uchar int vertex_indices
+property int layer_id
+end_header
+0 0 0
+4 0 0
+4 5 0
+0 5 0
+0 0 3
+4 0 3
+4 5 3
+0 5 3
+4 3 2 1 0 0
+4 4 5 6 7 1
+4 0 1 5 4 2
+4 1 2 6 5 2
+4 2 3 7 6 2
+4 3 0 4 7 2
+"""
+
+
 def obj(drawn: Drawn, path: Path, groups: bool = False) -> Path:
     rows, count = [], 0
     for material, polygon in drawn:
@@ -466,6 +493,22 @@ def test_dxf(tmp_path: Path, kind: str) -> None:
     assert done.areas == pytest.approx({"plaster": S}, rel=1e-9)
     assert done.notes == ("the file's unit is 0.001 m", "no faces, left out: 1 LINE")
     assert mesh.room(path, unit=0.01).volume == pytest.approx(1000 * V, rel=1e-9)
+
+
+def test_objects_of_3mf_and_layers_of_a_ply_are_materials(tmp_path: Path) -> None:
+    parts = {n: trimesh.Trimesh(1000 * np.array(p), HALVES, process=False) for n, p in walls()}
+    trimesh.Scene(parts).export(tmp_path / "room.3mf")
+    areas = dict(zip(BOX.names, BOX.face_areas, strict=True))
+    assert mesh.room(tmp_path / "room.3mf").areas == pytest.approx(areas, rel=1e-6)
+    path = tmp_path / "room.ply"
+    path.write_bytes(PLY_OF_I_SIMPA)
+    done = mesh.room(path)
+    assert done.volume == pytest.approx(60)
+    assert set(done.areas) == {"layer 0", "layer 1", "layer 2"}
+    groups = b"material_index\nelement material 3\nproperty list uchar uchar name\n"
+    names = b"3 111 97 107\n3 102 105 114\n4 98 101 101 99\n"
+    path.write_bytes(PLY_OF_I_SIMPA.replace(b"layer_id\n", groups) + names)
+    assert set(mesh.room(path).areas) == {"oak", "fir", "beec"}
 
 
 HEAD = b"0\nSECTION\n2\nENTITIES\n"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -113,16 +111,6 @@ def test_responses_to_coefficients():
     assert error[0] < 0.6 * error[1]
 
 
-def test_some_modes_keep_their_names():
-    _, signals = heard()
-    modes = find_modes(PLACED, signals, RATE, PAIRS, highest=100)
-    some = modes.only([0, 2, 5])
-    result = rt.calibrate_modes(PLACED, some)
-    np.testing.assert_array_equal(result.matched, modes.calculated[[0, 2, 5]])
-    with pytest.raises(DataError, match="calculated has mode 900"):
-        rt.calibrate_modes(PLACED, replace(some, calculated=[0, 2, 900]))
-
-
 @pytest.mark.parametrize("wrong", ["exchanged", "late", "other room"])
 def test_what_the_rooms_modes_do_not_explain(wrong):
     _, signals = heard()
@@ -188,40 +176,6 @@ def sofa(**changes):
         "convention": "SingleRoomSRIR",
     }
     return rt.io.sofa.Responses(**given | changes)
-
-
-def test_responses_of_a_sofa_file():
-    """Its first pair was measured twice; then its positions have other names, and one is far off."""
-    _, signals = heard()
-    twice = np.concatenate([signals[:1], 0 * signals[:1], signals[1:]])[:, np.newaxis]
-    turned = {f"R{k}": RECEIVERS[3 - k] for k in range(4)}
-    named = sofa(
-        pairs=tuple(PAIRS[::-1]),
-        samples=signals[:, np.newaxis],
-        sources={"S": (0.21, 0.33, 0.2)},
-        receivers=turned,
-    )
-    by_hand = rt.calibrate_modes(PLACED, find_modes(PLACED, signals, RATE, PAIRS), times(TRUTH))
-    by_file, by_place = (
-        rt.calibrate_modes(PLACED, given, times(TRUTH))
-        for given in (sofa(pairs=(PAIRS[0], *PAIRS), samples=twice), named)
-    )
-    np.testing.assert_array_equal(by_file.alpha, by_hand.alpha)
-    np.testing.assert_array_equal(by_place.alpha, by_hand.alpha)
-    assert "receiver R0 is R3" in str(by_place.notes)
-    far = replace(named, receivers={**turned, "R1": (3.0, 3.0, 1.0)})
-    with pytest.raises(
-        DataError, match=r"receiver R1 of the SOFA file is at \(3, 3, 1\) m, 0.99 m"
-    ):
-        rt.calibrate_modes(PLACED, far)
-
-
-@pytest.mark.parametrize("size", [1e300, 1e-300])
-def test_responses_of_any_size(size):
-    _, signals = heard()
-    one, other = (find_modes(PLACED, s, RATE, PAIRS, highest=70) for s in (signals, size * signals))
-    np.testing.assert_allclose(other.decays, one.decays, rtol=1e-6)
-    np.testing.assert_allclose(other.amplitudes, size * one.amplitudes, rtol=1e-6)
 
 
 def test_command_takes_a_sofa_file(tmp_path):

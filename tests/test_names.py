@@ -43,20 +43,6 @@ def definitions(trees: Trees, kind: type[ast.FunctionDef | ast.ClassDef]) -> lis
     ]
 
 
-def test_no_package_lists_a_function_with_the_name_of_one_of_its_modules(trees: Trees) -> None:
-    """`package.name` would be the module or the function, whichever was imported last."""
-    for module, tree in trees.items():
-        inside = {m.rpartition(".")[2] for m in MODULES if m.rpartition(".")[0] == module}
-        listed = {
-            (alias.asname or alias.name, node.module)
-            for node in ast.walk(tree)
-            if isinstance(node, ast.ImportFrom)
-            for alias in node.names
-        }
-        hidden = {name for name, origin in listed if name in inside and origin != module}
-        assert not hidden, f"{module} lists {hidden}"
-
-
 def test_no_two_classes_have_one_name(trees: Trees) -> None:
     names = (name for _, name in definitions(trees, ast.ClassDef) if not name.startswith("_"))
     assert {name for name, n in Counter(names).items() if n > 1} == set()
@@ -124,13 +110,6 @@ def test_an_option_is_the_same_in_every_command(option: str) -> None:
 def test_every_command_that_prints_prints_json_and_can_be_quiet() -> None:
     commands = {command for stated in OPTIONS.values() for command in stated} - {""}
     assert {*OPTIONS["--json"]} == {*OPTIONS["--quiet"]} == {*OPTIONS["-q"]} == commands
-
-
-def test_the_page_lists_every_option_that_commands_share() -> None:
-    page = (PACKAGE.parent / "docs" / "command_line.md").read_text(encoding="utf-8")
-    for option, stated in OPTIONS.items():
-        if len({name.partition(" ")[0] for name in stated}) > 1:
-            assert f"`{option}" in page, option
 
 
 def public_paths() -> dict[str, Any]:

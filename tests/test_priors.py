@@ -120,56 +120,6 @@ def test_sigma_rules() -> None:
             SigmaRule(**bad)
 
 
-ROOM = """\
-name = "r"
-volume = 100
-centre_frequencies = [500, 1000, 2000]
-above_one = "clip"
-[air]
-[prior]
-relative = 0.2
-minimum = 0.01
-iso_12999_2 = true
-in_situ_factor = 2.0
-band_correlation = 0.7
-[[material]]
-name = "wall"
-area = 80
-alpha = [0.1, 0.1, 0.9]
-[[material]]
-name = "panel"
-area = 20
-alpha = [0.9, 1.1, 1.05]
-sigma = "moderate"
-[[correlation]]
-materials = ["wall", "panel"]
-value = 0.5
-"""
-
-
-def test_a_room_file_states_its_prior(tmp_path) -> None:
-    path = tmp_path / "room.toml"
-    path.write_text(ROOM, encoding="utf-8")
-    room = rt.Room.from_file(path)
-    iso = sigma_iso_12999_2(np.array([0.1, 0.1, 0.9]), [500, 1000, 2000])
-    np.testing.assert_allclose(room.sigma[0], 2 * np.maximum([0.02, 0.02, 0.18], iso))
-    np.testing.assert_array_equal(room.sigma[1], 0.05)
-    assert room.clipped == ('alpha["panel", 1000 Hz] = 1.1', 'alpha["panel", 2000 Hz] = 1.05')
-    np.testing.assert_array_equal(room.alpha[1], [0.9, 1, 1])
-    assert room.band_correlation == 0.7
-    assert room.material_correlation == {("wall", "panel"): 0.5}
-    room.save(tmp_path / "again.toml")
-    again = rt.Room.from_file(tmp_path / "again.toml")
-    for field in ("alpha", "sigma"):
-        np.testing.assert_array_equal(getattr(again, field), getattr(room, field))
-    assert again.clipped == room.clipped
-    assert again.band_correlation == 0.7
-    assert again.material_correlation == room.material_correlation
-    result = rt.calibrate(room, [0.6, 0.55, 0.5])
-    assert "cut to 1: alpha" in str(result)
-    assert abs(result.gap_after).max() < 1e-9
-
-
 def test_correlations_reach_the_calibration() -> None:
     """Not separable sigma, one band without T: the correlated prior carries a shift over to it."""
     room = rt.Room(
@@ -218,27 +168,3 @@ def test_no_entry_of_the_catalogue_hides_that_it_is_perforated() -> None:
     assert all("perforated" in name or "absorber" in name for name in holes)
     listed = catalogue.material_list()
     assert [*listed.names] == [*catalogue.names()]
-
-
-def test_a_room_from_the_catalogue_keeps_its_provenance(tmp_path) -> None:
-    pytest.importorskip("pyroomacoustics")
-    from rtcal.datasets import catalogue
-
-    octaves = [125, 250, 500, 1000, 2000, 4000]
-    entries = [catalogue.material(name, octaves) for name in ("hard_surface", "carpet_cotton")]
-    room = rt.Room.from_surfaces(
-        name="r",
-        volume=60,
-        materials=entries,
-        centre_frequencies=octaves,
-        air=rt.Air(),
-        surfaces=[
-            rt.Surface("walls", "hard_surface", 74),
-            rt.Surface("floor", "carpet_cotton", 20),
-        ],
-    )
-    room.save(tmp_path / "room.toml")
-    again = rt.Room.from_file(tmp_path / "room.toml")
-    assert again.sources == {m.name: m.source for m in entries}
-    assert all("pyroomacoustics" in source for source in again.sources.values())
-    np.testing.assert_array_equal(again.alpha, [m.alpha for m in entries])

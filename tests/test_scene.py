@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.io import geometry_files
-from rtcal.support.errors import DataError
 
 STATED = rt.Scene(
     mesh="meshes/room.obj",
@@ -68,15 +65,6 @@ def test_the_mesh_is_the_same_file_wherever_the_room_is_saved(
         assert Path(again or "").resolve() == tmp_path / "project" / "meshes" / "room.obj"
 
 
-def test_a_wrong_scene_is_named_in_python() -> None:
-    with pytest.raises(DataError, match=re.escape('sources["S"] = (1, 2) is not three finite')):
-        rt.Scene(sources={"S": (1, 2)}, receivers={"R": (1, 2, 3)})
-    with pytest.raises(DataError, match="scattering_model = 'lambert' is not"):
-        room(scattering_model="lambert")
-    with pytest.raises(DataError, match="scene"):
-        room(scene={"mesh": "room.obj"})
-
-
 def test_a_path_tracer_takes_the_meaning_of_scattering_from_its_room() -> None:
     hall = rt.datasets.halls.lecture_hall()
     stated = hall.room.replace(scattering_model="vector")
@@ -86,24 +74,3 @@ def test_a_path_tracer_takes_the_meaning_of_scattering_from_its_room() -> None:
     assert tracing(room=hall.room, **places).scattering_model == "random"
     assert tracing(room=stated, scattering_model="random", **places).scattering_model == "random"
     np.testing.assert_array_equal(tracing(room=stated, **places).scattering, stated.scattering)
-
-
-def test_a_box_of_several_materials_says_which_walls_it_needs() -> None:
-    """`dimensions` with positions demanded six walls by names that nothing stated."""
-    room = rt.Room(
-        name="box",
-        volume=60,
-        dimensions=(4, 5, 3),
-        materials=["plaster", "carpet"],
-        areas=[74, 20],
-        alpha=[[0.1], [0.3]],
-        sigma=[[0.02], [0.1]],
-        centre_frequencies=[1000],
-        scene=rt.Scene(sources={"S1": (1, 1, 1.5)}, receivers={"R1": (3, 4, 1.2)}),
-    )
-    with pytest.raises(DataError, match="no surface is called west, east, south, north, floor"):
-        geometry_files.path_tracing(room)
-    with pytest.raises(DataError, match="no surface is called west, east, south, north, floor"):
-        rt.simulators.ImageSource(
-            room=room, sources=room.scene.sources, receivers=room.scene.receivers, duration=0.4
-        )

@@ -10,9 +10,11 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import Case, Configuration
+from rtcal.finder.case import ChangedMaterial
 from rtcal.finder.effects import WrongVolume
 from rtcal.finder.evidence import grid_weights
 from rtcal.finder.finding import Finding
+from rtcal.finder.means.problem import predict_hypotheses
 from rtcal.finder.model import RoomState, volume_sigma_of
 from tests.conftest import also
 
@@ -115,3 +117,31 @@ def test_a_volume_is_as_certain_as_it_is_stated() -> None:
         assert (
             grid_weights(effect, grid, uneven)[np.abs(logs - np.log(2)) < 0.16].sum() < twice / 50
         )
+
+
+def test_a_volume_of_a_thousandth_is_tried_only_where_every_state_has_sound_for_it() -> None:
+    """A further configuration, with an absorber, had no C80 then: a DataError instead of a finding."""
+    room = hall(0.1, volume=413.0, areas=[105, 110, 105, 59], alpha=np.full((4, len(F)), 0.03))
+    measured = heard(room, 1.0)
+    hung = ChangedMaterial(np.full(len(F), 0.6), np.full(len(F), 0.03))
+    both = [
+        Configuration(name="A", measured=measured),
+        Configuration(name="B", measured=measured, changes={"stage": hung}),
+    ]
+    tried = [
+        predict_hypotheses(Case(room=room, configurations=some), [WrongVolume()])
+        for some in (both[:1], both)
+    ]
+    assert all(np.isfinite(of.features).all() for of in tried)
+    least = [
+        min(
+            theta["ratio"]
+            for theta, of in zip(every.parameters, every.possible, strict=True)
+            if of and theta
+        )
+        for every in tried
+    ]
+    assert least[0] < 0.0015 < least[1]
+    excluded = ~tried[1].possible
+    assert excluded.any()
+    assert np.isneginf(tried[1].log_weights[excluded]).all()

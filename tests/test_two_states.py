@@ -131,6 +131,24 @@ def test_means_alone_with_their_uncertainty() -> None:
     assert assumed.detected
 
 
+def test_pairs_that_one_state_lacks_are_left_out_and_said() -> None:
+    before, after = measured(times(), 1), measured(times(12), 2)
+    some = after.select(after.pairs[:4])
+    found = StatesCase(room=room(), before=before, after=some)
+    assert found.change.shape == (4, 6)
+    assert any("Only before has S4 to R1 and 1 more" in str(note) for note in found.notes)
+
+
+def test_states_without_a_common_pair_are_refused() -> None:
+    before = measured(times(), 1)
+    other = replace(before, pairs=[(f"T{i}", "R1") for i in range(6)])
+    with pytest.raises(rt.errors.DataError, match="no source and receiver in common"):
+        StatesCase(room=room(), before=before, after=other)
+    edt, shorter = (rt.Measurement.from_values(BANDS, edt=f * times()) for f in (1.0, 0.9))
+    with pytest.raises(rt.errors.DataError, match="T20 or T30"):
+        StatesCase(room=room(), before=edt, after=shorter)
+
+
 def test_t_that_is_missed_is_never_supported(panels: Finding) -> None:
     """The gap shrinks from 9 to 1 JND; T at 1 kHz is off by more than 1 JND and than it may be."""
     verification = rt.finder.verify(panels)

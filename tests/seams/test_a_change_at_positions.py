@@ -10,12 +10,14 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.changes import Variant
-from rtcal.loop import predict_positions
+from rtcal.loop import ControlRuns, predict_positions
+from rtcal.loop.positions import PositionsResult
 from rtcal.prediction import Change
 from rtcal.prediction.predicted import Predictions
 from rtcal.prediction.words import SIZES
 from rtcal.report import pages
 from rtcal.simulators import PathTracing, Polyhedron
+from rtcal.support.errors import DataError
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 
@@ -151,3 +153,33 @@ def test_an_uncertain_room_counts_before_and_after_the_change(result, predicted)
     assert alone == pytest.approx([0.1, 0.1], rel=0.2)  # without air T is nearly as V
     shared = np.sqrt(found.sigma[0, -1] ** 2 * found.parts("t20")[SIZES])
     assert (shared < 0.5 * alone).all()
+
+
+@pytest.fixture(scope="module")
+def small() -> PositionsResult:
+    """Few paths: what is refused is refused before they count."""
+    few = tracing(a_room(), n_paths=160)
+    controls = ControlRuns(
+        parameters=("t20",), pairs=few.pairs, errors=0.1 * np.ones((4, 1, len(few.pairs), 2))
+    )
+    heard = few.simulate(TRUTH, seed=9)
+    return rt.calibrate_positions(
+        few, a_room(), heard, ("t20",), controls=controls, more_paths=1, fit_scattering=False
+    )
+
+
+def test_what_can_be_checked_is_refused_before_anything_is_simulated(small) -> None:
+    def told(done: int, total: int) -> None:
+        raise AssertionError("a reference simulation was simulated")
+
+    for change, said in (
+        (
+            Change(cover="tiles", by=PANEL, area=50),
+            'cover 50 m² of "tiles" by "panel": area = 50 m² is more than',
+        ),
+        (Change(open="door"), '"door" is no material'),
+    ):
+        with pytest.raises(DataError, match=said):
+            predict_positions(small, [HALF, Variant("wrong", (change,))], progress=told)
+    with pytest.raises(DataError, match="t99"):
+        predict_positions(small, [HALF], wanted=("t99",), progress=told)

@@ -19,10 +19,12 @@ import rtcal as rt
 from rtcal.finder import Case
 from rtcal.finder.apply import corrected_case
 from rtcal.finder.effects import AppliedEffect, Effect, checked_grid, library
+from rtcal.finder.finding import Finding
 from rtcal.finder.means.problem import state
 from rtcal.report import of_finding
 from rtcal.support.errors import DataError
 from tests.conftest import also
+from tests.test_where_page import finding_of
 
 ABOUT = {"area", "volume"}
 """Effects that are about a stated number itself."""
@@ -100,3 +102,37 @@ def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case, kept: P
     assert of_finding._corrected(guess, None) == []
     claimed = replace(guess, verdict="named", named=("volume",), probabilities={"volume": 0.95})
     assert claimed.apply().room.volume == pytest.approx(1.3 * case.room.volume)
+
+
+def torn_at_positions(first: float, verdict: str = "ambiguous") -> Finding:
+    """Return a finding whose best candidate has a probability, two of one family on another wall."""
+    found = finding_of({"wall 5": 1.0, "wall 0": 1.0, "ceiling": 1.0})
+    wall, other, ceiling = found.candidates
+    every = [
+        replace(wall, probability=first),
+        replace(other, probability=0.16),
+        replace(other, effect="curtain", family="added absorption, rising", probability=0.1),
+        replace(ceiling, effect="area", family="scale", probability=0.14),
+    ]
+    return replace(found, verdict=verdict, named=(), family=None, candidates=tuple(every))
+
+
+def test_at_positions_an_improbable_candidate_is_added_only_where_it_is_stated() -> None:
+    unsure = torn_at_positions(0.29)
+    assert unsure.can_be_added
+    with pytest.raises(DataError, match=r"less than 30 %.*effect = NAME, or its place") as refused:
+        unsure.apply()
+    assert all(
+        f"{c.title} ({100 * c.probability:.0f} %)" in str(refused.value) for c in unsure.candidates
+    )
+    assert unsure.apply(effect="porous").added.surface == "wall 5"
+    assert unsure.apply(effect="curtain").added.surface == "wall 0"
+    with pytest.raises(DataError, match='effect = "organ" is no candidate'):
+        unsure.apply(effect="organ")
+    geometry = unsure.case.geometry
+    corners = geometry.vertices[list(geometry.faces[unsure.case.faces["wall 0"][0]])]
+    there = unsure.apply(at=tuple(corners.mean(axis=0)))
+    assert there.added.title == 'porous on "wall 0"'
+    with pytest.raises(DataError, match=r'effect = "area" is no candidate\. Candidates: porous'):
+        unsure.apply(at=tuple(corners.mean(axis=0)), effect="area")
+    assert torn_at_positions(0.31).apply().added.surface == "wall 5"

@@ -21,7 +21,7 @@ import rtcal as rt
 from rtcal.finder.apply import Corrected, corrected_geometry
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
 from rtcal.loop.positions import PositionsResult
-from rtcal.report import figures
+from rtcal.report import figures, of_positions
 from rtcal.simulators import Polyhedron, of_equation
 from tests.test_where_corrected import candidate
 
@@ -295,6 +295,16 @@ def test_what_a_fit_has_gained_is_in_the_file(name: str, tmp_path: Path) -> None
     rounding = 0.005 / (result.alpha.T @ room.areas / room.total_area)[shared]
     assert (np.abs(heard / fit - 1) <= (rounding if name == "catt" else 1e-9)).all()
     assert np.abs(first / fit - 1).max() > 0.03
+
+
+def test_the_page_of_a_fit_names_the_command_that_made_it() -> None:
+    """A scattering that was fitted began with "random", whatever meaning the fit has chosen."""
+    result = replace(fitted(), tracer=replace(fitted().tracer, scattering_model="vector"))
+    assert "--scattering-model" not in str(of_positions.command(result))
+    other = replace(result, prior=result.prior.replace(scattering_model="vector"))
+    assert "--scattering-model random" in str(of_positions.command(other))
+    kept = replace(result, scattering=None)
+    assert "--scattering-model vector" in str(of_positions.command(kept))
 
 
 def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from benchmarks.studies.means import real_data
 from benchmarks.studies.states import two_states
 from rtcal.finder import StatesCase
 from rtcal.finder.finding import Finding
+from rtcal.report.pages import page as page_of_result
 from tests.two_states import ALPHA, AREAS, BANDS, measured, room, times
 
 Two = tuple[rt.Room, rt.Measurement, rt.Measurement]
@@ -168,6 +170,17 @@ def test_the_order_of_pairs_and_of_effects_changes_nothing() -> None:
     np.testing.assert_allclose(turned.change, there.change, rtol=1e-6)
 
 
+def in_climates(seed: int, panels: float) -> Finding:
+    """Return the finding of panels that were added, each state in a climate as it is stated."""
+    rng = np.random.default_rng(seed)
+    two = [
+        measured(times(area, rt.Air(20 + 2 * rng.standard_normal(), 50 + 10 * rng.standard_normal())),
+                 100 * seed + j, pairs=30)
+        for j, area in enumerate((0.0, panels))
+    ]  # fmt: skip
+    return rt.find(room(), two[1], before=two[0])
+
+
 def test_an_option_without_effect_is_refused() -> None:
     stated, before, after = drawn(1)
     two = {"room": stated, "before": before, "after": after}
@@ -187,3 +200,17 @@ def test_an_option_without_effect_is_refused() -> None:
         rt.find(stated, after, before=before, effects=volume)
     with pytest.raises(rt.errors.DataError, match="the room has none"):
         StatesCase(**{**two, "room": stated.replace(air=None)}, climate_uncertainty=(1, 5))
+
+
+def test_a_climate_alone_has_numbers_and_a_page_without_nan(tmp_path: Path) -> None:
+    pytest.importorskip("jinja2")
+    pytest.importorskip("matplotlib")
+    two = [measured(times(air=rt.Air(20, h)), j, pairs=30) for j, h in enumerate((50, 28), 3)]
+    found = rt.find(room(), two[1], before=two[0], only=["air"], without=["unknown"])
+    assert found.family == "climate"
+    assert rt.finder.verify(found).verdict == "supported"
+    json.dumps(found.to_dict(), allow_nan=False)
+    assert str(rt.load(found.save(tmp_path))) == str(found)
+    page = page_of_result(found)
+    assert "The climate of the air changed, and nothing else" in page
+    assert "nan" not in page.split("<img")[0].lower()
