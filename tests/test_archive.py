@@ -334,21 +334,6 @@ def test_the_command_reads_a_folder_and_writes_a_room(
     assert json.loads(run.output)["left_as_stated"] == []
 
 
-def test_a_material_that_is_hard_for_certain_teaches_nothing() -> None:
-    """Where nothing is unknown, no share of sigma is taken away."""
-    room, _ = rt.datasets.bras_cr2()
-    alpha, sigma = room.alpha.copy(), room.sigma.copy()
-    alpha[1, 0] = sigma[1, 0] = 0.0
-    t = 1.2 * rt.Eyring().reverberation_time(room)
-    exact = room.replace(alpha=alpha, sigma=sigma)
-    rooms = [rt.calibrate(exact.replace(name=n), f * t) for n, f in (("A", 1.0), ("B", 0.97))]
-    archive = rt.learn(rooms)
-    assert all(0 < lesson.taught < 1 for lesson in archive.lessons)
-    record = archive.to_dict()
-    for name in ("together", "together_sigma", "room_sigma"):
-        assert record[name] == getattr(archive, name)
-
-
 def test_bad_input_is_named(rooms: list[rt.calibration.CalibrationResult]) -> None:
     for stated, message in (
         (([rooms[0]],), "rooms: 1; an archive has"),

@@ -66,20 +66,6 @@ def test_an_unknown_method() -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"temperature": 60}, "air.temperature = 60 °C is not from -20 to 50"),
-        ({"humidity": 0}, "air.humidity = 0 % is not above 0"),
-        ({"humidity": float("nan")}, "air.humidity = nan"),
-        ({"pressure": 1013}, "air.pressure = 1013 kPa"),
-    ],
-)
-def test_air(values: dict, message: str) -> None:
-    with pytest.raises(DataError, match=message):
-        rt.Air(**values)
-
-
-@pytest.mark.parametrize(
     ("t", "message"),
     [
         ([1.0], r"measured T has shape \(1,\); the room has 2 bands, so that it must be \(2,\)"),
@@ -102,14 +88,6 @@ def test_exchanged_arguments_are_named(call: Callable[..., object]) -> None:
         call(measured, room)
     with pytest.raises(DataError, match=r"'room.toml' is not a rtcal.Room: rtcal.Room.from_file"):
         call("room.toml", measured)
-
-
-@pytest.mark.parametrize(
-    "call", [rt.report.pages.page, rt.finder.verify, rt.finder.plan], ids=["page", "verify", "plan"]
-)
-def test_a_room_in_place_of_a_result_is_refused_by_type(call: Callable[..., object]) -> None:
-    with pytest.raises(DataError, match=r"<Room .* is (no result|not a rtcal.finder)"):
-        call(rt.Room(**GOOD))
 
 
 def test_t_beyond_reach_says_by_how_much_and_which_would_do() -> None:
@@ -208,23 +186,6 @@ def test_command_exits_2_with_one_line(run, tmp_path: Path, room, times, message
     assert message in lines[0]
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "made").exists()
-
-
-def test_command_writes_room_json_and_figure(run, tmp_path: Path) -> None:
-    done = run(ROOM, TIMES, "--out", "made")
-    assert done.returncode == 0, done.stderr
-    assert sorted(
-        p.name for p in (tmp_path / "made").iterdir() if not p.name.startswith(".rtcal_files")
-    ) == [
-        "result.json",
-        "reverberation_time.png",
-        "room.toml",
-    ]
-    assert (tmp_path / "made" / "reverberation_time.png").read_bytes()[:4] == b"\x89PNG"
-    again = rt.Room.from_file(tmp_path / "made" / "room.toml")
-    assert again.calibration.method == "mle"
-    for shown in ("measured T / s", "deviation after / JND", "(Q = ", "Solved by"):
-        assert shown in done.stdout
 
 
 MISTAKES = [  # of a user of the command: what is wrong, and the command that is right
@@ -331,72 +292,6 @@ def test_a_file_of_another_kind_is_called_so_by_every_command(taken: str, run, c
         exchanged[i], exchanged[k] = names[k], names[i]
         advice = said(exchanged).partition("Exchange them: rtcal ")[2].strip()
         assert advice == " ".join(names)
-
-
-def test_a_decimal_comma_is_named_wherever_a_number_stands(run, capsys) -> None:
-    run(ROOM, TIMES)
-    for old, new in (
-        ("volume = 100", "volume = 189,5"),
-        ("volume = 100", "volume = '189,5'"),
-        ("area = 20", "area = 189,5"),
-        ("[0.1, 0.1]", "[0,05, 0,5]"),
-        ("[0.1, 0.1]", "[0,1, 0,5]"),
-        ("[0.1, 0.1]", "[0,15,0,25]"),
-    ):
-        assert old in ROOM
-        Path("room.toml").write_text(ROOM.replace(old, new, 1))
-        for arguments in ("calibrate room.toml t.csv", "export catt room.toml new.geo"):
-            with pytest.raises(SystemExit):
-                cli.main(arguments.split())
-            number = re.search(r"\d+,\d+", new)
-            assert number
-            assert (
-                f"a decimal has a point: {number[0].replace(',', '.')}" in capsys.readouterr().err
-            )
-    for arguments in (
-        "fit room.toml t.csv --scattering 0,5",
-        "import catt x.geo --out y --volume 0,5",
-        "loop start room.toml t.csv --state s.json --out n.toml --weight t20=0,5",
-    ):
-        Path("room.toml").write_text(ROOM)
-        with pytest.raises(SystemExit):
-            cli.main(arguments.split())
-        assert "a decimal has a point: 0.5" in capsys.readouterr().err, arguments
-
-
-@pytest.mark.parametrize("codec", ["latin-1", "utf-16", "utf-8"])
-@pytest.mark.parametrize("command", [t for t in TAKEN if "TABLE" in t and "import" not in t])
-def test_a_measurement_that_is_no_native_csv_gets_the_command_that_reads_it(
-    codec: str, command: str, run, capsys
-) -> None:
-    run(ROOM, TIMES)
-    if command.startswith(("table", "calibrate room.toml t.csv --modes")):
-        return
-    stated()
-    Path("other.csv").write_bytes("Empfänger;T20 500 Hz;T20 1 kHz\nR1;0,5;0,4\n".encode(codec))
-    with pytest.raises(SystemExit):
-        cli.main(
-            ["loop", "start", "room.toml", "t.csv", "--state", "loop.json", "--out", "next.toml"]
-        )
-    capsys.readouterr()
-    words = [FILES[w][0] if w in FILES and w != "TABLE" else w for w in command.split()]
-    with pytest.raises(SystemExit):
-        cli.main([w.replace("TABLE", "other.csv") for w in words])
-    assert "`rtcal table other.csv` reads other tables" in capsys.readouterr().err
-
-
-def test_a_file_of_the_users_is_not_replaced_and_nothing_is_written_beside_it(
-    run, tmp_path: Path
-) -> None:
-    """`main` opens one set of files for every command; it knows what an earlier one wrote."""
-    mine = tmp_path / "made" / "room.toml"
-    mine.parent.mkdir()
-    mine.write_text("mine")
-    done = run(ROOM, TIMES, "--out", "made")
-    assert done.returncode == 2
-    assert "rtcal did not write it" in done.stderr
-    assert [p.name for p in mine.parent.iterdir()] == ["room.toml"]
-    assert mine.read_text() == "mine"
 
 
 def test_an_empty_value_is_missing(run) -> None:

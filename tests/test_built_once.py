@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal import terms
 from tests.conftest import random_room, true_times
 
 EYRING = rt.Eyring()
@@ -65,30 +64,3 @@ def test_threads_share_one_problem(compilations: list[object]) -> None:
     for i, answers in enumerate(found):
         for (room, t), alpha in zip(given[i::8], answers, strict=True):
             np.testing.assert_array_equal(rt.calibrate(room, t, "soft").alpha, alpha)
-
-
-def test_the_numbers_of_an_effect_are_no_part_of_the_compiled_problem(
-    compilations: list[object],
-) -> None:
-    ((room, t),) = cases(1)
-    measured = rt.Measurement(
-        centre_frequencies=room.centre_frequencies,
-        values={"t20": [0.8 * t]},
-        uncertainty={"t20": [0.02 * t]},
-    )
-
-    def sizes(gain: float, sigma: float, mean: float) -> tuple[float, np.ndarray]:
-        effect = terms.AddedAbsorption("opening", room.n_bands * [gain], sigma, mean)
-        objective = terms.PriorDeviation() + terms.SoftMatch() + effect
-        result = rt.Calibration(objective).build(room).solve(measured)
-        return result.effects["opening"], result.alpha
-
-    numbers = [(1.0, 1.0, 0.0), (2.5, 0.3, 0.0), (1.0, 4.0, 2.0)]
-    shared = [sizes(*given) for given in numbers]
-    assert len(compilations) == 1
-    assert len({size for size, _ in shared}) == 3
-    for given, (size, alpha) in zip(numbers, shared, strict=True):
-        rt.calibration.forget()
-        fresh_size, fresh_alpha = sizes(*given)
-        assert fresh_size == size
-        np.testing.assert_array_equal(fresh_alpha, alpha)

@@ -278,25 +278,6 @@ def test_nan_is_an_error_at_first_and_a_limit_later(cr2):
         calibrate_simulator(everywhere, room, measured)
 
 
-def test_a_loop_without_a_t20_somewhere_is_kept(cr2, tmp_path):
-    room, measured = cr2
-    loop = calibrate_simulator(of_equation(rt.Kuttruff(), room), room, measured)
-    gone = loop.steps[0].simulated.copy()
-    gone[3] = np.nan
-    begun = closed_loop.start(room, measured)
-    simulated = rt.Measurement.from_values(room.centre_frequencies, t20=1.4 * loop.wanted)
-    once = begun.record(begun.next_alpha, simulated)
-    lacking = rt.Measurement.from_values(room.centre_frequencies, t20=gone)
-    with pytest.raises(DataError, match="1000 Hz] is missing"):
-        begun.record(begun.next_alpha, lacking)
-    twice = once.record(once.next_alpha, lacking)
-    twice.save(str(tmp_path / "loop.json"))
-    again = closed_loop.Loop.load(str(tmp_path / "loop.json"), room)
-    assert np.isnan(again.steps[1].simulated[3])
-    aims = [once.steps[0].target[3], once.next_target[3]]
-    assert again.next_target[3] == pytest.approx(np.sqrt(np.prod(aims)))  # halfway back
-
-
 def test_the_last_room_is_each_bands_best_step(cr2):
     room, measured = cr2
     factors = np.where(np.arange(room.n_bands) == 2, 1.5, 1.04)
@@ -367,22 +348,6 @@ def test_weights_of_t20_alone_are_the_loop_as_it_was(cr2):
     assert np.array_equal(alone.alpha, weighted.alpha)
     assert alone.to_json() == weighted.to_json()
     assert np.all(alone.compromise["t20"].lost == 0)
-
-
-def test_a_compromise_goes_on_from_a_file(cr2, tmp_path):
-    room, measured = cr2
-    weights = {"t20": 1, "edt": np.linspace(0, 2, room.n_bands)}
-    simulator = two_slopes(room, 1.2)
-    loop = closed_loop.start(room, with_edt(measured), weights=weights)
-    loop = loop.record(loop.next_alpha, simulator.simulate(loop.next_alpha))
-    loop.save(tmp_path / "state.json")
-    read = closed_loop.Loop.load(tmp_path / "state.json", room)
-    np.testing.assert_allclose(read.wanted, loop.wanted, rtol=1e-15)
-    np.testing.assert_allclose(read.next_alpha, loop.next_alpha, rtol=1e-12)
-    assert list(read.matched.shares) == ["t20", "edt"]
-    with pytest.raises(DataError, match="what was simulated has no EDT"):
-        t20 = rt.Measurement.from_values(room.centre_frequencies, t20=loop.wanted)
-        loop.record(loop.next_alpha, t20)
 
 
 NAN_TIMES = [np.nan] * 6

@@ -6,16 +6,13 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.acoustics.room import Surface
 from rtcal.calibration.posterior import distribution
-from rtcal.command.main import cli
 from rtcal.finder import Case, recalibrate
 from rtcal.finder.apply import corrected_case
 from rtcal.finder.effects import AppliedEffect
@@ -85,46 +82,6 @@ def test_alpha_and_sizes_have_intervals(hidden: tuple[Case, np.ndarray]) -> None
     bent = recalibrate(case)
     wrong = np.mean((bent.interval[0] <= truth) & (truth <= bent.interval[1]))
     assert wrong < inside - 0.1
-
-
-def test_saved_and_loaded_it_calibrates_to_the_same_numbers(
-    hidden: tuple[Case, np.ndarray], tmp_path: Path
-) -> None:
-    case = replace(
-        hidden[0], applied=[OPENING, AppliedEffect("air", {"temperature": 25, "humidity": 30})]
-    )
-    case.save(str(tmp_path / "case.json"))
-    again = Case.from_file(str(tmp_path / "case.json"))
-    assert again.to_dict() == case.to_dict()
-    room = corrected_case(case).room
-    room.save(str(tmp_path / "room.toml"))
-    loaded = rt.Room.from_file(str(tmp_path / "room.toml"))
-    assert loaded.air == rt.Air(25, 30)
-    first = case.configurations[0].measured
-    one, other = (rt.calibrate(r, first) for r in (room, loaded))
-    np.testing.assert_array_equal(one.alpha, other.alpha)
-    np.testing.assert_allclose(one.gap_after, 0, atol=1e-6)
-    # With the opening in it, the materials stay where they were known to be.
-    plain = rt.calibrate(case.room, first)
-    n = case.room.n_materials
-    moved = [np.abs(a[:n] - case.room.alpha).mean() for a in (one.alpha, plain.alpha)]
-    assert moved[0] < 0.4 * moved[1]
-
-
-def test_a_calibrated_room_is_not_calibrated_on_the_same_data_again(
-    hidden: tuple[Case, np.ndarray],
-) -> None:
-    case = replace(hidden[0], applied=[OPENING])
-    room = recalibrate(case).room
-    assert room.materials[-1] == "opening"
-    assert room.calibration is not None
-    with pytest.raises(DataError, match="already calibrated on these data"):
-        rt.calibrate(room, case.configurations[0].measured)
-    time = rt.Eyring().reverberation_time(room)
-    gap = np.abs(time / case.configurations[0].measured.mean("t20") - 1)
-    assert gap.max() < 0.12  # the opening keeps the size that all data gave; T is known to 7 %
-    bare = rt.Eyring().reverberation_time(case.room)
-    assert gap.mean() < 0.15 * np.abs(bare / case.configurations[0].measured.mean("t20") - 1).mean()
 
 
 def test_the_model_is_a_simulator_that_the_loop_calibrates(
@@ -244,36 +201,3 @@ def test_a_geometry_without_what_the_finding_changed_is_refused(changed: str) ->
     )
     # What the finding leaves as stated may be drawn otherwise, as always.
     assert corrected_case(replace(case, applied=[])).simulator(drawn(3.6))
-
-
-@pytest.mark.long
-def test_the_command_s_room_is_one_that_rtcal_calibrates(
-    hidden: tuple[Case, np.ndarray], tmp_path: Path
-) -> None:
-    case = hidden[0].only("t20", "edt", "t30", configurations=["A"])
-    case.save(str(tmp_path / "case.json"))
-    case.configurations[0].measured.save(str(tmp_path / "measured.csv"))
-
-    def done(*arguments: str) -> str:
-        found = CliRunner().invoke(cli, arguments, catch_exceptions=False)
-        assert found.exit_code == 0, found.output
-        return found.stdout
-
-    found = str(tmp_path / "found.json")
-    done("find", str(tmp_path / "case.json"), "--out", found)
-    out = tmp_path / "corrected"
-    said = json.loads(done("apply", found, "--out", str(out), "--json"))
-    room = str(out / "room.toml")
-    assert {"case.json", "room.toml"} <= {p.name for p in out.iterdir()}
-    (added,) = said["corrected"]["effects"]
-    low, high = added["size_interval"]
-    assert low < 39.6 < high
-    assert len(said["calibrated"]["materials"]) == 6
-    assert rt.Room.from_file(room).materials[-1] == added["effect"]
-    done("calibrate", room, str(tmp_path / "measured.csv"), "--out", str(tmp_path / "out"))
-    written = rt.Room.from_file(str(tmp_path / "out" / "room.toml"))
-    np.testing.assert_allclose(
-        rt.Eyring().reverberation_time(written),
-        case.configurations[0].measured.reverberation_time,
-        rtol=2e-3,
-    )

@@ -69,36 +69,6 @@ def test_areas_of_objects_are_no_coefficients(tmp_path: Path, unit: str, where: 
     assert path in chair.doubt
 
 
-PROTOCOL = [
-    ["T1", 5, 5, 5],
-    ["T2", 1.2, 1.1, 1.3],
-    ["alpha_s", 0.3, 0.4, 0.5],
-    ["U(k=2)", 0.1, 0.1, 0.1],
-]
-
-
-@pytest.mark.parametrize("across", [False, True])
-@pytest.mark.parametrize("xlsx", [False, True])
-@pytest.mark.parametrize("order", [[0, 1, 2, 3], [2, 3, 0, 1]])
-@pytest.mark.parametrize(
-    "named", ["alpha_s", "αs", "Absorptionsgrad", "absorption coefficient αs [-]"]
-)
-def test_of_a_protocol_the_coefficients_are_read(
-    tmp_path: Path, across: bool, xlsx: bool, order: list[int], named: str
-) -> None:
-    rows = [[named if c == "alpha_s" else c for c in PROTOCOL[i]] for i in order]
-    rows = [["f" if not across else "quantity", 250, 500, 1000], *rows]
-    cells = rows if across else [list(column) for column in zip(*rows, strict=True)]
-    path = tmp_path / ("Rug 3.xlsx" if xlsx else "Rug 3.csv")
-    text = "\n".join(";".join(map(str, row)) for row in cells)
-    path.write_bytes(book({"Rug 3": cells}) if xlsx else text.encode())
-    (rug,) = library.read(path).materials
-    assert (rug.name, rug.alpha) == ("Rug 3", (0.3, 0.4, 0.5))
-    assert all(
-        f'"{name}"' in rug.source.partition("left out: ")[2] for name in ("T1", "T2", "U(k=2)")
-    )
-
-
 # -- measured values
 
 NAMES = (
@@ -225,35 +195,6 @@ def test_no_reading_and_no_proposal_gives_another_value(
                 continue
             read = np.concatenate([table.ravel() for table in measured.values.values()])
             assert {*read[np.isfinite(read)]} <= {*TIMES.values(), -1.5, 2.3}
-
-
-@pytest.mark.parametrize(
-    ("text", "columns"),
-    [
-        (
-            "Frequenz;Empf. 1;Mittelwert\n[Hz];T20 [s];T20 [s]\n500;1,2;1,3\n",
-            "from line 3 to 3: band; T20 [s] of Empf. 1; -",
-        ),
-        (
-            "Quelle;S1;S2\nEmpfänger;R1;R1\nf [Hz];;\n500;1,2;1,3\n",
-            "from line 4 to 4: band [Hz]; ? of S1 to R1; ? of S2 to R1",
-        ),
-        (
-            "T20\n;500;1000\nR1;1.2;1.1\n\nC80\n;500;1000\nR1;2.2;2.1\n",
-            "from line 3 to 3: receiver; T20 at 500 Hz; T20 at 1000 Hz",
-        ),
-        ("f;T20;T20 u\n500;1,2;0,1\n", "from line 2 to 2: band; T20 of ?; T20 of u"),
-        ("f;T20;T20\n500;1,2;1,1\n", "from line 2 to 2: band; T20 of ?; T20 of ?"),
-        ("R1;T20;1,62\nR2;T20;1,60\n", "from line 1 to 2: receiver; parameter; ?"),
-        ("f;T20 pos 1 [ms]\n500;1200\n", "from line 2 to 2: band; T20 [ms] of pos 1"),
-    ],
-)
-def test_what_headers_and_cells_do_not_say_stands_as_a_question_mark(
-    text: str, columns: str
-) -> None:
-    with pytest.raises(DataError) as refusal:
-        tables.parse(text.encode())
-    assert f'columns="{columns}"' in str(refusal.value)
 
 
 OF_REFUSALS = {

@@ -2,7 +2,6 @@
 
 import os
 import pathlib
-import signal
 import sys
 import time
 
@@ -135,25 +134,6 @@ def ends_soon(process: int) -> bool:
     return False
 
 
-@pytest.mark.parametrize(
-    ("written", "message"),
-    [
-        ("b''", "no rows"),
-        (r"b'source,receiver,parameter,band,value\nS1,R1,T20,500,nan\n'", "not finite"),
-        (r"b'\xff\xfe\x00\x81'", "not UTF-8"),
-        (r"b'source,receiver,parameter,band,value\nS1,R1,T20,500,900\n'", "is it in seconds"),
-    ],
-)
-def test_what_a_command_writes_is_no_measurement(cr2, written, message):
-    room, _ = cr2
-    program = f"import sys; open(sys.argv[2], 'wb').write({written})"
-    run = command([sys.executable, "-c", program], room)
-    with pytest.raises(SimulatorError, match=message) as caught:
-        external(room, run).simulate(room.alpha)
-    assert f"{sys.executable} wrote no measurement: measured.csv" in str(caught.value)
-    assert "rtcal-" not in str(caught.value)  # the folder is gone
-
-
 class Scaling:
     """A simulator of one's own, which changes the array that it is given."""
 
@@ -177,40 +157,6 @@ def test_a_simulator_cannot_change_the_coefficients_of_its_caller(cr2):
     assert np.array_equal(alpha, room.alpha)
     with pytest.raises(SimulatorError, match="read-only"):
         rt.calibrate_simulator(Scaling(room), room, measured)
-
-
-def test_sys_exit_in_a_callable_is_an_error(cr2):
-    room, measured = cr2
-
-    def ends(alpha, seed):
-        sys.exit(3)
-
-    with pytest.raises(SimulatorError, match=r"other program called sys\.exit\(3\)"):
-        external(room, ends).simulate(room.alpha)
-    with pytest.raises(SimulatorError, match=r"sys\.exit\(3\)"):
-        rt.calibrate_simulator(external(room, ends), room, measured)
-
-
-WRITES = """
-import pathlib, subprocess, sys
-rows = "".join(f"S,R,T20,{band},0.5\\n" for band in (125, 250, 500, 1000, 2000, 4000))
-pathlib.Path(sys.argv[2]).write_text("source,receiver,parameter,band,value\\n" + rows)
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="asks for a process by its number")
-def test_a_child_that_keeps_the_error_output_open_does_not_delay_the_result(cr2, tmp_path):
-    room, _ = cr2
-    number = tmp_path / "number"
-    program = WRITES + (
-        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
-        f"open({str(number)!r}, 'w').write(str(child.pid))"
-    )
-    measured = command([sys.executable, "-c", program], room, time_limit=20)(room.alpha, 0)
-    assert measured.mean("t20") == pytest.approx(np.full(room.n_bands, 0.5))
-    child = int(number.read_text())
-    assert not ended(child)  # it is not the program's result: it may serve the next run
-    os.kill(child, signal.SIGKILL)
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "one", None, True])

@@ -75,14 +75,6 @@ def test_the_commands_find_add_and_prove(folder: Path) -> None:
     assert run("find", case, "--quiet") == ""
 
 
-@pytest.mark.long
-def test_evidence_without_one_band_is_without_it(kept: Path) -> None:
-    found = rt.find(*rt.datasets.bras_cr2(), only=["membrane"], cache=kept)
-    said = " ".join(str(found).split())
-    assert "Panel absorber rests on 125 Hz, below Schroeder's frequency" in said
-    assert "nats" not in said
-
-
 @pytest.mark.parametrize(
     ("read", "command"),
     [

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,10 +20,9 @@ from rtcal.finder import (
     recalibrate,
     verify,
 )
-from rtcal.finder.apply import corrected_case
-from rtcal.finder.effects import AppliedEffect, Opening
+from rtcal.finder.effects import Opening
 from rtcal.finder.means.problem import ModelDiscrepancy, state
-from rtcal.finder.model import Decay, RoomState
+from rtcal.finder.model import Decay
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError, RtcalError
 from tests.test_discrepancy import F, Organ, case_with, controls_of, opened
@@ -109,42 +108,6 @@ def test_one_s_own_of_a_library_s_name_is_not_taken_for_the_library_s(tmp_path: 
         str(tmp_path / "b.json")
     )
     assert (tmp_path / "b.json").exists()
-
-
-class Bent(Effect):
-    """Two slopes: an effect of one's own on the decay."""
-
-    name: ClassVar[str] = "bent"
-    size: ClassVar[str] = "share"
-    unit: ClassVar[str] = "of the energy"
-
-    def grid(self, state: RoomState) -> list[dict[str, float]]:
-        return [{"share": s} for s in (0.05, 0.1, 0.2)]
-
-    def change(self, state: RoomState, parameters: Any) -> RoomState:
-        share = parameters["share"]
-
-        def shape(s: RoomState) -> Decay:
-            return Decay(
-                np.stack([np.full_like(s.rate, 1 - share), np.full_like(s.rate, share)], -1)
-                / s.volume,
-                np.stack([s.rate, 0.5 * s.rate], -1),
-            )
-
-        return replace(state, shape=shape)
-
-
-def test_no_simulator_is_said_to_have_a_decay_of_one_s_own() -> None:
-    case = replace(opened(), applied=[AppliedEffect(Bent(), {"share": 0.1})])
-    assert np.isfinite(recalibrate(case).alpha).all()
-    plain = corrected_case(replace(case, applied=[])).simulator().simulate(case.room.alpha)
-    bent = corrected_case(case).simulator().simulate(case.room.alpha)
-    assert (bent.mean("t30") > 1.02 * plain.mean("t30")).all()
-
-    def make(room: rt.Room) -> object:
-        return rt.simulators.of_equation(rt.Eyring(), room)
-
-    refused(lambda: corrected_case(case).simulator(make), "bent: it bends the decay")  # type: ignore[arg-type]
 
 
 # What is no effect, and effects that break a rule.

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from benchmarks.studies.means.judging import calibration_error, interval
-from benchmarks.studies.means.real_cases import RealCase, every_case
+from benchmarks.studies.means.real_cases import RealCase
 from benchmarks.studies.means.real_rooms import outcome
 
 
@@ -51,18 +51,3 @@ def test_calibration_error_is_the_mean_distance_over_the_bins() -> None:
 def test_what_counts_as_right(names: set[str], said: dict[str, Any], wanted: str) -> None:
     case = RealCase("x", "judging", "y", frozenset(names), lambda _: None)  # type: ignore[arg-type,return-value]
     assert outcome(case, said) == wanted
-
-
-def test_the_real_cases_are_enough_and_none_is_of_a_room_kept_for_judging_from_outside() -> None:
-    cases = every_case()
-    assert len({c.file for c in cases}) == len(cases)
-    judging = [c for c in cases if c.part == "judging"]
-    assert len(judging) >= 30
-    assert {c.name.split()[0].rstrip(",") for c in cases} == {
-        "PTB",
-        "dEchorate",
-        "CR2",
-        "CR3",
-        "pyFDN",
-    }
-    assert not [c for c in judging if c.name.startswith("CR2")]

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import html
-import re
 from typing import Any
 
 import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.marks import MET
-from rtcal.report import document
-from rtcal.report.pages import page as page_of_result
 from rtcal.support.errors import DataError
 from tests.conftest import also
-from tests.report.pages import no_figure
 
 METHODS = ("mle", "lse", "soft", "smooth", "robust")
 EQUATIONS = (rt.Sabine(), rt.Eyring(), rt.Kuttruff())
@@ -107,61 +101,6 @@ def test_twice_the_areas_and_the_volume_is_the_same_room(method, equation, kind)
     np.testing.assert_allclose(second.alpha, first.alpha, rtol=0, atol=1e-8)
     np.testing.assert_allclose(second.plausibility.q, first.plausibility.q, rtol=1e-6)
     assert second.verdict.level == first.verdict.level
-
-
-def results() -> list[Any]:
-    """Calibrations of every verdict: gaps, contradictions, T calculated from the prior, marks."""
-    made = []
-    for i, kind in enumerate(STATED):
-        for method in METHODS:
-            if method == "robust" and kind == "correlated":
-                continue
-            for factor in (1.0, 1.04, 1.1, 1.5, 3.0):
-                given = room(i, **STATED[kind])
-                made.append(
-                    rt.calibrate(given, factor * rt.Eyring().reverberation_time(given), method)
-                )
-    bare = room(volume_sigma=0.3)
-    made.append(rt.calibrate(bare, 0.6 * rt.Eyring().reverberation_time(bare)))
-    far = room().replace(volume=900)
-    made.append(rt.calibrate(far, 1.03 * rt.Eyring().reverberation_time(far)))
-    terms = rt.terms
-    untied = rt.Calibration(terms.PriorDeviation(), []).build(room())
-    made.append(untied.solve(1.3 * rt.Eyring().reverberation_time(room())))
-    return made
-
-
-@pytest.mark.long
-def test_one_verdict_decides_what_text_page_and_record_say(monkeypatch) -> None:
-    """None says "agrees" where T is not met, where a value is mistyped, or p is not in between."""
-    monkeypatch.setattr(document, "source", no_figure)
-    levels = set()
-    for n, result in enumerate(results()):
-        verdict, p = result.verdict, result.plausibility.p_value
-        levels.add(verdict.level)
-        gap = np.abs(result.gap_after[np.isfinite(result.gap_after)])
-        text = " ".join(str(result).split())
-        assert text.index(verdict.heading) < text.index("measured T / s")
-        assert result.to_dict()["verdict"]["level"] == verdict.level
-        met = (gap < MET).all() and result.joint.asks_for_measured_time
-        if verdict.level == "agrees":
-            assert met
-            assert 0.05 <= p <= 0.99
-            assert (np.abs(result.gap_before) < 3).all()
-        if not met:
-            assert verdict.level != "agrees"
-            assert "agrees" not in verdict.heading
-        if n % 7 and met:
-            continue
-        page = page_of_result(result)
-        plain = re.sub(r"<style.*?</style>|<[^>]+>", " ", page, flags=re.DOTALL)
-        plain = " ".join(html.unescape(plain).split())
-        assert ("verdict agrees" in page) == (verdict.level == "agrees")
-        assert verdict.heading in plain
-        if not met:
-            assert "agrees" not in plain
-            assert "of 5 bands" in plain or "in no band" in plain
-    assert levels == {"agrees", "open", "contradicts"}
 
 
 def test_where_a_held_coefficient_would_be_without_its_bound() -> None:

@@ -8,8 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 import rtcal as rt
 
 PACKAGE = Path(rt.__file__).parent
@@ -37,23 +35,6 @@ SEPARATE = [
     ("exact", "calibration"),
     ("posterior", "calibration"),
 ]
-ONE_DOOR = (
-    "threadpoolctl",
-    "matplotlib",
-    "pyroomacoustics",
-    "pyrato",
-    "pyfar",
-    "numba",
-    "tqdm",
-    "jinja2",
-    "openpyxl",
-    "netCDF4",
-    "trimesh",
-    "collada",
-    "shapely",
-    "ifcopenshell",
-    "skfem",
-)
 
 
 def modules() -> list[Path]:
@@ -118,17 +99,6 @@ def test_independent_solvers_and_simulators_stand_apart() -> None:
                     assert first in parts or second not in parts, f"{path} imports {name}"
 
 
-@pytest.mark.parametrize("library", ONE_DOOR)
-def test_each_optional_library_has_one_door(library: str) -> None:
-    doors = {
-        str(p.relative_to(PACKAGE))
-        for p in modules()
-        for n in imports_of(p)
-        if n.split(".")[0] == library
-    }
-    assert len(doors) <= 1, f"{library} is imported by {sorted(doors)}"
-
-
 def circles(graph: dict[str, set[str]]) -> list[list[str]]:
     """Return the first circle found from each module, as the names along it."""
     done: set[str] = set()
@@ -161,45 +131,3 @@ def test_import_is_light() -> None:
     code = f"import rtcal, sys; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-WALK = """
-import types
-import rtcal as rt
-
-public = {}
-def walk(module):
-    for name in getattr(module, "__all__", ()):
-        value = getattr(module, name)
-        public[f"{module.__name__}.{name}"] = type(value).__name__
-        if isinstance(value, types.ModuleType) and hasattr(value, "__path__"):
-            walk(value)
-
-walk(rt)
-print(public)
-"""
-
-
-def test_every_public_name_is_reached_by_attribute_alone() -> None:
-    done = subprocess.run([sys.executable, "-c", WALK], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    public = ast.literal_eval(done.stdout)
-    assert {
-        "rtcal.Configurations",
-        "rtcal.datasets.catalogue",
-        "rtcal.datasets.halls",
-        "rtcal.io.catt",
-        "rtcal.loop.Loop",
-        "rtcal.posterior",
-        "rtcal.report.figures",
-    } <= set(public)
-    assert len([n for n in rt.__all__ if public[f"rtcal.{n}"] != "module"]) <= 26
-
-
-def test_one_list_serves_python_and_editors() -> None:
-    assert {"Room", "datasets"} <= set(dir(rt)) == set(rt.__all__)
-    with pytest.raises(AttributeError, match="nonsense"):
-        _ = rt.nonsense
-    namespace: dict[str, object] = {}
-    exec("from rtcal import *", namespace)
-    assert namespace["Room"] is rt.Room

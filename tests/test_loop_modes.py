@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.command.main import cli
 from rtcal.report.pages import page_of
 from rtcal.support.errors import DataError
-from tests.test_modes import BANDS, BOX, ROOM, TRUTH, heard, saved, times
+from tests.test_modes import BANDS, BOX, ROOM, TRUTH, heard, times
 from tests.test_saved_results import back
 
 MEASURED = rt.Measurement.from_values(BANDS, t20=times(TRUTH), edt=times(TRUTH))
@@ -98,21 +96,3 @@ def test_every_position_is_matched_above_alone(told):
     np.testing.assert_allclose(result.sigma[:, :2], told.sigma[:, :2], rtol=1e-6)
     assert (np.abs(result.alpha[:, 2] - told.alpha[:, 2]) > 1e-3).any()
     assert any("room modes stand in place" in note for note in result.notes)
-
-
-def test_command(told, tmp_path):
-    files = {name: str(tmp_path / name) for name in ("room.toml", "t.csv", "sim.csv")}
-    ROOM.save(files["room.toml"])
-    MEASURED.save(files["t.csv"])
-    state = ["--state", str(tmp_path / "loop.json"), "--out", str(tmp_path / "next.toml")]
-    given = [files["room.toml"], files["t.csv"], "--modes", saved(heard(TRUTH), tmp_path)]
-    done = CliRunner().invoke(cli, ["loop", "start", *given, *state])
-    assert done.exception is None
-    assert "room modes stand in place" in " ".join(done.output.split())
-    told_alpha = rt.Room.from_file(str(tmp_path / "next.toml")).alpha
-    np.testing.assert_allclose(told_alpha[:, :2], told.alpha[:, :2], atol=1e-6)
-    simulated = 1.1 * rt.Eyring().time(ROOM, ROOM.areas @ told_alpha)
-    rt.Measurement.from_values(BANDS, t20=simulated).save(files["sim.csv"])
-    went = CliRunner().invoke(cli, ["loop", "next", files["room.toml"], files["sim.csv"], *state])
-    assert went.exception is None
-    assert went.output.count("by modes") == 2

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import rtcal as rt
 from rtcal.finder.positions.surfaces import of_geometry
-from rtcal.io import catt, obj, tables
+from rtcal.io import catt, obj
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.support.errors import DataError
 from tests import fuzz
@@ -53,39 +52,6 @@ def test_a_written_mesh_reads_back(tmp_path: Path) -> None:
     assert again.volume == first.volume
     assert again.areas == first.areas
     assert np.array_equal(again.vertices, first.vertices)
-
-
-def test_a_written_table_is_the_native_file(tmp_path: Path) -> None:
-    m = tables.parse(fuzz.TABLES[1]).measurement
-    tables.write(m, tmp_path / "t.csv")
-    again = rt.Measurement.from_file(str(tmp_path / "t.csv"))
-    for read in (again, tables.read(tmp_path / "t.csv").measurement):
-        assert read.pairs == m.pairs
-        for parameter, values in m.values.items():
-            assert np.array_equal(read.values[parameter], values, equal_nan=True)
-
-
-def test_native_files_are_bounded(tmp_path: Path) -> None:
-    path = tmp_path / "room.toml"
-    path.write_text("a = " + "[" * 100_000)
-    with pytest.raises(DataError, match=r"room.toml: .* more than 20 levels"):
-        rt.Room.from_file(str(path))
-    path.write_text(
-        'volume = 1e3\ncentre_frequencies = [500]\n[[material]]\nname = "a"\narea = 1'
-        + "0" * 400
-        + "\nalpha = [0.1]\nsigma = 0.1\n"
-    )
-    with pytest.raises(DataError, match=r'material "a": area = 10.* is too large a number'):
-        rt.Room.from_file(str(path))
-    path.write_text(
-        "source,receiver,parameter,band,value\n"
-        + "".join(f"S{i},R,T20,{20 + i},1\n" for i in range(2000))
-    )
-    with pytest.raises(DataError, match="2000 pairs, 1745 bands"):
-        rt.Measurement.from_file(str(path))
-    path.write_bytes(b"#" * (2**21 + 1))
-    with pytest.raises(DataError, match="more than 2097152 bytes"):
-        rt.Measurement.from_file(str(path))
 
 
 def test_faces_without_a_group_have_the_name_of_their_material() -> None:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.integrate import quad
 from scipy.optimize import fsolve
 
 import rtcal as rt
-from rtcal.command.main import cli
 from rtcal.modes import MeasuredModes, absorption, admittance
 from rtcal.modes.measured import match
 from rtcal.modes.room_modes import AtFrequencies, admittance_slope, box_modes
@@ -385,20 +382,3 @@ def test_modes_count_once(t):
     if t is not None:
         with pytest.raises(DataError, match="already calibrated on these data"):
             rt.calibrate(once, t)
-
-
-def test_command(tmp_path):
-    ROOM.save(tmp_path / "room.toml")
-    of_modes = ["--modes", saved(heard(TRUTH), tmp_path)]
-    measured = rt.Measurement.from_values(BANDS, t20=times(TRUTH))
-    measured.save(tmp_path / "t.csv")
-    files = [str(tmp_path / name) for name in ("room.toml", "t.csv")]
-    told = CliRunner().invoke(
-        cli, ["calibrate", *files, *of_modes, "--json", "--out", str(tmp_path / "out")]
-    )
-    assert told.exception is None
-    assert json.loads(told.stdout)["modes"][0]["decay_after"] > 6
-    assert rt.load(tmp_path / "out").steps >= 1
-    calibrated = [str(tmp_path / "out" / "room.toml"), files[1]]
-    again = CliRunner().invoke(cli, ["calibrate", *calibrated, *of_modes])
-    assert "already calibrated on these data" in str(again.exception)

@@ -15,7 +15,6 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.changes import read_treatments, read_variants
 from rtcal.finder import Case
-from rtcal.finder.effects import AppliedEffect
 from rtcal.support.errors import DataError, RtcalError
 from tests.test_bad_input import TIMES
 from tests.test_discrepancy import opened
@@ -477,24 +476,6 @@ def test_names_come_back_whatever_they_are() -> None:
         again = rt.Room.from_text(room.to_text(), "room.toml")
         assert again.name == name
         assert again.sources[room.materials[0]] == name
-
-
-def test_a_measurement_and_a_case_are_their_plain_values(tmp_path: Path) -> None:
-    _, measured = rt.datasets.bras_cr2()
-    plain = json.loads(json.dumps(measured.to_dict()))
-    assert rt.Measurement.from_dict(plain).to_dict() == measured.to_dict()
-    with pytest.raises(DataError, match="valeus"):
-        rt.Measurement.from_dict({**plain, "valeus": {}})
-    case = opened()
-    first, second = case.room.materials[:2]
-    room = case.room.replace(material_correlation={(first, second): 0.5}, sources={first: "a book"})
-    applied = [AppliedEffect("opening", {"area": 2.0}, (1.0, 3.0))]
-    Case(room=room, configurations=case.configurations, applied=applied).save(
-        str(tmp_path / "case.json")
-    )
-    again = Case.from_file(str(tmp_path / "case.json"))
-    assert again.room.to_dict() == room.to_dict()
-    assert list(again.applied) == applied
 
 
 @pytest.mark.parametrize("name", ["=1+1", "+S1", "-R1", "@home", '=HYPERLINK("x")'])

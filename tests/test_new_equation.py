@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 import sys
-import textwrap
 import types
 from collections.abc import Iterator
 from dataclasses import replace
@@ -91,31 +88,6 @@ def test_a_new_equation_is_kept_in_a_saved_loop(
     monkeypatch.delitem(sys.modules, "quadratic_equation")
     with pytest.raises(DataError, match="module of your own is to be imported first"):
         Loop.load(str(tmp_path / "loop.json"))
-
-
-@pytest.mark.long
-def test_a_new_equation_is_a_command_s_choice(tmp_path: Path) -> None:
-    code = f"""
-        from typing import ClassVar
-        import numpy as np
-        from rtcal.acoustics.equations import LinearEquation, register
-        {textwrap.indent(ONE_FILE, " " * 8).strip()}
-        register(Quadratic)
-        from rtcal.command.main import cli
-        from rtcal.datasets import bras_cr2
-        room, measured = bras_cr2()
-        room.save("room.toml")
-        measured.save("t.csv")
-        cli(["calibrate", "room.toml", "t.csv", "--equation", "quadratic", "--json"])
-    """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code)],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=tmp_path,
-    )
-    assert json.loads(done.stdout)["equation"] == "Quadratic"
 
 
 @pytest.mark.parametrize("equation", ["sabine", "eyring", "kuttruff", "millington"])

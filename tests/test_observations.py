@@ -123,28 +123,6 @@ def test_what_scatters_nothing_or_everything_has_no_derivative_by_scattering(tra
         ends.scattering_jacobian(tracer.room.alpha, ["level"], number=3)
 
 
-def test_bands_with_other_scattering_have_their_own_paths():
-    hall = halls.lecture_hall()
-    room = hall.room
-    scattering = np.full(room.alpha.shape, 0.5)
-    scattering[:, -1] = 0.2
-    options = {
-        "geometry": hall.geometry,
-        "room": room,
-        "sources": dict(list(hall.sources.items())[:1]),
-        "receivers": hall.receivers,
-        "n_paths": 800,
-    }
-    mixed = PathTracing(scattering=scattering, **options)
-    plain = PathTracing(scattering=0.5, **options)
-    two, one = (t.jacobian(room.alpha, ["level"]) for t in (mixed, plain))
-    np.testing.assert_allclose(two[:, :, :-1], one[:, :, :-1], rtol=1e-3)
-    assert (np.abs(two[:, :, -1] - one[:, :, -1]) > 1e-6).any()
-    heard = mixed.observe(room.alpha, ["level", "t20"])
-    simulated = mixed.simulate(room.alpha)
-    np.testing.assert_allclose(heard.natural("t20"), simulated.values["t20"], rtol=1e-12)
-
-
 def test_other_simulators_are_differentiated_by_differences():
     room, _ = rt.datasets.bras_cr2()
     simulator = rt.simulators.of_equation(room=room, equation=rt.Sabine())

@@ -125,22 +125,6 @@ def test_a_missing_band_keeps_its_prior_in_every_method(method: str) -> None:
     assert '"missing"' in result.to_json()
 
 
-@pytest.mark.parametrize("method", ["mle", "lse"])
-def test_an_unreachable_band_is_marked_with_what_to_do(method: str) -> None:
-    room = room_of(alpha_min=np.full((3, 3), 0.05))
-    t = np.array([0.45, 30.0, 0.4])
-    with pytest.raises(rt.errors.InfeasibleError, match=r"T\[1000 Hz\] = 30 s is beyond reach"):
-        rt.calibrate(room, t, method=method)
-    result = rt.calibrate(room, t, method=method, unreachable="nearest")
-    mark = next(m for m in result.trust_marks if m.kind == "unreachable")
-    assert mark.frequency == 1000
-    assert "says nothing of the materials" in mark.advice
-    assert result.plausibility.p_value is None
-    page = str(result)
-    assert "[n] 1000 Hz: no coefficients within the bounds give this T" in page
-    np.testing.assert_array_equal(result.alpha[:, 1], 0.05)
-
-
 def test_unknown_uncertainty_of_t_is_said(cr2) -> None:
     room, measured = cr2
     bare = rt.calibrate(room, measured.reverberation_time)

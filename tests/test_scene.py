@@ -34,19 +34,6 @@ def room(**stated: object) -> rt.Room:
     )
 
 
-def test_a_room_keeps_its_scene_in_text_and_dict() -> None:
-    stated = room(scene=STATED, scattering_model="vector", author="A. Consultant")
-    for again in (
-        rt.Room.from_text(stated.to_text(), "again"),
-        rt.Room.from_dict(stated.to_dict()),
-    ):
-        assert again.scene == STATED
-        assert again.scattering_model == "vector"
-        assert again.to_dict() | stated.to_dict() == again.to_dict()
-    assert "scene" not in room().to_dict()
-    assert "scattering_model" not in room().to_dict()
-
-
 def test_the_mesh_is_the_same_file_wherever_the_room_is_saved(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

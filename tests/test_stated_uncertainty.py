@@ -56,24 +56,6 @@ def test_c80_of_decaying_noise_scatters_as_theory_says() -> None:
     assert c80.std() == pytest.approx(theory, rel=0.12)
 
 
-def test_uncertainties_survive_their_file(tmp_path: Path) -> None:
-    stated = with_uncertainty(measured())
-    assert set(stated.uncertainty) == {"t20", "edt", "c80", "ts"}
-    assert set(stated.common_uncertainty) == {"t20", "edt", "c80", "ts"}
-    stated.save(str(tmp_path / "t.csv"))
-    again = rt.Measurement.from_file(str(tmp_path / "t.csv"))
-    for name in ("uncertainty", "common_uncertainty"):
-        for p, values in getattr(stated, name).items():
-            np.testing.assert_array_equal(getattr(again, name)[p], values)
-    thirds = again.in_bands(F[1:4])
-    assert thirds.common_uncertainty["t20"] == pytest.approx(stated.common_uncertainty["t20"][1:4])
-    configuration = Configuration(name="A", measured=again).to_dict()
-    assert (
-        configuration["measured"]["common_uncertainty"]["c80"]
-        == again.common_uncertainty["c80"].tolist()
-    )
-
-
 @pytest.mark.parametrize("name", ["uncertainty", "common_uncertainty"])
 @pytest.mark.parametrize(("parameter", "value"), [("t20", 5.0), ("t20", 1e300), ("c80", 500.0)])
 def test_an_uncertainty_above_the_value_is_refused(name: str, parameter: str, value: float) -> None:

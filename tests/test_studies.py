@@ -14,7 +14,6 @@ import rtcal as rt
 from rtcal import studies
 from rtcal.command.main import cli
 from rtcal.studies import paper
-from rtcal.studies.study import SERIES, ScoreMoments
 from rtcal.support.errors import DataError
 from rtcal.support.normal import FINE, truncated_moments, truncated_normal
 
@@ -246,25 +245,6 @@ def test_same_for_any_number_of_workers() -> None:
         assert one.scores().tolist() == other.scores().tolist()
     another = studies.run(SHOEBOX, 0.05, 450, 300, seed=12)
     assert not np.array_equal(one.moments.products, another.moments.products)
-
-
-def test_moments_are_of_independent_realisations() -> None:
-    rng = np.random.default_rng(16)
-    emse = rng.uniform(0.1, 0.2, (50, len(SERIES)))
-    whole = ScoreMoments.of(emse, np.zeros((50, 3)))
-    parts = ScoreMoments.of(emse[:20], np.zeros((20, 3))) + ScoreMoments.of(
-        emse[20:], np.zeros((30, 3))
-    )
-    np.testing.assert_allclose(whole.products, parts.products)
-    gradient = np.zeros(len(SERIES))
-    gradient[2] = 1.0
-    want = emse[:, 2].std(ddof=1) / np.sqrt(50)
-    assert whole.standard_error(gradient) == pytest.approx(want)
-    assert np.isnan(ScoreMoments.of(emse[:1], np.zeros((1, 3))).standard_error(gradient))
-    many = rng.uniform(0.1, 0.2, (20_000, len(SERIES)))
-    summed = ScoreMoments.of(many, np.zeros((20_000, 3)))
-    want = np.quantile(np.sqrt(many[:, 2]), 0.25)
-    assert summed.quantile(2, 0.25) == pytest.approx(want, abs=1.25e-4)
 
 
 # Tables, the command, bad input -------------------------------------------------------------------

@@ -10,13 +10,12 @@ from scipy.stats import binom
 import rtcal as rt
 from benchmarks import records as benchmark
 from rtcal.acoustics.observables import LEVEL
-from rtcal.finder import Finding, records
+from rtcal.finder import records
 from rtcal.finder.records import HANDBOOK, IN_SITU, Share, record_of
 from rtcal.report.finding_words import (
     interval,
     record_of_means,
     record_of_positions,
-    track_record,
 )
 
 VERDICTS = ("none", "hint", "named", "family", "ambiguous", "unknown")
@@ -46,17 +45,6 @@ def test_every_record_of_means_has_counts_and_an_interval(verdict: str, data: st
     if (right := record.get(verdict)) is not None:
         assert re.search(rf"\b{right.count} of {right.of} .*\({interval(right)}\)", said)
     assert "95 % interval" in said
-
-
-def test_a_finding_prints_the_record_of_its_own_kind_of_data(found: Finding) -> None:
-    case = found.case
-    first = case.configurations[0].name
-    assert records.data_of(case) == records.ALL
-    times = case.only("t20", "edt", "t30", configurations=[first])
-    assert records.data_of(times) == records.TIMES
-    assert records.data_of(case.only("t20", "c80", configurations=[first])) == records.ALL
-    assert track_record(found) == record_of_means(found.verdict, records.ALL)
-    assert track_record(found) in " ".join(str(found).split())
 
 
 @pytest.mark.parametrize("statement", [IN_SITU, HANDBOOK])

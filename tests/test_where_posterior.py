@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -55,28 +53,6 @@ def test_the_families_of_the_means_are_multiplied_in(
             [0.64**MEANS_POWER, LEAST_BY_MEANS**MEANS_POWER]
         )
     assert changed[0] == pytest.approx(LEAST_BY_MEANS**MEANS_POWER)
-
-
-@pytest.mark.long
-def test_a_finding_names_the_family_that_means_know_of(
-    case: rt.finder.PositionsCase, kept: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The positions say the same; the families of the means differ."""
-    found = {}
-    for family in ("added absorption, flat", "scale"):
-        families = {family: 0.999, "none": 0.001}
-        means = SimpleNamespace(
-            score=5.0, effect=None, family=family, families=families, mistake=None
-        )
-        monkeypatch.setattr(
-            sys.modules["rtcal.finder.positions.search"], "evidence_of_means", lambda *_, m=means: m
-        )
-        found[family] = rt.find(case, cache=kept)
-    flat, scale = found.values()
-    assert flat.families["added absorption, flat"] > scale.families["added absorption, flat"]
-    assert flat.families.get("scale", 0.0) < scale.families["scale"]
-    assert flat.score == pytest.approx(scale.score)
-    assert sum(flat.probabilities.values()) == pytest.approx(1)
 
 
 def test_means_over_pairs_have_the_density_of_means(

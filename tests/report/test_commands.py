@@ -9,14 +9,12 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.main import cli
-from rtcal.datasets.examples import example
 from rtcal.report import (
     document,
     figures,
 )
 from rtcal.support.errors import MissingDependencyError
 from tests.report.pages import no_figure, run
-from tests.report.rooms import MEASURED
 
 
 def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
@@ -100,33 +98,3 @@ def test_quiet_and_json(result, loop, tmp_path, monkeypatch, capsys) -> None:
     assert Path("w.toml").exists()
     assert Path("u.csv").exists()
     assert run("study", "--trials", 0, "--realisations", 20, "--sigma-r", -1) == 2
-
-
-def test_report_finds_the_mesh_from_any_folder(tmp_path: Path, monkeypatch, capsys) -> None:
-    """The file that names a mesh names it as seen from its own folder, wherever the command runs."""
-    project = tmp_path / "project"
-    (project / "model").mkdir(parents=True)
-    for name, content in example("where").files.items():
-        (project / "model" / name).write_bytes(content)
-    monkeypatch.chdir(project)
-    rt.Measurement.from_values(
-        rt.Room.from_file("model/room.toml").centre_frequencies, t20=MEASURED
-    ).save("t.csv")
-    monkeypatch.setattr(document, "source", no_figure)
-    assert run("calibrate", "model/room.toml", "t.csv", "--out", "made/here") == 0
-    (tmp_path / "elsewhere").mkdir()
-    moved = tmp_path / "moved"
-    for folder, made in ((project, "made/here"), (tmp_path / "elsewhere", project / "made/here")):
-        monkeypatch.chdir(folder)
-        assert run("report", made, "--out", tmp_path / f"{folder.name}.html") == 0
-    project.rename(moved)
-    monkeypatch.chdir(moved / "made" / "here")
-    assert run("report", ".", "--out", tmp_path / "moved.html") == 0
-    capsys.readouterr()
-    for name in ("project", "elsewhere", "moved"):
-        text = (tmp_path / f"{name}.html").read_text(encoding="utf-8")
-        assert "The room is not drawn" not in text
-        assert 'id="room"' in text
-    assert rt.Room.from_file("room.toml").scene.mesh.endswith("model/room.obj")
-    again = rt.load(".")
-    assert Path(again.prior.scene.mesh).resolve() == moved / "model" / "room.obj"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from rtcal.loop.positions import PositionsResult
 from rtcal.prediction import Change
 from rtcal.prediction.predicted import Predictions
 from rtcal.prediction.words import SIZES
-from rtcal.report import pages
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.errors import DataError
 
@@ -118,27 +116,6 @@ def test_no_change_is_what_was_measured(measured, predicted) -> None:
     assert found.change("t20") == pytest.approx(np.zeros_like(found.change("t20")), abs=1e-9)
     assert np.abs(np.log(found.mean("t20") / measured.mean("t20"))).max() < 0.05
     assert (found.half_width("t20")[-1] < predicted.predictions[0].half_width("t20")[-1]).all()
-
-
-@pytest.mark.long
-def test_every_observable_has_pairs_mean_and_interval(predicted, tmp_path: Path) -> None:
-    found = predicted.predictions[0]
-    assert found.parameters == ("t20", "edt", "c80", "ts", "level", "d50", "sti")
-    for parameter in found.parameters:
-        low, high = found.interval_at_pairs(parameter)
-        value = found.at_pairs(parameter)
-        assert value.shape == (5, 2)
-        assert ((low < value) & (value < high)).all()
-    assert (found.change("c80")[-1] > 0).all()
-    assert (found.change("t20")[-1] < 0).all()
-    assert (found.change("level")[-1] < 0).all()
-    predicted.save(tmp_path)
-    html = pages.page_of(tmp_path)
-    assert html.count("C80 after / dB") == 3
-    assert "evaluated before and after the change" in html
-    again = rt.load(tmp_path)
-    assert str(again) == str(predicted)
-    assert again.to_dict() == predicted.to_dict()
 
 
 @pytest.mark.long

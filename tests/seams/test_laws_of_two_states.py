@@ -170,17 +170,6 @@ def test_the_order_of_pairs_and_of_effects_changes_nothing() -> None:
     np.testing.assert_allclose(turned.change, there.change, rtol=1e-6)
 
 
-def in_climates(seed: int, panels: float) -> Finding:
-    """Return the finding of panels that were added, each state in a climate as it is stated."""
-    rng = np.random.default_rng(seed)
-    two = [
-        measured(times(area, rt.Air(20 + 2 * rng.standard_normal(), 50 + 10 * rng.standard_normal())),
-                 100 * seed + j, pairs=30)
-        for j, area in enumerate((0.0, panels))
-    ]  # fmt: skip
-    return rt.find(room(), two[1], before=two[0])
-
-
 def test_an_option_without_effect_is_refused() -> None:
     stated, before, after = drawn(1)
     two = {"room": stated, "before": before, "after": after}

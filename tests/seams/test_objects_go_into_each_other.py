@@ -8,7 +8,6 @@ import pytest
 import rtcal as rt
 from rtcal.io import obj
 from rtcal.simulators import Polyhedron
-from rtcal.support.errors import DataError
 
 BANDS = [500.0, 1000.0]
 MATERIALS = [
@@ -33,22 +32,6 @@ def test_a_geometry_makes_a_room_and_a_file(tmp_path) -> None:
     again = obj.read(tmp_path / "room.obj")
     np.testing.assert_allclose(again.vertices, shape.vertices)
     assert (again.materials, again.names) == (shape.materials, shape.names)
-
-
-def test_areas_by_material_are_in_any_order() -> None:
-    stated = {
-        "name": "box",
-        "volume": 60,
-        "materials": ["floor", "rest"],
-        "alpha": {"rest": [0.6], "floor": [0.4]},
-        "sigma": [[0.1], [0.1]],
-        "centre_frequencies": [1000],
-    }
-    room = rt.Room(areas={"rest": 74, "floor": 20}, **stated)
-    assert room.areas.tolist() == [20, 74]
-    assert room.alpha.tolist() == [[0.4], [0.6]]
-    with pytest.raises(DataError, match="areas: keys are floor, walls; the room has floor, rest"):
-        rt.Room(areas={"floor": 20, "walls": 74}, **stated)
 
 
 def test_one_room_file_serves_both_kinds_of_case(tmp_path) -> None:
