@@ -441,22 +441,10 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
     """Return the room after changes, and which way its materials then face.
 
     What covers a surface faces as the surface does; where a part of a material is covered that faces
-    several ways, each way as much of it.
-
-    Parameters
-    ----------
-    before : Room
-        `rtcal.acoustics.changes.facing` says which way its materials face.
-    changes : sequence of Change, or Room
-        A Room is the changed room itself.
-    like : Placed, optional
-        Another state, where the room itself does not say: its materials face as they do there. What
-        comes in faces as what it takes the place of, and stands free where nothing went out.
-
-    Raises
-    ------
-    DataError
-        As `changed`.
+    several ways, each way as much of it. `facing` says which way the materials face before. ``changes``
+    may be the changed room itself. ``like`` is another state, where the room itself does not say: its
+    materials face as they do there; what comes in faces as what it takes the place of, and stands free
+    where nothing went out. Raises DataError as `changed`.
 
     Examples
     --------
@@ -645,19 +633,10 @@ def read_variants(
 ) -> tuple[tuple[Variant, ...], Target | None]:
     """Return the variants of a TOML text, and its target if it states one.
 
-    Parameters
-    ----------
-    content : str
-    room : Room
-        Its bands are those of the new materials.
-    catalogue : callable, optional
-        Returns a material for a name and bands, such as `rtcal.datasets.catalogue.material`.
-
-    Raises
-    ------
-    DataError
-        For an unknown key, a value that breaks a rule, a material that is nowhere stated, a name that
-        is given twice, a change that the room does not allow, or as `target_of`.
+    The room's bands are those of the new materials. ``catalogue`` returns a material for a name and
+    bands, such as `rtcal.datasets.catalogue.material`. Raises DataError for an unknown key, a value
+    that breaks a rule, a material that is nowhere stated, a name that is given twice, a change that the
+    room does not allow, or as `target_of`.
 
     Examples
     --------
@@ -863,18 +842,12 @@ NOT_KNOWN = (
 def facing(room: Room, geometry: Any = None) -> Array:
     """Return each material's shares of area across x, y and z, (n_materials, 3); NaN where unknown.
 
-    In this order: the faces of a geometry (an oblique one counts by the squares of its normal), the
-    ``axis`` of a surface, a name of a surface or of a material that says floor, ceiling or wall
+    In this order: the faces of a ``geometry``, a `rtcal.simulators.Polyhedron` in place of the room's
+    surfaces (an oblique face counts by the squares of its normal, a material that it lacks is unknown);
+    the ``axis`` of a surface, a name of a surface or of a material that says floor, ceiling or wall
     (English, German, French, Spanish, Italian, Portuguese), an area that is that of faces of the box of
     the room's ``dimensions``, and what is left of that box, or of a room whose floor or ceiling is
     named. Named walls without a box share x and y by halves.
-
-    Parameters
-    ----------
-    room : Room
-    geometry : rtcal.simulators.Polyhedron, optional
-        Its faces take the place of the room's surfaces. Its materials are named as the room's; one
-        that it lacks is unknown.
 
     Examples
     --------

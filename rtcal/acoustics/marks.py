@@ -354,14 +354,8 @@ def far_from_neighbours(values: Array, *, late: bool = True) -> NDArray[np.bool_
     """Return which values (n_bands,) are far above or below those of the bands beside them.
 
     Each jump between neighbouring bands begins a new group, unless it leads back to an earlier one. The
-    largest group is right. None is flagged where two groups are equally large.
-
-    Parameters
-    ----------
-    values : array (n_bands,)
-        Above 0; others, and NaN, are missing.
-    late : bool
-        Whether they are T20 or T30. Others are not judged in the first and in the last band.
+    largest group is right. None is flagged where two groups are equally large. Values that are not
+    above 0 are missing. Unless ``late`` (T20 or T30), the first and the last band are not judged.
 
     Examples
     --------
@@ -544,12 +538,8 @@ def of_unit(
 ) -> list[TrustMark]:
     """Return the mark of a T that is far from that of the stated coefficients in every band alike.
 
-    Parameters
-    ----------
-    times, stated : array (n_bands,)
-        Measured T, and T of the stated coefficients, in s; NaN where it is missing.
-    name, of : str
-        Both in words.
+    ``times`` are the measured T and ``stated`` those of the coefficients in s, (n_bands,), NaN where
+    missing; ``name`` and ``of`` are both in words.
 
     Examples
     --------
@@ -579,13 +569,8 @@ def of_input(
 ) -> tuple[TrustMark, ...]:
     """Return the doubts about a room and its T that stand before every result, in one order.
 
-    Parameters
-    ----------
-    room : Room
-    times : array (n_bands,), optional
-        Measured T in s, NaN where it is missing; compared with Eyring's of the stated coefficients.
-    mistyped : sequence of TrustMark
-        Those of single values of T, as `of_row` returns them.
+    The measured T, ``times`` in s, (n_bands,), NaN where missing, is compared with Eyring's of the
+    stated coefficients. ``mistyped`` are the marks of single values of T, as `of_row` returns them.
     """
     marks = [*of_surface(room), *_of_volume(room)]
     for name, row in zip(room.materials, room.alpha, strict=True):
@@ -663,17 +648,11 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     """Return the mark of a room whose absorption is so uneven that equations differ by over one JND.
 
     Compared are Eyring's T, for which all surfaces count alike, and Arau-Puchades', for which the
-    surfaces of each axis count for themselves (`rtcal.acoustics.equations.ArauPuchades`). Where most of
-    the absorption has no known direction the mark says that this is not judged, if the equations
+    surfaces of each axis count for themselves (`rtcal.acoustics.equations.ArauPuchades`), with the
+    coefficients of ``room``. ``shares`` (n_materials, 3) are the directions of each material, as
+    `rtcal.acoustics.changes.facing` returns them; unknown ones count a third each. Where most of the
+    absorption has no known direction the mark says that this is not judged, if the equations
     differed with all of the material that absorbs most across one axis.
-
-    Parameters
-    ----------
-    room : Room
-        With the coefficients to compare by.
-    shares : array (n_materials, 3)
-        Directions of each material, as `rtcal.acoustics.changes.facing` returns them. Unknown ones
-        count a third each.
 
     Examples
     --------
@@ -720,22 +699,12 @@ def z_within_bounds(
     """Return z of bands in which coefficients stand at bounds, (n_bands,); NaN elsewhere.
 
     It is the distance of the nearest point within the bounds that has the measured T from what was
-    stated, in standard deviations, which tells the probability beyond it to first order: z² is the sum
-    of the squared shifts of the coefficients at bounds, over sigma, and r² over its variance, where r
-    of b - S'mu is left to the others.
+    stated, in standard deviations, which tells the probability beyond it to first order (Hasofer & Lind
+    1974, J. Eng. Mech. Div. ASCE 100, 111-121): z² is the sum of the squared shifts of the coefficients
+    at bounds, over sigma, and r² over its variance, where r of b - S'mu is left to the others.
 
-    Parameters
-    ----------
-    room : Room
-        With the stated coefficients.
-    difference, variance : array (n_bands,)
-        b - S'mu in m², and its variance without bounds.
-    shift, active : array (n_materials, n_bands)
-        alpha - mu, and where it stands at a bound.
-
-    References
-    ----------
-    A. M. Hasofer, N. C. Lind, J. Eng. Mech. Div. ASCE 100, 111-121 (1974).
+    ``difference`` and ``variance`` (n_bands,) are b - S'mu in m², and its variance without bounds.
+    ``shift`` (n_materials, n_bands) is alpha - mu, ``active`` where it stands at a bound.
 
     Examples
     --------

@@ -167,14 +167,8 @@ def in_words(room: Room) -> str:
 def alpha_covariance(mean: Array, sigma: Array, correlation: Array, common: float) -> Array:
     """Return the covariance of coefficients, (..., n, n): sigma R sigma + t² mu mu'.
 
-    Parameters
-    ----------
-    mean, sigma : array (..., n)
-        A coefficient with sigma 0 is exact.
-    correlation : array (n, n)
-        R.
-    common : float
-        t, by which all coefficients may be off together.
+    A coefficient with sigma 0 is exact. R is the ``correlation`` (n, n), and t, ``common``, is how far
+    all coefficients may be off together.
     """
     together = np.where(sigma > 0, common * mean, 0.0)
     own = sigma[..., np.newaxis] * correlation * sigma[..., np.newaxis, :]
@@ -284,16 +278,8 @@ def alike_alpha(room: Room) -> Array:
 def value_changes(room: Room, matrix: Array, of_level: NDArray[np.bool_]) -> Array:
     """Return the changes of values at positions by one standard deviation each, (n_changes, n_values).
 
-    Those of `alike_alpha`; but a larger volume keeps the level.
-
-    Parameters
-    ----------
-    room : Room
-        Its stated standard deviations and mu.
-    matrix : array (n_values, n_materials * n_bands)
-        Derivatives of the values by the coefficients.
-    of_level : array of bool (n_values,)
-        Which values are levels.
+    Those of `alike_alpha`, by the derivatives ``matrix`` (n_values, n_materials * n_bands); but a
+    larger volume keeps the values that are levels (``of_level``).
     """
     alike = alike_alpha(room)
     changes = alike.reshape(len(alike), -1) @ matrix.T

@@ -6,9 +6,9 @@ The model is Gaussian. In room r, material i has in band k the coefficient, in a
 
 with the table's entry mu and its sigma. d is how far the entry is off in all rooms, h how far all
 tables are off together, e how far the material in this room differs from others of its name, and g_r a
-factor of this room. The absorption area b_rsk that the T of its state s asks for is
-sum S_rsi alpha_rik, with an error of the equation relative to b, and the errors of T, volume and areas.
-So the means follow in one linear step, and the marginal likelihood in closed form (`Evidence`).
+factor of this room. The absorption area b_rsk that the T of its state s asks for is sum S_rsi
+alpha_rik, with an error of the equation relative to b, and the errors of T, volume and areas. So the
+means follow in one linear step, and the marginal likelihood in closed form (`Evidence`).
 """
 
 from __future__ import annotations
@@ -111,18 +111,12 @@ def _point(spread: Spread) -> Array:
 class RoomData:
     """The evidence of a room: its absorption area by state and band, and how sure it is.
 
-    Attributes
-    ----------
-    areas : array (n_states, n_materials)
-        m² of each of the archive's materials.
-    target : array (n_states, n_bands)
-        b in m², NaN where there is no T.
-    covariance : array (n_states n_bands, n_states n_bands)
-        Of b through T, volume, areas and climate, in m⁴, the bands last.
+    ``target`` is b in m², NaN where there is no T. ``covariance`` (n_states n_bands squared) is that of
+    b through T, volume, areas and climate, in m⁴, the bands last.
     """
 
-    areas: Array
-    target: Array
+    areas: Array  # (n_states, n_materials), m² of each of the archive's materials
+    target: Array  # (n_states, n_bands)
     covariance: Array
 
 
@@ -593,10 +587,10 @@ def learn(rooms: Sequence[Calibrated], names: Mapping[str, str] | None = None) -
     """Learn from calibrated rooms what the materials that they share absorb.
 
     alpha of material i in room r is the material's mean, an error of the room's own and a factor of the
-    room, the same in all states of the room; see `rtcal.calibration.archive`. How
-    far a material differs between rooms, how far the tables are off, alone and together, follow by
-    marginal likelihood; the means by one linear step, cut to 0 to 1 after it. Only the rooms' input
-    priors and measured T count, not how they were calibrated. Nothing leaves the machine.
+    room, the same in all states of the room; see `rtcal.calibration.archive`. How far a material
+    differs between rooms, how far the tables are off, alone and together, follow by marginal
+    likelihood; the means by one linear step, cut to 0 to 1 after it. Only the rooms' input priors and
+    measured T count, not how they were calibrated. Nothing leaves the machine.
 
     Parameters
     ----------

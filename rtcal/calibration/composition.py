@@ -40,13 +40,7 @@ _KEPT = 1e-9
 class Composition:
     """An objective and constraints for a room, or for several configurations of one.
 
-    Attributes
-    ----------
-    objective : Objective
-    constraints : tuple
-    room : Room or Configurations
-    equation : LinearEquation
-        It turns T into b.
+    The equation turns T into b.
     """
 
     objective: Objective

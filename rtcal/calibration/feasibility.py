@@ -64,13 +64,7 @@ def where_valid(
 ) -> Array:
     """Return a quantity of an equation per band, NaN in bands that the equation does not cover.
 
-    Parameters
-    ----------
-    quantity : function
-        `LinearEquation.time` or `LinearEquation.air_share`.
-    room : Room
-    absorption_area : array (n_bands,)
-        S'alpha in m².
+    It is `LinearEquation.time` or `LinearEquation.air_share`, of S'alpha in m², (n_bands,).
     """
     try:
         return quantity(room, absorption_area)
@@ -103,9 +97,9 @@ def reach(numbers: Numbers) -> tuple[Array, Array]:
 def end_tolerance(numbers: Numbers) -> Array:
     """Return the distance in m² up to which b counts as an end, (n_configurations, n_bands).
 
-    b of a T at an end is an end only up to rounding. A sum of n products has an error of at most
-    n eps / 2 times the sum of their absolute values (Higham 2002, Sect. 3.1). From alpha to T and back,
-    b has at most 1.5 eps sum S. So 16 n is eight times their sum or more.
+    b of a T at an end is an end only up to rounding. A sum of n products has an error of at most n eps
+    / 2 times the sum of their absolute values (Higham 2002, Sect. 3.1). From alpha to T and back, b has
+    at most 1.5 eps sum S. So 16 n is eight times their sum or more.
     """
     upper = numbers.alpha(numbers.box[1])
     n = numbers.areas.shape[1]
@@ -119,19 +113,11 @@ def restrict_to_reach(
 
     Returns the numbers with an unreachable b moved to the nearest end; -1 or 1 for unknowns that a
     target at an end forces to their lower or upper bound, else 0, (size,); and the unreachable bands.
+    ``matches`` are the least and the most S'alpha in m² that each match allows, (n_configurations,
+    n_bands) each.
 
-    Parameters
-    ----------
-    numbers : Numbers
-    matches : sequence of two arrays (n_configurations, n_bands)
-        The least and the most S'alpha in m² that each match allows.
-    unreachable : {"raise", "nearest"}
-
-    Raises
-    ------
-    InfeasibleError
-        With ``unreachable="raise"``, naming every band that cannot be reached; in a problem without a
-        match, for a T that is too short for any absorption.
+    Raises InfeasibleError with ``unreachable="raise"``, naming every band that cannot be reached; in a
+    problem without a match, for a T that is too short for any absorption.
     """
     times, rooms, equation = numbers.time, numbers.rooms, numbers.equation
     none_held = np.zeros(numbers.layout.size, dtype=np.int8)

@@ -25,25 +25,13 @@ _FEW_VALUES = 4
 
 @dataclass(frozen=True, repr=False, eq=False)
 class MeasuredTimes:
-    """Measured T in a room's bands.
+    """Measured T in a room's bands, (n_bands,) each, NaN where missing or unknown."""
 
-    Attributes
-    ----------
-    centre_frequencies : array (n_bands,)
-        The room's, in Hz.
-    reverberation_time, uncertainty : array (n_bands,)
-        In s; NaN where missing or unknown.
-    parameter : tuple of str (n_bands,)
-        ``"t20"``, ``"t30"`` or ``""``.
-    measured : Measurement, optional
-        What was measured, in its own bands; None of a list of T.
-    """
-
-    centre_frequencies: Array
-    reverberation_time: Array
-    uncertainty: Array
-    parameter: tuple[str, ...]
-    measured: Measurement | None = None
+    centre_frequencies: Array  # the room's, in Hz
+    reverberation_time: Array  # s
+    uncertainty: Array  # s
+    parameter: tuple[str, ...]  # "t20", "t30" or ""
+    measured: Measurement | None = None  # what was measured, in its own bands; None of a list of T
 
     def __repr__(self) -> str:
         n, data = np.count_nonzero(np.isfinite(self.reverberation_time)), self.fingerprint
@@ -112,11 +100,8 @@ class MeasuredTimes:
 def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -> MeasuredTimes:
     """Return the measured T in the room's bands; NaN where a band has none.
 
-    Raises
-    ------
-    DataError
-        For a wrong shape, a T that is not above 0, an uncertainty above the value, or no band in
-        common.
+    Raises DataError for a wrong shape, a T that is not above 0, an uncertainty above the value, or no
+    band in common.
     """
     frequencies = room.centre_frequencies
     if isinstance(measured, Measurement):

@@ -220,8 +220,8 @@ def sensitivity(result: Any) -> Array:
     """Return d alpha / d T in 1/s, (n_materials, n_bands, n_configurations, n_bands).
 
     The last two axes are those of T. Coefficients at a bound stay there: the derivative is valid until
-    the next bound. For independent priors and an exact match, over the free coefficients F of the
-    band,  d alpha_F / db = S_F sigma_F² / sum(S_F² sigma_F²),  times db/dT (docs/posterior.md).
+    the next bound. For independent priors and an exact match, over the free coefficients F of the band,
+    d alpha_F / db = S_F sigma_F² / sum(S_F² sigma_F²),  times db/dT (docs/posterior.md).
 
     Parameters
     ----------
@@ -268,62 +268,30 @@ class Density:
 
     The density of u is proportional to exp(-g'(u - p) - ½ (u - p)'H(u - p)). A sum that an equality
     gives to within a noise is normal about it, cut to its reach, whatever g, H and the bounds make of
-    it; they tell how it is shared.
-
-    Attributes
-    ----------
-    point : array (size,)
-        p, where the equalities hold.
-    gradient : array (size,)
-        g.
-    curvature : array (size,) or sparse array (size, size)
-        H; its diagonal if H is diagonal.
-    scale : array (size,)
-        The scale of each unknown; 0 for a fixed one.
-    lower, upper : array (size,)
-        The bounds.
-    matrix : array or sparse array (n_rows, size)
-    row_lower, row_upper : array (n_rows,)
-        Limits of ``matrix @ u``; equal for an equality.
-    row_noise : array (n_rows,)
-        Standard uncertainty of what each equality is equal to.
-    rank : array (size,)
-        The order of drawing where bounds change unknowns alike: that of their names, so that places
-        change no draw.
+    it; they tell how it is shared. Arrays are (size,), those of rows (n_rows,).
     """
 
-    point: Array
-    gradient: Array
-    curvature: Any
-    scale: Array
+    point: Array  # p, where the equalities hold
+    gradient: Array  # g
+    curvature: Any  # H, (size, size), sparse; or its diagonal, if H is diagonal
+    scale: Array  # of each unknown; 0 for a fixed one
     lower: Array
     upper: Array
-    matrix: Any
-    row_lower: Array
+    matrix: Any  # (n_rows, size), may be sparse
+    row_lower: Array  # limits of ``matrix @ u``; equal for an equality
     row_upper: Array
-    row_noise: Array
-    rank: Integers
+    row_noise: Array  # standard uncertainty of what each equality is equal to
+    rank: Integers  # order of drawing where bounds change unknowns alike: by names, not by places
 
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Weighted draws of unknowns that belong together.
+    """Weighted draws of unknowns that belong together."""
 
-    Attributes
-    ----------
-    unknowns : array (n_unknowns,) of int
-        Their places among all.
-    values : array (number, n_unknowns)
-    weights : array (number,)
-        1 in sum.
-    quantiles : array (n_unknowns, 201)
-        At the normal values `rtcal.support.normal.NORMAL`.
-    """
-
-    unknowns: Integers
-    values: Array
-    weights: Array
-    quantiles: Array
+    unknowns: Integers  # their places among all, (n_unknowns,)
+    values: Array  # (number, n_unknowns)
+    weights: Array  # (number,), 1 in sum
+    quantiles: Array  # (n_unknowns, 201), at the normal values `rtcal.support.normal.NORMAL`
 
     @property
     def effective(self) -> float:
@@ -370,20 +338,9 @@ class _Part:
 def draws(density: Density, number: int = 1024, seed: int = 0) -> list[Draws]:
     """Return marginals and weighted draws of the unknowns of a density, part by part.
 
-    Parameters
-    ----------
-    density : Density
-    number : int
-        A power of two; twice as many with a stated sum.
-    seed : int
-        Of the points that are spread evenly.
-
-    Raises
-    ------
-    ModelError
-        With more than 2,000 unknowns.
-    SolverError
-        If no draw is inside the constraints.
+    ``number`` is a power of two; with a stated sum twice as many are drawn. ``seed`` is of the points
+    that are spread evenly. Raises ModelError with more than 2,000 unknowns, SolverError if no draw is
+    inside the constraints.
     """
     parts = _parts(density)
     pieces = [(i, *piece) for i, part in enumerate(parts) for piece in _pieces(part, number, seed)]

@@ -62,38 +62,12 @@ class CompiledProblem:
     """A calibration that cvxpy has compiled for rooms of one layout: `filled` makes a `QP` of it.
 
     Callers share it through `compile_once`: its terms are those of `Term.structure`, equal to the
-    caller's but for the numbers that enter through the parameters.
+    caller's but for the numbers that enter through the parameters. ``shape`` is materials, centre
+    frequencies in Hz and the number of configurations; ``terms`` and ``constraints`` are functions of a
+    `Model`, and `Shared` among the constraints.
 
-    Parameters
-    ----------
-    shape : tuple
-        Materials, centre frequencies in Hz and the number of configurations.
-    terms, constraints : sequence of functions of a `Model`, and `Shared` among the constraints
-    weights : sequence of float
-
-    Attributes
-    ----------
-    layout : Layout
-    model : Model
-    rows_of : list
-        Each constraint but `Shared`, with its rows of A by cvxpy constraint that it states.
-    size : int
-        Number of variables v.
-    equal : array (n_rows,) of bool
-        Which rows of A are equalities.
-    P_rows, P_columns, A_rows, A_columns : array
-        The place of each entry of P and A.
-    kkt : tuple
-        Rows and columns of the entries of [[P, A'], [A, 0]] and its diagonal, the place of each among
-        the matrix's own, and these by columns: rows, and where columns begin.
-    places : array (layout.size,)
-        Where the unknowns u stand among the variables.
-
-    Raises
-    ------
-    ModelError
-        If a term is no convex quadratic expression, a constraint is not linear, or the problem is not
-        DPP, so that every solve would compile anew.
+    Raises ModelError if a term is no convex quadratic expression, a constraint is not linear, or the
+    problem is not DPP, so that every solve would compile anew.
     """
 
     def __init__(
@@ -131,8 +105,9 @@ class CompiledProblem:
                 "the composed problem is no QP: a term is neither linear nor quadratic"
             )
         self._program = program = data["param_prob"]
-        self.size, n = program.x.size, len(data["b"])
-        self.equal = np.arange(n) < int(data["dims"].zero)
+        self.size, n = program.x.size, len(data["b"])  # variables v, rows of A
+        self.equal = np.arange(n) < int(data["dims"].zero)  # which rows are equalities
+        # The place of each entry of P and A.
         (self.P_rows, self.P_columns), _ = self._entries_of(program.reduced_P)
         (self.A_rows, self.A_columns), self._b_rows = self._entries_of(program.reduced_A)
 
@@ -140,6 +115,7 @@ class CompiledProblem:
             first = program.var_id_to_col
             return np.array([first[v.id] + i for v in variables for i in range(v.size)], np.intp)
 
+        # Where the unknowns u stand among the variables, (layout.size,).
         self.places = places([m.x] if m.effects is None else [m.x, m.effects])
         self._nonnegative = places(m.nonnegative)
         every = np.arange(self.size + n)
@@ -148,12 +124,15 @@ class CompiledProblem:
         across = np.concatenate([self.P_columns, self.A_columns, below, every])
         key, place = np.unique(across * len(every) + kkt, return_inverse=True)
         starts = np.searchsorted(key // len(every), np.append(every, len(every)))
+        # Rows and columns of the entries of [[P, A'], [A, 0]] and its diagonal, the place of each among
+        # the matrix's own, and these by columns: rows, and where columns begin.
         self.kkt = (kkt, across, place), key % len(every), starts
         # cvxpy unpacks the numbers of the rows once: where it puts them is where the multipliers go.
         numbered = np.arange(n, dtype=float)
         answer = SimpleNamespace(x=np.zeros(self.size), z=numbered, s=numbered)
         answer.status, answer.obj_val, answer.solve_time, answer.iterations = "Solved", 0.0, 0.0, 0
         problem.unpack_results(answer, chain, inverse)
+        # Each constraint but `Shared`, with its rows of A by cvxpy constraint that it states.
         self.rows_of = [
             (t, [np.abs(np.ravel(c.dual_value)).astype(int) for c in of_term])
             for t, of_term in stated
@@ -247,31 +226,19 @@ def forget() -> None:
 class QP:
     """minimise ½ v'Pv + c'v  subject to  A v = b or A v <= b,  lower <= v <= upper.
 
-    Attributes
-    ----------
-    compiled : CompiledProblem
-    P, A : array
-        The entries, at the places that ``compiled`` has.
-    c, b : array (size,), (n_rows,)
-    lower, upper : array (size,)
-    scale : array (size,)
-        Change of an unknown by its deviation: the prior's sigma; 1 for other variables.
-    equal : array (n_rows,) of bool
-        Which rows are equalities.
-    fixed_area : float
-        m² of the materials if b has some of sigma 0, which no row of A has; 0 otherwise.
+    c and bounds are (size,), b is (n_rows,).
     """
 
     compiled: CompiledProblem
-    P: Array
+    P: Array  # the entries, at the places that ``compiled`` has
     c: Array
     A: Array
     b: Array
     lower: Array
     upper: Array
-    scale: Array
-    equal: Flags
-    fixed_area: float
+    scale: Array  # change of an unknown by its deviation: the prior's sigma; 1 for other variables
+    equal: Flags  # which rows are equalities
+    fixed_area: float  # m² of the materials if b has some of sigma 0, which no row of A has; else 0
 
     def unknowns(self, numbers: Numbers, v: Array) -> Array:
         """Return the unknowns u = mu + sigma x of a point v, (size,)."""
@@ -377,30 +344,14 @@ class System:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Iterate:
-    """A point of a QP with its multipliers and its active set.
+    """A point of a QP with its multipliers and its active set, (size,) or (n_rows,) each."""
 
-    Attributes
-    ----------
-    v : array (size,)
-        The variables.
-    y : array (n_rows,)
-        The rows' multipliers.
-    z : array (size,)
-        The bounds' multipliers: above 0 at the upper bound, below 0 at the lower.
-    at : array (size,)
-        -1 at the lower bound, 1 at the upper, 0 between them.
-    system : System, optional
-        The optimality conditions on the active set; None of a solver's own answer.
-    status, iterations, seconds : str, int, float
-        How a solver names its status, its iterations and its time in s.
-    """
-
-    v: Array
-    y: Array
-    z: Array
+    v: Array  # the variables
+    y: Array  # the rows' multipliers
+    z: Array  # the bounds' multipliers: above 0 at the upper bound, below 0 at the lower
     at: Active
-    system: System | None = None
-    status: str = ""
+    system: System | None = None  # the conditions on the active set; None of a solver's own answer
+    status: str = ""  # as a solver names it
     iterations: int = 0
     seconds: float = float("nan")
 
@@ -421,17 +372,11 @@ _ROUNDING = 1e-13
 def polish(program: QP, at: Active, tight: Flags) -> Iterate | None:
     """Return the optimum, by the active-set method from a first guess; None if it does not converge.
 
-    Each round solves the optimality conditions on the active set from the prior on, so that the
-    answer depends on the final set alone, to the last bit. What is violated joins the set; only if
-    nothing is, what has a multiplier of the wrong sign leaves it.
-
-    Parameters
-    ----------
-    program : QP
-    at : array (size,)
-        Variables guessed at their lower bound (-1) or upper bound (1).
-    tight : array (n_rows,) of bool
-        Inequalities guessed to hold with equality.
+    Each round solves the optimality conditions on the active set from the prior on, so that the answer
+    depends on the final set alone, to the last bit. What is violated joins the set; only if nothing is,
+    what has a multiplier of the wrong sign leaves it. The guesses are variables at their lower bound
+    (-1) or upper bound (1), ``at`` (size,), and inequalities that hold with equality, ``tight``
+    (n_rows,).
     """
     at, tight, absolute = at.copy(), tight | program.equal, program.absolute
     at[program.fixed] = 0
@@ -688,20 +633,14 @@ class Certificate:
 def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
     """Return the certificate of a point.
 
-    The error bound. f - m |x|²/2 is convex, with x the deviations and m the ``convexity`` of the prior.
-    From a point of dual residual r and gap g that keeps its rows, the optimum x* is within
+    The error bound. f - m |x|²/2 is convex, with x the deviations and m the ``convexity`` of the prior;
+    with 0 the box alone bounds the error. From a point of dual residual r and gap g that keeps its
+    rows, the optimum x* is within
 
         m |x - x*|² <= |r| |x - x*| + g.
 
     The step that the optimality conditions on the active set still ask for, which removes residuals of
     the rows and their rounding, counts in addition.
-
-    Parameters
-    ----------
-    program : QP
-    point : Iterate
-    convexity : float
-        m; with 0 the box alone bounds the error.
     """
     v, y, z = point.v, point.y, point.z
     force = program.force(v, y)

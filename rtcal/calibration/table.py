@@ -148,12 +148,8 @@ _SEEN = 0.05
 def blocks_of(record: Mapping[str, Any]) -> list[Block]:
     """Return what a calibration says: verdict, cautions, bands, materials, and how it was made.
 
-    Input coefficients and all shifts are details, which a terminal leaves out.
-
-    Parameters
-    ----------
-    record : mapping
-        As `CalibrationResult.to_dict` returns it.
+    Input coefficients and all shifts are details, which a terminal leaves out. ``record`` is as
+    `CalibrationResult.to_dict` returns it.
     """
     labels, materials = bands.labels(record["centre_frequencies"]), record["materials"]
     calibrated = [
@@ -327,12 +323,7 @@ def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
 
     In this order: a likely typing error; a calibration that does not ask for T; a gap that remains;
     what p and z say of the materials, which a reservation about the whole room or about every band
-    leaves open.
-
-    Parameters
-    ----------
-    record : mapping
-        As `rtcal.calibration.CalibrationResult.to_dict` returns it.
+    leaves open. ``record`` is as `rtcal.calibration.CalibrationResult.to_dict` returns it.
     """
     marks = record["trust_marks"]
     if typed := [mark for mark in _trust_marks(record) if mark.is_error]:

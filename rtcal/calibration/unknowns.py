@@ -222,26 +222,15 @@ class Configurations:
 
 @dataclass(frozen=True, repr=False)
 class Layout:
-    """The unknowns: one flat vector, alpha row by row with the bands last, then further ones.
+    """The unknowns: one flat vector, alpha row by row with the bands last, then further ones."""
 
-    Attributes
-    ----------
-    materials : tuple of str
-        All materials.
-    alpha_rows : tuple of int
-        For each material its row of unknowns; materials that share a coefficient have one row.
-    centre_frequencies : tuple of float
-        Hz.
-    n_configurations : int
-    further : tuple of str
-        Names of the unknowns beside alpha (sizes of effects).
-    """
-
-    materials: tuple[str, ...]
-    alpha_rows: tuple[int, ...]
-    centre_frequencies: tuple[float, ...]
+    materials: tuple[str, ...]  # all of them
+    alpha_rows: tuple[
+        int, ...
+    ]  # each material's row of unknowns; those that share a coefficient have one
+    centre_frequencies: tuple[float, ...]  # Hz
     n_configurations: int = 1
-    further: tuple[str, ...] = ()
+    further: tuple[str, ...] = ()  # names of the unknowns beside alpha (sizes of effects)
 
     def __repr__(self) -> str:
         return (
@@ -401,31 +390,8 @@ class Observed:
 class Numbers:
     """The numbers of one solve, by which the parameters of a compiled problem are filled.
 
-    Attributes
-    ----------
-    layout : Layout
-    mu, sigma, lower, upper : array (size,)
-        The prior and the box. An unknown with sigma = 0 stays at mu, one whose bounds are equal there.
-    areas : array (n_configurations, n_alpha_rows)
-        m²; 0 if a configuration lacks the material.
-    gains : array (n_configurations, n_bands, n_further)
-        m² of absorption that one unit of each further unknown adds.
-    time : array (n_configurations, n_bands)
-        Measured T in s, NaN where missing.
-    target, target_uncertainty : array (n_configurations, n_bands)
-        b and its standard uncertainty in m², NaN where missing.
-    target_sensitivity : array (n_configurations, n_bands)
-        |db/dT| in m²/s, infinite where T does not determine b (the peak of Kuttruff's equation).
-    equation : LinearEquation
-        It turned T into b.
-    rooms : tuple of Room
-        One per configuration.
-    observed : mapping of term to array (n_alpha, n_alpha + 1)
-        Of each `rtcal.terms.LinearObservations`, as `Observed.over` returns it.
-    room_changes : array (n_changes, n_configurations * n_bands)
-        `rtcal.acoustics.room_errors.target_changes` of all configurations, in m².
-    common : float
-        Relative standard deviation that all coefficients have in common.
+    The prior and the box are (size,): an unknown with sigma = 0 stays at mu, one whose bounds are equal
+    there. T and what follows of it are (n_configurations, n_bands), NaN where missing.
     """
 
     layout: Layout
@@ -433,17 +399,20 @@ class Numbers:
     sigma: Array
     lower: Array
     upper: Array
-    areas: Array
-    gains: Array
-    time: Array
-    target: Array
-    target_uncertainty: Array
-    target_sensitivity: Array
-    equation: LinearEquation
-    rooms: tuple[Room, ...]
-    observed: Mapping[object, Array] = field(default_factory=dict)
+    areas: Array  # (n_configurations, n_alpha_rows), m²; 0 if a configuration lacks the material
+    gains: Array  # (n_configurations, n_bands, n_further), m² that one unit of each effect adds
+    time: Array  # measured T in s
+    target: Array  # b in m²
+    target_uncertainty: Array  # its standard uncertainty in m²
+    target_sensitivity: (
+        Array  # |db/dT| in m²/s, infinite where T does not determine b (Kuttruff's peak)
+    )
+    equation: LinearEquation  # it turned T into b
+    rooms: tuple[Room, ...]  # one per configuration
+    observed: Mapping[object, Array] = field(default_factory=dict)  # as `Observed.over`, by term
+    # `rtcal.acoustics.room_errors.target_changes` of all configurations in m², (n_changes, n_times).
     room_changes: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    common: float = 0.0
+    common: float = 0.0  # relative standard deviation that all coefficients have in common
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

@@ -71,19 +71,13 @@ Weights = Mapping[str, float | Sequence[float]]
 class Matched:
     """Decay times that are matched at once, means over the pairs.
 
-    Attributes
-    ----------
-    measured : dict of parameter to array (n_bands,)
-        In s, NaN where it is missing; T20 (or T30 in its place) first.
-    shares : dict of parameter to array (n_bands,)
-        Weights, divided by their sum in each band.
-    time_label : str
-        Name of the measured reverberation time, as `rtcal.acoustics.measurement.Measurement` has it.
+    ``measured`` are in s, (n_bands,) by parameter, NaN where missing; T20 (or T30 in its place) is
+    first. ``shares`` are the weights, divided by their sum in each band.
     """
 
     measured: Mapping[str, Array]
     shares: Mapping[str, Array]
-    time_label: str = TARGET.label
+    time_label: str = TARGET.label  # of the measured reverberation time
 
     def __post_init__(self) -> None:
         for name in ("measured", "shares"):
@@ -130,11 +124,8 @@ def matched_times(
 ) -> Matched:
     """Return what is matched for these weights; ``t20`` is the measured T in the room's bands.
 
-    Raises
-    ------
-    DataError
-        For a weight that is no number of at least 0, or of another parameter. Also if all
-        weights of a band are 0, or the measurement lacks a parameter that has a weight.
+    Raises DataError for a weight that is no number of at least 0, or of another parameter. Also if all
+    weights of a band are 0, or the measurement lacks a parameter that has a weight.
     """
     stated = {TARGET.key: 1.0} if weights is None else checks.mapped("weights", weights)
     for name in stated:
@@ -635,8 +626,8 @@ class Loop(Result):
 
         If any band needs another simulation, converged bands with a deviation above half their goal are
         moved too. That costs no simulation, and each band keeps its best step. A band without any T20
-        so far takes the equation's T for the prior. A target goes at most halfway towards one without
-        a T20.
+        so far takes the equation's T for the prior. A target goes at most halfway towards one without a
+        T20.
         """
         if not self.steps:
             return self.wanted.copy()
@@ -975,8 +966,8 @@ def start(
         confirmed if its deviation with another seed is within the tolerance plus the noise.
     weights : mapping of "t20" and "edt" to a number or one per band, optional
         A compromise of the mean T20 and the mean EDT: each band's target is moved until their weighted
-        geometric mean is the measured one. `Loop.compromise` states what each lost. By default
-        T20 alone is matched.
+        geometric mean is the measured one. `Loop.compromise` states what each lost. By default T20
+        alone is matched.
     run : Run, optional
         What the program gave already, at any coefficients. It is the first simulation of the loop, so
         that the next one is the first step: the equation's target scaled by its T over the program's
@@ -1279,15 +1270,8 @@ def record(
 ) -> Loop:
     """Return the loop after what was simulated, as read from the file ``table``.
 
-    Parameters
-    ----------
-    loop : Loop
-        As read from the file ``state``.
-    simulated : Measurement
-    table, state, out : str
-        Paths of the simulated table, the state and the room that was to be simulated.
-    again : bool
-        Whether to accept a table that is likely another one: see DataError.
+    ``loop`` was read from the file ``state``, and the room at ``out`` was to be simulated. ``again``
+    accepts a table that is likely another one.
 
     Raises
     ------
@@ -1407,18 +1391,10 @@ RULES: dict[str, Callable[[Array, Array, float, float, float], float]] = {
 def next_target(
     rule: str, targets: Array, times: Array, wanted: float, shortest: float, longest: float
 ) -> float:
-    """Return the next target T in s of a band, within the range of the equation.
+    """Return the next target T in s of a band, by a key of `RULES`, within the range of the equation.
 
-    Parameters
-    ----------
-    rule : str
-        A key of `RULES`.
-    targets, times : array (n_steps,)
-        Targets so far, and the simulated T for them, in s.
-    wanted : float
-        Measured T in s.
-    shortest, longest : float
-        Range of T in s that the equation can give.
+    ``targets`` so far, and the simulated ``times`` for them, are (n_steps,); ``shortest`` and
+    ``longest`` are the range.
     """
     rate = RULES[rule](1 / targets, 1 / times, 1 / wanted, 1 / longest, 1 / shortest)
     if rate <= 0:  # the secant rule has no valid target: keep the last one

@@ -1,7 +1,7 @@
 """What is measured at each position and how it may err, and how the simulator may.
 
-What a measurement states is taken. Where it states no uncertainty, two parts are assumed. In a band
-of bandwidth B a response is noise-like: the energy within dt scatters by 1 / sqrt(B dt), differently at
+What a measurement states is taken. Where it states no uncertainty, two parts are assumed. In a band of
+bandwidth B a response is noise-like: the energy within dt scatters by 1 / sqrt(B dt), differently at
 each pair, and every parameter follows. The second part is common to all pairs of a band: equipment and
 evaluation.
 
@@ -92,25 +92,14 @@ _BINS = 4000
 class MeasuredPairs:
     """Measured observations in the simulator's pairs and the room's bands.
 
-    Attributes
-    ----------
-    observations : Observations
-        NaN where missing or left out. A relative level has the mean of the simulated one over each
-        source's pairs, band by band: its own reference says nothing.
-    covariance : array (n_used, n_used)
-        Of the errors of the values that are there, in the order of ``values[used]``.
-    level : {"absolute", "relative", ""}
-        Whether G was measured, or levels that one source's positions share a reference of.
-    notes : tuple of str
-        What was left out, and why.
-    fingerprints : tuple of str
-        Names of the data, as a room's calibration keeps them: of all that was matched, and of the
-        mean T.
+    ``observations`` are NaN where missing or left out. A relative level has the mean of the simulated
+    one over each source's pairs, band by band: its own reference says nothing. ``fingerprints`` are the
+    names of the data, as a room's calibration keeps them: of all that was matched, and of the mean T.
     """
 
     observations: Observations
-    covariance: Array
-    level: str
+    covariance: Array  # of the errors of the values used, (n_used, n_used)
+    level: str  # "absolute" of G, "relative" of one reference for a source's positions, or ""
     notes: tuple[str, ...]
     fingerprints: tuple[str, ...]
 
@@ -252,9 +241,7 @@ def pairs_to_match(
 def without_place(measured: Measurement, pairs: Sequence[Pair]) -> list[str]:
     """Return a note of the measured pairs that the simulator lacks; none without any."""
     unknown = [p for p in measured.pairs if p not in pairs]
-    if not unknown:
-        return []
-    return [f"Left out, since the simulator has no such pair: {_names(unknown)}."]
+    return [f"Left out, since the simulator has no such pair: {_names(unknown)}."] * bool(unknown)
 
 
 def refuse_unknown(exclude: Sequence[Pair], measured: Measurement) -> None:
@@ -458,21 +445,12 @@ _REACH = 2.0
 class BeyondPrior:
     """A measured T that the stated coefficients, within their sigma, do not explain.
 
-    Attributes
-    ----------
-    parameter : str
-        Which T: that which was matched.
-    frequency : float
-        Band in Hz in which it is farthest.
-    measured, simulated, reached : float
-        Means over the pairs in s: measured, simulated with the stated coefficients, and with all of
-        them two sigma towards what was measured.
-    stated, needed : float
-        Mean coefficient over the areas, as stated, and with the absorption that gives the measured T.
-    z : float
-        The difference over its standard deviation.
-    bands, of_bands : int
-        Bands that are as far, and bands with a measured T.
+    ``parameter`` says which T, and ``frequency`` in Hz the band in which it is farthest. ``measured``,
+    ``simulated`` and ``reached`` are means over the pairs in s: measured, simulated with the stated
+    coefficients, and with all of them two sigma towards what was measured. ``stated`` and ``needed``
+    are the mean coefficient over the areas, as stated, and with the absorption that gives the measured
+    T. ``z`` is the difference over its standard deviation. ``bands`` of ``of_bands`` with a T are as
+    far.
     """
 
     parameter: str
@@ -512,16 +490,8 @@ def beyond_prior(model: Any, room: Room, prior: Array, error: Array) -> BeyondPr
 
     T20 or T30 is judged, else EDT. Absorption is inverse to T, so that T itself says how much more is
     needed, also where the derivatives at the stated coefficients do not reach so far. They say how
-    uncertain the stated absorption is.
-
-    Parameters
-    ----------
-    model : rtcal.loop.positions.PairsModel
-    room : Room
-        With the stated coefficients.
-    prior : array (n_unknowns, n_unknowns)
-    error : array (n, n)
-        Covariance of the simulator's error, of all values.
+    uncertain the stated absorption is. ``model`` is a `rtcal.loop.positions.PairsModel`; ``prior``
+    (n_unknowns, n_unknowns) and ``error`` (n, n), of the simulator at all values, are covariances.
     """
     data, parameters = model.data, model.data.observations.parameters
     known = [o.key for o in (*REVERBERATION, EARLY) if o.key in parameters]
@@ -579,14 +549,9 @@ def means(measurement: Measurement) -> dict[str, Array]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Compared:
-    """Parameters at positions, matched or not: measured, before and after.
+    """Parameters at positions, matched or not: measured, before and after, of the same pairs.
 
-    Attributes
-    ----------
-    measured, before, after : Observations
-        Of the same parameters and pairs.
-    relative : bool
-        Whether the measured level has a reference of its own.
+    ``relative`` says that the measured level has a reference of its own.
     """
 
     measured: Observations
@@ -850,18 +815,14 @@ def simulated_controls(
 
     Parameters
     ----------
-    simulator : Simulator
-    room : Room
-        Alpha is drawn from its prior.
-    match : sequence of str
+    simulator, room, match
+        Alpha is drawn from the prior of ``room``.
     seed : int
         Of the paths. What is not known is drawn alike for every seed.
     position_uncertainty : float
         Root mean square distance of sources and receivers from where they are stated, in m.
     cache : path, optional
         Folder in which the errors are kept, by a hash of everything they depend on.
-    progress : callable, optional
-        Called with the number of finished runs and their total.
     after : sequence of (names, callable)
         Further states of the room, simulated in the same runs: the values there stand behind
         ``match``, by these names. Nothing is kept in the ``cache`` then.
@@ -880,7 +841,15 @@ def simulated_controls(
         simulator = base
     path = None
     if cache is not None and not after:
-        key = _key(base, simulator, room, match, seed, uncertainty, n_paths)
+        settings = {
+            name: value
+            for name, value in vars(simulator).items()
+            if isinstance(value, (int, float, str, bool, type(None)))
+        }
+        tables = (room.alpha, room.sigma, room.centre_frequencies)
+        of_room = [*(each.tolist() for each in tables), room.air and asdict(room.air)]
+        numbers = [seed, uncertainty, RUNS, n_paths, room.band_correlation]
+        key = key_of(base, simulator.name, settings, of_room, list(match), numbers)
         path = checks.path("cache", cache) / f"{key}.array"
     # What is not known is drawn alike for every seed, as the nodes of a quadrature: the paths alone
     # depend on the seed.
@@ -1040,27 +1009,6 @@ def _moved(
     return point
 
 
-def _key(
-    base: PathTracing,
-    simulator: Simulator,
-    room: Room,
-    match: Sequence[str],
-    seed: int,
-    uncertainty: float,
-    n_paths: int,
-) -> str:
-    """Return a hash of all that the errors depend on."""
-    settings = {
-        name: value
-        for name, value in vars(simulator).items()
-        if isinstance(value, (int, float, str, bool, type(None)))
-    }
-    tables = (room.alpha, room.sigma, room.centre_frequencies)
-    of_room = [*(each.tolist() for each in tables), room.air and asdict(room.air)]
-    numbers = [seed, uncertainty, RUNS, n_paths, room.band_correlation]
-    return key_of(base, simulator.name, settings, of_room, list(match), numbers)
-
-
 def key_of(tracer: PathTracing, *content: object) -> str:
     """Return a hash of a tracing's geometry, positions and scattering, and of further content."""
     geometry, points = tracer.geometry, {**tracer.sources, **tracer.receivers}
@@ -1106,17 +1054,10 @@ _FREEDOM = 4
 class Scattering:
     """Scattering of a tracer, fitted with alpha. It is no measurement of the room's.
 
-    Attributes
-    ----------
-    model : {"random", "vector"}
-        Meaning of the coefficients; see `rtcal.simulators.path_tracing.ScatteringModel`.
-    coefficients : array (n_materials, n_bands)
-    sigma : array (n_materials, n_bands)
-        Their posterior standard deviations, linear in the log odds; 0 where they are 0 or 1.
-    mean : float
-        Mean coefficient over the surfaces, by area.
-    limited : tuple of int
-        Numbers of the materials whose coefficients moved as far as they may.
+    ``model`` is the meaning of the ``coefficients`` (n_materials, n_bands), see
+    `rtcal.simulators.path_tracing.ScatteringModel`. ``sigma`` are their posterior standard deviations,
+    linear in the log odds, 0 where they are 0 or 1; ``mean`` is over the surfaces, by area; ``limited``
+    are the numbers of the materials whose coefficients moved as far as they may.
     """
 
     model: ScatteringModel
@@ -1151,14 +1092,9 @@ class Scattering:
 class MaterialScattering:
     """Sensitivity of every value to the scattering of each material, around the traced one.
 
-    Attributes
-    ----------
-    slope : array (n, n_materials)
-        Derivatives of all values, n = parameters x pairs x bands, by the log odds.
-    traced : array (n_materials,)
-        Change of the log odds, from those stated to those traced.
-    model : {"random", "vector"}
-        With which they were traced.
+    ``slope`` (n, n_materials) has the derivatives of all values, n = parameters x pairs x bands, by the
+    log odds; ``traced`` (n_materials,) the change of these from those stated to those traced, under
+    ``model``.
     """
 
     slope: Array
@@ -1249,16 +1185,11 @@ def fitted(tracer: PathTracing, log_odds: Array, posterior: Array) -> Scattering
 class ErrorsByScattering:
     """The simulator's errors as reference simulations tell them, by level and model of scattering.
 
-    Attributes
-    ----------
-    coefficients : array (3, n_parameters, n_pairs, n_bands)
-        Of `basis`: straight lines over the level.
-    spread : array (3, 3)
-        Their covariance over the variance of what is left.
-    power : array (n_parameters,)
-        Of the level that the variance of what is left is proportional to, which is 1 at ``middle``.
-    left, of_coefficients : array (n, n)
-        Covariance of what is left of all values, and of that of which the coefficients are uncertain.
+    ``coefficients`` (3, n_parameters, n_pairs, n_bands) of `basis` are straight lines over the level,
+    and ``spread`` (3, 3) their covariance over the variance of what is left. That variance is
+    proportional to the level to the ``power`` (n_parameters,), and is 1 at ``middle``. ``left`` and
+    ``of_coefficients`` (n, n) are the covariance of what is left of all values, and of that of which
+    the coefficients are uncertain.
     """
 
     coefficients: Array

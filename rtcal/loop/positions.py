@@ -100,13 +100,12 @@ def simulator_error(
     groups: Array | None,
     fit_scattering: bool,
 ) -> tuple[Array, ErrorsByScattering | None]:
-    """Return the covariance of the simulator's error, and its errors by scattering.
+    """Return the covariance of the simulator's error, (n, n), and its errors by scattering.
 
-    The covariance is (n, n) with n all values: measured parameters at all pairs of the simulator.
-    ``groups`` (n_groups, n_parameters, n_pairs, n_bands) are the values of groups of paths, None
-    without paths. The second is None where the scattering stated is kept, as by every simulator but a
-    `PathTracing` with the model "random". Only its paths tell what scattering does. Coefficients of 0
-    and 1 are kept, too.
+    n is all values: measured parameters at all pairs of the simulator. ``groups`` (n_groups,
+    n_parameters, n_pairs, n_bands) are the values of groups of paths, None without paths. The second is
+    None where the scattering stated is kept, as by every simulator but a `PathTracing` with the model
+    "random": only its paths tell what scattering does. Coefficients of 0 and 1 are kept, too.
     """
     parameters = model.data.observations.parameters
     if controls is None:
@@ -127,30 +126,16 @@ _MOST_UNEXPLAINED = 100.0
 def unexplained_errors(
     innovation: Array, expected: Array, unit: Array, parameter: NDArray[np.int64]
 ) -> Array:
-    """Return each parameter's unexplained error in JND under which what was measured is likeliest.
+    """Return each parameter's unexplained error in JND with which the data are likeliest.
 
     The error differs from value to value: reference simulations vary what all pairs have in common, but
     no furniture and no directivity that a pair alone meets. A common factor of the simulator's error
     would also explain a T that is off at every pair, so that T would not be fitted.
 
-    Parameters
-    ----------
-    innovation : array (n,)
-        What was measured less what the simulator gives with the prior.
-    expected : array (n, n)
-        Its covariance without the unexplained errors.
-    unit : array (n,)
-        One JND of each value.
-    parameter : int array (n,)
-        Number of each value's parameter.
-
-    Returns
-    -------
-    array (n_parameters,)
-
-    References
-    ----------
-    Variance components by maximum likelihood (Harville 1977, JASA 72, 320-338).
+    ``innovation`` (n,) is what was measured less what the simulator gives with the prior, ``expected``
+    (n, n) its covariance without the unexplained errors, ``unit`` (n,) one JND of each value and
+    ``parameter`` (n,) the number of its parameter. Variance components by maximum likelihood (Harville
+    1977, JASA 72, 320-338).
     """
     from scipy.optimize import minimize
 
@@ -212,19 +197,9 @@ rooms they were traced three times with 2.0 alone."""
 class PairsModel:
     """A simulator's values at the measured pairs and their derivatives, for any alpha.
 
-    Nothing is simulated twice.
-
-    Attributes
-    ----------
-    simulator : Simulator
-    data : MeasuredPairs
-    seed : int
-    used : int array (n_used,)
-        Which of the values were measured, counted over the measured parameters at all pairs.
-    of_level : bool array (n_used,)
-        Which of them are levels.
-    calls : int
-        Number of simulations and derivatives.
+    Nothing is simulated twice: ``calls`` is the number of simulations and derivatives. ``used``
+    (n_used,) are the places of the values used among the measured parameters at all pairs,
+    ``of_level`` (n_used,) says which of them are levels.
     """
 
     def __init__(
@@ -295,25 +270,14 @@ class PairsModel:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A point of a fit: the model there and its errors, as an `Observation`.
+    """A point of a fit: the model there, and its errors, as an `Observation`.
 
-    Attributes
-    ----------
-    model : PairsModel
-        With the scattering traced.
-    alpha : array (n_materials, n_bands)
-    materials : MaterialScattering
-        What the scattering does there; of no materials where the one stated is kept.
-    error : array (n, n)
-        Covariance of the simulator's error at all values, with that of an unknown scattering.
-    unexplained : array (n_parameters,)
-        Standard deviation in JND by which each value differs beyond the other errors.
-    covariance : array (n_used, n_used)
-        Of measurement, room, simulator and what is unexplained, of the values used.
-    path : GaussNewtonFit or None
-        The last steps, and None before the first.
-    refused : bool
-        Whether no step led nearer, so that the start is returned.
+    ``materials`` is what the scattering does there, of no materials where the one stated is kept.
+    ``error`` (n, n) is the covariance of the simulator's error at all values, with that of an unknown
+    scattering; ``unexplained`` (n_parameters,) the standard deviation in JND by which each value
+    differs beyond the other errors; ``covariance`` (n_used, n_used) that of measurement, room,
+    simulator and what is unexplained. ``path`` has the last steps, None before the first. ``refused``
+    says that no step led nearer, so that the start is returned.
     """
 
     model: PairsModel
@@ -370,29 +334,14 @@ class Fitted:
 class PositionsFit:
     """A fit of alpha, and of the scattering of a `PathTracing`, to the values at every position.
 
+    It starts at the coefficients of ``room``. ``calibration`` has the prior, further terms and
+    constraints; T of ``measured`` enters where its own terms match it. ``error`` (n, n) is the
+    covariance of the simulator's error with the scattering kept; ``by_scattering`` has the errors by
+    scattering, where it is fitted.
+
     No step is taken unless the simulator itself shows that the objective falls, and that the gap over
     all that is matched stays below that of the start. The errors belong to where the steps ended: the
     unexplained ones (`unexplained_errors`) are found there, and further steps are taken from there.
-
-    Parameters
-    ----------
-    model : PairsModel
-    room : Room
-        The fit starts at its coefficients.
-    calibration : Calibration, optional
-        Prior, further terms and constraints.
-    measured : Measurement
-        Its T enters where the calibration's own terms match it.
-    prior : array (n_materials * n_bands, n_materials * n_bands)
-    error : array (n, n)
-        Covariance of the simulator's error, with the scattering kept.
-    by_scattering : ErrorsByScattering or None
-        The errors by scattering, where it is fitted.
-
-    Attributes
-    ----------
-    calls : int
-        Number of simulations and derivatives.
     """
 
     def __init__(

@@ -165,11 +165,14 @@ class PositionsPrediction(Result):
         before = self.before_change(parameter)
         return (self.at_pairs(parameter) - before) / observable(parameter).jnd_of(before)
 
-    def half_width(self, parameter: str) -> Array:
-        """Return half of the 90 % interval in JND of the value after, (n_pairs + 1, n_bands)."""
-        return self._half_in_jnd(parameter, self.low, self.high)
+    def half_width(
+        self, parameter: str, low: Array | None = None, high: Array | None = None
+    ) -> Array:
+        """Return half of the 90 % interval in JND of the value after, (n_pairs + 1, n_bands).
 
-    def _half_in_jnd(self, parameter: str, low: Array, high: Array) -> Array:
+        Of other ends, as observed, where they are given.
+        """
+        low, high = (own if of is None else of for of, own in ((low, self.low), (high, self.high)))
         one = np.asarray(observable(parameter).jnd_of(self.at_pairs(parameter)))
         ends = self._natural(parameter, high) - self._natural(parameter, low)
         return np.asarray(ends / (2 * one))
@@ -184,7 +187,7 @@ class PositionsPrediction(Result):
     def sentences(self) -> list[str]:
         """The parts of the first parameter's interval, and what to measure next."""
         first, half = self.parameters[0], Z * self.uncalibrated_sigma
-        without = self._half_in_jnd(first, self.middle - half, self.middle + half)[-1]
+        without = self.half_width(first, self.middle - half, self.middle + half)[-1]
         return [
             words.gained(without, self.half_width(first)[-1]),
             words.to_narrow(self.parts(first), 1),
@@ -286,21 +289,11 @@ that it takes of what was each of the room's materials, (n_before,)."""
 class ChangedRoom:
     """A room after changes, and which materials its walls then have.
 
-    Raises DataError for a change that a simulator does not know the place of.
+    ``materials`` (n_materials,) are the room's and then the new ones, whose rows in the changed room
+    are ``new``. ``mixture`` (n_before, n_materials) is the share of each in what was each of the
+    room's, and ``moves`` are the partial covers. Both rooms have the prior's coefficients.
 
-    Attributes
-    ----------
-    before, after : Room
-        With the prior's coefficients.
-    changes : tuple of Change
-    new : list of int
-        Rows of the new materials in the changed room.
-    materials : tuple of str (n_materials,)
-        The room's materials, and then the new ones.
-    mixture : array (n_before, n_materials)
-        Share of each material in what was each of the room's.
-    moves : list of Move
-        The partial covers.
+    Raises DataError for a change that a simulator does not know the place of.
     """
 
     def __init__(self, before: Room, changes: Sequence[Change]) -> None:
@@ -347,48 +340,27 @@ class ChangedRoom:
 class State:
     """A state of the room: the calibrated simulator's values there, and how they depend on the unknown.
 
-    Rows are values: ``match`` x pairs x bands.
-
-    Parameters
-    ----------
-    result : PositionsResult
-    room : ChangedRoom
-        Without changes it is the state that was measured.
-    match : sequence of str
-
-    Attributes
-    ----------
-    alpha : array (n_materials, n_bands)
-        The calibrated coefficients, and those stated of the new materials.
-    walls : array (n_before, n_bands)
-        Coefficients of what was each of the room's materials.
-    values : Observations
-    by_wall : array (n_parameters, n_pairs, n_bands, n_before)
-        Derivatives of all rows by the coefficients of the walls.
-    by_alpha : array (rows, n_materials * n_bands)
-        Those by alpha of all materials.
-    by_room : array (n_errors, rows)
-        Change of all rows by errors of volume, areas and climate.
-    groups : array (n_groups, n_parameters, n_pairs, n_bands) or None
-        The values of groups of paths; None without paths.
-    by_scattering : array (rows, n_materials) or None
-        Derivatives of all rows by each material's scattering; None where it was not fitted.
+    Rows are values: ``match`` x pairs x bands. Without changes it is the state that was measured.
     """
 
     def __init__(self, result: Any, room: ChangedRoom, match: Sequence[str]) -> None:
         self.room, self.match, self.seed = room, tuple(match), result.seed
         self.simulator = room.simulator(result.weighed)
+        # Calibrated, and as stated of the new materials, (n_materials, n_bands).
         self.alpha = np.vstack([result.alpha, room.after.alpha[room.new]])
-        self.walls = room.walls(self.alpha)
+        self.walls = room.walls(self.alpha)  # of what was each of the room's, (n_before, n_bands)
         self.values = self.simulated(self.alpha)
+        # By the walls' alpha, (n_parameters, n_pairs, n_bands, n_before), and by that of all materials,
+        # (rows, n_materials * n_bands).
         self.by_wall = jacobian(self.simulator, self.walls, match, seed=self.seed)
         self.by_alpha = by_band(np.einsum("pikm,me->pike", self.by_wall, room.mixture))
         there = room.before.replace(alpha=np.clip(self.walls, 0, 1), calibration=None)
         levels = of_level(match, *self.by_wall.shape[1:3])
+        # By errors of volume, areas and climate, (n_errors, rows).
         self.by_room = value_changes(there, by_band(self.by_wall), levels)
         able = complete(self.simulator)
         self.groups = able.observe_in_groups(self.walls, GROUPS, match, seed=self.seed)
-        self.by_scattering = None
+        self.by_scattering = None  # by each material's, (rows, n_materials), where it was fitted
         if result.scattering is not None:
             random = replace(self.simulator, scattering_model="random")
             of_materials = material_scattering(random, self.walls, match, self.seed)

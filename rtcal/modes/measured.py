@@ -385,16 +385,10 @@ class Matches:
 def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches:
     """Match measured modes to calculated ones.
 
-    Parameters
-    ----------
-    measured : MeasuredModes
-    frequencies, decays : array (n_calculated,)
-        Hz and 1/s.
+    Their frequencies in Hz and decays in 1/s are (n_calculated,).
 
-    Raises
-    ------
-    DataError
-        For no more matches than random frequencies have, or a common factor at the end of its range.
+    Raises DataError for no more matches than random frequencies have, or a common factor at the end of
+    its range.
     """
     from scipy.special import bdtrc
 

@@ -213,23 +213,14 @@ class RoomModes:
 class Poles:
     """Poles of a room with absorbing walls.
 
-    Attributes
-    ----------
-    values : complex array (n_poles,)
-        -delta + j omega, in 1/s.
-    mixtures : complex array (n_modes, n_poles)
-        Of rigid-wall modes.
-    slopes : complex array (n_poles, n_walls)
-        Derivative of each pole by each wall's specific admittance, in 1/s.
-    norms : complex array (n_poles,)
-        x' (2 s + c sum_i beta_i B_i) x of each mixture x: a source and a receiver at which the mixtures
-        have the values a and b excite and hear the pole with a b / norm.
+    A source and a receiver at which the mixtures have the values a and b excite and hear a pole with
+    a b / norm; its norm is x' (2 s + c sum_i beta_i B_i) x of its mixture x.
     """
 
-    values: Complex
-    mixtures: Complex
-    slopes: Complex
-    norms: Complex
+    values: Complex  # (n_poles,), -delta + j omega in 1/s
+    mixtures: Complex  # (n_modes, n_poles), of rigid-wall modes
+    slopes: Complex  # (n_poles, n_walls), by each wall's specific admittance, in 1/s
+    norms: Complex  # (n_poles,)
 
     @property
     def frequencies(self) -> Array:

@@ -87,45 +87,23 @@ class MeasuredState:
 class KnownRoom:
     """A room as it is known before it is changed; a calibration gives it.
 
-    Attributes
-    ----------
-    room : Room
-        With the stated coefficients.
-    equation : LinearEquation
-    materials : tuple of str (n_materials,)
-        Those of the room, and of other measured states.
-    alpha : array (n_materials, n_bands)
-        The calibrated coefficients.
-    quantiles : array (n_materials, n_bands, n_levels)
-        Of each coefficient, at the probabilities of the normal values `NORMAL`.
-    correlation : array (n_bands, n_materials, n_materials)
-        Of the coefficients.
-    time : array (n_bands,)
-        T before in s.
-    measured : array (n_bands,) of bool
-        Where it is, or was calibrated to, a measured T.
-    exact : bool
-        Whether T before is the measured one there, and not the model's.
-    log_uncertainty : array (n_bands,)
-        Standard uncertainty of ln of the measured T; NaN where none is stated, or T is missing.
-    others : tuple of MeasuredState
-        Further measured states.
-    doubts : tuple of TrustMark
-        Those of the input, such as likely typing errors; see `rtcal.acoustics.marks.of_input`.
+    ``materials`` are those of the room, and of other measured states.
     """
 
-    room: Room
+    room: Room  # with the stated coefficients
     equation: LinearEquation
     materials: tuple[str, ...]
-    alpha: Array
-    quantiles: Array
-    correlation: Array
-    time: Array
-    measured: Flags
-    exact: bool
-    log_uncertainty: Array
-    others: tuple[MeasuredState, ...] = ()
-    doubts: tuple[TrustMark, ...] = ()
+    alpha: Array  # the calibrated coefficients, (n_materials, n_bands)
+    quantiles: Array  # of each, at the probabilities of `NORMAL`, (n_materials, n_bands, n_levels)
+    correlation: Array  # of the coefficients, (n_bands, n_materials, n_materials)
+    time: Array  # T before in s, (n_bands,)
+    measured: Flags  # where it is, or was calibrated to, a measured T, (n_bands,)
+    exact: bool  # whether T before is the measured one there, and not the model's
+    log_uncertainty: (
+        Array  # standard one of ln of the measured T, (n_bands,); NaN if none is stated
+    )
+    others: tuple[MeasuredState, ...] = ()  # further measured states
+    doubts: tuple[TrustMark, ...] = ()  # those of the input, of `rtcal.acoustics.marks.of_input`
 
     @property
     def n_measured(self) -> int:
@@ -215,13 +193,7 @@ class Unknowns:
 class TimeChange:
     """T of a state of a room over T before, in draws of what is not known.
 
-    Attributes
-    ----------
-    known : KnownRoom
-        What is known of the room before the change.
-    state : Placed
-        The other state, and which way its materials face; `rtcal.acoustics.changes.placed` makes it.
-    assumptions : Assumptions
+    `rtcal.acoustics.changes.placed` makes the other state, and says which way its materials face.
     """
 
     known: KnownRoom
@@ -471,14 +443,8 @@ class TimeChange:
         """Return 0, and what Arau-Puchades' and Fitzroy's equations add to ln T, (3, n_bands, n_draws).
 
         Each axis has the T of the calibration's equation; with Eyring's they are those of
-        `ArauPuchades` and `Fitzroy`.
-
-        Parameters
-        ----------
-        areas : array (n_axes,)
-        absorbed : array (n_bands, n_axes, n_draws)
-            Absorption area of the walls of each axis.
-        air : array (n_bands, n_draws)
+        `ArauPuchades` and `Fitzroy`. ``absorbed`` (n_bands, n_axes, n_draws) is the absorption area of
+        the walls of each axis, whose areas are (n_axes,); ``air`` is (n_bands, n_draws).
         """
         total = areas.sum()
         share = areas / total
@@ -674,16 +640,10 @@ def _area_errors(rooms: Sequence[Room], names: Sequence[str], assumptions: Assum
 
 
 def probability_within(samples: Array, low: Array, high: Array) -> Array:
-    """Return the probability that draws are from ``low`` to ``high``, (n_bands,) each.
+    """Return the probability that draws (n_bands, n_draws) are from ``low`` to ``high``, (n_bands,).
 
-    A normal kernel of a tenth of the draws' standard deviation makes the probability smooth in what the
-    draws depend on. It widens them by 0.5 %.
-
-    Parameters
-    ----------
-    samples : array (n_bands, n_draws)
-    low, high : array (n_bands,)
-        NaN leaves an end open.
+    NaN leaves an end open. A normal kernel of a tenth of the draws' standard deviation makes the
+    probability smooth in what the draws depend on. It widens them by 0.5 %.
     """
     width = np.maximum(_KERNEL * samples.std(axis=1, keepdims=True), 1e-12)
     below = ndtr((np.where(np.isnan(high), np.inf, high)[:, np.newaxis] - samples) / width)

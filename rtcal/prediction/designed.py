@@ -7,8 +7,8 @@ z_k is the margin of a band, ndtri(P_k(x)) - ndtri(p), of the probability P_k th
 Where p is well above one half, the areas that keep the margins are a convex set, but for a little. Then
 the method of supporting planes finds the cheapest (Veinott 1967; with whole numbers Kronqvist, Lundell
 & Westerlund 2016): the linear program's answer that misses a margin is joined to areas that keep all of
-them, and the plane that touches the margin where the line crosses it is added. Each linear program is
-a relaxation, so its first answer that keeps all margins is the cheapest.
+them, and the plane that touches the margin where the line crosses it is added. Each linear program is a
+relaxation, so its first answer that keeps all margins is the cheapest.
 """
 
 from __future__ import annotations
@@ -64,29 +64,13 @@ _SPARE = 0.005
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Areas that may be placed, and the ranges that they must keep.
+    """Areas that may be placed, and the ranges that they must keep; (n_treatments,) each."""
 
-    Attributes
-    ----------
-    cost : array (n_treatments,)
-        Per m².
-    largest : array (n_treatments,)
-        m².
-    unit : array (n_treatments,)
-        m² of one panel, NaN where any area may be had.
-    covers : array (n_surfaces, n_treatments)
-        1 where a treatment covers a surface, else 0.
-    surfaces : array (n_surfaces,)
-        Their areas in m².
-    margins : callable
-        Margins (n_margins,) of areas in m² (n_treatments,); 0 or more keeps them.
-    """
-
-    cost: Array
-    largest: Array
-    unit: Array
-    covers: Array
-    surfaces: Array
+    cost: Array  # per m²
+    largest: Array  # m²
+    unit: Array  # m² of one panel, NaN where any area may be had
+    covers: Array  # 1 where a treatment covers a surface, else 0, (n_surfaces, n_treatments)
+    surfaces: Array  # their areas in m², (n_surfaces,)
     margins: Margins
 
     @cached_property

@@ -150,12 +150,8 @@ def complete(simulator: Simulator) -> RoomSimulator:
 def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
     """Return a read-only copy of alpha for a simulator or a room.
 
-    The copy protects the caller's coefficients from a simulator that changes alpha in place.
-
-    Raises
-    ------
-    DataError
-        If alpha is not (n_materials, n_bands), or a coefficient is not in [0, 1].
+    The copy protects the caller's coefficients from a simulator that changes alpha in place. Raises
+    DataError if alpha is not (n_materials, n_bands), or a coefficient is not in [0, 1].
     """
     materials, frequencies = of.materials, of.centre_frequencies
     ordered = in_order("alpha", alpha, materials)
@@ -274,24 +270,15 @@ rounding, and its curvature adds less than 1 % to the slope."""
 class Observations:
     """Parameters by pair and band, in units in which they are nearly linear in alpha.
 
-    Attributes
-    ----------
-    parameters : tuple of str (n_parameters,)
-        Keys of `rtcal.acoustics.observables.OBSERVABLES`. Decay times and Ts are logarithms.
-    pairs : tuple of (source, receiver) (n_pairs,)
-    centre_frequencies : array (n_bands,)
-        Hz.
-    values : array (n_parameters, n_pairs, n_bands)
-        NaN where missing.
-    direct : array (n_pairs, n_bands), optional
-        Share of the direct sound in the energy, where it is simulated.
+    ``parameters`` are keys of `rtcal.acoustics.observables.OBSERVABLES`; decay times and Ts are
+    logarithms.
     """
 
     parameters: tuple[str, ...]
-    pairs: tuple[tuple[str, str], ...]
-    centre_frequencies: Array
-    values: Array
-    direct: Array | None = None
+    pairs: tuple[tuple[str, str], ...]  # source and receiver
+    centre_frequencies: Array  # Hz
+    values: Array  # (n_parameters, n_pairs, n_bands), NaN where missing
+    direct: Array | None = None  # share of the direct sound in the energy, (n_pairs, n_bands)
 
     def __post_init__(self) -> None:
         put, place = partial(object.__setattr__, self), "Observations: "
@@ -340,15 +327,9 @@ class Observations:
     def of_measurement(
         cls, measurement: Measurement, parameters: Sequence[str], pairs: Sequence[tuple[str, str]]
     ) -> Observations:
-        """Return the observations of measured or simulated values, NaN where missing.
+        """Return the observations of measured or simulated values, NaN where one is missing.
 
-        Parameters
-        ----------
-        measurement : Measurement
-        parameters : sequence of str
-            The level is ``"level"``, or else ``"g"``.
-        pairs : sequence of (source, receiver)
-            NaN where the measurement lacks a pair.
+        The level is ``"level"``, or else ``"g"``.
         """
         checks.instance("measurement", measurement, Measurement)
         parameters = checks.texts("parameters", parameters)
@@ -480,14 +461,8 @@ def of_decays(
     """Return the observations of energy decays, (n_pairs, n_bands, n_bins) in 1/m².
 
     The level is that of a source of unit energy, relative to 10 m in the free field: G. ``cause`` is
-    why a decay may lack a parameter.
-
-    Raises
-    ------
-    TooShortError
-        If a decay is cut off before it holds a decay time.
-    DataError
-        If a decay lacks a parameter.
+    why a decay may lack a parameter: TooShortError if it is cut off before it holds a decay time,
+    DataError if it lacks another.
     """
     energy = checked_decay(energy, bin_width)
     return Observations(

@@ -5,9 +5,9 @@ sequence of faces it hits and receivers that hear it. A receiver hears the energ
 
     E = w product over hits (1 - alpha) exp(-m L),
 
-where L is the length travelled, m the attenuation of air, and w the path's share of the source
-energy per cross-section of the receiver. The same paths give E for every alpha, band and air. A path
-that hit material j n times has dE / d alpha_j = -n E / (1 - alpha_j), so they give the derivatives too.
+where L is the length travelled, m the attenuation of air, and w the path's share of the source energy
+per cross-section of the receiver. The same paths give E for every alpha, band and air. A path that hit
+material j n times has dE / d alpha_j = -n E / (1 - alpha_j), so they give the derivatives too.
 
 `Tracer` is the base of both tracers: geometry, sources and scattering in, energy decays with their
 noise out.
@@ -396,40 +396,22 @@ class Paths:
     (n_materials, n_bands) of 0 to 1, ``air_attenuation``, (n_bands,) in 1/m, and bins of ``bin_length``
     in m: the speed of sound times the width in s. The first bin starts with the first sound, and there
     are as many as every pair fills. Energy is per area, in 1/m², for a source of unit energy: the
-    direct sound is 1/(4 pi r²).
-
-    Attributes
-    ----------
-    batches : tuple of tuples of Batch
-        By source and batch. Batches are independent, so their spread gives the standard error.
-    materials : int array (n_faces,)
-        Number of each face's material.
-    scattering : array (n_materials,)
-    scattering_model : "random" or "vector"
-    n_materials, n_paths : int
-        ``n_paths`` per source, with those that were lost.
-    longest : float
-        Length in m to which every path is followed.
-    direct, direct_gain : array (n_sources, n_receivers)
-        Length of the direct sound in m, NaN where a wall hides the source; its energy over that of an
-        omnidirectional source.
-    first : array (n_sources, n_receivers)
-        Length of the first sound in m: the direct sound, else the first path heard.
-    workers : int or None
-        Number of threads that weigh them; None for that of the processors.
+    direct sound is 1/(4 pi r²). The spread of the batches gives the standard error.
     """
 
-    batches: tuple[tuple[Batch, ...], ...]
-    materials: NDArray[np.int64]
-    scattering: Array
+    batches: tuple[tuple[Batch, ...], ...]  # by source
+    materials: NDArray[np.int64]  # number of each face's material, (n_faces,)
+    scattering: Array  # (n_materials,)
     scattering_model: ScatteringModel
     n_materials: int
-    n_paths: int
-    longest: float
-    direct: Array
-    direct_gain: Array
-    first: Array
-    workers: int | None = None
+    n_paths: int  # per source, with those that were lost
+    longest: float  # length in m to which every path is followed
+    direct: (
+        Array  # length of the direct sound in m, (n_sources, n_receivers), NaN where it is hidden
+    )
+    direct_gain: Array  # its energy over an omnidirectional source's
+    first: Array  # length of the first sound in m: the direct sound, else the first path heard
+    workers: int | None = None  # threads that weigh them; None for the number of processors
 
     def __post_init__(self) -> None:
         # The paths do not depend on alpha, so every simulation reads the same arrays.
@@ -439,12 +421,8 @@ class Paths:
     def aimed(self, lobes: Mapping[int, Directivity], to_receivers: Array) -> Paths:
         """Return the same paths from sources that are not omnidirectional.
 
-        Parameters
-        ----------
-        lobes : mapping of int to Directivity
-            By a source's number, of one band.
-        to_receivers : array (n_sources, n_receivers, 3)
-            Direction of the direct sound.
+        ``lobes`` are by a source's number, of one band each; ``to_receivers`` (n_sources, n_receivers,
+        3) is the direction of the direct sound.
         """
         batches, direct_gain = list(self.batches), self.direct_gain.copy()
         for s, lobe in lobes.items():
@@ -526,24 +504,14 @@ class Paths:
     ) -> tuple[Array, Array]:
         """Return the energies of one source, and their derivatives, in one sweep of its paths.
 
-        Without a ``number`` they are those by alpha, which is nowhere 1. With it, they are those by the
-        scattering of each material, of as many independent groups of the batches, which it divides.
-        A path that material j scattered d times and reflected r times without scattering has a
+        The energy (n_receivers, n_bands, n_bins) is the mean over the batches. The derivatives are
+        (number, n_receivers, n_bins, n_materials, n_bands), without the materials beyond the last that
+        a face has. Without a ``number`` they are those by alpha, which is nowhere 1. With it, they are
+        those by the scattering of each material, of as many independent groups of the batches, which it
+        divides. A path that material j scattered d times and reflected r times without scattering has a
         probability proportional to s^d (1 - s)^r. So its energy counts with (1 - s) d - s r in the
-        derivative by the log odds ln(s / (1 - s)) (Glynn 1990, likelihood ratios). It is 0 where s is
-        0 or 1.
-
-        Returns
-        -------
-        energy : array (n_receivers, n_bands, n_bins)
-            Mean over the batches.
-        gradient : array (number, n_receivers, n_bins, n_materials, n_bands)
-            Without the materials beyond the last that a face has.
-
-        Raises
-        ------
-        DataError
-            For a ``number``, if the paths were traced with another scattering model than "random".
+        derivative by the log odds ln(s / (1 - s)) (Glynn 1990, likelihood ratios). It is 0 where s is 0
+        or 1. DataError for a ``number`` if the paths have another scattering model than "random".
         """
         from rtcal.simulators import kernels
 
@@ -587,23 +555,13 @@ class Paths:
     ) -> Array:
         """Return the energy with each group of materials changed, in one sweep of the paths.
 
+        (n_groups, n_changes, n_sources, n_receivers, n_bands, n_bins), the mean over the batches.
+        ``groups`` (n_groups, n_materials) says which materials a group holds, ``changed`` (n_changes,
+        n_materials, n_bands) is alpha of a material whose group is changed; no alpha is 1.
+
         A path whose group's materials all change alike is worth its energy times a factor to the power
         of its hits on them. So the sweep sums energies by hits, for any number of changes. A group
         whose materials change differently is weighed anew for each change.
-
-        Parameters
-        ----------
-        alpha, air_attenuation, bin_length
-            As for `Paths`; no alpha is 1.
-        groups : bool array (n_groups, n_materials)
-            Which materials a group holds.
-        changed : array (n_changes, n_materials, n_bands)
-            Alpha of a material whose group is changed.
-
-        Returns
-        -------
-        array (n_groups, n_changes, n_sources, n_receivers, n_bands, n_bins)
-            Mean over the batches.
         """
         weights = self._weights(alpha, air_attenuation, bin_length)
         ratio = (1 - changed) / (1 - alpha)
@@ -714,45 +672,25 @@ def trace(
     workers: int | None = None,
     thinned: float = np.inf,
 ) -> Paths:
-    """Trace ``n_paths`` from each source.
+    """Trace ``n_paths`` from each source, in independent batches.
 
     A path that leaves through a gap between faces is dropped whole, and the others of its source weigh
-    the more. Receivers are spheres of radius r. A path without a diffuse reflection is weighed by
-    1 / (L² solid angle), with the sphere's solid angle at its image source, every other path by
-    1 / (pi r²). The expected energy is then that at the receiver's centre for any radius, exactly
-    if no edge shades a part of the sphere. The direct sound is not traced but calculated.
+    the more. Receivers are spheres of radius r. A path without a diffuse reflection is weighed by 1 /
+    (L² solid angle), with the sphere's solid angle at its image source, every other path by 1 / (pi
+    r²). The expected energy is then that at the receiver's centre for any radius, exactly if no edge
+    shades a part of the sphere. The direct sound is not traced but calculated.
 
-    Parameters
-    ----------
-    geometry : Polyhedron
-    sources, receivers : array (n, 3)
-        In m, inside the room.
-    materials : int array (n_faces,)
-        Number of each face's material.
-    scattering : array (n_materials,)
-    radii : array (n_receivers,)
-        In m; no more than the distance to the nearest wall.
-    longest : float
-        Length in m to which each path is followed.
-    n_paths, n_batches : int
-        Paths per source, and number of independent batches.
-    scattering_model : "random" or "vector"
-        See `ScatteringModel`.
-    seed : int
-        The same seed gives the same paths for any ``longest`` and ``workers``: longer paths start
-        as the shorter ones do.
-    workers : int, optional
-        Number of threads, by default the number of processors.
-    thinned : float
-        Length in m after which every second path ends, and again after each further such length, until
-        1 in 2**`HALVINGS` is left, or few. Those left weigh as many times more (Russian roulette,
-        Spanier & Gelbard 1969), so that the expected energy is the same.
+    Sources and receivers (n, 3) are inside the room, in m; ``radii`` (n_receivers,) no more than the
+    distance to the nearest wall. ``materials`` (n_faces,) are the numbers of the faces' materials,
+    ``scattering`` is (n_materials,). Each path is followed to the length ``longest`` in m.
 
-    Raises
-    ------
-    DataError
-        If more than `MOST_LOST` of the paths hit no wall: the faces leave gaps or cut each other. For
-        more faces and receivers than the events' codes can tell.
+    The same seed gives the same paths for any ``longest`` and ``workers``: longer paths start as the
+    shorter ones do. After the length ``thinned`` in m every second path ends, and again after each
+    further such length, until 1 in 2**`HALVINGS` is left, or few. Those left weigh as many times more
+    (Russian roulette, Spanier & Gelbard 1969), so that the expected energy is the same.
+
+    Raises DataError if more than `MOST_LOST` of the paths hit no wall: the faces leave gaps or cut each
+    other. Also for more faces and receivers than the events' codes can tell.
     """
     from rtcal.simulators import kernels
 

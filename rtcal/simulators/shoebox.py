@@ -162,11 +162,8 @@ def box_of(room: Room) -> Polyhedron:
 def shoebox_of(room: Room, sources: Mapping[str, Point], receivers: Mapping[str, Point]) -> Shoebox:
     """Return the room as a shoebox.
 
-    Raises
-    ------
-    DataError
-        As `box_of`, and if an area differs from the walls' by over 1 %, a position is outside, or a
-        source and a receiver are at the same place.
+    Raises DataError as `box_of`, and if an area differs from the walls' by over 1 %, a position is
+    outside, or a source and a receiver are at the same place.
     """
     box = box_of(room)
     for material, area in zip(room.materials, room.areas, strict=True):
@@ -356,23 +353,10 @@ _DIRECTIONS = 300
 def mean_energy(room: Room, alpha: Array, distances: Array, times: Array) -> Array:
     """Return the energy per second, (n_distances, n_bands, n_times), in 1/(m² s).
 
-    The source has unit energy: its direct sound is 1 / (4 pi d²).
-
-    Parameters
-    ----------
-    room : Room
-        A shoebox with dimensions.
-    alpha : array (3, n_bands)
-        Coefficients of both walls across each axis, below 1.
-    distances : array (n_distances,)
-        Source-receiver distances in m.
-    times : array (n_times,)
-        In s after the direct sound.
-
-    References
-    ----------
-    E. A. Lehmann, A. M. Johansson: Prediction of energy decay in room impulse responses simulated with
-    an image-source model. J. Acoust. Soc. Am. 124, 2008.
+    The source has unit energy: its direct sound is 1 / (4 pi d²) (E. A. Lehmann, A. M. Johansson, J.
+    Acoust. Soc. Am. 124, 2008). The room is a shoebox with dimensions; ``alpha`` (3, n_bands), below 1,
+    is that of both walls across each axis. ``distances`` from source to receiver are in m, ``times`` in
+    s after the direct sound.
 
     Examples
     --------

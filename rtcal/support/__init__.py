@@ -16,20 +16,10 @@ def exports(
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package (PEP 562).
 
-    The public names are those that the package's ``__init__.py`` imports under
-    ``if TYPE_CHECKING:``, each as ``from module import Name as Name``. Type checkers and editors
-    read these imports; Python runs each of them when its name is first used.
-
-    Parameters
-    ----------
-    package : str
-        The package's ``__name__``.
-    file : str
-        The package's ``__file__``.
-
-    Examples
-    --------
-    ::
+    The public names are those that the package's ``__init__.py`` imports under ``if TYPE_CHECKING:``,
+    each as ``from module import Name as Name``. Type checkers and editors read these imports; Python
+    runs each of them when its name is first used. ``package`` and ``file`` are the package's
+    ``__name__`` and ``__file__``::
 
         if TYPE_CHECKING:
             from rtcal.simulators.path_tracing import PathTracing as PathTracing

@@ -21,27 +21,18 @@ _STRONGEST = 0.45  # opacity that keeps the text readable in light and in dark n
 class Row:
     """A row of a table.
 
-    Parameters
-    ----------
-    name : str
-    values : sequence (n_columns,)
-        Numbers, None and NaN where there is none; or texts.
-    form : str
-        Format of the numbers, such as ".3f"; with "+", 0 has no sign.
-    shade : sequence of float (n_columns,)
-        From -1 (blue) over 0 (none) to 1 (orange), which repeats the text; () for none.
-    shown : sequence of str (n_columns,)
-        What is printed in place of the values; () for the values in their form.
-    others : mapping of str to array (n_columns,)
-        Numbers that stand in ``shown``, too, by their name.
+    Its values are numbers, None and NaN where there is none; or texts. With "+" in ``form``, 0 has no
+    sign.
     """
 
     name: str
-    values: Sequence[Any] | NDArray[Any]
-    form: str = ""
-    shade: Sequence[float] | NDArray[Any] = ()
-    shown: Sequence[str] = ()
-    others: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    values: Sequence[Any] | NDArray[Any]  # (n_columns,)
+    form: str = ""  # of the numbers, such as ".3f"
+    shade: Sequence[float] | NDArray[Any] = ()  # from -1 (blue) over 0 (none) to 1 (orange)
+    shown: Sequence[str] = ()  # what is printed in place of the values
+    others: Mapping[str, NDArray[Any]] = field(
+        default_factory=dict
+    )  # in ``shown``, too, by their name
 
     @property
     def cells(self) -> list[str]:

@@ -27,16 +27,10 @@ def width() -> int:
 
 
 def wrapped(sentence: str, indent: str = "", hanging: str | None = None) -> list[str]:
-    """Return a sentence as lines within `width`.
+    """Return a sentence as lines within `width`; ``hanging`` is put before all lines but the first.
 
-    Parameters
-    ----------
-    sentence : str
-        A word longer than a line is not broken, so that paths and commands can be copied.
-    indent : str
-        Put before the first line.
-    hanging : str, optional
-        Put before the others; by default the indent and two blanks.
+    By default it is the indent and two blanks. A word longer than a line is not broken, so that paths
+    and commands can be copied.
 
     Examples
     --------
@@ -130,17 +124,10 @@ def table(
 ) -> list[str]:
     """Return a table as lines within `width`: columns that do not fit follow in further blocks.
 
-    Each column is as wide as its widest cell. The header stands above each block. A label that
-    takes more than two fifths of a line stands on lines of its own, above its cells.
-
-    Parameters
-    ----------
-    rows : sequence of (label, cells)
-        All with the same number of cells, which are aligned to the right.
-    header : (label, cells) or a sequence of them, optional
-        The head's one or several lines.
-    gap : int
-        Blanks between two columns.
+    Rows are a label and cells, of which all have the same number; they are aligned to the right. The
+    header, of one or several such lines, stands above each block. Each column is as wide as its widest
+    cell, with ``gap`` blanks before it. A label that takes more than two fifths of a line stands on
+    lines of its own, above its cells.
 
     Examples
     --------
