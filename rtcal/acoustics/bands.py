@@ -58,6 +58,7 @@ _MIDDLE = 440.0, 2300.0  # Hz, just outside the third octaves of 500 Hz and 2 kH
 _LOWEST = 20.0  # Hz, the limit of hearing. Frequencies in kHz, at most 20, lie below
 
 
+@lru_cache(maxsize=1024)
 def nominal(frequency: float) -> float:
     """Return the nominal third-octave centre within 1.5 % of ``frequency`` (Hz), else itself.
 
@@ -66,12 +67,6 @@ def nominal(frequency: float) -> float:
     >>> nominal(1584.893), nominal(440.0)
     (1600.0, 440.0)
     """
-    return _nominal(frequency)
-
-
-@lru_cache(maxsize=1024)
-def _nominal(frequency: float) -> float:
-    """Return `nominal`, without a check for each band of many rooms."""
     nearest = min(THIRD_OCTAVES, key=lambda centre: abs(frequency / centre - 1))
     return float(nearest) if abs(frequency / nearest - 1) <= _TOLERANCE else float(frequency)
 
@@ -184,7 +179,7 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
         stated = [float(v) for v in frequencies]
     except (TypeError, ValueError, OverflowError) as error:
         raise DataError(f"{place}: {error}; a band is a number in Hz") from error
-    f = np.array([_nominal(v) if v > 0 else v for v in stated])
+    f = np.array([nominal(v) if v > 0 else v for v in stated])
     if f.ndim != 1 or f.size == 0:
         raise DataError(f"{place} is empty; at least one band is needed")
     for value in f:
@@ -203,15 +198,11 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
                 f"{place} has {label(stated[i + 1])} after {label(stated[i])}; bands must increase, "
                 "each once (within 1.5 % they are the same nominal band)"
             )
-    _refuse_mistyped(f, place)
-    return f
-
-
-def _refuse_mistyped(f: Array, place: str) -> None:
-    """Raise DataError for a band beside a nominal one, as 120 Hz: it would match no measured band."""
-    nominal_centres = np.array(THIRD_OCTAVES)
-    for i, value in enumerate(f):
-        nearest = nominal_centres[np.argmin(np.abs(value / nominal_centres - 1))]
+    centres = np.array(THIRD_OCTAVES)
+    for i, value in enumerate(
+        f
+    ):  # a band beside a nominal one, as 120 Hz, would match no measured band
+        nearest = centres[np.argmin(np.abs(value / centres - 1))]
         near = f[max(i - 1, 0) : i + 2]
         narrow = (near[1:] / near[:-1]).min(initial=np.inf) < _NARROW
         if value != nearest and abs(value / nearest - 1) <= _MISTYPED and not narrow:
@@ -219,6 +210,7 @@ def _refuse_mistyped(f: Array, place: str) -> None:
                 f"{place} has {label(float(value))}, which is no nominal band (ISO 266); the nearest "
                 f"is {label(float(nearest))}"
             )
+    return f
 
 
 def index(frequencies: Array, frequency: float) -> int | None:
@@ -255,13 +247,6 @@ def correlation(frequencies: Array, per_octave: float) -> Array:
         Hz.
     per_octave : float
         The correlation of two bands an octave apart, 0 to below 1.
-
-    Examples
-    --------
-    >>> print(correlation(np.array([500.0, 1000.0, 2000.0]), 0.5))
-    [[1.   0.5  0.25]
-     [0.5  1.   0.5 ]
-     [0.25 0.5  1.  ]]
     """
     octave = np.log2(np.asarray(frequencies, dtype=float))
     apart = np.abs(octave[:, np.newaxis] - octave)

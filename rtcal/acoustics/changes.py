@@ -445,13 +445,6 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
     may be the changed room itself. ``like`` is another state, where the room itself does not say: its
     materials face as they do there; what comes in faces as what it takes the place of, and stands free
     where nothing went out. Raises DataError as `changed`.
-
-    Examples
-    --------
-    >>> room = Room(name="box", volume=60, materials=["wall", "ceiling"], areas=[74, 20],
-    ...             alpha=[[0.1], [0.3]], sigma=[[0.02], [0.1]], centre_frequencies=[1000])
-    >>> placed(room, [Change(cover="ceiling", by="wall", area=5)]).areas.tolist()
-    [[37.0, 37.0, 5.0, 0.0, 0.0], [0.0, 0.0, 15.0, 0.0, 0.0]]
     """
     shares = facing(before)
     towards = np.zeros((before.n_materials, len(DIRECTIONS)))
@@ -637,20 +630,6 @@ def read_variants(
     bands, such as `rtcal.datasets.catalogue.material`. Raises DataError for an unknown key, a value
     that breaks a rule, a material that is nowhere stated, a name that is given twice, a change that the
     room does not allow, or as `target_of`.
-
-    Examples
-    --------
-    >>> import rtcal as rt
-    >>> room, _ = rt.datasets.bras_cr2()
-    >>> (variant,), target = read_variants('''
-    ... [[variant]]
-    ... name = "window open"
-    ... [[variant.change]]
-    ... open = "windows"
-    ... area = 2
-    ... ''', room)
-    >>> print(variant.changes[0], target)
-    open 2 m² of "windows" None
     """
     file = read(VariantsFile, toml_table(content))
     new = _new_materials(file.material, room, catalogue)
@@ -782,23 +761,6 @@ def read_treatments(
     """Return the treatments, the target and the probability of a TOML text.
 
     Parameters are those of `read_variants`, and so are the errors.
-
-    Examples
-    --------
-    >>> import rtcal as rt
-    >>> room, _ = rt.datasets.bras_cr2()
-    >>> treatments, target, probability = read_treatments('''
-    ... [target]
-    ... standard = "ANSI S12.60"
-    ... [[treatment]]
-    ... name = "more floor"
-    ... material = "floor"
-    ... covers = "plaster"
-    ... largest = 10
-    ... cost = 20
-    ... ''', room)
-    >>> treatments[0].covers, target.high[2], probability
-    ('plaster', np.float64(0.6), 0.8)
     """
     file = read(TreatmentsFile, toml_table(content))
     new, treatments = _new_materials(file.material, room, catalogue), []
@@ -848,17 +810,6 @@ def facing(room: Room, geometry: Any = None) -> Array:
     (English, German, French, Spanish, Italian, Portuguese), an area that is that of faces of the box of
     the room's ``dimensions``, and what is left of that box, or of a room whose floor or ceiling is
     named. Named walls without a box share x and y by halves.
-
-    Examples
-    --------
-    >>> room = Room(name="box", volume=210, materials=["carpet", "plaster"], areas=[56, 168.5],
-    ...             alpha=[[0.4], [0.05]], sigma=[[0.1], [0.02]], centre_frequencies=[1000])
-    >>> print(facing(room))
-    [[nan nan nan]
-     [nan nan nan]]
-    >>> print(facing(room.replace(dimensions=(7, 8, 3.75))).round(2))
-    [[0.   0.   1.  ]
-     [0.36 0.31 0.33]]
     """
     if geometry is not None:
         rows = {name: row for row, name in enumerate(room.materials)}
@@ -872,7 +823,10 @@ def facing(room: Room, geometry: Any = None) -> Array:
         for name, area in zip(room.materials, room.areas, strict=True)
         if name not in stands
     ]
-    box = None if room.dimensions is None else _box(room.dimensions)
+    box = None
+    if room.dimensions is not None:
+        x, y, z = room.dimensions
+        box = 2 * np.array([y * z, x * z, x * y])  # of both faces along x, y and z
     stated = _stated(surfaces, box)
     if box is not None:
         stated = _matched(surfaces, stated, box)
@@ -951,12 +905,6 @@ def kind_of(name: str) -> str | None:
 
 def _kind(surface: Surface) -> str | None:
     return kind_of(surface.name) or kind_of(surface.material)
-
-
-def _box(dimensions: Sequence[float]) -> Array:
-    """Return the areas of both faces of a box along x, y and z."""
-    x, y, z = dimensions
-    return 2 * np.array([y * z, x * z, x * y])
 
 
 def _stated(surfaces: Sequence[Surface], box: Array | None) -> list[Array | None]:

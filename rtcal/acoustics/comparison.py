@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.marks import LARGE_Z
+from rtcal.acoustics.marks import LARGE_Z, gap_jnd
 from rtcal.acoustics.measurement import MAX_POSITIONS, Measurement, Pair
 from rtcal.acoustics.observables import (
     OBSERVABLES,
@@ -87,7 +87,7 @@ class Comparison(Result):
     def deviation(self) -> dict[str, Array]:
         """Run less measured, of means, in JND, the largest first."""
         run, measured = self.sides
-        found = {p: deviation(run.mean(p), measured.mean(p), p) for p in measured.values}
+        found = {p: gap_jnd(run.mean(p), measured.mean(p), p) for p in measured.values}
         return dict(sorted(found.items(), key=lambda each: -np.nanmax(np.abs(each[1]))))
 
     @property
@@ -100,7 +100,7 @@ class Comparison(Result):
         """The same at each of `pairs`, (n_pairs, n_bands); {} without any."""
         run, measured = self.sides
         each = self.parameters if self.pairs else ()
-        return {p: deviation(run.values[p], measured.values[p], p) for p in each}
+        return {p: gap_jnd(run.values[p], measured.values[p], p) for p in each}
 
     @cached_property
     def pair_uncertainty(self) -> dict[str, Array]:
@@ -157,12 +157,18 @@ class Comparison(Result):
         follow T as in an exponential decay, so that their mean is what T's own deviation carries along.
         A room that was calibrated leaves nothing open: its coefficients were chosen for T.
         """
-        room = self.run.room
-        times, area = self.equation.reverberation_time(room), self._open_area
+        room, n = self.run.room, self.run.room.n_bands
+        own_covariance = prior_covariance(room).reshape(room.n_materials, n, room.n_materials, n)
+        common = of_absorption(room.areas, room.alpha, room.sigma, room.centre_frequencies)
+        variance = np.einsum("m,mbnb,n->b", room.areas, own_covariance, room.areas)
+        area = np.sqrt(variance + np.sum(common**2, axis=0)) * (
+            not is_calibrated(room)
+        )  # of S'alpha
+        times = self.equation.reverberation_time(room)
         with np.errstate(all="ignore"):
             slope = times * self.equation.target_sensitivity(room, times)
             prior = np.nan_to_num(np.abs(area / slope)) / REVERBERATION[0].jnd  # of T, in JND
-        mean, left, own = np.zeros_like(prior), prior, [""] * room.n_bands
+        mean, left, own = np.zeros_like(prior), prior, [""] * n
         for o in reversed(REVERBERATION):
             if o.key in self.deviation:
                 off, u = self.deviation[o.key], self.known(o.key)
@@ -183,17 +189,6 @@ class Comparison(Result):
             ends = np.where(first, [np.zeros_like(prior), prior], [mean, left])
             found[p] = np.nan_to_num(np.array([per_jnd, np.abs(per_jnd)]) * ends)
         return found
-
-    @property
-    def _open_area(self) -> Array:
-        """Standard deviation of S'alpha in m² at the run's coefficients, (n_bands,)."""
-        room, n = self.run.room, self.run.room.n_bands
-        if is_calibrated(room):
-            return np.zeros(n)
-        own = prior_covariance(room).reshape(room.n_materials, n, room.n_materials, n)
-        common = of_absorption(room.areas, room.alpha, room.sigma, room.centre_frequencies)
-        variance = np.einsum("m,mbnb,n->b", room.areas, own, room.areas)
-        return np.asarray(np.sqrt(variance + np.sum(common**2, axis=0)))
 
     @cached_property
     def disagrees(self) -> dict[str, NDArray[np.bool_]]:
@@ -224,7 +219,7 @@ class Comparison(Result):
     def of_the_equation(self) -> Array:
         """The equation's T less the run's in JND, (n_bands,); NaN where the run has no T."""
         run, times = self.run.simulated, self.equation.reverberation_time(self.run.room)
-        return deviation(times, run.reverberation_time, REVERBERATION[0].key)
+        return gap_jnd(times, run.reverberation_time, REVERBERATION[0].key)
 
     @property
     def sentence(self) -> str:
@@ -237,21 +232,10 @@ class Comparison(Result):
         return f"<Comparison: {self.sentence}>"
 
 
-def deviation(run: Array, measured: Array, parameter: str) -> Array:
-    """Return run less measured in JND, of the same shape; NaN where either is missing.
-
-    Examples
-    --------
-    >>> print(deviation(np.array([1.05, 1.9]), np.array([1.0, 2.0]), "t20").round(6))
-    [ 1. -1.]
-    """
-    return _in_jnd(run - measured, measured, OBSERVABLES[parameter])
-
-
 def _in_jnd(uncertainty: Array, values: Array, kind: Observable) -> Array:
-    """Return a difference or an uncertainty of values in JND."""
+    """Return an uncertainty of values in JND."""
     with np.errstate(all="ignore"):
-        return np.asarray(uncertainty / (kind.jnd * values if kind.relative_jnd else kind.jnd))
+        return np.asarray(uncertainty / kind.jnd_of(values))
 
 
 def _by_log_time(kind: Observable, time: float) -> float:

@@ -111,13 +111,6 @@ def agreement(p_value: float | None, p_together: float | None = None) -> Agreeme
     Too well: S'mu is nearer to b than the stated uncertainties make likely. Then a sigma or u_T is
     too large, or T was calculated from these coefficients. None without a p-value. What coefficients
     that are off together explain (``p_together``, of `Plausibility`) is no contradiction.
-
-    Examples
-    --------
-    >>> agreement(0.001), agreement(0.4), agreement(1.0)
-    ('contradicts', 'agrees', 'too good')
-    >>> agreement(0.001, 0.2)
-    'agrees'
     """
     if p_value is None:
         return None
@@ -356,11 +349,6 @@ def far_from_neighbours(values: Array, *, late: bool = True) -> NDArray[np.bool_
     Each jump between neighbouring bands begins a new group, unless it leads back to an earlier one. The
     largest group is right. None is flagged where two groups are equally large. Values that are not
     above 0 are missing. Unless ``late`` (T20 or T30), the first and the last band are not judged.
-
-    Examples
-    --------
-    >>> far_from_neighbours(np.array([1.4, 1.72, 2.02, 1.94, 0.05, 1.57])).tolist()
-    [False, False, False, False, True, False]
     """
     found = np.zeros(len(values), dtype=bool)
     with np.errstate(invalid="ignore"):
@@ -475,7 +463,8 @@ def likely_slips(room: Room) -> list[tuple[str, Room]]:
             low, high = surface_limits(room, FLAT)
             fits = np.flatnonzero((total >= low) & (total <= high))
             found = [_slipped(room, *slips[j]) for j in fits]
-            for text, other in [_other_volume(room, f) for f in factors]:
+            for other in (room.replace(volume=room.volume * f) for f in factors):
+                text = f"volume = {room.volume:g} m³, for {other.volume:g} m³"
                 low, high = surface_limits(other, FLAT)
                 found += [(text, other)] if low <= other.total_area <= high else []
         if found:
@@ -491,11 +480,6 @@ def _slipped(room: Room, i: int, factor: float) -> tuple[str, Room]:
     ]
     text = f'area of "{material}" = {room.areas[i]:g} m², for {areas[i]:g} m²'
     return text, room.replace(areas=areas, surfaces=surfaces)
-
-
-def _other_volume(room: Room, factor: float) -> tuple[str, Room]:
-    other = room.replace(volume=room.volume * factor)
-    return f"volume = {room.volume:g} m³, for {other.volume:g} m³", other
 
 
 def of_surface(room: Room) -> list[TrustMark]:
@@ -572,7 +556,13 @@ def of_input(
     The measured T, ``times`` in s, (n_bands,), NaN where missing, is compared with Eyring's of the
     stated coefficients. ``mistyped`` are the marks of single values of T, as `of_row` returns them.
     """
-    marks = [*of_surface(room), *_of_volume(room)]
+    marks = of_surface(room)
+    if room.dimensions is not None:
+        box = float(np.prod(room.dimensions))
+        if abs(room.volume / box - 1) > OFF_VOLUME:
+            sides = " x ".join(f"{side:g}" for side in room.dimensions)
+            text = f"volume = {room.volume:g} m³, but the dimensions {sides} m hold {box:g} m³"
+            marks.append(mark("dimensions", None, text))
     for name, row in zip(room.materials, room.alpha, strict=True):
         marks += of_row(room.centre_frequencies, row, f'alpha of "{name}"', late=False)
     if times is not None:
@@ -581,18 +571,6 @@ def of_input(
     if not room.sigma.any():
         marks.append(mark("fixed", None, "sigma is 0 for every coefficient"))
     return tuple(marks)
-
-
-def _of_volume(room: Room) -> list[TrustMark]:
-    """Return the mark of a volume that is not that of the stated dimensions."""
-    if room.dimensions is None:
-        return []
-    box = float(np.prod(room.dimensions))
-    if abs(room.volume / box - 1) <= OFF_VOLUME:
-        return []
-    sides = " x ".join(f"{side:g}" for side in room.dimensions)
-    text = f"volume = {room.volume:g} m³, but the dimensions {sides} m hold {box:g} m³"
-    return [mark("dimensions", None, text)]
 
 
 _ALLOWED = 2.0
@@ -604,12 +582,6 @@ def bent_decays(measured: Measurement) -> tuple[TrustMark, ...]:
 
     A band is bent if T30/T20 or EDT/T20 leaves 1 by more than its limit and twice the scatter of
     the ratio in straight decays. Only positions that have both parameters count.
-
-    Examples
-    --------
-    >>> bent = Measurement.from_values([1000], edt=[0.42], t20=[0.73], t30=[1.01])
-    >>> [b.frequency for b in bent_decays(bent)]
-    [1000.0]
     """
     texts: dict[float, list[str]] = {}
     for parameter, slope in of_kind(DecaySlope).items():
@@ -653,16 +625,6 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     `rtcal.acoustics.changes.facing` returns them; unknown ones count a third each. Where most of the
     absorption has no known direction the mark says that this is not judged, if the equations
     differed with all of the material that absorbs most across one axis.
-
-    Examples
-    --------
-    >>> import rtcal as rt
-    >>> room = rt.Room(name="classroom", volume=180, materials=["ceiling", "floor", "walls"],
-    ...                areas=[60, 60, 96], alpha=[[0.8], [0.04], [0.03]],
-    ...                sigma=[[0.1], [0.01], [0.01]], centre_frequencies=[500])
-    >>> from rtcal.acoustics.changes import facing
-    >>> uneven_marks(room, facing(room))[0].text[:66]
-    "the absorption is uneven: Arau-Puchades' equation gives 0.89 s for"
     """
     known, total = enough_known(room, shares), room.total_area
     absorbed = np.where(np.isnan(shares[:, 0]), room.areas * room.alpha.mean(axis=1), -1.0)

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -634,7 +633,11 @@ class Measurement:
     @classmethod
     def from_file(cls, path: str) -> Measurement:
         """Read a measurement from CSV; see `rtcal.acoustics.measurement` for the format."""
-        rows = _read_csv(path)
+        with expecting(TABLE, checks.path("path", path)):
+            try:
+                rows = _rows_of(read_text(path, MAX_BYTES))
+            except DataError as error:
+                raise DataError(f"{error}; `rtcal table {path}` reads other tables") from error
         try:
             return cls(**of_single_values(rows))
         except DataError as error:
@@ -645,7 +648,12 @@ class Measurement:
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         for row in self.rows():
-            writer.writerow([_cell_text(value) for value in row])
+            cells = []
+            for value in row:
+                if isinstance(value, str) and value.startswith(("=", "+", "-", "@")):
+                    value = f" {value}"  # Excel would take it for a formula; readers drop the blank
+                cells.append(repr(value) if isinstance(value, float) else value)
+            writer.writerow(cells)
         return stream.getvalue()
 
     def rows(self) -> list[list[Any]]:
@@ -691,15 +699,6 @@ MAX_CELLS = 2**20
 
 Place = tuple[str, str, str, float]
 """Source, receiver, parameter and band of a value."""
-
-
-def _read_csv(path: str | os.PathLike[str]) -> dict[Place, dict[str, float]]:
-    """Return the rows of a CSV file; DataError names file, line and rule, and what reads others."""
-    with expecting(TABLE, checks.path("path", path)):
-        try:
-            return _rows_of(read_text(path, MAX_BYTES))
-        except DataError as error:
-            raise DataError(f"{error}; `rtcal table {path}` reads other tables") from error
 
 
 def _rows_of(text: str) -> dict[Place, dict[str, float]]:
@@ -836,11 +835,3 @@ def of_single_values(
         **of_bands,
         **counts,
     }
-
-
-def _cell_text(value: Any) -> Any:
-    if isinstance(value, str) and value.startswith(("=", "+", "-", "@")):
-        return (
-            f" {value}"  # a name, which Excel would take for a formula; readers leave the blank out
-        )
-    return repr(value) if isinstance(value, float) else "" if value is None else value

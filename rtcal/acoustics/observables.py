@@ -976,13 +976,6 @@ def gradients(energy: Array, bin_width: float, parameters: Sequence[str]) -> Arr
 
     Parameters and errors are those of `parameters`. The unit is 1 or dB over that of ``energy``; NaN
     where the decay lacks the parameter.
-
-    Examples
-    --------
-    >>> decay = 10 ** (-6 * np.arange(1000) * 0.001 / 0.5)
-    >>> gradient = gradients(decay, 0.001, ["level"])
-    >>> print((gradient @ decay).round(3))  # 1 % more energy is 0.043 dB more
-    [4.343]
     """
     energy = checked_decay(energy, bin_width)
     level = decay_curve_db(energy)

@@ -402,18 +402,6 @@ def direction(name: str, stated: Any) -> tuple[float, float, float]:
     return x, y, z
 
 
-def sphere_weights(n_theta: int) -> Array:
-    """Return the share of the sphere that each angle from the axis stands for, (n_theta,).
-
-    The mean over the sphere of what is linear between equal steps of theta, 0 to pi: the integrals of
-    sin theta / 2 over the hat functions.
-    """
-    step = np.pi / (n_theta - 1)
-    weights = np.sin(step * np.arange(n_theta)) * (1 - np.cos(step)) / step
-    weights[[0, -1]] = (step - np.sin(step)) / (2 * step)
-    return np.asarray(weights)
-
-
 def _balloon(gains: Any) -> Array:
     """Return gains whose mean over the sphere is 1 in each band; DataError for what is no balloon."""
     table = checks.array("gains", gains)
@@ -430,7 +418,12 @@ def _balloon(gains: Any) -> Array:
     if len(wrong):
         place = ", ".join(str(n) for n in wrong[0].tolist())
         raise DataError(f"gains[{place}] = {table[tuple(wrong[0])]:g} is not a number of 0 or more")
-    mean = sphere_weights(table.shape[1]) @ table.mean(axis=2).T
+    # The mean over the sphere of what is linear between the angles from the axis: integrals of
+    # sin theta / 2 over the hat functions.
+    step = np.pi / (table.shape[1] - 1)
+    weights = np.sin(step * np.arange(table.shape[1])) * (1 - np.cos(step)) / step
+    weights[[0, -1]] = (step - np.sin(step)) / (2 * step)
+    mean = weights @ table.mean(axis=2).T
     if not (mean > 0).all():
         raise DataError(f"gains[{int(np.argmin(mean))}] is 0 in all directions")
     # What was made 1 stays as it is, bit by bit.

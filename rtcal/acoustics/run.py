@@ -98,15 +98,14 @@ class Run:
 
         T20 is compared with T20, and T30 with T30. A relative level lacks its ``"reference"``.
         """
-        run, stated = (self._with_values(m) for m in (self.simulated, measured))
+        there = (m.in_bands(self.room.centre_frequencies) for m in (self.simulated, measured))
+        run, stated = (
+            {p for p, values in m.values.items() if np.isfinite(values).any()} for m in there
+        )
         found: dict[str, Lacking] = {p: "measurement" if p in run else "run" for p in run ^ stated}
         if LEVEL.key in run & stated:
             found[LEVEL.key] = "reference"
         return {p: found[p] for p in OBSERVABLES if p in found}
-
-    def _with_values(self, of: Measurement) -> set[str]:
-        there = of.in_bands(self.room.centre_frequencies)
-        return {p for p, values in there.values.items() if np.isfinite(values).any()}
 
     def nothing_common(self, measured: Measurement, what: str = "value") -> DataError:
         """Return the error that there is none of ``what`` in both, with what each side has."""

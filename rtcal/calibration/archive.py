@@ -839,15 +839,6 @@ def read_folder(folder: str | os.PathLike[str]) -> list[Calibrated]:
 
     Raises DataError if there is none, one that cannot be read, or more than 500. Files of other results
     are left out.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import rtcal as rt
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = rt.calibrate(*rt.datasets.bras_cr2()).save(f"{folder}/seminar room")
-    ...     print([result.prior.name for result in read_folder(folder)])
-    ['BRAS CR2, seminar room']
     """
     if not checks.path("folder", folder).is_dir():
         raise DataError(f"{folder}: no such folder")

@@ -231,13 +231,8 @@ class CalibrationProblem(Composition, Generic[R]):
             The numbers of each such term.
         method : str
             The name that the result carries.
-        solver : {"clarabel", "osqp"}
-        unreachable : {"raise", "nearest"}
-            What to do where no coefficients within the bounds give the measured T. ``"raise"`` raises
-            InfeasibleError; ``"nearest"`` takes the nearest T within reach and lists the band in the
-            result. It is asked of exact matches alone.
-        warm_start : bool
-            Whether OSQP starts from the closed form; Clarabel takes no start.
+        solver, unreachable, warm_start
+            As for `rtcal.calibrate`.
         settings : mapping, optional
             The solver's own settings by name, beside `rtcal.calibration.qp.SETTINGS`.
 
@@ -491,13 +486,10 @@ def fit(
     ----------
     problem : CalibrationProblem
         Built with ``term``, whose numbers are the linearised data.
-    data : Observation
-    start : array (n_materials, n_bands)
-    term : LinearObservations
-    method : str
-        Name of the result's method.
-    times : Times, optional
-        The measured T of the problem's other terms.
+    data, start, term
+        The start is (n_materials, n_bands).
+    method, times
+        Name of the result's method, and the measured T of the problem's other terms.
     most : int
         Largest number of steps.
     covariance : array (n, n), optional
@@ -508,10 +500,7 @@ def fit(
         Whether a step, and the alpha at which it ended, is the last; by default where the whole step
         changes no coefficient by more than `SETTLED` of its prior sigma.
 
-    Raises
-    ------
-    InfeasibleError, SolverError
-        As `CalibrationProblem.solve`.
+    Raises InfeasibleError and SolverError as `CalibrationProblem.solve`.
     """
     factor = np.asarray(np.linalg.cholesky(data.covariance))
     in_qp = data.covariance if covariance is None else covariance

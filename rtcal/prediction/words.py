@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -146,12 +146,6 @@ def gained(without: Array, half_width: Array) -> str:
     )
 
 
-def made_of(interval: str, parts: Mapping[str, Iterable[float]], labels: Sequence[str]) -> Table:
-    """Return the table of the parts of an interval, shares of its variance (n_bands,)."""
-    rows = [Row(name, [100 * share for share in part], ".0f") for name, part in parts.items()]
-    return Table(labels, rows, f"what {interval} is made of / % of the variance")
-
-
 def blocks_of(
     heads: Sequence[str],
     labels: Sequence[str],
@@ -160,10 +154,12 @@ def blocks_of(
     sentences: Sequence[str],
 ) -> list[Block]:
     """Return what a prediction says: values by band, what the interval is made of, and sentences."""
+    interval, shares = parts
+    made_of = [Row(name, [100 * s for s in share], ".0f") for name, share in shares.items()]
     return [
         *map(Note, heads),
         Table(labels, rows),
-        made_of(*parts, labels),
+        Table(labels, made_of, f"what {interval} is made of / % of the variance"),
         *map(Note, sentences),
     ]
 

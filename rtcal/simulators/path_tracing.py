@@ -158,20 +158,21 @@ class Tracer(RoomSimulator, ABC):
         sources, receivers = self._points()
         return np.asarray(receivers - sources[:, np.newaxis])
 
+    @property
+    def _alike(self) -> Array:
+        """Numbers of each band, (n_numbers, n_bands), of which bands with equal ones share paths."""
+        return np.asarray(self.scattering)
+
+    @cached_property
+    def bands_of_paths(self) -> list[NDArray[np.int64]]:
+        """The bands' numbers in groups whose paths carry the same energy but for absorption."""
+        columns, group = np.unique(self._alike, axis=1, return_inverse=True)
+        return [np.flatnonzero(group.reshape(-1) == g) for g in range(columns.shape[1])]
+
     def _radii(self) -> Array:
         """Return each receiver's radius in m, at most its distance from the nearest wall."""
         radius = self.radius or RADIUS_SHARE * self.geometry.volume ** (1 / 3)
         return np.minimum(radius, self.geometry.wall_distance(self._points()[1]))
-
-    def bands_of_paths(self) -> list[NDArray[np.int64]]:
-        """Return the bands' numbers in groups whose paths carry the same energy but for absorption."""
-        return equal_columns(self.scattering)
-
-
-def equal_columns(rows: Array) -> list[NDArray[np.int64]]:
-    """Return the numbers of the columns in groups that are equal, (n_rows, n_columns)."""
-    columns, group = np.unique(rows, axis=1, return_inverse=True)
-    return [np.asarray(np.flatnonzero(group.reshape(-1) == g)) for g in range(columns.shape[1])]
 
 
 def of_all_bands(groups: Sequence[NDArray[np.int64]], decays: Sequence[Array]) -> Array:
@@ -1009,7 +1010,7 @@ class PathTracing(Tracer):
         for name, of in checks.mapped("directivity", directivity).items():
             checks.instance(f"directivity[{checks.shown(name)}]", of, Directivity)
         changed = copy(self)
-        for name in ("aimed_sources", "_bands_of_paths"):
+        for name in ("aimed_sources", "bands_of_paths"):
             vars(changed).pop(name, None)
         # A key with a band, too, has the paths of its directivity.
         kept = {key: of for key, of in self._traced.items() if len(key) == 2}
@@ -1024,7 +1025,7 @@ class PathTracing(Tracer):
         """
         alpha = check_alpha(self, alpha)
         seconds = min(checks.positive("factor", factor) * eyring_seconds(self.room, alpha), LONGEST)
-        for bands in self.bands_of_paths():
+        for bands in self.bands_of_paths:
             self.traced(int(bands[0]), seconds, seed=seed)
 
     @property
@@ -1062,7 +1063,7 @@ class PathTracing(Tracer):
         ``sweep`` gives those of some bands, (..., n_some, n_bins), from their paths, which are followed
         for ``seconds`` or longer.
         """
-        groups = self.bands_of_paths()
+        groups = self.bands_of_paths
         decays = [sweep(self.traced(int(b[0]), seconds, seed=seed), b) for b in groups]
         return of_all_bands(groups, decays)
 
@@ -1240,11 +1241,7 @@ class PathTracing(Tracer):
             aimed = self._traced[(*key, band)] = traced.aimed(lobes, self.to_receivers)
         return aimed
 
-    def bands_of_paths(self) -> list[NDArray[np.int64]]:
-        """Return the bands' numbers in groups whose scattering and directivity are the same."""
-        return self._bands_of_paths
-
-    @cached_property
-    def _bands_of_paths(self) -> list[NDArray[np.int64]]:
-        aimed = [of.pattern for of in self.aimed_sources.values()]
-        return equal_columns(np.vstack([self.scattering, *aimed]))
+    @property
+    def _alike(self) -> Array:
+        """Scattering and directivities, with which the paths of a band carry its energy."""
+        return np.vstack([self.scattering, *(of.pattern for of in self.aimed_sources.values())])

@@ -95,7 +95,7 @@ class RayTracing(Tracer):
         rng = np.random.default_rng(checks.whole("seed", seed, 0))
         groups = [
             group
-            for bands in self.bands_of_paths()
+            for bands in self.bands_of_paths
             for group in np.split(bands, range(_BANDS, len(bands), _BANDS))
         ]
         direct = direct_lengths(self.geometry, *self._points())

@@ -357,17 +357,6 @@ def mean_energy(room: Room, alpha: Array, distances: Array, times: Array) -> Arr
     Acoust. Soc. Am. 124, 2008). The room is a shoebox with dimensions; ``alpha`` (3, n_bands), below 1,
     is that of both walls across each axis. ``distances`` from source to receiver are in m, ``times`` in
     s after the direct sound.
-
-    Examples
-    --------
-    At t = 0 every image counts in full, so that the energy is c / V.
-
-    >>> import numpy as np
-    >>> from rtcal.acoustics.room import Room
-    >>> room = Room(name="box", volume=105, materials=["all"], areas=[142], alpha=[[0.3]],
-    ...             sigma=[[0.1]], centre_frequencies=[1000], dimensions=(5, 7, 3))
-    >>> mean_energy(room, np.full((3, 1), 0.3), np.zeros(1), np.zeros(1)) * 105 / room.speed_of_sound
-    array([[[1.]]])
     """
     c = room.speed_of_sound
     hits = _directions(_DIRECTIONS) / np.array(room.dimensions)
