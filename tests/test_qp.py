@@ -118,7 +118,7 @@ def test_every_solver_cold_or_warm_has_one_answer_to_the_last_bit() -> None:
         assert warm.raw.iterations == 5 < cold.raw.iterations
         others = [cold, warm, rt.calibrate(room, t, "mle")]
         for other in others:
-            assert other.polished
+            assert other.joint.polished
             for name in ("alpha", "multipliers", "active"):
                 np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert at_bound == 6

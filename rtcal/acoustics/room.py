@@ -13,7 +13,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import InitVar, asdict, dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 from urllib.parse import quote, unquote
@@ -120,9 +120,7 @@ class Scene:
     surfaces: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        def put(name: str, value: object) -> None:
-            object.__setattr__(self, name, value)
-
+        put = partial(object.__setattr__, self)
         if self.mesh is not None:
             put("mesh", os.fspath(checks.path("mesh", self.mesh)))
             if not str(self.mesh).strip():
@@ -1413,8 +1411,8 @@ class Correlation(FileTable):
     value: Number
 
 
-class RoomFile(FileTable, kw_only=True):
-    """A room's file; its scene's tables are those of `SceneTables`."""
+class RoomFile(SceneTables, kw_only=True):
+    """A room's file, with its scene's tables."""
 
     name: str = "room"
     author: str = ""
@@ -1430,10 +1428,6 @@ class RoomFile(FileTable, kw_only=True):
     common_area_sigma: Number = 0.0
     common_alpha_sigma: Number = 0.0
     climate_sigma: tuple[Number, Number] = (0.0, 0.0)
-    geometry: GeometryTable = msgspec.field(default_factory=GeometryTable)
-    sources: Places | None = None
-    receivers: Places | None = None
-    directivity: dict[str, Directivity | Literal["unknown"]] = {}
     material: Annotated[list[Material], msgspec.Meta(max_length=500)] = []
     surface: Annotated[list[SurfaceTable], msgspec.Meta(max_length=5000)] = []
     correlation: Annotated[list[Correlation], msgspec.Meta(max_length=5000)] = []

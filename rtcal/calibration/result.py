@@ -340,20 +340,6 @@ class JointResult(Result):
         """Standard deviation of the calibrated coefficients, (n_materials, n_bands)."""
         return self.composition.layout.expand(self.estimate_sigma)
 
-    def estimate_covariance(self) -> Array:
-        """Return the covariance of that error, (n_bands, n_materials, n_materials)."""
-        layout, gain = self.composition.layout, self._gain
-        sigma, shift, prior = self._room_prior
-        _, cross, innovation = self._covariances
-        n = layout.n_alpha
-        columns = np.eye(len(sigma), n) * sigma[:n]
-        whole = sigma[:n, np.newaxis] * prior.correlate(columns, layout)[:n]
-        whole = whole + np.outer(shift[:n], shift[:n])
-        change = gain[:n] @ cross[:n].T
-        whole = whole - change - change.T + gain[:n] @ innovation @ gain[:n].T
-        rows = np.array(layout.alpha_rows) * layout.n_bands
-        return np.array([whole[np.ix_(rows + k, rows + k)] for k in range(layout.n_bands)])
-
     @cached_property
     def _gain(self) -> Array:
         """d u / d b in 1/m², (size, n_matches), without bounds."""
@@ -498,9 +484,22 @@ class JointResult(Result):
     @cached_property
     def correlation(self) -> Array:
         """Correlation between the coefficients of each band, (n_bands, n_materials, n_materials)."""
+        layout = self.composition.layout
         if self._separate is not None:
-            return correlations(self.composition.layout, *self._separate)
-        return correlation_of(self.estimate_covariance())[1]
+            return correlations(layout, *self._separate)
+        # Of the linear estimate's error, as in `estimate_sigma`.
+        gain, n = self._gain[: layout.n_alpha], layout.n_alpha
+        sigma, shift, prior = self._room_prior
+        _, cross, innovation = self._covariances
+        whole = (
+            sigma[:n, np.newaxis] * prior.correlate(np.eye(len(sigma), n) * sigma[:n], layout)[:n]
+        )
+        change = gain @ cross[:n].T
+        whole = whole + np.outer(shift[:n], shift[:n])
+        whole = whole - change - change.T + gain @ innovation @ gain.T
+        rows = np.array(layout.alpha_rows) * layout.n_bands
+        each = [whole[np.ix_(rows + k, rows + k)] for k in range(layout.n_bands)]
+        return correlation_of(np.array(each))[1]
 
     @cached_property
     def interval(self) -> tuple[Array, Array]:
@@ -571,11 +570,6 @@ class CalibrationResult(Result):
         return self.joint.method
 
     @property
-    def solver(self) -> str:
-        """The solver's name."""
-        return self.joint.solver
-
-    @property
     def measured_data(self) -> MeasuredTimes:
         """The measurement, in the room's bands."""
         return self.joint.measured_times[self.configuration]
@@ -621,11 +615,6 @@ class CalibrationResult(Result):
     def raw(self) -> Iterate:
         """The solver's own answer."""
         return self.joint.raw
-
-    @property
-    def polished(self) -> bool:
-        """Whether the answer is the polished one; else only the solver's own passed the certificate."""
-        return self.joint.polished
 
     @property
     def unreachable(self) -> tuple[Unreachable, ...]:
@@ -773,7 +762,7 @@ class CalibrationResult(Result):
             method=self.method,
             equation=self.equation.name,
             measured=data_history(self.prior, self.measured_data),
-            solver=self.solver,
+            solver=self.joint.solver,
             version=__version__,
         )
 
@@ -900,11 +889,11 @@ class CalibrationResult(Result):
             "unreachable": [str(band) for band in self.unreachable],
             "certificate": table.residuals(self.certificate),
             "solver": {
-                "name": self.solver,
+                "name": self.joint.solver,
                 "status": self.raw.status,
                 "iterations": self.raw.iterations,
                 "seconds": None if np.isnan(self.raw.seconds) else self.raw.seconds,
-                "polished": self.polished,
+                "polished": self.joint.polished,
                 "raw_certificate": table.residuals(self.joint.raw_certificate),
                 "raw_alpha": json_numbers(self.joint.raw_alpha[self._rows]),
             },

@@ -1,10 +1,7 @@
 """Calibrate a simulator to the values at every position, by Gauss-Newton steps that are each a QP.
 
-    minimise ½ (y - f(a) - J (alpha - a))' C⁻¹ (y - f(a) - J (alpha - a)) + the other terms,
-
-with y what was measured, f what the simulator gives, J its derivatives at a, and C the covariance of
-the errors of measurement and simulator. alpha becomes the next a, or a point on the way to it where
-the objective with the simulator itself would rise. No fit ends farther from what was measured than it
+The steps are those of `rtcal.calibration.problem.fit`, with y what was measured, f what the simulator
+gives, and C the covariance of the errors of both. No fit ends farther from what was measured than it
 began: then the start is returned, and ``refused`` says so.
 
 `PositionsResult` has what was fitted, what was learned, and its doubts.
@@ -815,7 +812,7 @@ def _calibrated(
         method="positions",
         equation=f"every position of {name}",
         measured=" ".join([*history(room), *data.fingerprints]),
-        solver=answer.solver,
+        solver=answer.joint.solver,
         version=__version__,
     )
     sigma = room.sigma if controls is None else np.minimum(answer.posterior_sigma, 1.0)

@@ -278,7 +278,7 @@ def command(result: CalibrationResult) -> str | None:
     equation, method = keys.get(result.equation.name), result.method
     if method not in METHODS or table.equation_parameters(result.equation) or equation is None:
         return None
-    chosen = ["--method", method, "--equation", equation, "--solver", result.solver]
+    chosen = ["--method", method, "--equation", equation, "--solver", result.joint.solver]
     if result.unreachable:
         chosen += ["--unreachable", "nearest"]
     return shlex.join(["rtcal", "calibrate", "room.toml", "t.csv", *chosen, "--out", "calibrated"])

@@ -142,8 +142,13 @@ def table(
     label_width = max((len(label) for label, _ in lines if len(label) <= most), default=0)
     columns = list(zip(*(cells for _, cells in lines), strict=True))
     widths = [gap + max(map(len, column)) for column in columns]
-    text: list[str] = []
-    for first, last in _blocks(widths, width() - label_width):
+    starts, used, text = [0], 0, list[str]()  # of blocks, each of one column or more
+    for column, space in enumerate(widths):
+        if used + space > width() - label_width and column > starts[-1]:
+            starts.append(column)
+            used = 0
+        used += space
+    for first, last in zip(starts, [*starts[1:], len(widths)], strict=True):
         if text:
             text.append("")
         for row, (label, cells) in enumerate(lines):
@@ -158,18 +163,6 @@ def table(
             if line or row >= len(head):  # a head of several lines may be lower in this block
                 text.append(line)
     return text
-
-
-def _blocks(widths: Sequence[int], room: int) -> list[tuple[int, int]]:
-    """Return the first and the last column plus one of each block; a block has at least one."""
-    starts = [0]
-    used = 0
-    for column, space in enumerate(widths):
-        if used + space > room and column > starts[-1]:
-            starts.append(column)
-            used = 0
-        used += space
-    return list(zip(starts, [*starts[1:], len(widths)], strict=True))
 
 
 def shortened(text: str, longest: int = 40) -> str:
