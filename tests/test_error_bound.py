@@ -49,7 +49,7 @@ def test_the_bound_holds_for_raw_and_final_answers_and_is_small(solver: str) -> 
 def test_nearly_dependent_rows_and_an_optimum_at_a_bound_are_polished(seed: int) -> None:
     """These raised SolverError: the rows were missed by 1e-12, with multipliers of 1e6."""
     answer = coupled.solution(seed)
-    assert answer.joint.polished
+    assert answer.polished
     assert np.max(answer.certificate.alpha_error_bound) < 1e-6
 
 
