@@ -39,17 +39,7 @@ _BINS = 2000  # of an exponential decay over twice its T
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Comparison(Result):
-    """A run beside a measurement; each table is by parameter, (n_bands,) or (n_pairs, n_bands).
-
-    Attributes
-    ----------
-    run : Run
-        Of a program, or of the equation itself.
-    measured : Measurement
-    equation : LinearEquation
-    of_equation : bool
-        Whether the run is the equation's T.
-    """
+    """A run beside a measurement; each table is by parameter, (n_bands,) or (n_pairs, n_bands)."""
 
     record_kind: ClassVar[str] = "comparison"
     words_in: ClassVar[str] = WORDS
@@ -60,9 +50,11 @@ class Comparison(Result):
     )
 
     run: Run
+    """Of a program, or of the equation itself."""
     measured: Measurement
     equation: LinearEquation
     of_equation: bool = False
+    """Whether the run is the equation's T."""
 
     def __post_init__(self) -> None:
         _ = self.sides  # raises where nothing is in common

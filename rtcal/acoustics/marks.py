@@ -77,29 +77,20 @@ six octaves these are 25 % for f = 2 and 75 % for f = 3, in 18 thirds 94 % for f
 
 @dataclass(frozen=True, eq=False)
 class Plausibility:
-    """Whether prior and measurement agree. The gap does not show it, since a calibration closes it.
-
-    Attributes
-    ----------
-    z : array (n_bands,)
-        b - S'mu over its standard deviation; NaN where nothing was matched.
-    q : float
-        z'R^-1 z, R the correlation of z between bands; the sum of z² where the bands are independent.
-    degrees_of_freedom : int
-        One per matched band, not one per coefficient.
-    p_value : float or None
-        The probability of a larger q if prior and measurement are right. None where a bound is
-        active, because then q is not chi-square.
-    p_together : float or None
-        The same if the coefficients may also be off together, as `rtcal.finder` assumes
-        (`rtcal.acoustics.room_errors`). None where these errors are not known.
-    """
+    """Whether prior and measurement agree. The gap does not show it, since a calibration closes it."""
 
     z: Array
+    """b - S'mu over its standard deviation, (n_bands,); NaN where nothing was matched."""
     q: float
+    """z'R^-1 z, R the correlation of z between bands; the sum of z² where the bands are independent."""
     degrees_of_freedom: int
+    """One per matched band, not one per coefficient."""
     p_value: float | None
+    """The probability of a larger q if prior and measurement are right. None where a bound is active,
+    because then q is not chi-square."""
     p_together: float | None = None
+    """The same if the coefficients may also be off together, as `rtcal.finder` assumes
+    (`rtcal.acoustics.room_errors`). None where these errors are not known."""
 
 
 Agreement = Literal["contradicts", "agrees", "too good"]

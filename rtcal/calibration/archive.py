@@ -68,27 +68,19 @@ _STEP = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """The spread of coefficients, found by marginal likelihood.
-
-    Attributes
-    ----------
-    table, between : float
-        In units of the stated sigma: how far an entry is off in all rooms, and how far a material of
-        one name differs between rooms.
-    room, together : float
-        Relative: the factor of a room, and of all tables together.
-    equation : float
-        Relative error of b, of each state and band on its own.
-    correlation : float
-        Of one material's errors an octave apart.
-    """
+    """The spread of coefficients, found by marginal likelihood."""
 
     table: float
     between: float
+    """In units of the stated sigma: how far an entry is off in all rooms, and how far a material of one
+    name differs between rooms."""
     room: float
     together: float
+    """Relative: the factor of a room, and of all tables together."""
     equation: float
+    """Relative error of b, of each state and band on its own."""
     correlation: float
+    """Of one material's errors an octave apart."""
 
 
 def _spread(x: Array) -> Spread:
@@ -230,93 +222,64 @@ class Evidence:
 
 @dataclass(frozen=True, kw_only=True)
 class Lesson:
-    """The contribution of one room, and its agreement with the others.
-
-    Attributes
-    ----------
-    room : str
-    factor, factor_sigma : float
-        The relative factor of all its coefficients, and its standard deviation.
-    q, degrees_of_freedom, p_value
-        Of its T beside what all other rooms predict: chi-square.
-    taught : float
-        By which share this room reduced the standard deviation of its materials' means.
-    """
+    """The contribution of one room, and its agreement with the others."""
 
     room: str
     factor: float
     factor_sigma: float
+    """The relative factor of all its coefficients, and its standard deviation."""
     q: float
     degrees_of_freedom: int
     p_value: float
+    """Of its T beside what all other rooms predict: chi-square."""
     taught: float
+    """By which share this room reduced the standard deviation of its materials' means."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Suspect:
-    """A material of a room that is likely another than it is named.
-
-    Attributes
-    ----------
-    room, material : str
-    instead : str
-        The archive's material that it more likely is; "" for none of them.
-    probability : float
-        That it is another one; before the data 0.01.
-    """
+    """A material of a room that is likely another than it is named."""
 
     room: str
     material: str
     instead: str
+    """The archive's material that it more likely is; "" for none of them."""
     probability: float
+    """That it is another one; before the data 0.01."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Archive(Result):
-    """The materials that calibrated rooms share, as `rtcal.learn` returns them.
-
-    Attributes
-    ----------
-    materials : tuple of str
-    centre_frequencies : array (n_bands,)
-    table, table_sigma : array (n_materials, n_bands)
-        Input of the rooms: the mean of their entries, and the largest sigma.
-    alpha, sigma : array (n_materials, n_bands)
-        The library: mean and standard deviation of a coefficient in the next room.
-    mean_sigma : array (n_materials, n_bands)
-        Standard deviation of the mean itself: it falls with every room.
-    seen : array (n_materials,)
-        In how many rooms.
-    spread : Spread
-        The likeliest. Those above count what it leaves open.
-    together, together_sigma : float
-        How far all tables are off together, relative, and its standard deviation.
-    room_sigma : float
-        Relative standard deviation of the next room's common factor.
-    lessons : tuple of Lesson
-    suspects : tuple of Suspect
-        The likeliest first.
-    measured : tuple of str
-        Names of the measured T that it has learned from, as a `CalibrationRecord` keeps them.
-    """
+    """The materials that calibrated rooms share, as `rtcal.learn` returns them."""
 
     record_kind: ClassVar[str] = "archive 1"
 
     materials: tuple[str, ...]
     centre_frequencies: Array
+    """(n_bands,)."""
     table: Array
     table_sigma: Array
+    """Input of the rooms, (n_materials, n_bands): the mean of their entries, and the largest sigma."""
     alpha: Array
     sigma: Array
+    """The library, (n_materials, n_bands): mean and standard deviation of a coefficient in the next
+    room."""
     mean_sigma: Array
+    """Standard deviation of the mean itself, (n_materials, n_bands): it falls with every room."""
     seen: NDArray[np.int_]
+    """In how many rooms, (n_materials,)."""
     spread: Spread
+    """The likeliest. Those above count what it leaves open."""
     together: float
     together_sigma: float
+    """How far all tables are off together, relative, and its standard deviation."""
     room_sigma: float
+    """Relative standard deviation of the next room's common factor."""
     lessons: tuple[Lesson, ...]
     suspects: tuple[Suspect, ...]
+    """The likeliest first."""
     measured: tuple[str, ...]
+    """Names of the measured T that it has learned from, as a `CalibrationRecord` keeps them."""
 
     def material(self, name: str) -> Material:
         """Return one entry with its sigma and its source; DataError if the archive lacks it."""

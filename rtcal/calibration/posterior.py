@@ -41,37 +41,27 @@ _SINGLE = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """The distribution of alpha given the measurement.
-
-    Attributes
-    ----------
-    alpha : array (n_materials, n_bands)
-        The calibrated coefficients.
-    mean, sigma : array (n_materials, n_bands)
-        Posterior mean and standard deviation.
-    correlation : array (n_bands, n_materials, n_materials)
-        Correlations between the materials, per band.
-    points : array (n_materials, n_bands, 201)
-        Quantiles of every coefficient at the normal values `rtcal.support.normal.NORMAL`.
-    prior_sigma : array (n_materials, n_bands)
-        Standard deviation of the truncated prior.
-    samples : array (n_samples, n_materials, n_bands)
-        Draws of equal weight.
-    effective_samples : array (n_materials, n_bands)
-        Number of draws of equal weight that are worth those that the distribution rests on.
-    effects : dict of str to array (n_samples,)
-        Samples of the sizes of further unknowns.
-    """
+    """The distribution of alpha given the measurement."""
 
     alpha: Array
+    """The calibrated coefficients, (n_materials, n_bands)."""
     mean: Array
     sigma: Array
+    """Posterior mean and standard deviation, (n_materials, n_bands)."""
     correlation: Array
+    """Correlations between the materials, per band, (n_bands, n_materials, n_materials)."""
     points: Array
+    """Quantiles of every coefficient at the normal values `rtcal.support.normal.NORMAL`, (n_materials,
+    n_bands, 201)."""
     prior_sigma: Array
+    """Standard deviation of the truncated prior, (n_materials, n_bands)."""
     samples: Array
+    """Draws of equal weight, (n_samples, n_materials, n_bands)."""
     effective_samples: Array
+    """Number of draws of equal weight that are worth those that the distribution rests on,
+    (n_materials, n_bands)."""
     effects: dict[str, Array] = field(default_factory=dict)
+    """Samples of the sizes of further unknowns, (n_samples,)."""
 
     def quantile(self, probability: float) -> Array:
         """Return the quantile of every coefficient, (n_materials, n_bands).

@@ -595,28 +595,19 @@ _ACCEPTED = 1e-9
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate:
-    """Residuals of the optimality conditions, computed from P, c, A and b.
-
-    Attributes
-    ----------
-    primal_residual : float
-        The largest of |S'alpha - b| / sum S and the violation of the box.
-    dual_residual : float
-        max |sigma (gradient + S D - z_lower + z_upper)|.
-    duality_gap : float
-        sum z_lower (alpha - lower) + z_upper (upper - alpha), and D slack of the inequalities.
-    alpha_error_bound : array (n_materials, n_bands)
-        No coefficient is farther than this from the optimum; see `certify`.
-    accepted : bool
-        Whether three numbers are at most 1e-9: the primal residual; the largest dual residual over 1
-        and the sum of the absolute values of its parts; the gap over the largest of these sums.
-    """
+    """Residuals of the optimality conditions, computed from P, c, A and b."""
 
     primal_residual: float
+    """The largest of |S'alpha - b| / sum S and the violation of the box."""
     dual_residual: float
+    """max |sigma (gradient + S D - z_lower + z_upper)|."""
     duality_gap: float
+    """sum z_lower (alpha - lower) + z_upper (upper - alpha), and D slack of the inequalities."""
     alpha_error_bound: Array
+    """No coefficient is farther than this from the optimum, (n_materials, n_bands); see `certify`."""
     accepted: bool
+    """Whether three numbers are at most 1e-9: the primal residual; the largest dual residual over 1 and
+    the sum of the absolute values of its parts; the gap over the largest of these sums."""
 
     @property
     def worst(self) -> float:

@@ -83,51 +83,35 @@ coefficient that T alone determines contradict the next T by millions of standar
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JointResult(Result):
-    """One calibration of several configurations of a room: shared alpha, one T per configuration.
-
-    Attributes
-    ----------
-    composition : Composition
-        The objective, the constraints, the rooms and the equation.
-    unknowns : array (size,)
-        The answer.
-    target : array (n_configurations, n_bands)
-        b in m²; the nearest within reach where the measured T is beyond it.
-    point : Iterate
-        The answer over the variables of the QP, with its multipliers.
-    certificate : Certificate
-        Error bounds of the answer: its distance from the optimum.
-    raw : Iterate
-        The solver's own answer, before polishing.
-    polished : bool
-        Whether the answer is that of the active-set method (from the solver's guess, or from the closed
-        form); else the solver's own passed the certificate.
-    unreachable : tuple of Unreachable
-    method, solver : str
-        As stated in the call.
-    measured_times : tuple of MeasuredTimes
-        One per configuration.
-    observed : mapping, optional
-        The numbers of linear observations.
-    versions : mapping of str to str
-        Of rtcal, Python and the libraries that made it.
-    """
+    """One calibration of several configurations of a room: shared alpha, one T per configuration."""
 
     record_kind: ClassVar[str] = "joint 1"
 
     composition: Composition
+    """The objective, the constraints, the rooms and the equation."""
     unknowns: Array
+    """The answer, (size,)."""
     target: Array
+    """b in m², (n_configurations, n_bands); the nearest within reach where T is beyond it."""
     point: Iterate
+    """The answer over the variables of the QP, with its multipliers."""
     certificate: Certificate
+    """Error bounds of the answer: its distance from the optimum."""
     raw: Iterate
+    """The solver's own answer, before polishing."""
     polished: bool
+    """Whether the answer is that of the active-set method (from the solver's guess, or from the closed
+    form); else the solver's own passed the certificate."""
     unreachable: tuple[Unreachable, ...]
     method: str
     solver: str
+    """As stated in the call."""
     measured_times: tuple[MeasuredTimes, ...]
+    """One per configuration."""
     observed: Mapping[LinearObservations, Observed] | None = None
+    """The numbers of linear observations."""
     versions: Mapping[str, str] = field(default_factory=table.versions)
+    """Of rtcal, Python and the libraries that made it."""
 
     @property
     def configurations(self) -> Configurations:

@@ -192,27 +192,18 @@ _STRONGEST_SHADE = 5.0  # JND
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
-    """One simulation.
-
-    Attributes
-    ----------
-    target : array (n_bands,)
-        T in s that the equation was calibrated to, NaN without a measured T.
-    alpha : array (n_materials, n_bands)
-        Coefficients as simulated.
-    simulated : array (n_bands,)
-        Simulated T in s of what is matched, NaN if these coefficients give none.
-    noise : array (n_bands,)
-        Standard error of it in s; 0 if the simulator states none, NaN if it is unknown.
-    means : dict of parameter to array (n_bands,)
-        Means of all parameters that are shown, as simulated, matched or not.
-    """
+    """One simulation."""
 
     target: Array
+    """T in s that the equation was calibrated to, NaN without a measured T, (n_bands,)."""
     alpha: Array
+    """Coefficients as simulated, (n_materials, n_bands)."""
     simulated: Array
+    """Simulated T in s of what is matched, NaN if these coefficients give none, (n_bands,)."""
     noise: Array
+    """Standard error of it in s, (n_bands,); 0 if the simulator states none, NaN if it is unknown."""
     means: Mapping[str, Array] = field(default_factory=dict)
+    """Means of all parameters that are shown, as simulated, matched or not, (n_bands,)."""
 
     def __post_init__(self) -> None:
         alpha = checks.shaped("step: alpha", self.alpha, "n_materials", "n_bands")
@@ -263,48 +254,6 @@ class Loop(Result):
     loop. `save`, given a file's name, and `load` keep it between two runs of a program.
     `rtcal.calibrate_simulator` returns the loop with the simulations that judge it.
 
-    Attributes
-    ----------
-    prior : Room
-        Its alpha and sigma are the prior.
-    matched : Matched
-        Target: the measured T20, or its compromise with EDT.
-    data : str
-        Fingerprints of the data, for the record of the calibrated room.
-    rule : {"secant", "safeguarded"}
-        See `RULES`.
-    method : str
-        Method of the equation's calibration; see `rtcal.calibrate`.
-    equation : LinearEquation
-    decimals : int, optional
-        Decimals of alpha that the program reads. The loop simulates the rounded coefficients.
-    tolerance : float
-        In JND.
-    steps : tuple of Step
-    bent : tuple of TrustMark
-        Bands whose measured decay is not straight.
-    beside : dict of parameter to array (n_bands,)
-        Measured means of what is shown and not matched.
-    low : ModesResult, optional
-        Result of the room modes for the bands below the Schroeder frequency.
-    simulator : str
-        Name of the simulator that Python called; "" for a program that is run by hand. The
-        coefficients belong to no other.
-    simulations : int
-        Number of all calls of the simulator.
-    returned : array (n_materials, n_bands), optional
-        Coefficients of a loop that is over; `alpha` has them.
-    before : Measurement, optional
-        Simulated with the input coefficients. If some band has no T20 with them, or fewer than three
-        simulations were allowed, with those of the equation's calibration. Of a run, what it gave.
-    after : Measurement, optional
-        Simulated with the coefficients returned.
-    confirmation : Measurement, optional
-        Simulated with the coefficients returned and another seed. None for a deterministic
-        simulator, and if no band converged.
-    notes : tuple of str
-        Notes on data and simulations, such as paths that left through gaps of the mesh.
-
     Examples
     --------
     >>> import rtcal as rt
@@ -324,24 +273,44 @@ class Loop(Result):
     )
 
     prior: Room
+    """Its alpha and sigma are the prior."""
     matched: Matched
+    """Target: the measured T20, or its compromise with EDT."""
     data: str
+    """Fingerprints of the data, for the record of the calibrated room."""
     rule: Rule
+    """See `RULES`."""
     method: str = "mle"
+    """Method of the equation's calibration; see `rtcal.calibrate`."""
     equation: LinearEquation = field(default_factory=Eyring)
     decimals: int | None = None
+    """Decimals of alpha that the program reads. The loop simulates the rounded coefficients."""
     tolerance: float = 1.0
+    """In JND."""
     steps: tuple[Step, ...] = ()
     bent: tuple[TrustMark, ...] = ()
+    """Bands whose measured decay is not straight."""
     beside: Mapping[str, Array] = field(default_factory=dict)
+    """Measured means of what is shown and not matched, (n_bands,)."""
     low: ModesResult | None = None
+    """Result of the room modes for the bands below the Schroeder frequency."""
     simulator: str = ""
+    """Name of the simulator that Python called; "" for a program that is run by hand. The coefficients
+    belong to no other."""
     simulations: int = 0
+    """Number of all calls of the simulator."""
     returned: Array | None = None
+    """Coefficients of a loop that is over, (n_materials, n_bands); `alpha` has them."""
     before: Measurement | None = None
+    """Simulated with the input coefficients. If some band has no T20 with them, or fewer than three
+    simulations were allowed, with those of the equation's calibration. Of a run, what it gave."""
     after: Measurement | None = None
+    """Simulated with the coefficients returned."""
     confirmation: Measurement | None = None
+    """Simulated with the coefficients returned and another seed. None for a deterministic simulator,
+    and if no band converged."""
     notes: tuple[str, ...] = ()
+    """Notes on data and simulations, such as paths that left through gaps of the mesh."""
     _problems: list[CalibrationProblem[CalibrationResult]] = field(
         default_factory=list, metadata=NOT_SAVED
     )

@@ -661,28 +661,20 @@ of 20 boxes with little scattering T20 of a run was above 12 times Eyring's T.""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlRuns:
-    """Errors of a simulator in reference simulations.
-
-    Attributes
-    ----------
-    parameters, pairs : tuple
-        As in `rtcal.simulators.base.Observations`.
-    errors : array (n_runs, n_parameters, n_pairs, n_bands)
-        Values of a reference simulation less the simulator's for the same alpha.
-    levels : array (n_runs,), optional
-        Mean scattering coefficient of each run over the surfaces, by area.
-    models : tuple of str (n_runs,)
-        Scattering model of each run.
-    more_paths : int
-        Number of paths, over that in a calibration's reference simulations; see `simulated_controls`.
-    """
+    """Errors of a simulator in reference simulations."""
 
     parameters: tuple[str, ...]
     pairs: tuple[tuple[str, str], ...]
+    """As in `rtcal.simulators.base.Observations`."""
     errors: Array
+    """Values of a reference simulation less the simulator's for the same alpha, (n_runs, n_parameters,
+    n_pairs, n_bands)."""
     levels: Array | None = None
+    """Mean scattering coefficient of each run over the surfaces, by area, (n_runs,)."""
     models: tuple[ScatteringModel, ...] = ()
+    """Scattering model of each run, (n_runs,)."""
     more_paths: int = 1
+    """Number of paths, over that in a calibration's reference simulations; see `simulated_controls`."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", checks.texts("parameters", self.parameters))

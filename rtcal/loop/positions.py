@@ -950,62 +950,7 @@ _FARTHER = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PositionsResult(Result):
-    """A simulator calibrated to the values at every position.
-
-    Attributes
-    ----------
-    prior : Room
-        The room as it was given.
-    room : Room
-        With the coefficients for the simulator, their posterior sigma, and a record.
-    simulator : str
-        Name of the simulator and its scattering. The coefficients belong to no other.
-    tracer : Simulator
-        The simulator that the coefficients belong to: the one given, with the scattering fitted. Do not
-        calibrate it on the same data again: its scattering comes from them.
-    weighed : Simulator
-        The same with as many paths as were weighed.
-    seed : int
-    scattering : Scattering or None
-        The scattering that was fitted; None where the one stated was kept.
-    simulations : int
-        Number of all evaluations of the simulator or its derivatives, without reference simulations.
-        `PathTracing` weighs the same traced paths in each.
-    measured : MeasuredPairs
-        What was matched; its ``observations`` name parameters and pairs.
-    matched : Compared
-        What was matched: measured, and what the simulator given and its ``tracer`` give with the prior
-        and with the coefficients returned, with as many paths as were weighed.
-    beside : Compared
-        What was measured and not matched, before and after.
-    held_out : Compared or None
-        What was measured at the pairs that were excluded, before and after; without the level.
-    predicted : Observations
-        The values at all positions of the simulator with the coefficients returned, also those that
-        were not measured. Where reference simulations tell the simulator's error, its mean given what
-        was measured is added: what all pairs have in common, such as other scattering.
-    controls : ControlRuns or None
-        The simulator's error, to be given to a second calibration. None if it is not known.
-    unexplained : array (n_parameters,)
-        Standard deviation in JND by which each value of a parameter differs from the simulator beyond
-        all stated errors, under which what was measured is likeliest.
-    innovation, covariance : array (n_used,), (n_used, n_used)
-        What was measured less the simulated values at ``steps[-1].alpha``, linearly
-        extrapolated to the prior; covariance of the errors of measurement and simulator.
-    prior_covariance : array (n_materials * n_bands, n_materials * n_bands)
-    steps : tuple of GaussNewtonStep
-    settled : bool
-        Whether the last step, before any shortening, changed alpha by less than 0.05 of its prior
-        sigma.
-    notes : tuple of str
-        What was left out, and why.
-    start : array (n_materials, n_bands) or None
-        The scattering at which the fit started; None of a simulator that has none.
-    refused : bool
-        Whether no step led nearer to what was measured, so that the room is the one that was given.
-    beyond : BeyondPrior or None
-        The measured T, where the stated coefficients and their sigma cannot explain it.
-    """
+    """A simulator calibrated to the values at every position."""
 
     record_kind: ClassVar[str] = "positions 1"
     in_file: ClassVar[str] = (
@@ -1017,29 +962,58 @@ class PositionsResult(Result):
     )
 
     prior: Room
+    """The room as it was given."""
     room: Room
+    """With the coefficients for the simulator, their posterior sigma, and a record."""
     simulator: str
+    """Name of the simulator and its scattering. The coefficients belong to no other."""
     tracer: Simulator
+    """The simulator that the coefficients belong to: the one given, with the scattering fitted. Do not
+    calibrate it on the same data again: its scattering comes from them."""
     weighed: Simulator
+    """The same with as many paths as were weighed."""
     seed: int
     scattering: Scattering | None
+    """The scattering that was fitted; None where the one stated was kept."""
     simulations: int
+    """Number of all evaluations of the simulator or its derivatives, without reference simulations.
+    `PathTracing` weighs the same traced paths in each."""
     measured: MeasuredPairs
+    """What was matched; its ``observations`` name parameters and pairs."""
     matched: Compared
+    """What was matched: measured, and what the simulator given and its ``tracer`` give with the prior
+    and with the coefficients returned, with as many paths as were weighed."""
     beside: Compared
+    """What was measured and not matched, before and after."""
     predicted: Observations
+    """The values at all positions of the simulator with the coefficients returned, also those that were
+    not measured. Where reference simulations tell the simulator's error, its mean given what was
+    measured is added: what all pairs have in common, such as other scattering."""
     controls: ControlRuns | None
+    """The simulator's error, to be given to a second calibration. None if it is not known."""
     unexplained: Array
+    """Standard deviation in JND by which each value of a parameter differs from the simulator beyond
+    all stated errors, under which what was measured is likeliest, (n_parameters,)."""
     innovation: Array
     covariance: Array
+    """What was measured less the simulated values at ``steps[-1].alpha``, linearly extrapolated to the
+    prior, (n_used,); covariance of the errors of measurement and simulator, (n_used, n_used)."""
     prior_covariance: Array
+    """Of alpha, (n_materials * n_bands,) squared."""
     steps: tuple[GaussNewtonStep, ...]
     settled: bool
+    """Whether the last whole step changed alpha by less than 0.05 of its prior sigma."""
     notes: tuple[str, ...]
+    """What was left out, and why."""
     refused: bool = False
+    """Whether no step led nearer to what was measured, so that the room is the one that was given."""
     beyond: BeyondPrior | None = None
+    """The measured T, where the stated coefficients and their sigma cannot explain it."""
     held_out: Compared | None = None
+    """What was measured at the pairs that were excluded, before and after; without the level."""
     start: Array | None = None
+    """The scattering at which the fit started, (n_materials, n_bands); None of a simulator that has
+    none."""
 
     def predict(
         self,

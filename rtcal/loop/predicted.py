@@ -84,30 +84,8 @@ interval is that of samples."""
 class PositionsPrediction(Result):
     """A prediction at every position after a change; `PositionsResult.predict` makes it.
 
-    Rows are the pairs in their order, and then their mean.
-
-    Attributes
-    ----------
-    name : str
-    changes : tuple of Change
-    before : Room
-        With the prior's coefficients.
-    simulator : str
-    parameters : tuple of str (n_parameters,)
-        Keys of `rtcal.acoustics.observables`.
-    pairs : tuple of (source, receiver) (n_pairs,)
-    simulated_before : array (n_parameters, n_pairs + 1, n_bands)
-        Before the change, predicted in the same way; as observed: times are logarithms.
-    middle, sigma : array (n_parameters, n_pairs + 1, n_bands)
-        Mean and standard deviation after the change, as observed.
-    uncalibrated_sigma : array (n_parameters, n_pairs + 1, n_bands)
-        Standard deviation of the same prediction without what was measured.
-    low, high : array (n_parameters, n_pairs + 1, n_bands)
-        Ends of the 90 % interval, as observed.
-    sampled : array of bool (n_parameters, n_pairs + 1, n_bands)
-        Where the interval is that of samples, since the simulator departs from its linear model.
-    shares : mapping of str to array (n_parameters, n_bands)
-        Of the variance of the mean over the pairs, by what it comes from.
+    Arrays are (n_parameters, n_pairs + 1, n_bands), as observed: times are logarithms. Rows are the
+    pairs in their order, and then their mean.
     """
 
     record_kind: ClassVar[str] = "prediction at positions 1"
@@ -119,17 +97,26 @@ class PositionsPrediction(Result):
     name: str
     changes: tuple[Change, ...]
     before: Room
+    """With the prior's coefficients."""
     simulator: str
     parameters: tuple[str, ...]
+    """Keys of `rtcal.acoustics.observables`."""
     pairs: tuple[tuple[str, str], ...]
     simulated_before: Array
+    """Before the change, predicted in the same way."""
     middle: Array
     sigma: Array
+    """Mean and standard deviation after the change."""
     uncalibrated_sigma: Array
+    """Standard deviation of the same prediction without what was measured."""
     low: Array
     high: Array
+    """Ends of the 90 % interval."""
     sampled: NDArray[np.bool_]
+    """Where the interval is that of samples, since the simulator departs from its linear model."""
     shares: dict[str, Array]
+    """Of the variance of the mean over the pairs, (n_parameters, n_bands), by what it comes from."""
+    """Of the variance of the mean over the pairs, by what it comes from, (n_parameters, n_bands)."""
 
     def _natural(self, parameter: str, observed: Array) -> Array:
         """Return a parameter's values in its unit, (n_pairs + 1, n_bands)."""

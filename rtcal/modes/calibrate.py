@@ -210,34 +210,7 @@ _FACTOR_Z = 3.0  # standard deviations of all decays together from what was stat
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ModesResult(Result):
-    """A room calibrated to the decays of its modes.
-
-    Attributes
-    ----------
-    prior : Room
-        The room as it was given.
-    alpha : array (n_materials, n_bands)
-        The calibrated coefficients.
-    answer : CalibrationResult
-        Of the last step's QP.
-    modes : MeasuredModes
-    used, matched : int arrays (n_used,)
-        Measured modes that were used, and the calculated modes that they are.
-    probability : array (n_used,)
-        Of each match.
-    scale : float
-        Measured over calculated frequencies, all modes together.
-    frequencies, decays_before, decays_after : array (n_calculated,)
-        Of all calculated modes: frequencies in Hz and decays with the prior, and decays with the
-        calibrated coefficients, in 1/s.
-    below : bool array (n_bands,)
-        Bands below the Schroeder frequency, in which T is not used.
-    data : MeasuredTimes
-        The measured T.
-    steps : int
-    settled : bool
-    notes : tuple of str
-    """
+    """A room calibrated to the decays of its modes."""
 
     record_kind: ClassVar[str] = "modes 1"
     in_file: ClassVar[str] = (
@@ -247,18 +220,28 @@ class ModesResult(Result):
     )
 
     prior: Room
+    """The room as it was given."""
     alpha: Array
+    """The calibrated coefficients, (n_materials, n_bands)."""
     answer: CalibrationResult
+    """Of the last step's QP."""
     modes: MeasuredModes
     used: NDArray[np.intp]
     matched: NDArray[np.intp]
+    """Measured modes that were used, and the calculated modes that they are, (n_used,)."""
     probability: Array
+    """Of each match, (n_used,)."""
     scale: float
+    """Measured over calculated frequencies, all modes together."""
     frequencies: Array
     decays_before: Array
     decays_after: Array
+    """Of all calculated modes, (n_calculated,): frequencies in Hz and decays with the prior, and decays
+    with the calibrated coefficients, in 1/s."""
     below: NDArray[np.bool_]
+    """Bands below the Schroeder frequency, in which T is not used, (n_bands,)."""
     data: MeasuredTimes
+    """The measured T."""
     steps: int
     settled: bool
     notes: tuple[str, ...]

@@ -81,24 +81,6 @@ Admittances = Callable[[float], Complex]
 class RoomModes:
     """Modes of a room with rigid walls, up to a frequency.
 
-    Attributes
-    ----------
-    frequencies : array (n_modes,)
-        Hz, rising, without the mode of frequency 0.
-    coupling : array (n_walls, n_modes + 1, n_modes + 1)
-        B in 1/m: integrals over each wall of the products of two modes. Last is that of frequency 0,
-        the constant pressure.
-    materials : sequence of str (n_walls,)
-        The material of each wall.
-    speed_of_sound : float
-        m/s.
-    largest : float
-        Frequency in Hz up to which modes are wanted; those above it complete the others' shapes.
-    shapes : function
-        Function of points (n_points, 3) in m: the modes' values, (n_points, n_modes + 1) in m^(-3/2).
-    known : dict
-        The last poles that were asked, by the coefficients: kept for the next responses.
-
     Examples
     --------
     >>> import rtcal as rt
@@ -107,12 +89,20 @@ class RoomModes:
     """
 
     frequencies: Array
+    """Hz, rising, without the mode of frequency 0, (n_modes,)."""
     coupling: Array
+    """B in 1/m, (n_walls, n_modes + 1, n_modes + 1): integrals over each wall of the products of two
+    modes. Last is that of frequency 0, the constant pressure."""
     materials: Sequence[str]
+    """The material of each wall, (n_walls,)."""
     speed_of_sound: float
+    """m/s."""
     largest: float
+    """Frequency in Hz up to which modes are wanted; those above it complete the others' shapes."""
     shapes: Callable[[Array], Array]
+    """Function of points (n_points, 3) in m: the modes' values, (n_points, n_modes + 1) in m^(-3/2)."""
     known: dict[bytes, Poles] = field(default_factory=dict, repr=False)
+    """The last poles that were asked, by the coefficients: kept for the next responses."""
 
     @property
     def wanted(self) -> int:

@@ -429,17 +429,7 @@ _BEST = 0.99
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Design(Result):
-    """The cheapest areas of the treatments, and what they give; `design` makes it.
-
-    Attributes
-    ----------
-    model : DesignModel
-        What may be done, the target, and what is known.
-    promised : float
-        The probability asked for, per band.
-    areas : array (n_treatments,)
-        m².
-    """
+    """The cheapest areas of the treatments, and what they give; `design` makes it."""
 
     record_kind: ClassVar[str] = "design 1"
     in_file: ClassVar[str] = (
@@ -448,8 +438,11 @@ class Design(Result):
     )
 
     model: DesignModel
+    """What may be done, the target, and what is known."""
     promised: float
+    """The probability asked for, per band."""
     areas: Array
+    """m², (n_treatments,)."""
 
     @property
     def cost(self) -> float:

@@ -66,14 +66,7 @@ def known_room(known: Known, equation: LinearEquation | None = None) -> KnownRoo
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Prediction(TimeChange, Result):
-    """T of a changed room per band, with its interval; `predict` makes it.
-
-    Attributes
-    ----------
-    name : str
-    changes : tuple of Change
-        What leads from one state to the other; empty if the changed room itself was given.
-    """
+    """T of a changed room per band, with its interval; `predict` makes it."""
 
     record_kind: ClassVar[str] = "prediction 3"
     in_file: ClassVar[str] = (
@@ -87,6 +80,7 @@ class Prediction(TimeChange, Result):
 
     name: str
     changes: tuple[Change, ...]
+    """What leads from one state to the other; empty if the changed room itself was given."""
 
     @property
     def equation(self) -> LinearEquation:
@@ -409,23 +403,16 @@ def predict(
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Predictions(Result):
-    """Predictions of several variants of one room (`predict_variants`), of T or at every position.
-
-    Attributes
-    ----------
-    predictions : tuple of Prediction or PositionsPrediction
-        One per variant.
-    costs : tuple of float or None
-        Of each variant.
-    target : Target or None
-        The range of T that they are compared with.
-    """
+    """Predictions of several variants of one room (`predict_variants`), of T or at every position."""
 
     record_kind: ClassVar[str] = "predictions 3"
 
     predictions: tuple[Any, ...]
+    """One per variant."""
     costs: tuple[float | None, ...]
+    """Of each variant."""
     target: Target | None = None
+    """The range of T that they are compared with."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return each variant's `Prediction.to_dict`, its cost, and the probability of the target."""
