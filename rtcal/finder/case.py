@@ -55,7 +55,6 @@ from rtcal.acoustics.measurement import Measurement, MeasurementTable
 from rtcal.acoustics.observables import MATCH, REVERBERATION, observable, parameter_label
 from rtcal.acoustics.room import (
     POSITION,
-    Directivity,
     Room,
     RoomFile,
     checked_uncertainty,
@@ -1124,15 +1123,6 @@ class StatesCase:
     def known(self) -> NDArray[np.bool_]:
         """In which bands there is a difference, (n_bands,)."""
         return np.asarray(np.isfinite(self.change).any(axis=0))
-
-    @property
-    def sources_unstated(self) -> tuple[str, ...]:
-        """The measured sources whose directivity is not given, or unknown."""
-        if self.simulator is None:
-            return ()
-        stated = self.simulator.directivity
-        sources = dict.fromkeys(source for source, _ in self.pairs)
-        return tuple(s for s in sources if not isinstance(stated.get(s), Directivity))
 
 
 AnyCase: TypeAlias = Case | PositionsCase | StatesCase

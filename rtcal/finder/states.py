@@ -30,7 +30,7 @@ the two states, and its level is left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations, product
 
@@ -43,7 +43,7 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import DB, EARLY, LEVEL, MATCH, OBSERVABLES, TARGET, gradients
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Directivity, Room
 from rtcal.finder.case import CLIMATE_UNCERTAINTY, StatesCase
 from rtcal.finder.claim import (
     CLAIMED,
@@ -55,6 +55,7 @@ from rtcal.finder.claim import (
     conclude,
     most_probable_first,
     over_frequency,
+    summed,
 )
 from rtcal.finder.effects import Effect, checked_effects
 from rtcal.finder.evidence import (
@@ -101,18 +102,9 @@ _INTERVAL = (0.05, 0.95)
 class Hypotheses:
     """Nothing changed, then a spectrum with a size, added or removed, with another climate or without.
 
-    Attributes
-    ----------
-    names, families : tuple of str (n,)
-    log_weight : array (n,)
-        Log prior probabilities; they sum to 1.
-    size : array (n, n_bands)
-        Absorption area in m² before saturation, above 0 where T is shorter in the second state; 0 where
-        the climate changed and nothing else, or nothing.
-    covariance : array (n, n_bands, n_bands)
-        Of the error of ln |size|.
-    of_air : array (n,) of bool
-        Where the climate of the air is another.
+    Their names and families, log prior probabilities (n,) that sum to 1, and whether the climate is
+    another (n,). ``size`` (n, n_bands) is an absorption area in m² before saturation, above 0 where T
+    is shorter in the second state, 0 where none changed; ``covariance`` that of the error of ln |size|.
     """
 
     names: tuple[str, ...]
@@ -132,19 +124,10 @@ class Hypotheses:
         without: Collection[str],
         more: str,
     ) -> Hypotheses:
-        """Return the hypotheses of a room with this absorption area before in m², in some bands.
+        """Return the hypotheses of a room with an absorption area ``before`` in m², by band.
 
-        Parameters
-        ----------
-        room : Room
-        before : array (n_bands_of_where,)
-        where : array (n_bands,) of bool
-            Bands of the room to take.
-        effects : sequence of Effect
-        without : collection of str
-            Names of `tried` that are left out.
-        more : {"added", "removed"}
-            The name of a size above 0.
+        ``without`` are names of `tried` that are left out; ``more`` names a size above 0, "added" or
+        "removed".
         """
         area = float(before[bands.is_middle(room.centre_frequencies[where])].mean())
         levels, n = area * np.geomspace(LEAST, MOST, SIZES), int(where.sum())
@@ -277,17 +260,9 @@ _NODES = 4
 class Baseline:
     """The absorption of the first state, in the bands in which both states were measured.
 
-    Attributes
-    ----------
-    equation : LinearEquation
-    total_area : float
-        S in m².
-    area : array (n_bands,)
-        The surfaces' absorption area b in m², by the equation from T before.
-    air : array (n_bands,)
-        4 m V in m².
-    climate : array (n_bands, n_bands)
-        Covariance of ln T by another climate, at the mean of ln T of both states.
+    The surfaces' absorption ``area`` in m² by the equation from T before, the ``air``'s 4 m V in m²,
+    (n_bands,) each, and the covariance (n_bands, n_bands) of ln T by another ``climate``, at the mean
+    of ln T of both states.
     """
 
     equation: LinearEquation
@@ -374,15 +349,9 @@ _MOST_AT_ONCE = 20_000
 class Fits:
     """Each hypothesis with each scale: its evidence, and what it makes of the sizes.
 
-    Attributes
-    ----------
-    log : array (n, n_scales)
-        Log probability density of the data, with the prior probability of hypothesis and scale.
-    mean : array (n, n_scales, n_bands)
-        Of ln |size| less that of the grid.
-    covariance : array (n, n_scales, n_bands, n_bands)
-    shift : array (n, n_scales, n_bands)
-        Mean of the shift of ln T by what changed: that of the size, and that of the climate.
+    ``log`` (n, n_scales) is the log probability density of the data, with the prior probability of
+    hypothesis and scale; ``mean`` (n, n_scales, n_bands) and ``covariance`` those of ln |size| less
+    that of the grid; ``shift`` (n, n_scales, n_bands) the mean shift of ln T by size and climate.
     """
 
     log: Array
@@ -497,18 +466,9 @@ def _integrated(
 ) -> tuple[Array, Array, Array, Array]:
     """Return log evidence, mode and precision of the shift of all pairs, and the pairs' weights.
 
-    Parameters
-    ----------
-    change : array (n_pairs, n_bands)
-    spread : array (n or 1, n_pairs, n_bands)
-        Variance of each pair alone.
-    centre : array (n, n_bands)
-        Mean of the shift before the measurement.
-    prior : array (n, n_bands, n_bands)
-        Its covariance.
-    degrees : float
-    weight : array (n, n_pairs)
-        Of the pairs' precision, from which to begin.
+    Of a ``change`` (n_pairs, n_bands), each pair's variance alone ``spread`` (n or 1, n_pairs,
+    n_bands), mean ``centre`` (n, n_bands) and covariance ``prior`` (n, n_bands, n_bands) of the shift
+    before the measurement, and the pairs' weights (n, n_pairs) from which to begin.
     """
     known = np.isfinite(change)
     count = known.sum(axis=1)
@@ -582,9 +542,14 @@ def find(
     names, families = [every.names], [every.families]
     if case.same:  # half of each order
         names, families = ([of, tuple(map(_turned, of))] for of in (every.names, every.families))
-    shares = np.tile(given / len(names), len(names))
-    probabilities = _summed(chain(*names), shares, none)
-    of_families = _with_sums(_summed(chain(*families), shares, none))
+    shares = (np.tile(given / len(names), len(names)) * (1 - none)).tolist()
+    probabilities, of_kinds = (
+        summed([(NONE, none), *zip(chain(*of), shares, strict=True)]) for of in (names, families)
+    )
+    of_families = dict(of_kinds)
+    for whole in (f"{side} absorption" for side in (ADDED, REMOVED)):
+        of_families[whole] = sum(p for kind, p in of_kinds.items() if kind.startswith(whole))
+    of_families = most_probable_first(of_families)
     detection = Detection(score, THRESHOLD)
     reasons = [Reason("one file")] if case.same else []
     if detection.verdict is None and probabilities.get(AIR, 0.0) >= CLAIMED:
@@ -669,23 +634,6 @@ def _as_changed(family: str | None, change: Array) -> str | None:
     return family if KINDS[over_frequency(change)] == kind else whole
 
 
-def _summed(names: Iterable[str], given: Array, none: float) -> dict[str, float]:
-    """Return the probability of "none" and of each name, the most probable first."""
-    out = {NONE: none}
-    for name, p in zip(names, (given * (1 - none)).tolist(), strict=True):
-        out[name] = out.get(name, 0.0) + p
-    return most_probable_first(out)
-
-
-def _with_sums(families: dict[str, float]) -> dict[str, float]:
-    """Return the families with the sums of all added and of all removed absorption."""
-    out = dict(families)
-    for side in (ADDED, REMOVED):
-        whole = f"{side} absorption"
-        out[whole] = sum(p for family, p in families.items() if family.startswith(whole))
-    return most_probable_first(out)
-
-
 def _samples(
     found: Fits, every: Hypotheses, baseline: Baseline, given: Array, seed: int
 ) -> tuple[Array, NDArray[np.intp]]:
@@ -758,22 +706,17 @@ def _located(
     """Return the probabilities of surfaces and of sets of them, gains, and why no surface is told.
 
     A gain is of a source whose level is left out: by how many dB it shifts beside what T says. Where no
-    absorption is claimed, the gains alone are found.
-
-    Parameters
-    ----------
-    family, families
-        As of the finding.
-    change, variance : array (n_pairs, n_known_bands)
-        Of ln T, from which the precision of each pair's noise over the expected one follows.
-    climate : bool
-        Whether another one is tried.
+    absorption is claimed, the gains alone are found. From ``change`` and ``variance`` (n_pairs,
+    n_known_bands) of ln T follows the precision of each pair's noise over the expected one; ``climate``
+    is whether another one is tried.
     """
     tracer = case.simulator
     if tracer is None:
         return {}, {}, {}, Reason("no geometry")
     absorption = family is not None and "absorption" in family
-    if unstated := case.sources_unstated:
+    sources = [*dict.fromkeys(source for source, _ in case.pairs)]
+    stated = tracer.directivity
+    if unstated := tuple(s for s in sources if not isinstance(stated.get(s), Directivity)):
         why = Reason("no directivity", {"sources": unstated}) if absorption else None
         return {}, {}, {}, why
     states, sign = case.states, 1.0  # the second absorbs more
@@ -828,7 +771,6 @@ def _located(
     again = np.array([OBSERVABLES[name].remeasured for name in match]) ** 2
     others: list[tuple[float, Array, Array]] = []
     if level is not None:
-        sources = [*dict.fromkeys(source for source, _ in pairs)]
         own = np.array([[source == name for name in sources] for source, _ in pairs], dtype=float)
         columns = np.zeros((*shape, len(sources)))
         columns[:, :, level] = own[:, np.newaxis]
@@ -862,16 +804,8 @@ def _gains(
     """Return by how many dB a source's level shifts beside what T says, if by `MOST_GAIN` or more.
 
     By T every path but the direct one loses in proportion to its length. The mean is over a source's
-    pairs and bands.
-
-    Parameters
-    ----------
-    energy : array (n_pairs, n_bands, n_bins)
-        Decays of the state before; the direct sound is in the first bin.
-    times : two arrays (n_bands,)
-        Mean T in s before and after.
-    change : array (n_pairs, n_bands)
-        Of the level in dB.
+    pairs and bands. ``energy`` (n_pairs, n_bands, n_bins) are decays of the state before, the direct
+    sound in the first bin; ``times`` T in s before and after, ``change`` that of the level in dB.
     """
     ends = np.array([(simulator.sources[s], simulator.receivers[r]) for s, r in pairs], dtype=float)
     arrival = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / simulator.room.speed_of_sound
@@ -940,16 +874,11 @@ def _evidence(
     frequencies: Array,
     common: tuple[Array, Array],
 ) -> float:
-    """Return the log evidence of a set of surfaces.
+    """Return the log evidence of a set of surfaces, over random walks of ln share through the bands.
 
-    Parameters
-    ----------
-    change : array (n_parameters, n_pairs, n_bands)
-    shifts : array (n_nodes, n_parameters, n_pairs, n_bands)
-        At the shares `NODES`.
-    noise : array (n_pairs, n_bands, n_parameters, n_parameters)
-    common : array (n_pairs, n_bands, n_parameters, n_errors), array (n_errors,)
-        What pairs err by together, and its variance where nothing changes.
+    Of a ``change`` (n_parameters, n_pairs, n_bands), ``shifts`` (n_nodes, same) at the shares `NODES`,
+    the pairs' ``noise`` (n_pairs, n_bands, n_parameters, n_parameters), and what pairs err by in
+    ``common`` (n_pairs, n_bands, n_parameters, n_errors), with its variance where nothing changes.
     """
     predicted = np.einsum("jn,nprk->jrkp", interpolation(NODES, SHARES), shifts)
     mean = predicted.mean(axis=1)  # over the pairs: (n_shares, n_bands, n_parameters)
@@ -972,23 +901,14 @@ def _evidence(
     square, half = with_columns(
         squares[..., None], half[..., None], root * b[..., None], root * held * root.swapaxes(2, 3)
     )
-    log_likelihood = -POWER * (square / 2 + half)[..., 0]
-    used = np.asarray(known.any(axis=(0, 2)))
-    return _through_bands(log_likelihood.T, frequencies, used)
-
-
-def _through_bands(log_likelihood: Array, frequencies: Array, used: NDArray[np.bool_]) -> float:
-    """Return the log of the mean over all random walks of ln share through the bands.
-
-    ``log_likelihood`` is (n_bands, n_shares).
-    """
+    log_likelihood = (-POWER * (square / 2 + half)[..., 0]).T  # (n_bands, n_shares)
     steps = np.subtract.outer(np.log(SHARES), np.log(SHARES))
     at = np.full(len(SHARES), -np.log(len(SHARES)))
     last = None
-    for k in np.flatnonzero(used).tolist():
+    for k in np.flatnonzero(known.any(axis=(0, 2))).tolist():
         if last is not None:
-            variance = WALK**2 * abs(float(np.log2(frequencies[k] / frequencies[last])))
-            move = -(steps**2) / (2 * variance)
+            spread = WALK**2 * abs(float(np.log2(frequencies[k] / frequencies[last])))
+            move = -(steps**2) / (2 * spread)
             move = move - logsumexp(move, axis=0)
             at = logsumexp(move + at, axis=1)
         at = at + log_likelihood[k]

@@ -6,18 +6,15 @@ a surface is traced, not calculated.
 
 A hypothesis spreads an absorber over its surface. In truth it hangs somewhere: receivers near it
 lose more than others, and T changes by more or less. Neither is known before the place is, so it is
-an error of the hypothesis, in proportion to its change of the absorption. The shares come from
-patches on walls of development boxes, which are weighed on the same paths
-(benchmarks/studies/pairs). They are over sqrt(1 / s - 1), s being the part of the
-surface that is covered.
+an error of the hypothesis, in proportion to its change of the absorption: `unevenness` times the
+shares that patches on walls of development boxes have (benchmarks/studies/pairs).
 
 How much the whole room scatters is not known, nor how far each material departs from that, nor how
 scattering depends on frequency. The first changes too much for a derivative: in a flat room T20 moves
-twice as far towards little scattering as towards much. So it is traced at several levels (`levels`).
-The traced paths tell what the others change (`PathTracing.scattering_jacobian`), with the prior of a
-calibration to every position (`rtcal.loop.measured_pairs`). Reference simulations tell the rest,
-without the noise of their few paths. What is compared has noise of its own, and so have the
-derivatives.
+twice as far towards little scattering as towards much. So the room is traced at several levels, and
+every density is the mean over them (`levels`). The traced paths tell what the others change
+(`PathTracing.scattering_jacobian`), with the prior of a calibration to every position
+(`rtcal.loop.measured_pairs`). Reference simulations tell the rest.
 
 The evidence is linear in the shifts and Gaussian in the errors:
 
@@ -28,9 +25,6 @@ prior of alpha and the error of d_h are integrated. All values are ordered (band
 
 A shift of band k is a mixture of the shifts at the nodes of one response, and no parameter of a band
 depends on another band. So each hypothesis needs products of nodes alone: N' K⁻¹ N and N' K⁻¹ r.
-
-How much the room scatters is integrated, too: what it changes is no straight line, so it is simulated
-at several levels, and every density is their mean (`ScatteringLevels`).
 
 The error of d_h has two parts. Each band's shift is larger or smaller by a factor
 (`ShiftHypothesis.error`), and reaches pairs more or less than if it were spread evenly
@@ -122,19 +116,11 @@ ODDS = {
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sizes:
-    """Hypotheses of one effect in one place, with their sizes.
+    """Hypotheses of one effect in one place, with their ``sizes`` (n_hypotheses,) in ``unit``.
 
-    Attributes
-    ----------
-    effect, family : str
-    place : str
-        The source, receiver or pair, or the material whose coefficients are off.
-    surface : int or None
-        Number of the surface; None for the whole room and the measurement.
-    sizes : array (n_hypotheses,)
-    unit : str
-    odds : array (n_hypotheses,)
-        Prior odds of each within its effect; over all surfaces they are normalised to 1.
+    ``place`` is the source, receiver or pair, or the material whose coefficients are off; ``surface``
+    the number of the surface, None for the whole room and the measurement. ``odds`` (n_hypotheses,) are
+    the prior odds of each within its effect: over all surfaces they sum to those of the effect.
     """
 
     effect: str
@@ -156,7 +142,6 @@ class ShiftHypothesis(Sizes):
         Which of the responses is interpolated.
     weights : array (n_hypotheses, n_bands, n_nodes)
         Shift of band k is weights[:, k] @ the response's nodes of band k.
-    parameters : sequence of mapping
     error : array (n_bands, n_bands)
         Covariance of the relative error of the change, band by band.
     spectra : array (n_hypotheses, n_bands)
@@ -270,18 +255,18 @@ OWN_UNEVENNESS = {"late": 0.06, "early": 0.06, "level": 0.24}
 
 
 def uneven_amount(parameters: Sequence[str], n_pairs: int) -> Array:
-    """Return the weights of a mean change of the absorption, (n_parameters n_pairs,)."""
-    return np.repeat(_signs(parameters), n_pairs) / (len(parameters) * n_pairs)
+    """Return the weights of a mean change of the absorption, (n_parameters n_pairs,).
 
-
-def _signs(parameters: Sequence[str]) -> Array:
-    """Return whether each parameter's linear scale rises or falls with the absorption, 1 or -1."""
-    return np.array([1.0 if observable(name).rises else -1.0 for name in parameters])
+    Their signs say whether a parameter's linear scale rises or falls with the absorption.
+    """
+    rises = [1.0 if observable(name).rises else -1.0 for name in parameters]
+    return np.repeat(rises, n_pairs) / (len(parameters) * n_pairs)
 
 
 def uneven_columns(parameters: Sequence[str], n_pairs: int) -> Array:
     """Return the deviations at a change of 1, (n_parameters n_pairs, n_columns)."""
-    signs, groups = _signs(parameters), [observable(name).part for name in parameters]
+    signs = np.sign(uneven_amount(parameters, 1))
+    groups = [observable(name).part for name in parameters]
 
     def row(of: Mapping[str, float], members: Sequence[str]) -> Array:
         return np.array([of[g] if g in members else 0.0 for g in groups]) * signs
@@ -522,54 +507,43 @@ def spreads(
     moved: Mapping[str, Array],
     errors: Array,
 ) -> list[SpreadHypothesis]:
-    """Return the hypotheses of the measurement.
+    """Return the hypotheses of the measurement: displaced places, and noisy pairs.
 
-    Parameters
-    ----------
-    measured : sequence of (source, receiver)
-    moved : mapping of str to array (n_parameters, n_pairs, n_bands, n_displacements)
-        Shifts of the measured parameters where a source or receiver is displaced; see `PairShifts`.
-    errors : array (n_bands, n_parameters, n_pairs, same three)
-        Covariance of the errors of simulator and measurement.
+    ``moved`` are shifts where a source or receiver is displaced (`PairShifts`). ``errors`` (n_bands,
+    n_parameters, n_pairs, same three) is the covariance of the errors of simulator and measurement.
     """
     shape = errors.shape[:3]
     number = np.arange(math.prod(shape)).reshape(shape)
     full = errors.reshape(number.size, number.size)
-    out = []
+    made: list[tuple[str, str, NDArray[np.int64], Array]] = []
     for place, shift in moved.items():
-        pairs = np.flatnonzero(np.abs(shift).max(axis=(0, 2, 3)))
-        if not len(pairs):
-            continue
-        rows = number[:, :, pairs].ravel()
-        # The displacements along an axis and back have nearly opposite shifts: three free directions.
-        columns = np.moveaxis(shift[:, pairs], 2, 0).reshape(len(rows), -1) / np.sqrt(6)
-        odds = np.full(len(DISPLACEMENTS), ODDS[POSITION] / (len(moved) * len(DISPLACEMENTS)))
-        out.append(
-            SpreadHypothesis(
-                effect=POSITION,
-                place=place,
-                sizes=DISPLACEMENTS,
-                unit="m",
-                odds=odds,
-                rows=rows,
-                columns=columns,
-                scales=DISPLACEMENTS / MOVE,
-            )
-        )
+        if len(pairs := np.flatnonzero(np.abs(shift).max(axis=(0, 2, 3)))):
+            rows = number[:, :, pairs].ravel()
+            # The displacements along an axis and back have nearly opposite shifts: three directions.
+            columns = np.moveaxis(shift[:, pairs], 2, 0).reshape(len(rows), -1) / np.sqrt(6)
+            made.append((POSITION, place, rows, columns))
     for i, pair in enumerate(measured):
         rows = number[:, :, i].ravel()
         root = np.asarray(np.linalg.cholesky(full[np.ix_(rows, rows)]))
-        odds = np.full(len(NOISES), ODDS[NOISE] / (len(measured) * len(NOISES)))
+        made.append((NOISE, " to ".join(pair), rows, root))
+    of_kind = {  # sizes, unit, scales and number of places
+        POSITION: (DISPLACEMENTS, "m", DISPLACEMENTS / MOVE, len(moved)),
+        NOISE: (NOISES, "times as uncertain", np.sqrt(NOISES**2 - 1), len(measured)),
+    }
+    out = []
+    for effect, place, rows, columns in made:
+        sizes, unit, scales, places = of_kind[effect]
+        odds = np.full(len(sizes), ODDS[effect] / (places * len(sizes)))
         out.append(
             SpreadHypothesis(
-                effect=NOISE,
-                place=" to ".join(pair),
-                sizes=NOISES,
-                unit="times as uncertain",
+                effect=effect,
+                place=place,
+                sizes=sizes,
+                unit=unit,
                 odds=odds,
                 rows=rows,
-                columns=root,
-                scales=np.sqrt(NOISES**2 - 1),
+                columns=columns,
+                scales=scales,
             )
         )
     return out
@@ -591,21 +565,12 @@ Residuals = tuple[Array, Array]
 
 @dataclass(eq=False)
 class Likelihood:
-    """The density of a residual (n,) under one covariance of everything but the hypothesis.
+    """The density of a residual (n,) under one covariance (n, n) of everything but the hypothesis.
 
-    Parameters
-    ----------
-    covariance : array (n, n)
-        In the order (band, parameter, pair).
-    used : bool array (n,)
-        Which values were measured; the others say nothing.
-    nodes : mapping of str to array (n_bands, n_values, n_nodes)
-        Shifts at the nodes of each response, by band.
-    uneven : array (n_values, n_columns)
-        Deviations by pair at a change of 1 of the absorption; see `uneven_columns`.
-    amount : array (n_values,)
-        Weights of a band's shift in that change.
-    levels : ScatteringLevels
+    Values are in the order (band, parameter, pair); what was not ``used`` (n,) says nothing. ``nodes``
+    (n_bands, n_values, n_nodes) are shifts at the nodes of each response, ``uneven`` (n_values,
+    n_columns) deviations by pair at a change of 1 of the absorption (`uneven_columns`), and ``amount``
+    (n_values,) the weights of a band's shift in that change.
     """
 
     covariance: Array
@@ -776,20 +741,9 @@ def simulator_error(
 
     n = parameters x pairs x bands. It is that of the reference simulations without their noise, what is
     common to all pairs as large as is assumed, of the scattering of the materials, and of the paths'
-    noise.
-
-    Parameters
-    ----------
-    controls : ControlRuns
-        With as many paths as a group of the tracings, or `ControlRuns.more_paths` times as many.
-    noise : array (n_groups, n_parameters, n_pairs, n_bands)
-        Deviations of all groups of paths from the mean of their tracing.
-    scattering : array (n_parameters, n_pairs, n_bands, n_materials)
-        Derivatives by the log odds of each material's scattering coefficient.
-    scattering_noise : array (n_groups, n_parameters, n_pairs, n_bands, n_materials)
-        Deviations of those of all groups of paths from the mean of their tracing.
-    tracings : int
-    centre_frequencies : array (n_bands,)
+    noise. ``noise`` (n_groups, n_parameters, n_pairs, n_bands) are deviations of all groups of paths
+    from the mean of their tracing. ``scattering`` (n_parameters, n_pairs, n_bands, n_materials) are
+    derivatives by the log odds of each material's scattering, ``scattering_noise`` their deviations.
     """
     free = len(noise) - tracings
     variance = (noise**2).sum(axis=0).mean(axis=1) / free  # (n_parameters, n_bands)
@@ -849,12 +803,7 @@ def levels(traced: Array) -> ScatteringLevels:
 def covariance_of_lobes(nodes: Array, pairs: Sequence[Pair], frequencies: Array) -> Array:
     """Return the covariance of what lobes change, (n, n), in the order (band, parameter, pair).
 
-    Parameters
-    ----------
-    nodes : array (n_bands, n_values, n_aims)
-        Shifts by the lobes of `lobes`, in the order (parameter, pair).
-    pairs : sequence of (source, receiver)
-    frequencies : array (n_bands,)
+    ``nodes`` (n_bands, n_values, n_aims) are shifts by the lobes of `lobes`, by parameter and pair.
     """
     n_bands, n_values, _ = nodes.shape
     of_source = np.array([source for source, _ in pairs] * (n_values // len(pairs)))
@@ -869,41 +818,27 @@ def covariance_of_lobes(nodes: Array, pairs: Sequence[Pair], frequencies: Array)
 class PositionsProblem:
     """The problem of a search: its data, the shifts of its hypotheses, its errors.
 
-    All arrays are in the order (band, parameter, pair).
+    All arrays are in the order (band, parameter, pair). Raises DataError if too little was measured.
 
     Attributes
     ----------
-    data : MeasuredPairs
-    controls : ControlRuns
     residual : array (n,)
         Measured less simulated as stated, on the scales of `Observable.linear`; 0 where nothing was
-        measured.
+        measured, which ``used`` (n,) says.
     scale : array (n,)
         Derivative of the scales at the measured values: factor of an error.
-    used : bool array (n,)
     moved : mapping of str to array (n_parameters, n_pairs, n_bands, n_displacements)
         Shifts where a source or receiver is displaced, by its name.
     alpha : array (n, n_unknowns)
         Factor of the prior's covariance of the parameters: coefficients, what catalogues err by in
-        common, and the climate.
-    together : array (n, n_errors)
-        The part of it that is a common error of the coefficients.
-    measurement : array (n, n)
-        Covariance of the measurement's errors.
-    simulator_error : array (n, n)
-        Covariance of the simulator's error.
-    levels : ScatteringLevels
+        common, and the climate. ``together`` (n, n_errors) is the part that is a common error.
+    measurement, simulator_error : array (n, n)
+        Covariances of their errors.
     aimed : array (n, n), optional
         Covariance of what other lobes of the sources change; None where no source may have any.
     gains : sequence of array (n, n)
         Covariances of what other gains of calibrated sources change (`covariances_of_gains`); none
         where the level is relative, or its common uncertainty is stated.
-    nodes : mapping of str to array (n_bands, n_values, n_nodes)
-
-    Raises
-    ------
-    DataError
-        If too little was measured.
     """
 
     def __init__(self, case: PositionsCase, made: PairShifts, controls: ControlRuns) -> None:
