@@ -35,7 +35,7 @@ from rtcal.files.disk import make_folder, write_all
 from rtcal.finder.case import Case, Configuration, PositionsCase, StatesCase
 from rtcal.finder.claim import Candidate, Reason, amount
 from rtcal.finder.effects import AppliedEffect
-from rtcal.finder.means.problem import predict_in, state, with_applied
+from rtcal.finder.means.problem import predict_in, state, values_of_features, with_applied
 from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions
 from rtcal.finder.positions.surfaces import NEAR, face_at, of_geometry, patched
 from rtcal.io import catt, odeon
@@ -172,25 +172,18 @@ class Corrected:
 
     def _with_mesh(self, mesh: Path) -> Room:
         """Return the room with its mesh, and the faces of each surface, as its file states it."""
-        if self.geometry is None:
+        case, solid, made = self.case, self.geometry, dict[str, list[str]]()
+        if solid is None:
             return self.room
-        scene = replace(self.room.scene, mesh=mesh, surfaces=self._faces(self.geometry))
-        return self.room.replace(scene=scene)
-
-    def _faces(self, solid: Polyhedron) -> dict[str, list[str]]:
-        """The faces that each surface of the case has now, and the patch; none if it states none."""
-        case = self.case
-        if not isinstance(case, PositionsCase) or case.surfaces is None:
-            return {}
-        before = case.geometry.names
-        owners = {before[i]: name for name, faces in case.faces.items() for i in faces}
-        made: dict[str, list[str]] = {}
-        for name, material in zip(solid.names, solid.materials, strict=True):
-            # A face that is new is of the patch, or a piece of the wall that it is cut from.
-            cut = material if material == self.material else self.surfaces[0]
-            if owner := owners.get(name, "" if name in before else cut):
-                made.setdefault(owner, []).append(name)
-        return made
+        if isinstance(case, PositionsCase) and case.surfaces is not None:
+            before = case.geometry.names
+            owners = {before[i]: name for name, faces in case.faces.items() for i in faces}
+            for name, material in zip(solid.names, solid.materials, strict=True):
+                # A face that is new is of the patch, or a piece of the wall that it is cut from.
+                cut = material if material == self.material else self.surfaces[0]
+                if owner := owners.get(name, "" if name in before else cut):
+                    made.setdefault(owner, []).append(name)
+        return self.room.replace(scene=replace(self.room.scene, mesh=mesh, surfaces=made))
 
     @property
     def reports(self) -> dict[str, ExportReport]:
@@ -296,29 +289,17 @@ class CaseModel(RoomSimulator):
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
         """Simulate alpha (n_materials, n_bands)."""
         s = self.state(check_alpha(self, alpha))
-        if self.inner is not None:
-            return run(self.inner, self._on_walls(s), seed=seed)
-        features = predict_in(self.case, self.case.configurations[0], [s]).features[0]
-        rows = dict(zip(FEATURES, features, strict=True))
-        t20 = np.exp(rows["t20"])
-        return Measurement.from_values(
-            self.centre_frequencies,
-            t20=t20,
-            edt=t20 * np.exp(rows["edt"]),
-            t30=t20 * np.exp(rows["t30"]),
-            c80=rows["c80"],
-            g=rows["g"],
-        )
-
-    def _on_walls(self, s: RoomState) -> Array:
-        """Return coefficients of the stated materials with which the walls absorb all."""
+        if self.inner is None:
+            features = predict_in(self.case, self.case.configurations[0], [s]).features[0]
+            return values_of_features(features, self.centre_frequencies, FEATURES)
+        # The stated materials, with which the walls absorb all.
         linear = mean_equation(s.equation).linear()
         bare = replace(s, covering=0.0, objects=0.0)
         whole, walls = (linear.inverse(_absorbing(at) / at.total_area) for at in (s, bare))
         whole = np.where(np.isfinite(whole), np.minimum(whole, 1.0), 1.0)
         more = (whole - walls) / (1 - walls)
         spread = np.where(more > 0, s.alpha + more * (1 - s.alpha), s.alpha * whole / walls)
-        return np.asarray(np.clip(spread, 0.0, 1.0))
+        return run(self.inner, np.clip(spread, 0.0, 1.0), seed=seed)
 
     def spread_over(self, make: Callable[[Room], Simulator]) -> CaseModel:
         """Return the model in a simulator that ``make`` builds for the stated materials."""
@@ -347,22 +328,20 @@ class CaseModel(RoomSimulator):
                 f"{bands.span(room.centre_frequencies)}"
             )
         if (geometry := getattr(inner, "geometry", None)) is not None:
-            self._check_geometry(geometry)
+            # An area, or the volume, that the finding has changed.
+            areas = zip(room.materials, room.areas, self.stated.areas, strict=True)
+            sizes = [("volume", room.volume, self.stated.volume, geometry.volume, "m³")]
+            sizes += [
+                (f'area of "{n}"', float(one), float(other), geometry.areas.get(n, 0.0), "m²")
+                for n, one, other in areas
+            ]
+            for what, one, other, drawn, unit in sizes:
+                if one != other and abs(drawn - other) > _OFF_GEOMETRY * other:
+                    raise DataError(
+                        f"{what}: the finding has {other:.4g} {unit}, the simulator's geometry "
+                        f"{drawn:.4g} {unit}; draw it anew"
+                    )
         return replace(self, inner=inner)
-
-    def _check_geometry(self, geometry: Polyhedron) -> None:
-        """Refuse a geometry without an area, or the volume, that the finding has changed."""
-        before, after = self.case.room, self.stated
-        pairs = [("volume", before.volume, after.volume, geometry.volume, "m³")]
-        for name, one, other in zip(before.materials, before.areas, after.areas, strict=True):
-            drawn = geometry.areas.get(name, 0.0)
-            pairs.append((f'area of "{name}"', float(one), float(other), drawn, "m²"))
-        for what, one, other, drawn, unit in pairs:
-            if one != other and abs(drawn - other) > _OFF_GEOMETRY * other:
-                raise DataError(
-                    f"{what}: the finding has {other:.4g} {unit}, the simulator's geometry "
-                    f"{drawn:.4g} {unit}; draw it anew"
-                )
 
 
 def _with_effects(case: Case) -> str:
@@ -426,30 +405,25 @@ def corrected_case(case: Case) -> Corrected:
         surfaces = (*stated.surfaces, *new) if stated.surfaces else ()
         rows = [*map(stated.material, stated.materials), *further]
         made = stated.with_rows(rows, surfaces=surfaces)
-    model = CaseModel(case, made, stated, after, absent)
-    return Corrected(case=case, room=made, notes=tuple(_not_in_room(model)), model=model)
-
-
-def _not_in_room(model: CaseModel) -> list[Reason]:
-    """Return what a room cannot represent: decay shape, noise, equation, surfaces."""
-    stated, room, whole = model.case.room, model.room, model.whole
-    out = [why for each in model.absent.values() for why in each]
-    if whole.equation != model.case.equation:
-        out.append(Reason("equation", {"equation": str(whole.equation)}))
-    speed, own = whole.speed_of_sound, room.speed_of_sound
+    # What a room cannot represent: decay shape, noise, equation, surfaces.
+    notes = [why for each in absent.values() for why in each]
+    if after.equation != case.equation:
+        notes.append(Reason("equation", {"equation": str(after.equation)}))
+    speed, own = after.speed_of_sound, made.speed_of_sound
     if speed != own:
         off = {"model": speed, "room": own, "by": 100 * (speed / own - 1)}
-        out.append(Reason("speed of sound", off))
-    lost = [n for n in ("surfaces", "dimensions") if getattr(stated, n) and not getattr(room, n)]
+        notes.append(Reason("speed of sound", off))
+    lost = [n for n in ("surfaces", "dimensions") if getattr(room, n) and not getattr(made, n)]
     if lost:
-        out.append(Reason("no place", {"lost": lost}))
-    if room.volume != stated.volume:
-        out.append(Reason("volume changed", {"now": room.volume, "before": stated.volume}))
-    for name, was, area in zip(stated.materials, stated.areas, room.areas, strict=False):
+        notes.append(Reason("no place", {"lost": lost}))
+    if made.volume != room.volume:
+        notes.append(Reason("volume changed", {"now": made.volume, "before": room.volume}))
+    for name, was, area in zip(room.materials, room.areas, made.areas, strict=False):
         if area != was:
-            resized = {"material": name, "now": float(area), "before": float(was)}
-            out.append(Reason("area changed", resized))
-    return out
+            other = {"material": name, "now": float(area), "before": float(was)}
+            notes.append(Reason("area changed", other))
+    model = CaseModel(case, made, stated, after, absent)
+    return Corrected(case=case, room=made, notes=tuple(notes), model=model)
 
 
 def _absorbers(
@@ -474,11 +448,13 @@ def _absorbers(
     for p, (covering, objects) in gains:
         before, at = at, replace(at, covering=at.covering + covering, objects=at.objects + objects)
         gain = (_absorbing(at) - _absorbing(before)) / walls
+
+        def lacks(code: str, effect: str = p.name, **values: Any) -> None:
+            absent.setdefault(effect, []).insert(0, Reason(code, {"effect": effect, **values}))
+
         if (gain <= _NO_ABSORPTION).all():
             if (gain < -_NO_ABSORPTION).any():
-                absent.setdefault(p.name, []).insert(
-                    0, Reason("takes absorption", {"effect": p.name})
-                )
+                lacks("takes absorption")
             continue
 
         def standing(
@@ -493,15 +469,14 @@ def _absorbers(
 
         least = _smallest(standing, top, walls)
         if least is None:
-            absent.setdefault(p.name, []).insert(0, Reason(_TOO_MUCH, {"effect": p.name}))
+            lacks(_TOO_MUCH)
             continue
         spread = p.size_sigma / max(abs(p.size), 1e-9)
         larger = _smallest(standing, top / (1 + NORMAL_90 * spread), walls) or least
         size = max(least, min(larger, _LARGEST_SHARE * walls))
         h = standing(size)
         if (h < 0).any():
-            hidden = {"effect": p.name, "bands": bands.labels(stated.centre_frequencies[h < 0])}
-            absent.setdefault(p.name, []).insert(0, Reason("hides wall", hidden))
+            lacks("hides wall", bands=bands.labels(stated.centre_frequencies[h < 0]))
         h = np.clip(h, 0, top)
         alpha = equation.coefficient(h)
         names.append(new_name(names, p.name))
@@ -722,17 +697,8 @@ def changed_room(
     """Return the room of the second state; see `rtcal.finder.Finding.apply`.
 
     Its coefficients are those of a calibration to the first state, with the change's mean; their sigma
-    is the calibration's and the change's.
-
-    Parameters
-    ----------
-    case : StatesCase
-    area, change : array (n_bands,), (3, n_bands)
-        Absorption area before and its change in m², as of `Finding`.
-    surfaces : sequence of str
-        Those that are identified.
-    kinds : sequence of str
-        What may have changed.
+    is the calibration's and the change's. ``area`` (n_bands,) and ``change`` (3, n_bands) in m² are as
+    of `Finding`, ``surfaces`` those that are identified, and ``kinds`` what may have changed.
     """
     labels = bands.labels(case.room.centre_frequencies)
     stated = case.room.replace(calibration=None)
@@ -758,19 +724,17 @@ def changed_room(
     # What changes is of the materials in proportion to the areas in its row.
     areas = np.array(rows).sum(axis=1)
     mix = np.array(rows) / areas[:, np.newaxis]
-    alpha, sigma = _with_change(mix @ before.alpha, mix @ before.sigma, areas, mean, spread)
-    lacking = mean - areas @ (alpha - mix @ before.alpha)
-    sources = [
-        "; ".join(
-            [
-                *filter(
-                    None, {before.sources.get(names[i]): 0 for i in np.flatnonzero(row > _GONE)}
-                ),
-                "changed by rtcal find: two states",
-            ]
-        )
-        for row in mix
-    ]
+    was = mix @ before.alpha
+    by_share = np.where(mean > 0, 1 - was, was)
+    left = np.maximum(areas @ by_share, 1e-9)
+    alpha = np.clip(was + np.clip(mean / left, -1.0, 1.0) * by_share, 0.0, 1.0)
+    sigma = np.hypot(mix @ before.sigma, by_share * spread / left)
+    sigma = np.clip(sigma, _LEAST_SIGMA, 1.0)
+    lacking = mean - areas @ (alpha - was)
+    sources = []
+    for row in mix:
+        of = dict.fromkeys(before.sources.get(names[i]) for i in np.flatnonzero(row > _GONE))
+        sources.append("; ".join([*filter(None, of), "changed by rtcal find: two states"]))
     if geometry is not None and tracer is not None:
         columns = (alpha.tolist(), sigma.tolist(), (mix @ tracer.scattering).tolist(), sources)
         of_names = zip(names[before.n_materials :], *columns, strict=True)
@@ -793,17 +757,3 @@ def changed_room(
         notes.append(Reason("kind unknown", {"kinds": tuple(kinds)}))
     on = () if geometry is None else tuple(surfaces)
     return Corrected(case=case, room=room, geometry=geometry, surfaces=on, notes=tuple(notes))
-
-
-def _with_change(
-    alpha: Array, sigma: Array, areas: Array, change: Array, spread: Array
-) -> tuple[Array, Array]:
-    """Return alpha and sigma with a change of the absorption area, as far as it fits.
-
-    ``alpha`` and ``sigma`` are (n, n_bands), ``areas`` (n,), and the others in m² (n_bands,).
-    """
-    by_share = np.where(change > 0, 1 - alpha, alpha)
-    room = np.maximum(areas @ by_share, 1e-9)
-    new = np.clip(alpha + np.clip(change / room, -1.0, 1.0) * by_share, 0.0, 1.0)
-    wide = np.hypot(sigma, by_share * spread / room)
-    return new, np.clip(wide, _LEAST_SIGMA, 1.0)

@@ -36,7 +36,7 @@ docs/discrepancy_method.md has what these choices rest on.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from itertools import combinations
@@ -603,19 +603,21 @@ def features_of_values(m: Measurement) -> Array:
     return table
 
 
-def values_of_features(features: Array, like: Measurement) -> Measurement:
-    """Return a model's features (n_features, n_bands) as the parameters that ``like`` has."""
+def values_of_features(
+    features: Array, frequencies: Array, parameters: Collection[str]
+) -> Measurement:
+    """Return a model's features (n_features, n_bands) as these parameters; T30 alone is the amount."""
     log_time, edt, t30, c80, g = features
     with np.errstate(over="ignore"):
         values = {
-            "t30": np.exp(log_time + t30),
+            "t20": np.exp(log_time),
             "edt": np.exp(log_time + edt),
-            _amount(like): np.exp(log_time),
+            "t30": np.exp(log_time + t30 if "t20" in parameters else log_time),
             "c80": c80,
             "g": g,
         }
-    known = {p: np.where(np.isfinite(v), v, np.nan) for p, v in values.items() if p in like.values}
-    return Measurement.from_values(like.centre_frequencies, **known)
+    known = {p: np.where(np.isfinite(v), v, np.nan) for p, v in values.items() if p in parameters}
+    return Measurement.from_values(frequencies, **known)
 
 
 def _covariance_of_run(run: Measurement) -> Array:

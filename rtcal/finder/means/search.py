@@ -220,7 +220,7 @@ def _conclude(
         prior=prior,
         residuals=problem.standardized_residuals(),
         modelled=tuple(
-            values_of_features(features, c.measured)
+            values_of_features(features, c.measured.centre_frequencies, c.measured.values)
             if c.simulated is None
             else c.simulated.simulated
             for c, features in zip(case.configurations, problem.predicted.features[0], strict=True)
