@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal, multivariate_t
 
 from rtcal.finder import evidence
-from rtcal.finder.evidence import Factorization, bounded, student, with_columns
+from rtcal.finder.evidence import bounded, leading_products, student, with_columns
 
 
 def test_products_and_determinant_are_those_of_the_whole_matrix() -> None:
@@ -16,9 +16,9 @@ def test_products_and_determinant_are_those_of_the_whole_matrix() -> None:
     root = rng.standard_normal((n, m, 12))
     covariance = root @ root.swapaxes(1, 2)
     rows = rng.standard_normal((n, 5, m))
-    factors = Factorization(covariance.copy())
     ends = [3, 6, 9]
-    for end, products in zip(ends, factors.leading(rows.copy(), 2, ends), strict=True):
+    leading = leading_products(covariance.copy(), rows.copy(), 2, ends)
+    for end, products in zip(ends, leading, strict=True):
         part, seen = covariance[:, :end, :end], rows[:, :, :end]
         expected = seen @ np.linalg.solve(part, seen.swapaxes(1, 2))
         half, square, across, inner = products
@@ -31,7 +31,7 @@ def test_products_and_determinant_are_those_of_the_whole_matrix() -> None:
 
 def test_a_matrix_that_is_not_positive_definite_is_an_error() -> None:
     with pytest.raises(np.linalg.LinAlgError, match="covariance 1 is not positive definite"):
-        Factorization(np.stack([np.eye(2), -np.eye(2)]))
+        list(leading_products(np.stack([np.eye(2), -np.eye(2)]), np.zeros((2, 1, 2)), 1, [2]))
 
 
 def test_the_evidence_of_a_hypothesis_is_the_density_under_its_whole_covariance(

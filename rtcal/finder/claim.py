@@ -125,13 +125,6 @@ def families_of(names: Names, effects: Mapping[str, Effect]) -> Names:
     return tuple(sorted(wide(family_of(name, effects)) for name in names))
 
 
-def by_family_sets(
-    sets: Mapping[Names, float], effects: Mapping[str, Effect]
-) -> dict[Names, float]:
-    """Return the probability of each set of families (`families_of`), the most probable first."""
-    return summed((families_of(names, effects), p) for names, p in sets.items())
-
-
 def numbers_of(sets: Mapping[Names, float]) -> tuple[float, ...]:
     """Return the probabilities of 0, 1, 2, ... effects."""
     by_number = summed((len(names), p) for names, p in sets.items())

@@ -44,16 +44,8 @@ def with_columns(
 ) -> tuple[Array, Array]:
     """Return r' (C + U U')⁻¹ r, (..., m), and ln sqrt|C + U U'|, (..., 1) (Woodbury).
 
-    Parameters
-    ----------
-    square : array (..., m)
-        r' C⁻¹ r of m residuals.
-    half : array (..., 1) or float
-        ln sqrt|C|.
-    across : array (..., n_columns, m)
-        U' C⁻¹ r.
-    inner : array (..., n_columns, n_columns)
-        U' C⁻¹ U.
+    From ``square`` (..., m), r' C⁻¹ r of m residuals, ``half`` (..., 1), ln sqrt|C|, ``across`` (...,
+    n_columns, m), U' C⁻¹ r, and ``inner`` (..., n_columns, n_columns), U' C⁻¹ U.
     """
     factor = np.asarray(np.linalg.cholesky(inner + np.eye(inner.shape[-1])), dtype=float)
     whitened = np.array(across.swapaxes(-2, -1), order="C")
@@ -117,44 +109,33 @@ def log_mixture(one: Array, other: Array, share: float) -> Array:
         return np.asarray(np.logaddexp(np.log1p(-share) + one, np.log(share) + other))
 
 
-class Factorization:
-    """The Cholesky factors L of n covariances C (n, m, m), which are overwritten.
+def leading_products(
+    covariance: Array, rows: Array, first: int, ends: Sequence[int]
+) -> Iterator[tuple[Array, Array, Array, Array]]:
+    """Yield ln sqrt|C| and products x C⁻¹ y' of rows (n, d, m), for leading parts of C (n, m, m).
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If a covariance is not positive definite.
+    ``ends`` are the parts' numbers of rows and columns; they rise. The Cholesky factor of a leading
+    part is the leading part of the factor, so that all cost little more than the last. The products are
+    the squares of the ``first`` rows (n, first), those of the others with them (n, d - first, first),
+    and those of the others with one another. Both arrays are overwritten. LinAlgError if a covariance
+    is not positive definite.
     """
-
-    def __init__(self, covariance: Array) -> None:
-        # LAPACK sees the transpose of a matrix in C order, so its upper factor is the lower one.
-        for i, matrix in enumerate(covariance):
-            _, info = dpotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
-            if info:
-                raise np.linalg.LinAlgError(f"covariance {i} is not positive definite")
-        self._half = np.cumsum(np.log(np.diagonal(covariance, axis1=1, axis2=2)), axis=1)
-        self._lower = covariance
-
-    def leading(
-        self, rows: Array, first: int, ends: Sequence[int]
-    ) -> Iterator[tuple[Array, Array, Array, Array]]:
-        """Yield ln sqrt|C| and products x C⁻¹ y' of rows (n, d, m), for leading parts of C.
-
-        ``ends`` are the parts' numbers of rows and columns; they rise. The factor of a leading part is
-        the leading part of the factor, so that all cost little more than the last. The products are the
-        squares of the ``first`` rows (n, first), those of the others with them (n, d - first, first),
-        and those of the others with one another. ``rows`` may be overwritten.
-        """
-        whitened, begin = np.ascontiguousarray(rows), 0
-        if whitened.size:
-            _whiten(self._lower, whitened)
-        square, across, inner = np.zeros(()), np.zeros(()), np.zeros(())
-        for end in ends:
-            z, w = whitened[:, :first, begin:end], whitened[:, first:, begin:end]
-            square = square + np.einsum("ndm,ndm->nd", z, z)
-            across, inner = across + w @ z.swapaxes(1, 2), inner + w @ w.swapaxes(1, 2)
-            yield self._half[:, end - 1, np.newaxis], square, across, inner
-            begin = end
+    # LAPACK sees the transpose of a matrix in C order, so its upper factor is the lower one.
+    for i, matrix in enumerate(covariance):
+        _, info = dpotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
+        if info:
+            raise np.linalg.LinAlgError(f"covariance {i} is not positive definite")
+    halves = np.cumsum(np.log(np.diagonal(covariance, axis1=1, axis2=2)), axis=1)
+    whitened, begin = np.ascontiguousarray(rows), 0
+    if whitened.size:
+        _whiten(covariance, whitened)
+    square, across, inner = np.zeros(()), np.zeros(()), np.zeros(())
+    for end in ends:
+        z, w = whitened[:, :first, begin:end], whitened[:, first:, begin:end]
+        square = square + np.einsum("ndm,ndm->nd", z, z)
+        across, inner = across + w @ z.swapaxes(1, 2), inner + w @ w.swapaxes(1, 2)
+        yield halves[:, end - 1, np.newaxis], square, across, inner
+        begin = end
 
 
 NONE, COEFFICIENTS, UNKNOWN = "none", "coefficients", "unknown"
@@ -263,33 +244,11 @@ def left_out_of(
     if named["only"]:
         left |= {*possible} - {*named["only"], *in_any_case}
     if left >= {*possible}:
-        raise DataError(_NONE_LEFT)
+        raise DataError(NONE_LEFT)
     return tuple(sorted(left))
 
 
-_NONE_LEFT = "only and without leave no effect to try"
-
-
-def chosen_effects(
-    effects: Sequence[Effect], without: Sequence[str], only: Sequence[str]
-) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
-    """Return the effects to try, and the names that are left out; DataError for an unknown name."""
-    possible = [*(e.name for e in effects), COEFFICIENTS, UNKNOWN]
-    left = left_out_of(only, without, possible, [UNKNOWN])
-    tried = tuple(e for e in effects if e.name not in left)
-    if not tried:
-        raise DataError(_NONE_LEFT)
-    return tried, left
-
-
-def checked_odds(effects: Sequence[Effect], prior: object) -> dict[str, float]:
-    """Return the odds that a user states, by name; DataError for another name, or odds not above 0."""
-    names = [*(e.name for e in effects), NONE, COEFFICIENTS, UNKNOWN]
-    stated = {} if prior is None else checks.mapped("prior", prior)
-    for name in stated:
-        if name not in names:
-            raise DataError(f'prior has "{name}", which is not one of {", ".join(names)}')
-    return {name: checks.positive(f'prior["{name}"]', odds) for name, odds in stated.items()}
+NONE_LEFT = "only and without leave no effect to try"
 
 
 def grid_weights(effect: Effect, grid: Sequence[Parameters], state: RoomState) -> Array:
@@ -396,16 +355,9 @@ def by_name(rng: np.random.Generator, names: Sequence[str]) -> list[np.random.Ge
 class OffTogether:
     """The posterior of coefficients that are off together.
 
-    Attributes
-    ----------
-    probability : float
-        Of that, given the effect that is claimed beside it.
-    factor : array (n_materials, n_bands)
-        Coefficient over what is stated: posterior mean.
-    spread : array, same shape
-        Standard deviation of ln ``factor``.
-    ratio : array (n_bands,)
-        The room's absorption area over what is stated.
+    Its ``probability``, given the effect that is claimed beside it; the posterior mean ``factor`` of
+    the coefficients over what is stated (n_materials, n_bands), with the standard deviation ``spread``
+    of its logarithm; and the ``ratio`` (n_bands,) of the room's absorption area to what is stated.
     """
 
     probability: float
@@ -437,19 +389,11 @@ class OffTogether:
 def off_together(
     case: Case, changes: Array, residual: Array, covariance: Array, probability: float
 ) -> OffTogether:
-    """Return the posterior of a common error of the coefficients.
+    """Return the posterior of a common error of the coefficients, whose ``probability`` is known.
 
-    Parameters
-    ----------
-    case : Case
-    changes : array (n_used, n_directions)
-        Of the features by each direction (`by_direction`).
-    residual : array (n_used,)
-        Measured less predicted with the coefficients as stated.
-    covariance : array (n_used, n_used)
-        Of the residual, the usual common error in it.
-    probability : float
-        That the coefficients are off together.
+    ``changes`` (n_used, n_directions) are those of the features by each direction (`by_direction`).
+    ``residual`` (n_used,) is measured less predicted with the coefficients as stated, and
+    ``covariance`` (n_used, n_used) its own, the usual common error in it.
     """
     f = changes
     weights, means, variances = [], [], []

@@ -41,10 +41,11 @@ from rtcal.finder.claim import (
     Names,
     Reason,
     Size,
-    by_family_sets,
     credible_set,
+    families_of,
     numbers_of,
     over_frequency,
+    summed,
 )
 from rtcal.finder.effects import AppliedEffect, CoupledRoom, Effect, WrongVolume
 from rtcal.finder.evidence import UNKNOWN, OffTogether
@@ -304,7 +305,8 @@ class Finding(Result):
     @property
     def family_sets(self) -> dict[Names, float]:
         """Of means, probabilities of sets of families; all of "added absorption" as one."""
-        return by_family_sets(self.sets if self.kind == "means" else {}, self.effects)
+        sets = self.sets if self.kind == "means" else {}
+        return summed((families_of(names, self.effects), p) for names, p in sets.items())
 
     @property
     def coefficients(self) -> OffTogether | None:
@@ -403,12 +405,52 @@ class Finding(Result):
     @property
     def refusal(self) -> Reason | None:
         """Why there is nothing to add; None where there is something."""
-        return None if self.can_be_added else _nothing_to_add(self)
+        if self.can_be_added:
+            return None
+        if self.kind == "states":
+            return Reason("climate changed" if self.detected else "no change to add")
+        best = self.likeliest if self.kind == "positions" else self.best
+        if self.verdict == "none":
+            return Reason("nothing to add")
+        if self.verdict == "hint":
+            return Reason("too weak to add", {"best": best})
+        if best is not None and best.effect == CoupledRoom.name:
+            return Reason("second room", {"best": best, "why": CoupledRoom.not_in_simulator})
+        code = "none of the library" if self.verdict == UNKNOWN else "no surface"
+        return Reason(code, {"best": best})
 
     @property
     def undecided(self) -> Reason | None:
-        """Why `apply` needs the name of what it adds; None where it does not."""
-        return _undecided(self) if self.can_be_added else None
+        """Why `apply` needs the name of what it adds; None where it does not.
+
+        What stands on a surface counts with its family: which porous absorber it is changes little.
+        Where the verdict is "unknown", the shares are those of the rest.
+        """
+        best, known = self.likeliest, [c for c in self.candidates if c.effect != UNKNOWN]
+        if not self.can_be_added or self.kind == "states" or best is None:
+            return None
+        if self.kind == "means":
+            if self._least >= LEAST_ADDED:
+                return self._unclaimed_volume(self.members)
+            some = [(c.effect, c.probability) for c in known]
+            return Reason("effect undecided", {"least": LEAST_ADDED, "candidates": some})
+        alike = (c for c in known if (c.surface, c.kind) == (best.surface, best.kind))
+        share = sum(c.probability for c in alike)
+        if self.verdict == UNKNOWN:
+            share /= sum(c.probability for c in known)
+        if share >= LEAST_ADDED:
+            return None
+        shown = [c for c in known if c.can_be_added and c.probability >= SAID][:_CHOICE] or [best]
+        return Reason("place undecided", {"least": LEAST_ADDED, "candidates": shown})
+
+    def _unclaimed_volume(self, members: Names) -> Reason | None:
+        """Return why a volume among the members is not changed; None where it is, or none is there."""
+        name = WrongVolume.name
+        if name not in members or name in self.named:
+            return None
+        others = [n for n in self.names if n not in (name, UNKNOWN)]
+        values = {"probability": self.probabilities[name], "least": CLAIMED, "others": others}
+        return Reason("volume undecided" if others else "volume alone undecided", values)
 
     def apply(
         self,
@@ -484,7 +526,7 @@ class Finding(Result):
         if effect is not None and (found is None or not found.is_fitted):
             candidates = listed([n for n in self.names if n != UNKNOWN], last="or")
             raise DataError(f'effect = "{effect}" is no candidate. Candidates: {candidates}')
-        why = self.undecided if effect is None else _unclaimed_volume(self, (effect,))
+        why = self.undecided if effect is None else self._unclaimed_volume((effect,))
         if why is not None:
             raise DataError(str(why))
         return self.members if effect is None else (effect,)
@@ -589,51 +631,3 @@ def support(f: Finding, best: Candidate) -> Reason:
     others = rivals(f, best)
     values = {"verdict": f.verdict, "best": best, "others": others}
     return Reason("support" if others else "sole", values)
-
-
-def _nothing_to_add(f: Finding) -> Reason:
-    """Return why there is nothing to add."""
-    if f.kind == "states":
-        return Reason("climate changed" if f.detected else "no change to add")
-    best = f.likeliest if f.kind == "positions" else f.best
-    if f.verdict == "none":
-        return Reason("nothing to add")
-    if f.verdict == "hint":
-        return Reason("too weak to add", {"best": best})
-    if best is not None and best.effect == CoupledRoom.name:
-        return Reason("second room", {"best": best, "why": CoupledRoom.not_in_simulator})
-    return Reason("none of the library" if f.verdict == UNKNOWN else "no surface", {"best": best})
-
-
-def _undecided(f: Finding) -> Reason | None:
-    """Return why the user must state what is to be added; None where it is clear.
-
-    What stands on a surface counts with its family: which porous absorber it is changes little. Where
-    the verdict is "unknown", the shares are those of the rest.
-    """
-    known = [c for c in f.candidates if c.effect != UNKNOWN]
-    if f.kind == "means":
-        if f._least >= LEAST_ADDED:
-            return _unclaimed_volume(f, f.members)
-        some = [(c.effect, c.probability) for c in known]
-        return Reason("effect undecided", {"least": LEAST_ADDED, "candidates": some})
-    best = f.likeliest
-    if f.kind == "states" or best is None:
-        return None
-    share = sum(c.probability for c in known if (c.surface, c.kind) == (best.surface, best.kind))
-    if f.verdict == UNKNOWN:
-        share /= sum(c.probability for c in known)
-    if share >= LEAST_ADDED:
-        return None
-    shown = [c for c in known if c.can_be_added and c.probability >= SAID][:_CHOICE] or [best]
-    return Reason("place undecided", {"least": LEAST_ADDED, "candidates": shown})
-
-
-def _unclaimed_volume(f: Finding, members: Names) -> Reason | None:
-    """Return why a volume among the members is not changed; None where it is, or none is there."""
-    name = WrongVolume.name
-    if name not in members or name in f.named:
-        return None
-    others = [n for n in f.names if n not in (name, UNKNOWN)]
-    values = {"probability": f.probabilities[name], "least": CLAIMED, "others": others}
-    return Reason("volume undecided" if others else "volume alone undecided", values)

@@ -244,9 +244,26 @@ def predict(states: Sequence[RoomState], distance: Array) -> Predicted:
     n_bands = len(states[0].air)
     features = np.empty((len(states), len(FEATURES), n_bands))
     shifted = np.empty_like(features)
-    for members, decay in _alike(states):
+    # By the number of decay terms, and the presence of a noise floor.
+    groups: dict[tuple[object, bool], list[int]] = {}
+    alone: dict[int, Decay] = {}
+    for i, s in enumerate(states):
+        kind: object = type(s.shape)
+        if s.shape is not None and not hasattr(s.shape, "together"):
+            alone[i] = s.shape(s.locked())
+            kind = alone[i].rates.shape[1]
+        groups.setdefault((kind, s.floor_db is not None), []).append(i)
+    for members in groups.values():
         group = [states[i] for i in members]
-        weights, rate = decay.weights, decay.rates
+        if members[0] in alone:
+            weights = np.array([alone[i].weights for i in members])
+            rate = np.array([alone[i].rates for i in members])
+        elif (together := getattr(group[0].shape, "together", None)) is not None:
+            decay = together(group, [s.shape for s in group])
+            weights, rate = decay.weights, decay.rates
+        else:
+            rate = rates(group)[:, :, None]
+            weights = np.ones_like(rate) / np.array([s.volume for s in group])[:, None, None]
         floor = np.array([np.nan if s.floor_db is None else s.floor_db for s in group])
         record = np.array([s.record for s in group])
         direct = np.array([s.direct_db for s in group])
@@ -263,37 +280,6 @@ def predict(states: Sequence[RoomState], distance: Array) -> Predicted:
     return Predicted(
         features, (shifted - features) / np.log(1.01), np.exp(features[:, FEATURES.index("t20")])
     )
-
-
-def _alike(states: Sequence[RoomState]) -> list[tuple[list[int], Decay]]:
-    """Group the states by their number of decay terms and by the presence of a noise floor.
-
-    Return the indices of each group and its decays, (n, n_bands, n_terms).
-    """
-    groups: dict[tuple[object, bool], list[int]] = {}
-    alone: dict[int, Decay] = {}
-    for i, s in enumerate(states):
-        kind: object = type(s.shape)
-        if s.shape is not None and not hasattr(s.shape, "together"):
-            alone[i] = s.shape(s.locked())
-            kind = alone[i].rates.shape[1]
-        groups.setdefault((kind, s.floor_db is not None), []).append(i)
-    out = []
-    for members in groups.values():
-        group = [states[i] for i in members]
-        if members[0] in alone:
-            decays = [alone[i] for i in members]
-            decay = Decay(
-                np.array([d.weights for d in decays]), np.array([d.rates for d in decays])
-            )
-        elif (together := getattr(group[0].shape, "together", None)) is not None:
-            decay = together(group, [s.shape for s in group])
-        else:
-            rate = rates(group)[:, :, None]
-            volume = np.array([s.volume for s in group])[:, None, None]
-            decay = Decay(np.ones_like(rate) / volume, rate)
-        out.append((members, decay))
-    return out
 
 
 def _levels(weights: Array, rates: Array, direct_db: Array, distance: Array, c: Array) -> Array:

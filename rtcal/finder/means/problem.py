@@ -80,12 +80,12 @@ from rtcal.finder.evidence import (
     NULL_POWER,
     SCALES,
     UNKNOWN,
-    Factorization,
     Prior,
     directions,
     drawn,
     factors,
     grid_weights,
+    leading_products,
     log_mixture,
     student,
     with_columns,
@@ -975,7 +975,7 @@ def log_likelihoods(
         rows = values - of.mean[:, None]
         if off:
             rows = np.concatenate([rows, of.common], axis=1)
-        leading = Factorization(of.covariance).leading(rows, len(values), ends)
+        leading = leading_products(of.covariance, rows, len(values), ends)
         as_stated, scaled = [], []
         for m, (half, square, across, inner) in zip(ends, leading, strict=True):
             as_stated.append(student(square, half, m, coarsened=coarsened))

@@ -58,13 +58,13 @@ from rtcal.finder.evidence import (
     COEFFICIENTS,
     EXPECTED,
     NONE,
+    NONE_LEFT,
     SCALES,
     UNKNOWN,
     Prior,
     by_direction,
-    checked_odds,
-    chosen_effects,
     directions,
+    left_out_of,
     off_together,
     prior_of,
 )
@@ -147,8 +147,16 @@ def find(
     """
     checks.instance("case", case, Case).require_fresh()
     every = checked_effects(effects)
-    effects, left_out = chosen_effects(every, without, only)
-    odds = checked_odds(effects, prior)
+    special = [COEFFICIENTS, UNKNOWN]
+    left_out = left_out_of(only, without, [*(e.name for e in every), *special], [UNKNOWN])
+    effects = tuple(e for e in every if e.name not in left_out)
+    if not effects:
+        raise DataError(NONE_LEFT)
+    odds, names = dict[str, float](), [*(e.name for e in effects), NONE, *special]
+    for name, value in ({} if prior is None else checks.mapped("prior", prior)).items():
+        if name not in names:
+            raise DataError(f'prior has "{name}", which is not one of {", ".join(names)}')
+        odds[name] = checks.positive(f'prior["{name}"]', value)
     effects, not_judged = judged_effects(effects, case.directions_known, bool(case.program))
     if checks.whole("most", most, 1) > MOST:
         raise DataError(f"most = {most} is not from 1 to {MOST}")
