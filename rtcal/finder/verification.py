@@ -66,7 +66,6 @@ from rtcal.loop.measured_pairs import Pair, gap_at_pairs, trace_ahead
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.base import Observations
 from rtcal.simulators.base import observe as observe_pairs
-from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress, single_threaded_blas
@@ -269,27 +268,21 @@ class Verification(Result):
         code = "little left" if self.little_left else "gains little"
         limits = {"least": self.needed, "before": self.before}
         out = [] if self.gain > self.needed else [Reason(code, limits)]
-        out += self._doubts_of_means() if self.plain is not None else ()
+        if self.plain is not None:
+            if self.after > _PREDICTED:
+                out.append(Reason("still missed", {"gap": self.after}))
+            held_out = mean_of_known(np.where(self.counted, self.sizes[-2:, 0], np.nan), 2)
+            for quantity, (one, other) in zip(self.quantities, held_out.T, strict=True):
+                if other - one > LEAST_SHRINKAGE:
+                    values = {"quantity": quantity, "before": one, "after": other}
+                    out.append(Reason("grows", values))
+            if self.predictive < DISTINCT_NATS:
+                needed = {"nats": self.predictive, "least": DISTINCT_NATS}
+                out.append(Reason("not predicted", needed))
+            if self.finding.verdict not in ("named", "family"):
+                out.append(Reason("nothing claimed"))
         out += [Reason("halves differ")] if self.found_elsewhere[1] else ()
         return (*out, *([Reason(MISSES)] if self.misses else ()))
-
-    def _doubts_of_means(self) -> list[Reason]:
-        """Return why a gap of means that shrinks does not support the finding."""
-        doubts = []
-        if self.after > _PREDICTED:
-            doubts.append(Reason("still missed", {"gap": self.after}))
-        held_out = mean_of_known(np.where(self.counted, self.sizes[-2:, 0], np.nan), 2)
-        for quantity, (one, other) in zip(self.quantities, held_out.T, strict=True):
-            if other - one > LEAST_SHRINKAGE:
-                doubts.append(
-                    Reason("grows", {"quantity": quantity, "before": one, "after": other})
-                )
-        if self.predictive < DISTINCT_NATS:
-            needed = {"nats": self.predictive, "least": DISTINCT_NATS}
-            doubts.append(Reason("not predicted", needed))
-        if self.finding.verdict not in ("named", "family"):
-            doubts.append(Reason("nothing claimed"))
-        return doubts
 
     @property
     def found_elsewhere(self) -> tuple[list[Candidate | None], bool]:
@@ -745,25 +738,12 @@ def _misses_over_pairs(
     times: Array | None,
     prediction: Array | float = 0.0,
 ) -> list[Miss]:
-    """Return the means of a parameter over pairs that a model misses.
+    """Return the means of a parameter over pairs that a model misses, by ``gaps`` (n_pairs, n_bands).
 
     Their variance is the larger of that over the pairs, of which as many are independent as there are
-    sources or receivers, and of that of noise in as many responses (ISO 3382-2).
-
-    Parameters
-    ----------
-    name : str
-    measured : array (n_bands,)
-        Its mean over the pairs.
-    gaps : array (n_pairs, n_bands)
-        What is left, signed and in JND.
-    pairs : sequence of (source, receiver)
-    frequencies : array (n_bands,)
-        Hz.
-    times : array (n_bands,) or None
-        T in s by which a response is noisy.
-    prediction : array (n_bands,) or float
-        Standard deviation in JND that the model states for itself; 0 of a calibrated one.
+    sources or receivers, and of that of noise in as many responses of ``times`` in s (ISO 3382-2). What
+    is ``measured`` is the mean (n_bands,) over the pairs. The gaps are signed and in JND, and so is the
+    standard deviation of the ``prediction`` that the model states for itself; 0 of a calibrated one.
     """
     independent = max(len({s for s, _ in pairs}), len({r for _, r in pairs}))
     of, mean = observable(name), mean_of_known(gaps, 0)
@@ -814,7 +794,46 @@ def _at_positions(
         )
         added.append(next((c for c in again.candidates if c.can_be_added), None))
         finished("search in half of the pairs")
-    gaps = _gaps_at_positions(finding, halves, added, chosen, finished)
+    gaps = np.full((len(MODELS), len(chosen), *finding.map.shape), np.nan)
+
+    def compare(model: int, n: int, simulated: Observations, half: Sequence[Pair]) -> None:
+        """Keep the gaps at the pairs beside a half; of a relative level less each source's mean."""
+        left = [p for p in finding.pairs if p not in half]
+        measured = Observations.of_measurement(case.in_room, finding.parameters, left)
+        columns = [finding.pairs.index(p) for p in left]
+        relative = LEVEL.key in case.measured.values
+        at_left = gap_at_pairs(simulated.at(measured).values, measured, relative=relative)
+        gaps[model, n][:, columns] = at_left
+
+    # A gap is not to be that of the tracing's noise. The paths of a seed are traced once for all models
+    # in the stated geometry.
+    stated = case.simulator.denser()
+    with_added = [
+        stated if best is None else corrected_geometry(case.only(half), best).simulator().denser()
+        for half, best in zip(halves, added, strict=True)
+    ]
+    for n, seed in enumerate(chosen):
+        trace_ahead(stated, stated.room.alpha, seed)
+        as_stated = observe_pairs(stated, stated.room.alpha, finding.parameters, seed=seed)
+        finished(MODELS[0])
+        for half, simulator in zip(halves, with_added, strict=True):
+            compare(0, n, as_stated, half)
+            fitted = case.only(half)
+            for model, tracer in enumerate((stated, simulator), 1):
+                result = calibrate_positions(
+                    tracer,
+                    tracer.room,
+                    fitted.measured,
+                    finding.parameters,
+                    exclude=fitted.exclude,
+                    controls=finding.controls,
+                    more_paths=1,  # it is denser already
+                    seed=seed,
+                )
+                # Its tracer scatters as fitted, with which alpha was calibrated.
+                made = observe_pairs(result.tracer, result.alpha, finding.parameters, seed=seed)
+                compare(model, n, made, half)
+                finished(MODELS[model])
     return at_positions(finding, gaps, added, halves)
 
 
@@ -856,65 +875,6 @@ def at_positions(
     )
 
 
-def _gaps_at_positions(
-    finding: Finding,
-    halves: Sequence[Sequence[Pair]],
-    added: Sequence[Candidate | None],
-    seeds: Sequence[int],
-    finished: Callable[[str], None],
-) -> Array:
-    """Return the gaps at held-out pairs, (n_models, n_seeds, n_parameters, n_pairs, n_bands).
-
-    A relative level has its mean over each source's pairs taken off.
-    """
-    case: PositionsCase = finding.case
-    gaps = np.full((len(MODELS), len(seeds), *finding.map.shape), np.nan)
-    relative = LEVEL.key in case.measured.values
-
-    def compare(model: int, n: int, simulated: Observations, half: Sequence[Pair]) -> None:
-        left = [p for p in finding.pairs if p not in half]
-        measured = Observations.of_measurement(case.in_room, finding.parameters, left)
-        columns = [finding.pairs.index(p) for p in left]
-        at_left = gap_at_pairs(simulated.at(measured).values, measured, relative=relative)
-        gaps[model, n][:, columns] = at_left
-
-    # A gap is not to be that of the tracing's noise. The paths of a seed are traced once for all models
-    # in the stated geometry.
-    stated = case.simulator.denser()
-    with_added = [
-        stated if best is None else corrected_geometry(case.only(half), best).simulator().denser()
-        for half, best in zip(halves, added, strict=True)
-    ]
-    for n, seed in enumerate(seeds):
-        trace_ahead(stated, stated.room.alpha, seed)
-        as_stated = observe_pairs(stated, stated.room.alpha, finding.parameters, seed=seed)
-        finished(MODELS[0])
-        for half, simulator in zip(halves, with_added, strict=True):
-            compare(0, n, as_stated, half)
-            for model, tracer in enumerate((stated, simulator), 1):
-                compare(model, n, calibrated_at(case.only(half), tracer, finding, seed), half)
-                finished(MODELS[model])
-    return gaps
-
-
-def calibrated_at(
-    fitted: PositionsCase, simulator: PathTracing, finding: Finding, seed: int
-) -> Observations:
-    """Return what is simulated at all positions by a model that is calibrated on the fitted pairs."""
-    result = calibrate_positions(
-        simulator,
-        simulator.room,
-        fitted.measured,
-        finding.parameters,
-        exclude=fitted.exclude,
-        controls=finding.controls,
-        more_paths=1,  # it is denser already
-        seed=seed,
-    )
-    # Its tracer scatters as fitted, with which alpha was calibrated.
-    return observe_pairs(result.tracer, result.alpha, finding.parameters, seed=seed)
-
-
 # Two states.
 
 
@@ -936,7 +896,15 @@ def _of_states(
     if before is not None and after is not None:
         if seed:
             raise DataError("seed is of halves of the pairs: what was found predicts further pairs")
-        held, fitted = _at_new_pairs(case, before, after), "the other pairs"
+        if case.of_means or before.is_summary or after.is_summary:
+            raise DataError("means over positions have no pairs that were not fitted")
+        new = [p for p in before.pairs if p in after.pairs and p not in case.pairs]
+        if len(new) < _LEAST_NEW:
+            raise DataError(
+                f"{len(new)} pairs of before and after are not among the {len(case.pairs)} that were "
+                f"fitted; {_LEAST_NEW} are needed"
+            )
+        held, fitted = _of_pairs(replace(case, before=before, after=after), new), "the other pairs"
         predicted = np.broadcast_to(finding.shift, held.change.shape)
     else:
         _check_pairs(found.pairs)
@@ -968,20 +936,6 @@ def _of_pairs(case: StatesCase, pairs: Sequence[Pair]) -> StatesCase:
     """Return the case of some pairs, of which T alone is compared."""
     before, after = case.before.select(pairs), case.after.select(pairs)
     return replace(case, before=before, after=after, simulator=None)
-
-
-def _at_new_pairs(case: StatesCase, before: Measurement, after: Measurement) -> StatesCase:
-    """Return the case of the pairs that a finding had not; DataError for fewer than two."""
-    fitted = case.pairs
-    if case.of_means or before.is_summary or after.is_summary:
-        raise DataError("means over positions have no pairs that were not fitted")
-    new = [p for p in before.pairs if p in after.pairs and p not in fitted]
-    if len(new) < _LEAST_NEW:
-        raise DataError(
-            f"{len(new)} pairs of before and after are not among the {len(fitted)} that were fitted; "
-            f"{_LEAST_NEW} are needed"
-        )
-    return _of_pairs(replace(case, before=before, after=after), new)
 
 
 def _prediction_error(finding: Finding) -> Array:

@@ -199,7 +199,11 @@ def plan(
     if not 0 < change <= 1:
         raise DataError(f"change = {change:g} is not above 0 and at most 1 (a share of T)")
     checks.instance("case", case, Case)
-    hours = _checked_costs(costs)
+    hours = dict(COSTS)
+    for name, value in ({} if costs is None else checks.mapped("costs", costs)).items():
+        if name not in COSTS:
+            raise DataError(f'costs has "{name}", which is not one of {", ".join(COSTS)}')
+        hours[name] = checks.positive(f'costs["{name}"]', value)
     if finding is not None and finding.case is not case:
         raise DataError("finding is of another case: state the case that it was found in")
     observed, _ = observe(case)
@@ -210,7 +214,15 @@ def plan(
     if finding is not None:
         discrepancy = finding.discrepancy
     problem = MeansProblem(case, observed, predicted, discrepancy)
-    reached, table = _told_apart(problem, change)
+    # Of each effect the size whose largest change of T is nearest: it may be taken away somewhere.
+    table, reached = dict[tuple[str, str], float](), dict[str, float]()
+    moved = np.abs(np.expm1(predicted.features[:, :, 0] - predicted.features[0, :, 0])).max((1, 2))
+    for name in predicted.effects:
+        rows = predicted.rows[name]
+        nearest = int(rows[np.argmin(np.abs(moved[rows] - change))])
+        reached[name] = float(moved[nearest])
+        apart = separations(problem, nearest)
+        table |= {(name, other): nats for other, nats in apart.items() if other != name}
     further = possible(case, planned)
     whole, there, masks = extended(problem, further)
     if finding is None:
@@ -223,9 +235,10 @@ def plan(
         """Return every measurement that adds something to ``done``, the most nats per hour first."""
         start = about.of(done) if done.any() else 0.0
         added = [
-            (Proposal(f.measurement, max(about.of(done | mask) - start, 0.0), hours[f.kind]), mask)
+            (Proposal(f.measurement, max(about.of(done | mask) - start, 0.0), cost), mask)
             for f, mask in zip(further, masks, strict=True)
             if (mask & ~done).any()
+            for cost in [hours[f.measurement.code]]
         ]
         return sorted(added, key=lambda each: -each[0].per_cost)
 
@@ -247,15 +260,6 @@ def plan(
         tuple(sequence),
         about.entropy(),
     )
-
-
-def _checked_costs(costs: object) -> dict[str, float]:
-    """Return `COSTS` with a user's in place; DataError for another name, or a cost not above 0."""
-    stated = {} if costs is None else checks.mapped("costs", costs)
-    for name in stated:
-        if name not in COSTS:
-            raise DataError(f'costs has "{name}", which is not one of {", ".join(COSTS)}')
-    return {**COSTS, **{k: checks.positive(f'costs["{k}"]', v) for k, v in stated.items()}}
 
 
 _NEGLIGIBLE = 1e-4
@@ -317,19 +321,10 @@ _TRACE = 1e-9  # of the mean variance, on a diagonal: two of several features ma
 class Information:
     """Expected information about which set of effects is there.
 
-    Parameters
-    ----------
-    moments : Moments
-        Of n hypotheses, over all features that are or could be measured.
-    weights : array (n,)
-        Their probabilities.
-    groups : int array (n,)
-        The set of effects that each belongs to.
-    measured : bool array (m,)
-        Which of the features are measured already.
-    values : array (n_measured,), optional
-        Their values, which the weights have in them; without them only the kind of the measurement is
-        known.
+    Of n hypotheses with these ``moments`` over all features that are or could be measured, their
+    probabilities ``weights`` (n,), and the sets of effects ``groups`` (n,) that they belong to.
+    ``measured`` (m,) are the features that are measured already; their ``values`` (n_measured,) are in
+    the weights, and without them only the kind of the measurement is known.
     """
 
     def __init__(
@@ -391,28 +386,6 @@ class Information:
         np.add.at(sets.T, self._groups, weights.T)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(-np.nansum(sets * np.log(sets), axis=1))
-
-
-def _told_apart(
-    problem: MeansProblem, change: float
-) -> tuple[dict[str, float], dict[tuple[str, str], float]]:
-    """Return each effect's change of T, and the evidence in nats for each against each other.
-
-    Each effect has the size whose largest relative change of T, over configurations (it may be taken
-    away in some) and bands, is nearest to ``change``.
-    """
-    predicted = problem.predicted
-    table: dict[tuple[str, str], float] = {}
-    reached: dict[str, float] = {}
-    log_t = predicted.features[:, :, 0]
-    for name in predicted.effects:
-        rows = predicted.rows[name]
-        moved = np.abs(np.expm1(log_t[rows] - log_t[0])).max((1, 2))
-        nearest = int(np.argmin(np.abs(moved - change)))
-        reached[name] = float(moved[nearest])
-        apart = separations(problem, int(rows[nearest]))
-        table |= {(name, other): nats for other, nats in apart.items() if other != name}
-    return reached, table
 
 
 USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
@@ -506,11 +479,6 @@ class FurtherMeasurement:
     same_error: float = SAME_ERROR
     share: float = 1.0
 
-    @property
-    def kind(self) -> str:
-        """Its name among the costs."""
-        return self.measurement.code
-
 
 def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[FurtherMeasurement]:
     """Return the measurements that a user can make in a case's room."""
@@ -580,6 +548,15 @@ def extended(
     full = np.diag(variance.ravel())
     places = np.flatnonzero(used.ravel())
     full[np.ix_(places, places)] = observed.covariance
+    # The model's error in a further configuration is like that in the first one.
+    error, size = problem.discrepancy, used[0].size
+    source = np.array([*range(count), *[0] * len(new)])
+    same = np.array([*[1.0] * count, *(f.same_error for f in new)])
+    blocks = error.covariance.reshape(count, size, count, size)
+    errors = blocks[source][:, :, source] * np.outer(same, same)[:, None, :, None]
+    for i in range(count, n):
+        errors[i, :, i] = blocks[0, :, 0]
+    bias = error.bias.reshape(count, size)[source].ravel()
     whole = replace(
         problem,
         case=replace(case, configurations=configurations),
@@ -589,22 +566,6 @@ def extended(
             used=every,
             covariance=full[np.ix_(flat, flat)],
         ),
-        discrepancy=_model_error(problem.discrepancy, count, [f.same_error for f in new]),
+        discrepancy=replace(error, bias=bias, covariance=errors.reshape(n * size, n * size)),
     )
     return whole, used.ravel()[flat], [mask.ravel()[flat] for mask in masks]
-
-
-def _model_error(
-    discrepancy: ModelDiscrepancy, count: int, same: Sequence[float]
-) -> ModelDiscrepancy:
-    """Return the model's error with further configurations, whose error is like the first one's."""
-    size = len(discrepancy.bias) // count
-    n = count + len(same)
-    source = np.array([*range(count), *[0] * len(same)])
-    share = np.array([*[1.0] * count, *same])
-    blocks = discrepancy.covariance.reshape(count, size, count, size)
-    covariance = blocks[source][:, :, source] * np.outer(share, share)[:, None, :, None]
-    for i in range(count, n):
-        covariance[i, :, i] = blocks[0, :, 0]
-    bias = discrepancy.bias.reshape(count, size)[source].ravel()
-    return ModelDiscrepancy(bias, covariance.reshape(n * size, n * size), discrepancy.engines)

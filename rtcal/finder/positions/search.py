@@ -219,15 +219,6 @@ def evidence_of_means(
         return None
 
 
-def unconfirmed(means: Finding) -> Reason | None:
-    """Return what means over positions identify where positions do not; None without that."""
-    name = means.effect or means.family
-    if name is None:
-        return None
-    probability = (means.probabilities if means.effect else means.families)[name]
-    return Reason("means alone", {"effect": name, "probability": probability})
-
-
 def of_means(case: PositionsCase) -> Case:
     """Return the case without its geometry; DataError where it has no T that can be trusted."""
     tracer = case.simulator
@@ -512,15 +503,20 @@ def find_by_positions(
     if means is not None:
         posterior = with_families(posterior, search.hypotheses, means.families)
     finding = _finding(search, posterior, detected, effects)
-    unsaid = means is not None and finding.effect is None and finding.family is None
-    notes = (
-        unconfirmed(means) if means is not None and unsaid else None,
-        *finding.notes,
-        of_lobes(aimed, indexed if doubted else ()),
-        Reason("gains", {"nats": of_gain}) if of_gain > LIKELY_GAINS else None,
-        untried(effects),
-        Reason("chosen") if left_out else None,
-    )
+    notes = [*finding.notes, of_lobes(aimed, indexed if doubted else ())]
+    said = finding.effect or finding.family
+    if means is not None and said is None and (name := means.effect or means.family) is not None:
+        # What means over positions identify where positions do not.
+        probability = (means.probabilities if means.effect else means.families)[name]
+        notes.insert(0, Reason("means alone", {"effect": name, "probability": probability}))
+    if of_gain > LIKELY_GAINS:
+        notes.append(Reason("gains", {"nats": of_gain}))
+    # What only means try. What changes no surface (air, a formula) is the path tracing's own affair.
+    own = [e for e in effects if e.removable or e.family == Effect.family]
+    if without := sorted(e.name for e in own if not e.stands_on):
+        notes.append(Reason("not tried", {"effects": without}))
+    if left_out:
+        notes.append(Reason("chosen"))
     return replace(finding, left_out=tuple(left_out), notes=tuple(filter(None, notes)))
 
 
@@ -566,6 +562,12 @@ def _finding(
     first = next(iter(summary.surfaces))
     sure = summary.surfaces[first] * summary.on_surfaces >= CLAIMED
     observations, (p, i, k) = numbers.data.observations, numbers.shape
+    (instead,) = with_t30([TARGET.key], case.measured)
+    assumed = [
+        T30_ALONE if instead != TARGET.key and instead in case.match else "",
+        *case.simulator.notes,
+        "" if case.surfaces is not None else of_room.merged(case.geometry, case.faces),
+    ]
     off = np.where(
         numbers.used, -numbers.residual / np.sqrt(np.diag(likelihood.covariance)), np.nan
     )
@@ -587,33 +589,10 @@ def _finding(
         pairs=observations.pairs,
         modelled=(numbers.stated if case.simulated is None else case.simulated,),
         reasons=reasons,
-        notes=(
-            *_assumed(case),
-            *case.notes,
-            *numbers.data.notes,
-        ),
+        notes=(*filter(None, assumed), *case.notes, *numbers.data.notes),
         controls=numbers.controls,
         effects={effect.name: effect for effect in effects},
     )
-
-
-def _assumed(case: PositionsCase) -> tuple[str, ...]:
-    """Return notes of what the search takes together."""
-    tracer = case.simulator
-    together = "" if case.surfaces is not None else of_room.merged(case.geometry, case.faces)
-    (instead,) = with_t30([TARGET.key], case.measured)
-    alone = T30_ALONE if instead != TARGET.key and instead in case.match else ""
-    return tuple(note for note in (alone, *tracer.notes, together) if note)
-
-
-def untried(effects: Sequence[Effect]) -> Reason | None:
-    """Return a note of what only means over positions try; None where there is nothing.
-
-    What changes no surface of the library (air, a formula) is the path tracing's own affair.
-    """
-    own = Effect.family
-    names = sorted(e.name for e in effects if (e.removable or e.family == own) and not e.stands_on)
-    return Reason("not tried", {"effects": names}) if names else None
 
 
 def _groups(
