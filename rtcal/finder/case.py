@@ -269,7 +269,23 @@ class Configuration:
                 raise DataError(
                     f"{where}: measured stands beside parameters; it is measured or planned"
                 )
-            measured = _placeholders(where, table.parameters, table.positions, room)
+            wanted, n = table.parameters, 4 if table.positions is None else table.positions
+            fits = all(p in PARAMETERS for p in wanted) and "t20" in wanted
+            if not fits or len(set(wanted)) < len(wanted):
+                raise DataError(
+                    f"{where}: parameters is not a list of {', '.join(PARAMETERS)}, t20 in it, each "
+                    "once"
+                )
+            if not 1 <= n <= MAX_POSITIONS:
+                raise DataError(f"{where}: positions = {n} is not from 1 to {MAX_POSITIONS}")
+            values = np.ones((n, room.n_bands))
+            kinds = {p: PLANNED_UNCERTAINTY["level" if p in LEVELS else "time"] for p in wanted}
+            measured = Measurement(
+                centre_frequencies=room.centre_frequencies,
+                values=dict.fromkeys(wanted, values),
+                pairs=[("S", f"R{i + 1}") for i in range(n)],
+                uncertainty={p: u * values for p, u in kinds.items()},
+            )
         elif table.positions is not None:
             raise DataError(f"{where}: positions has no meaning beside a measurement")
         elif table.measured is None:
@@ -282,6 +298,18 @@ class Configuration:
             size = stated.level if level else stated.time
             if size is not None and parameter not in added:
                 added[parameter] = np.full_like(values, size) if level else size * values
+        run = None
+        if table.simulated is None and table.at is not None:
+            raise DataError(f"{where}: at has the coefficients of a run; simulated is missing")
+        if table.simulated is not None:
+            try:
+                if isinstance(table.at, str):
+                    at = Room.from_file(str(folder / table.at))
+                else:
+                    at = room if table.at is None else room.replace(alpha=table.at)
+                run = Run(at, _read(where, table.simulated, room, folder))
+            except DataError as error:
+                raise DataError(f"{where}: {error}") from error
         return cls(
             name=table.name or ("planned" if planned else "measured"),
             measured=replace(measured, uncertainty=added),
@@ -293,7 +321,7 @@ class Configuration:
             air=table.air,
             distances=None if table.distances is None else np.array(table.distances),
             planned=planned,
-            simulated=_run_of(where, table, room, folder),
+            simulated=run,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -405,44 +433,6 @@ def _read(where: str, stated: str | MeasurementTable, room: Room, folder: Path) 
         return Measurement(**plain)
     except DataError as error:
         raise DataError(f"{where}: {error}") from error
-
-
-def _run_of(where: str, table: ConfigurationTable, room: Room, folder: Path) -> Run | None:
-    """Return the run of a configuration's table, None without one."""
-    if table.simulated is None:
-        if table.at is not None:
-            raise DataError(f"{where}: at has the coefficients of a run; simulated is missing")
-        return None
-    try:
-        if isinstance(table.at, str):
-            at = Room.from_file(str(folder / table.at))
-        else:
-            at = room if table.at is None else room.replace(alpha=table.at)
-        return Run(at, _read(where, table.simulated, room, folder))
-    except DataError as error:
-        raise DataError(f"{where}: {error}") from error
-
-
-def _placeholders(
-    where: str, wanted: Sequence[str], positions: int | None, room: Room
-) -> Measurement:
-    """Return what stands for a measurement that is only planned, of so many positions."""
-    n = 4 if positions is None else positions
-    fits = all(p in PARAMETERS for p in wanted) and "t20" in wanted
-    if not fits or len(set(wanted)) < len(wanted):
-        raise DataError(
-            f"{where}: parameters is not a list of {', '.join(PARAMETERS)}, t20 in it, each once"
-        )
-    if not 1 <= n <= MAX_POSITIONS:
-        raise DataError(f"{where}: positions = {n} is not from 1 to {MAX_POSITIONS}")
-    values = np.ones((n, room.n_bands))
-    of_kind = {p: PLANNED_UNCERTAINTY["level" if p in LEVELS else "time"] for p in wanted}
-    return Measurement(
-        centre_frequencies=room.centre_frequencies,
-        values=dict.fromkeys(wanted, values),
-        pairs=[("S", f"R{i + 1}") for i in range(n)],
-        uncertainty={p: u * values for p, u in of_kind.items()},
-    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -608,7 +598,11 @@ class Case:
                     "planned"
                 )
         for one, other in combinations(self.configurations, 2):
-            if _same_values(one.measured, other.measured):
+            tables = one.measured.values, other.measured.values
+            both = [[table[p] for table in tables] for p in tables[0].keys() & tables[1].keys()]
+            if any(np.isfinite(a).any() for a, _ in both) and all(
+                np.array_equal(a, b, equal_nan=True) for a, b in both
+            ):
                 raise DataError(
                     f'one measurement is given twice, in the configurations "{one.name}" and '
                     f'"{other.name}"; its values would count twice'
@@ -654,14 +648,6 @@ def _checked_facing(room: Room, stated: Any) -> Array:
         raise DataError("facing has a value below 0, or a row that sums to 0")
     # Shares from a file already sum to 1; a further division would change their last digit.
     return np.where(np.abs(total - 1) < 1e-12, array, array / total)
-
-
-def _same_values(one: Measurement, other: Measurement) -> bool:
-    """Whether two measurements have the same values of all parameters that both have."""
-    shared = one.values.keys() & other.values.keys()
-    return any(np.isfinite(one.values[p]).any() for p in shared) and all(
-        np.array_equal(one.values[p], other.values[p], equal_nan=True) for p in shared
-    )
 
 
 LEVEL_LIMITS = {"c80": (-30.0, 60.0), "g": (-40.0, 60.0)}

@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import product
 from math import inf, isfinite
 from operator import attrgetter, itemgetter
@@ -1240,8 +1240,24 @@ def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters])
             raise DataError(f"{where} returns {type(after).__name__}; it returns a RoomState")
         if after.equation is not state.equation:
             mean_equation(after.equation, f"{where}: equation")
-        if after.shape is not state.shape and not hasattr(after.shape, "together"):
-            _check_shape(effect.name, after)
+        shape: Any = after.shape
+        if shape is None or shape is state.shape or hasattr(shape, "together"):
+            continue
+        of_shape, n_bands = f'effect "{effect.name}": shape', len(after.frequencies)
+        if not callable(shape):
+            raise DataError(f"{of_shape} = {shape!r} does not turn a state into a Decay")
+        decay = _run(of_shape, partial(shape, after))
+        if not isinstance(decay, Decay):
+            raise DataError(f"{of_shape} returns {type(decay).__name__}; it returns a Decay")
+        weights, rates = (
+            checks.array(f"{of_shape}: {of}", getattr(decay, of)) for of in ("weights", "rates")
+        )
+        fits = weights.ndim == 2 and len(weights) == n_bands and rates.shape == weights.shape
+        if not (fits and np.isfinite([weights, rates]).all() and (rates > 0).all()):
+            raise DataError(
+                f"{of_shape}: weights and rates of shapes {weights.shape} and {rates.shape} are not "
+                f"both (n_bands = {n_bands}, n_terms) and finite, the rates above 0"
+            )
     for name in _RULES:
         before, values = getattr(state, name), list(map(attrgetter(name), made))
         new = [i for i, value in enumerate(values) if value is not before and value is not None]
@@ -1281,27 +1297,6 @@ def _rule(least: float, most: float) -> str:
     if np.isinf(least):
         return "finite"
     return f"finite and {least:g} or more" if np.isinf(most) else f"from {least:g} to {most:g}"
-
-
-def _check_shape(name: str, made: RoomState) -> None:
-    where = f'effect "{name}": shape'
-    shape: Any = made.shape
-    if shape is None:
-        return
-    if not callable(shape):
-        raise DataError(f"{where} = {shape!r} does not turn a state into a Decay")
-    decay = _run(where, lambda: shape(made))
-    if not isinstance(decay, Decay):
-        raise DataError(f"{where} returns {type(decay).__name__}; it returns a Decay")
-    weights = checks.array(f"{where}: weights", decay.weights)
-    rates = checks.array(f"{where}: rates", decay.rates)
-    n_bands = len(made.frequencies)
-    fits = weights.ndim == 2 and len(weights) == n_bands and rates.shape == weights.shape
-    if not (fits and np.isfinite([weights, rates]).all() and (rates > 0).all()):
-        raise DataError(
-            f"{where}: weights and rates of shapes {weights.shape} and {rates.shape} are not both "
-            f"(n_bands = {n_bands}, n_terms) and finite, the rates above 0"
-        )
 
 
 def _run(where: str, call: Callable[[], T], parameters: Parameters | None = None) -> T:

@@ -111,14 +111,8 @@ LARGEST_HYPOTHESES = 5000
 class PredictedFeatures:
     """Features of n states of a case's room, and how they depend on alpha and on the climate.
 
-    Attributes
-    ----------
-    case : Case
-    features : array (n, n_configurations, n_features, n_bands)
-    slopes : array, same shape
-        d features / d ln T20.
-    jacobian : array (n, n_configurations, n_materials, n_bands)
-        -d ln T20 / d alpha.
+    ``features`` and ``slopes``, d features / d ln T20, are (n, n_configurations, n_features, n_bands),
+    ``jacobian``, -d ln T20 / d alpha, is (n, n_configurations, n_materials, n_bands).
     """
 
     case: Case
@@ -239,9 +233,8 @@ class MeansHypotheses(PredictedFeatures):
 
     Attributes
     ----------
-    names : tuple of str (n,)
-        The effects; the first hypothesis is "none".
-    parameters : tuple of mappings (n,)
+    names, parameters : tuple (n,)
+        The effects, the first hypothesis being "none", with their parameters.
     possible : bool array (n,)
         Whether T, C80 and G are finite. A room whose sound ends within 80 ms has no C80, and the data
         exclude it: its weight is 0, and its predictions are those of "none".
@@ -252,7 +245,6 @@ class MeansHypotheses(PredictedFeatures):
     applied : array (size, size)
         Covariance over all features, raveled, from the uncertainty of the effects that the model has
         already, of stated changes of materials, and of distances that are not stated.
-    effects : mapping of str to Effect
     """
 
     names: tuple[str, ...]
@@ -427,18 +419,10 @@ def misfit(
 ) -> Array:
     """Return the covariance of the error of an effect's formula, (..., m, m).
 
-    Parameters
-    ----------
-    d : array (..., m)
-        The effect's changes of the features.
-    amount : array (..., m)
-        Change of ln T20 in the same band and configuration.
-    feature : int array (m,)
-        Rows of `FEATURES`.
-    errors : array (..., m, n_errors)
-        Relative errors in the features' bands (`Effect.errors_over_bands`).
-    alone : array (...) or float
-        Standard deviation of the relative error that no two features share.
+    ``d`` (..., m) are the effect's changes of the features, in the rows ``feature`` (m,) of `FEATURES`,
+    and ``amount`` (..., m) those of ln T20 in the same band and configuration. ``errors`` (..., m,
+    n_errors) are relative errors in the features' bands (`Effect.errors_over_bands`), ``alone`` (...)
+    is the standard deviation of the relative error that no two features share.
     """
     columns = misfit_columns(d, amount, feature, errors)
     own = columns[..., errors.shape[-1] :]  # of the decay's shape: half of it is each band's own
@@ -472,17 +456,10 @@ ONE_LEVEL = 1.0
 
 @dataclass(frozen=True, eq=False)
 class ObservedFeatures:
-    """The measured features.
+    """The measured features, (n_configurations, n_features, n_bands), NaN where nothing was measured.
 
-    Attributes
-    ----------
-    features : array (n_configurations, n_features, n_bands)
-        NaN where nothing was measured.
-    used : bool array, same shape
-    covariance : array (n_used, n_used)
-        R, the measurement covariance of the features in use.
-    origin : Reason
-        Where the uncertainties come from.
+    Of those that are ``used``, of the same shape, ``covariance`` (n_used, n_used) is R, that of the
+    measurement. ``origin`` says where the uncertainties come from.
     """
 
     features: Array
@@ -792,15 +769,8 @@ class Moments:
 class MeansProblem:
     """The problem of a search by means: what was measured, what each hypothesis predicts, the errors.
 
-    Attributes
-    ----------
-    case : Case
-    observed : ObservedFeatures
-    predicted : MeansHypotheses
-    discrepancy : ModelDiscrepancy
-    cells : array (n_hypotheses, n_used, n_parameters)
-        Of sets: changes of the features over the cell of the grid that a hypothesis stands for, one
-        standard deviation of each parameter (`rtcal.finder.means.problem.compare`).
+    Of sets, ``cells`` (n_hypotheses, n_used, n_parameters) are changes of the features over the cell of
+    the grid that a hypothesis stands for, one standard deviation of each parameter (`compare`).
     """
 
     case: Case
@@ -848,13 +818,7 @@ class MeansProblem:
         """
         c, f, b = self.places
         slopes = predicted.slopes[rows][:, c, f, b]
-        return np.asarray(changes.take(self._t20, 1) * slopes[:, :, None])
-
-    @cached_property
-    def _t20(self) -> NDArray[np.intp]:
-        """The row of each feature's ln T20 among configurations and bands, (n_used,)."""
-        c, _, b = self.places
-        return np.asarray(c * self.observed.used.shape[2] + b)
+        return np.asarray(changes.take(c * predicted.case.room.n_bands + b, 1) * slopes[:, :, None])
 
     def moments(
         self,
@@ -1277,19 +1241,11 @@ def compare(problem: MeansProblem) -> MeansProblem:
         up, down = predict([replace(base, direct_db=level) for level in levels], at).features
         columns[i] = 0.5 * DIRECT_SOUND * (up - down)[:, :, None] * over_bands
     flat = columns.reshape(-1, columns.shape[-1])
-    predicted = replace(predicted, applied=predicted.applied + flat @ flat.T)
-    return replace(problem, predicted=predicted, cells=_within_cells(problem))
-
-
-def _within_cells(problem: MeansProblem) -> Array:
-    """Return the changes of the features over each hypothesis's cell of the grid.
-
-    The standard deviation of an even distribution is the step over sqrt(12). Without it, what lies
-    between the grid's points would look like a second effect.
-    """
-    predicted = problem.predicted
-    c, f, b = problem.places
-    features = predicted.features[:, c, f, b]
+    # Changes over each hypothesis's cell of the grid. The standard deviation of an even distribution is
+    # the step over sqrt(12). Without it, what lies between the grid's points would look like a second
+    # effect.
+    at_used = problem.places
+    features = predicted.features[:, *at_used]
     steps: list[Array] = []
     for name, effect in predicted.effects.items():
         rows, grid = predicted.rows[name], predicted.grid(name)
@@ -1304,9 +1260,9 @@ def _within_cells(problem: MeansProblem) -> Array:
             for line in lines.values():
                 if len(line) > 1:
                     steps[k][line] = np.gradient(features[line], axis=0)
-    if not steps:
-        return np.zeros((*features.shape, 0))
-    return np.asarray(np.stack(steps, axis=-1) / np.sqrt(12))
+    cells = np.stack(steps, axis=-1) / np.sqrt(12) if steps else np.zeros((*features.shape, 0))
+    predicted = replace(predicted, applied=predicted.applied + flat @ flat.T)
+    return replace(problem, predicted=predicted, cells=cells)
 
 
 DIRECT_SOUND = 6.0
@@ -1550,15 +1506,12 @@ class SetPosterior:
 
     def families(self, effects: Mapping[str, Effect]) -> dict[str, float]:
         """Return the probability of each family that one of it is there, the most probable first."""
-        every = self.effects()
-        out = {name: every[name] for name in (COEFFICIENTS, NONE)}
-        return most_probable_first(out | summed(self._by_family(effects)))
-
-    def _by_family(self, effects: Mapping[str, Effect]) -> Iterator[tuple[str, float]]:
-        """Yield the families of each set, narrow and wide, with its probability."""
+        every, parts = self.effects(), list[tuple[str, float]]()
         for names, p in self.sets.items():
             narrow = {family_of(name, effects) for name in names}
-            yield from ((family, p) for family in narrow | set(map(wide, narrow)))
+            parts += [(family, p) for family in narrow | set(map(wide, narrow))]
+        out = {name: every[name] for name in (COEFFICIENTS, NONE)}
+        return most_probable_first(out | summed(parts))
 
     def stand_ins(self, best: Names) -> dict[str, tuple[str, ...]]:
         """Return, for each effect of a set, the effects that explain the data as well.

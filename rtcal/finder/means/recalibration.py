@@ -243,15 +243,9 @@ def _room(case: Case, further: Mapping[str, str], alpha: Array, sigma: Array) ->
 class LogTimes:
     """ln T of a case's configurations, an observation of the room's coefficients.
 
-    The coefficients are the room's, then those that configurations change.
-
-    Attributes
-    ----------
-    case : Case
-    fitted : sequence of int
-        Numbers of the configurations that are calibrated to.
-    measured, u : array (n_fitted, n_bands)
-        ln T less the model's bias, NaN where it is missing, and its standard deviation.
+    The coefficients are the room's, then those that configurations change. ``fitted`` are the numbers
+    of the configurations that are calibrated to; ``measured`` (n_fitted, n_bands) is ln T less the
+    model's bias, NaN where it is missing, and ``u`` its standard deviation.
     """
 
     case: Case

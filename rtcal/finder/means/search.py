@@ -19,8 +19,8 @@ from scipy.special import logsumexp, ndtr
 from rtcal.acoustics import bands
 from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.equations import mean_equation
-from rtcal.acoustics.observables import observable, parameter_label
-from rtcal.finder.case import Case, Configuration
+from rtcal.acoustics.observables import TARGET, observable, parameter_label
+from rtcal.finder.case import Case
 from rtcal.finder.claim import (
     CLAIMED,
     DISTINCT_NATS,
@@ -46,7 +46,6 @@ from rtcal.finder.claim import (
     wide,
 )
 from rtcal.finder.effects import (
-    AppliedEffect,
     Effect,
     Parameters,
     changed_states,
@@ -305,8 +304,15 @@ def _of_sets(found: Finding, evidence: MeansEvidence, posterior: SetPosterior) -
         return replace(found, verdict="unknown", candidates=only)
     several = next((s for s in found.family_sets if len(s) > 1 and UNKNOWN not in s), ())
     together = several if sum(found.numbers[2:]) >= TWO else ()
-    best = posterior.best(effects, together)
-    fits, reasons = _members(evidence, posterior, best)
+    best, predicted = posterior.best(effects, together), evidence.problem.predicted
+    model = dict(zip(best, applied_effects(predicted, posterior.rows[best]), strict=True))
+    fits, reasons = dict[str, Candidate](), dict[str, tuple[Reason, ...]]()
+    # The others' sizes enter each fit, so the first is fitted again.
+    for name in (*best, best[0]) if len(best) > 1 else best:
+        beside = evidence.beside(name, [model[n] for n in best if n != name])
+        fits[name] = fit(beside, name, precise=True)
+        reasons[name] = doubts(beside, fits[name])
+        model[name] = fits[name].applied(effects[name])
     every = [doubt for n in best for doubt in reasons[n]]
     sound = [n for n in best if all(LEAVES[doubt.code] != "hint" for doubt in reasons[n])]
     if len(sound) < len(best):
@@ -319,8 +325,10 @@ def _of_sets(found: Finding, evidence: MeansEvidence, posterior: SetPosterior) -
     ]
     if probabilities.get(COEFFICIENTS, 0.0) >= CLAIMED:
         named.append(COEFFICIENTS)
-    narrow = [_narrowest(found, family_of(n, effects)) for n in sound]
-    claimed = tuple(dict.fromkeys(filter(None, narrow)))
+    # Of each the narrowest of its family and the wide one around it that is probable enough.
+    both = [(narrow, wide(narrow)) for narrow in (family_of(n, effects) for n in sound)]
+    probable = (narrowest_family({f: found.families[f] for f in of}, CLAIMED) for of in both)
+    claimed = tuple(dict.fromkeys(filter(None, probable)))
     stand_ins = posterior.stand_ins(best)
     others = dict.fromkeys(n for names in stand_ins.values() for n in names)
     return replace(
@@ -348,29 +356,6 @@ def _candidates(
     return tuple(replace(c, probability=found.probabilities.get(c.effect, 0.0)) for c in every)
 
 
-def _narrowest(found: Finding, family: str) -> str | None:
-    """Return the narrowest of a family and the wide one around it that is probable enough."""
-    both = (family, wide(family))
-    return narrowest_family({f: found.families[f] for f in both}, CLAIMED)
-
-
-def _members(
-    evidence: MeansEvidence, posterior: SetPosterior, best: Names
-) -> tuple[dict[str, Candidate], dict[str, tuple[Reason, ...]]]:
-    """Return the fit of each effect of a set with the others in the model, and the doubts about it."""
-    predicted = evidence.problem.predicted
-    rows = zip(best, posterior.rows[best], strict=True)
-    model = {n: AppliedEffect(predicted.effects[n], predicted.parameters[i]) for n, i in rows}
-    fits, reasons = dict[str, Candidate](), dict[str, tuple[Reason, ...]]()
-    # The others' sizes enter each fit, so the first is fitted again.
-    for name in (*best, best[0]) if len(best) > 1 else best:
-        beside = evidence.beside(name, [model[n] for n in best if n != name])
-        fits[name] = fit(beside, name, precise=True)
-        reasons[name] = doubts(beside, fits[name])
-        model[name] = fits[name].applied(predicted.effects[name])
-    return fits, reasons
-
-
 def fit(evidence: MeansEvidence, name: str, *, precise: bool) -> Candidate:
     """Return a candidate's parameters and its size (`estimate_size`); its probability is left open."""
     problem, case = evidence.problem, evidence.problem.case
@@ -382,15 +367,17 @@ def fit(evidence: MeansEvidence, name: str, *, precise: bool) -> Candidate:
         effect = problem.predicted.effects[name]
         likely, size = estimate_size(evidence, name, precise=precise)
         material = effect.material(likely, case.room)
-        found = replace(
-            found,
-            parameters=likely,
-            place="" if material is None else f'"{material}"',
-            absorption=absorption_change(case, effect, likely, size),
-        )
+        place = "" if material is None else f'"{material}"'
+        found = replace(found, parameters=likely, place=place)
         if size is not None:
             parameters = {**likely, effect.size: size.mean}
             found = replace(found, parameters=parameters, **size.fields)
+            if "absorption" in effect.family:
+                # What is added in the first configuration, over the mean, of the size and its ends.
+                base = state(case, case.configurations[0])
+                sets = [{**likely, effect.size: s} for s in (size.mean, size.low, size.high)]
+                bare, *others = rates([base, *changed_states(effect, base, sets)])
+                found = replace(found, absorption=(np.array(others) - bare) / bare.mean())
         probability = float(evidence.off_given(name))
     if probability < LIKELY:
         return found
@@ -411,21 +398,6 @@ def _with_candidate(problem: MeansProblem, candidate: Candidate) -> tuple[MeansP
 
 AT_END = 2.0
 """Evidence in nats below that of the best size from which the last size that is tried is no end."""
-
-
-def absorption_change(
-    case: Case, effect: Effect, parameters: Parameters, size: Size | None
-) -> Array | None:
-    """Return the area in m² that an effect of absorption adds, over the room's mean one, (3, n_bands).
-
-    In the first configuration, of the size's mean and both ends of its interval; None for another one.
-    """
-    if size is None or "absorption" not in effect.family:
-        return None
-    base = state(case, case.configurations[0])
-    sets = [{**parameters, effect.size: s} for s in (size.mean, size.low, size.high)]
-    without, *others = rates([base, *changed_states(effect, base, sets)])
-    return np.asarray((np.array(others) - without) / without.mean())
 
 
 def estimate_size(
@@ -495,7 +467,10 @@ def estimate_size(
     else:
         likely = likely[:1]
     by_size = np.exp(log_p - logsumexp(log_p)).reshape(len(likely), len(fine)).sum(0)
-    by_size = _widened(by_size, fine, effect.size_error)
+    if (spread := effect.size_error) > 0:
+        kernel = np.exp(-0.5 * (np.subtract.outer(fine, fine) / spread) ** 2)
+        # Probability that would leave the grid stays at its ends.
+        by_size = kernel / kernel.sum(0) @ by_size
     cumulated = np.cumsum(by_size) - 0.5 * by_size
     interval = [float(np.interp(q, cumulated, size_of(fine))) for q in (0.05, 0.95)]
     return best, Size(float(by_size @ size_of(fine)), interval[0], interval[1], effect.unit, end)
@@ -503,15 +478,6 @@ def estimate_size(
 
 _LEAST_DENSITY = 1e-30
 """Density below which parameters are impossible."""
-
-
-def _widened(p: Array, at: Array, spread: float) -> Array:
-    """Return probabilities on an even grid, convolved with a normal distribution."""
-    if spread == 0:
-        return p
-    kernel = np.exp(-0.5 * (np.subtract.outer(at, at) / spread) ** 2)
-    # Probability that would leave the grid stays at its ends.
-    return np.asarray(kernel / kernel.sum(0) @ p)
 
 
 def _searched(
@@ -636,35 +602,26 @@ def gross(evidence: MeansEvidence, name: str, gap: GapCheck) -> Reason | None:
     """Return a doubt where T is about twice or half the model's.
 
     It leaves the effect's family claimed where the effect explains the data better than a factor that
-    is alike in all bands, as most mistakes in what is stated are. None where the effect explains them
-    better than other units of T do, and decay shape, level and the other configurations show it by
-    themselves: a noise floor may make T six times as long, and a wrong volume does not bend the decay.
+    is alike in all bands, as most mistakes in what is stated are: in the units of T, or in volume,
+    areas or coefficients, where the other features follow T. None where the effect explains them better
+    than other units of T do, and decay shape, level and the other configurations show it by themselves:
+    a noise floor may make T six times as long, and a wrong volume does not bend the decay.
     """
     problem = evidence.problem
     off = problem.observed.features - problem.predicted.features[0]
     change = float(np.nanmedian(off[:, 0]))
     if abs(change) <= GROSS:
         return None
-    of_units, of_room = evidence_of_factors(problem)
+    c, f, b = problem.places
+    alpha, other = problem.covariance_of(0)
+    factors = np.array([f == 0, problem.predicted.slopes[0, c, f, b]], dtype=float)
+    more = MISTAKE_SIGMA**2 * np.einsum("di,dj->dij", factors, factors)
+    of_units, of_room = log_density(problem.residual(0), alpha + other + more).tolist()
     best = float(evidence.by_effect()[name])
     if gap.predictive > SHOWN and best - of_units > DISTINCT_NATS:
         return None
     stands = best - max(of_units, of_room) > DISTINCT_NATS
     return Reason(LEADING if stands else MISTAKE, {"factor": float(np.exp(change))})
-
-
-def evidence_of_factors(problem: MeansProblem) -> tuple[float, float]:
-    """Return the log evidence of a factor alike in all bands, in nats: of times, and of all features.
-
-    The first is a mistake in the units of T. The second is one in volume, areas or coefficients, and
-    the other features follow T.
-    """
-    c, f, b = problem.places
-    alpha, other = problem.covariance_of(0)
-    directions = np.array([f == 0, problem.predicted.slopes[0, c, f, b]], dtype=float)
-    more = MISTAKE_SIGMA**2 * np.einsum("di,dj->dij", directions, directions)
-    of_units, of_room = log_density(problem.residual(0), alpha + other + more).tolist()
-    return of_units, of_room
 
 
 LITTLE = 0.1
@@ -802,30 +759,22 @@ def _notes(case: Case) -> list[Reason]:
         if c.left_out:
             lost = [parameter_label(p) for p in c.left_out]
             out.append(Reason("run lacks", {**where, "parameters": lost}))
-        out += equation_off(case, c)
+        if c.simulated is None:
+            continue
+        # Where the equation's T differs from the run's by more than 1 JND, the most bands first.
+        ratio = np.expm1(-offset_of(case, c)[FEATURES.index("t20")])
+        with np.errstate(invalid="ignore"):
+            off = {"shorter": ratio < -TARGET.jnd, "longer": ratio > TARGET.jnd}
+        for side, there in sorted(off.items(), key=lambda of: -of[1].sum()):
+            if there.any():
+                values = {
+                    "equation": mean_equation(case.equation).name,
+                    "by": np.abs(100 * ratio[there]),
+                    "side": side,
+                    "bands": (frequencies, there, np.isfinite(ratio)),
+                }
+                out.append(Reason(EQUATION_OFF, values))
     return [*out, *([Reason("no air")] if case.room.air is None else [])]
-
-
-def equation_off(case: Case, configuration: Configuration) -> list[Reason]:
-    """Return where the equation's T differs from the run's by more than 1 JND, the most bands first."""
-    if configuration.simulated is None:
-        return []
-    t20 = FEATURES.index("t20")
-    ratio = np.expm1(-offset_of(case, configuration)[t20])
-    jnd, found = observable("t20").jnd, list[tuple[str, NDArray[np.bool_]]]()
-    with np.errstate(invalid="ignore"):
-        found = [("shorter", ratio < -jnd), ("longer", ratio > jnd)]
-    out = []
-    for side, where in sorted(found, key=lambda of: -of[1].sum()):
-        if where.any():
-            values = {
-                "equation": mean_equation(case.equation).name,
-                "by": np.abs(100 * ratio[where]),
-                "side": side,
-                "bands": (case.room.centre_frequencies, where, np.isfinite(ratio)),
-            }
-            out.append(Reason(EQUATION_OFF, values))
-    return out
 
 
 _CURVED = 10.0

@@ -23,16 +23,10 @@ _RIVALS = 3
 
 @dataclass(frozen=True)
 class Place:
-    """A place for a further receiver.
+    """A place for a further receiver: a ``point`` in m, at the mean height of the receivers.
 
-    Attributes
-    ----------
-    point : (x, y, z)
-        In m, at the mean height of the receivers.
-    source : str
-    nats : float
-        What a measurement there is expected to add to the evidence between the two most probable
-        surfaces.
+    ``nats`` is what a measurement from the ``source`` is expected to add to the evidence between the
+    two most probable surfaces.
     """
 
     point: tuple[float, float, float]
