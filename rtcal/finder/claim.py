@@ -203,19 +203,12 @@ def conclude(
 ) -> Claim:
     """Return what is identified, of any kind of data.
 
-    Parameters
-    ----------
-    detected : str or None
-        The verdict where nothing is detected, "none" or "hint"; None where something is.
-    probabilities, families : mapping of str to float
-        Of each effect and family, the most probable first.
-    by_family_alone : collection of str
-        The effects that are not identified by their own names (`Effect.alone`).
-    reasons : sequence of Reason
-        Doubts about the most probable effect, of which `LEAVES` has what they leave.
-    weak : Reason, optional
-        Why the data do not suffice (`too_weak`): nothing but a name or a family is more than a hint.
-        Where it is the field of a program (`of_program`), nothing is.
+    ``detected`` is the verdict where nothing is detected, "none" or "hint"; None where something is.
+    The probabilities of each effect and family are the most probable first. Effects that are not
+    identified by their own names (`Effect.alone`) are ``by_family_alone``. Of doubts about the most
+    probable effect, ``reasons``, `LEAVES` has what they leave. Where data are ``weak`` (`too_weak`),
+    nothing but a name or a family is more than a hint; where that is the field of a program
+    (`of_program`), nothing is.
     """
     if detected is not None:
         return Claim(verdict=detected, reasons=tuple(reasons))

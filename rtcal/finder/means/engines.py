@@ -66,6 +66,11 @@ class ControlRooms:
     errors: Array
 
     @property
+    def estimates_bias(self) -> bool:
+        """Whether their mean is an estimate of the model's bias: image sources' is none."""
+        return self.engine not in ENGINES or ENGINES[self.engine].estimates_bias
+
+    @property
     def mean(self) -> Array:
         """Mean error over the rooms with a finite value; 0 without any."""
         finite = np.isfinite(self.errors)
@@ -80,19 +85,15 @@ def bias_estimates(controls: Sequence[ControlRooms]) -> Array:
     the model's own estimate. It draws the mean over the rows towards 0, since a second simulator
     confirms only a part of the bias that the first one shows.
     """
-    means = [c.mean for c in controls if _estimates_bias(c)]
+    means = [c.mean for c in controls if c.estimates_bias]
     return np.array([*means, np.zeros_like(controls[0].mean)])
-
-
-def _estimates_bias(controls: ControlRooms) -> bool:
-    return controls.engine not in ENGINES or ENGINES[controls.engine].estimates_bias
 
 
 def recentred(controls: Sequence[ControlRooms]) -> list[ControlRooms]:
     """Replace the mean of an engine that cannot estimate the bias by the estimated one."""
     bias = bias_estimates(controls).mean(axis=0)
     return [
-        c if _estimates_bias(c) else ControlRooms(c.engine, c.errors + (bias - c.mean))
+        c if c.estimates_bias else ControlRooms(c.engine, c.errors + (bias - c.mean))
         for c in controls
     ]
 
@@ -195,17 +196,13 @@ class ControlRoom:
         mean = room.areas @ self.by_axis(alpha) / room.total_area
         return Eyring().time(room, room.total_area * np.clip(mean, 1e-3, 0.99))
 
-    def features(self, case: Case, alphas: Array) -> Array:
-        """Return those of the case's model for its alphas, (n_configurations, n_features, n_bands)."""
+    def errors(self, case: Case, alphas: Array, simulate: Simulation, duration: float) -> Array:
+        """Return features simulated less the model's, (n_configurations, n_features, n_bands)."""
         equation = mean_equation(case.equation).diffuse_field().key
         stated = RoomState.of_room(self.room, np.eye(3), equation)
         states = [replace(stated, alpha=self.by_axis(alpha)) for alpha in alphas]
-        return predict(states, self.distances).features
-
-    def errors(self, case: Case, alphas: Array, simulate: Simulation, duration: float) -> Array:
-        """Return what is simulated less these `features`."""
         simulated = [simulate(self.by_axis(alpha), duration) for alpha in alphas]
-        return np.asarray(simulated - self.features(case, alphas))
+        return np.asarray(simulated - predict(states, self.distances).features)
 
 
 Simulation = Callable[[Array, float], Array]

@@ -51,20 +51,42 @@ def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple
         If at most one surface is in question, or no place of the grid is free.
     """
     checks.whole("number", number, 1)
-    rivals = _rivals(finding)
-    case = finding.case
-    places = _grid(case, number)
+    # The most probable candidate on each surface that is in question.
+    case, rivals = finding.case, list[Candidate]()
+    for name in list(finding.surfaces)[:_RIVALS]:
+        best = next((c for c in finding.candidates if c.surface == name), None)
+        if best is not None and finding.surfaces[name] > 0:
+            rivals.append(best)
+    if len(rivals) < 2:
+        raise DataError("at most one surface is in question; there is nothing to distinguish")
+    places, divided = _grid(case, number), case.divided
     tracer = replace(
         case.simulator,
-        geometry=case.divided.geometry,
+        geometry=divided.geometry,
         receivers={f"place {i + 1}": p for i, p in enumerate(places)},
     )
     weighing = Weighing(tracer, finding.parameters, seed)
     alpha = weighing.alpha
-    stated = weighing.observe(alpha)
-    shifts = [weighing.observe(_with(case, alpha, rival)) - stated for rival in rivals]
+    stated, shifts = weighing.observe(alpha), list[Array]()
+    for rival in rivals:
+        # Spread over the part that holds at least half of its probability, else over its surface.
+        faces = divided.surfaces[list(case.faces).index(str(rival.surface))]
+        if rival.middle is not None:
+            faces = next(part.faces for part in divided.parts if part.middle == rival.middle)
+        share = min(rival.size / float(divided.geometry.face_areas[faces].sum()), 1.0)
+        changed = alpha.copy()
+        changed[faces] += share * (rival.spectrum - changed[faces])
+        shifts.append(weighing.observe(np.clip(changed, 0.0, 0.99)) - stated)
     weights = [finding.surfaces[str(rival.surface)] for rival in rivals[1:]]
-    precision = np.linalg.inv(_error(finding))
+    # What all pairs have in common is known from those that were measured. So a pair's error is that of
+    # the control runs within a run; the noise of the tracing stands for that of a response.
+    errors = finding.controls.at(finding.parameters, finding.pairs).errors
+    within = errors - errors.mean(axis=2, keepdims=True)
+    rows = np.moveaxis(within, 2, 1).reshape(len(errors) * errors.shape[2], -1)
+    sample = rows.T @ rows / max(len(rows) - len(errors), 1)
+    # Far from singular: a tenth of the variance is each value's own.
+    own = 0.1 * np.diag(np.diag(sample)) + 1e-9 * np.eye(len(sample))
+    precision = np.linalg.inv(0.9 * sample + own)
     nats = np.zeros(len(tracer.pairs))
     for shift, weight in zip(shifts[1:], weights, strict=True):
         apart = np.moveaxis(shifts[0] - shift, 1, 0).reshape(len(nats), -1)
@@ -75,18 +97,6 @@ def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple
         for (s, r), n in zip(tracer.pairs, nats, strict=True)
     ]
     return tuple(sorted(every, key=lambda place: -place.nats))
-
-
-def _rivals(finding: Finding) -> list[Candidate]:
-    """Return the most probable candidate on each surface that is in question."""
-    out = []
-    for name in list(finding.surfaces)[:_RIVALS]:
-        best = next((c for c in finding.candidates if c.surface == name), None)
-        if best is not None and finding.surfaces[name] > 0:
-            out.append(best)
-    if len(out) < 2:
-        raise DataError("at most one surface is in question; there is nothing to distinguish")
-    return out
 
 
 def _grid(case: PositionsCase, number: int) -> Array:
@@ -109,32 +119,3 @@ def _grid(case: PositionsCase, number: int) -> Array:
             chosen = np.linspace(0, len(free) - 1, number).round().astype(int)
             return np.asarray(free[chosen])
     raise DataError(f"the room has no {number} places {MARGIN:g} m from walls and sources")
-
-
-def _with(case: PositionsCase, alpha: Array, rival: Candidate) -> Array:
-    """Return alpha (n_faces, n_bands) of the divided geometry with a candidate.
-
-    It is spread over the part that holds at least half of its probability, else over its surface.
-    """
-    divided = case.divided
-    faces = divided.surfaces[list(case.faces).index(str(rival.surface))]
-    if rival.middle is not None:
-        faces = next(part.faces for part in divided.parts if part.middle == rival.middle)
-    share = min(rival.size / float(divided.geometry.face_areas[faces].sum()), 1.0)
-    out = alpha.copy()
-    out[faces] += share * (rival.spectrum - out[faces])
-    return np.clip(out, 0.0, 0.99)
-
-
-def _error(finding: Finding) -> Array:
-    """Return the covariance of a pair's error, (n, n), n = parameters x bands.
-
-    What all pairs have in common is known from those that were measured. So it is that of the control
-    runs within a run; the noise of the tracing stands for that of a response.
-    """
-    errors = finding.controls.at(finding.parameters, finding.pairs).errors
-    within = errors - errors.mean(axis=2, keepdims=True)
-    rows = np.moveaxis(within, 2, 1).reshape(len(errors) * errors.shape[2], -1)
-    sample = rows.T @ rows / max(len(rows) - len(errors), 1)
-    # Far from singular: a tenth of the variance is each value's own.
-    return np.asarray(0.9 * sample + 0.1 * np.diag(np.diag(sample)) + 1e-9 * np.eye(len(sample)))
