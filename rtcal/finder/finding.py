@@ -7,6 +7,7 @@ differs by the kind of data are further fields. Its words are made in `rtcal.rep
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from importlib import import_module
@@ -241,9 +242,12 @@ class Finding(Result):
             measured = [case.in_room.select(case.pairs)]
         else:
             measured = [c.measured for c in case.configurations]
-        pairs = zip(self.modelled, measured, strict=True)
-        made = (_compared(Run(case.room, model), values) for model, values in pairs)
-        return tuple(filter(None, made))
+        made = list[Comparison]()
+        for model, values in zip(self.modelled, measured, strict=True):
+            run = Run(case.room, model)
+            with suppress(DataError):  # they have nothing in common
+                made.append(Comparison(run=run, measured=values, equation=Eyring()))
+        return tuple(made)
 
     @property
     def differs(self) -> bool:
@@ -599,14 +603,6 @@ _RECORDED = {
     "centre_frequencies=case.room.centre_frequencies",
 }
 """Entries of a record, key=path where the attribute has another name."""
-
-
-def _compared(run: Run, measured: Measurement) -> Comparison | None:
-    """Return run and measurement beside each other; None where they have nothing in common."""
-    try:
-        return Comparison(run=run, measured=measured, equation=Eyring())
-    except DataError:
-        return None
 
 
 def feature_names(measured: Measurement) -> tuple[str, ...]:

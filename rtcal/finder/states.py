@@ -577,7 +577,10 @@ def find(
         changes[0, where] = samples.mean(axis=0)
         changes[1:, where] = np.quantile(samples, _INTERVAL, axis=0)
         middle = samples[:, inside].mean(axis=1)
-        family = _as_changed(family, changes[0, where])
+        # What is removed from a surface saturates: the change goes less, or more, than the spectrum.
+        whole, _, kind = (family or "").partition(", ")
+        if kind in KINDS.values() and where.sum() > 1:
+            family = family if KINDS[over_frequency(changes[0, where])] == kind else whole
         climate = float((of_surfaces * every.of_air).sum() / of_surfaces.sum())
     shift[where] = 0.0 if case.same else sign * np.einsum("ns,nsk->k", chances, found.shift)
     probable = [n for n, p in probabilities.items() if n != NONE and p >= SAID]
@@ -621,17 +624,6 @@ def find(
 
 _LEAST_CHANCE = 0.05
 """Least p-value of what is named: of true changes of the climate one in twenty is not."""
-
-
-def _as_changed(family: str | None, change: Array) -> str | None:
-    """Return the family, without its kind where the change goes otherwise with frequency.
-
-    What is removed from a surface saturates, so the change goes less, or more, than the spectrum.
-    """
-    whole, _, kind = (family or "").partition(", ")
-    if kind not in KINDS.values() or len(change) < 2:
-        return family
-    return family if KINDS[over_frequency(change)] == kind else whole
 
 
 def _samples(

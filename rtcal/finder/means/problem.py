@@ -92,7 +92,6 @@ from rtcal.finder.evidence import (
 )
 from rtcal.finder.means.engines import ControlRooms, bias_estimates, draw_alpha, recentred
 from rtcal.finder.model import FEATURES, Predicted, RoomState, predict, sensitivities
-from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
 
@@ -712,18 +711,6 @@ class ModelDiscrepancy:
     bias: Array
     covariance: Array
     engines: tuple[str, ...] = ()
-
-
-def checked_discrepancy(case: Case, discrepancy: object) -> ModelDiscrepancy:
-    """Return a discrepancy of this case's shape; DataError otherwise."""
-    checked = checks.instance("discrepancy", discrepancy, ModelDiscrepancy)
-    n = len(case.configurations) * len(FEATURES) * case.room.n_bands
-    if checked.bias.shape != (n,) or checked.covariance.shape != (n, n):
-        raise DataError(
-            f"discrepancy has a bias of shape {checked.bias.shape}; this case's is ({n},): it is of "
-            "another case"
-        )
-    return checked
 
 
 def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelDiscrepancy:

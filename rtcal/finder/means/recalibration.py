@@ -33,7 +33,6 @@ from rtcal.finder.case import Case, Configuration
 from rtcal.finder.claim import WORDS
 from rtcal.finder.means.problem import (
     ModelDiscrepancy,
-    checked_discrepancy,
     observe,
     offset_of,
     predict_in,
@@ -41,9 +40,9 @@ from rtcal.finder.means.problem import (
     states,
 )
 from rtcal.finder.model import FEATURES
-from rtcal.support import __version__, text
+from rtcal.support import __version__, checks, text
 from rtcal.support.blocks import Block
-from rtcal.support.errors import MissingAirWarning
+from rtcal.support.errors import DataError, MissingAirWarning
 from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
 
@@ -216,7 +215,15 @@ def recalibrate(
         case.
     """
     case.require_fresh()
-    bias = None if discrepancy is None else checked_discrepancy(case, discrepancy).bias
+    bias = None
+    if discrepancy is not None:
+        bias = checks.instance("discrepancy", discrepancy, ModelDiscrepancy).bias
+        n = len(case.configurations) * len(FEATURES) * case.room.n_bands
+        if bias.shape != (n,):
+            raise DataError(
+                f"discrepancy has a bias of shape {bias.shape}; this case's is ({n},): it is of "
+                "another case"
+            )
     fitted = [c for c in range(len(case.configurations)) if c not in left_out]
     return LogTimes.of(case, fitted, bias).calibrated()
 
