@@ -236,18 +236,11 @@ _DECAY, _NO_AIR, _TOO_MUCH = "decay not in a room", "air of no climate", "absorb
 class CaseModel(RoomSimulator):
     """A case's model with its effects as a `Simulator`; the rows of alpha are those of the ``room``.
 
-    Attributes
-    ----------
-    case : Case
-    room, stated : Room
-        With further materials for what absorbs, and with the stated ones alone.
-    whole : RoomState
-        The model's state at the room's coefficients.
-    absent : mapping of str to list of Reason
-        Why a room cannot represent an effect, by the effect's name.
-    inner : Simulator or None
-        A simulator of the stated materials over whose walls the absorbers are spread. None: T20, EDT,
-        T30, C80 and G of the case's first configuration, by the model itself.
+    The ``room`` has further materials for what absorbs, ``stated`` those of the case alone; ``whole``
+    is the model's state at the room's coefficients. Why a room cannot represent an effect is
+    ``absent``, by the effect's name. ``inner`` is a simulator of the stated materials over whose walls
+    the absorbers are spread. Without it T20, EDT, T30, C80 and G are those of the case's first
+    configuration, by the model.
     """
 
     case: Case

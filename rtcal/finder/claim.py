@@ -400,11 +400,6 @@ class Candidate:
             return None
         return Size(self.size, self.low, self.high, self.unit, self.end)
 
-    @property
-    def is_fitted(self) -> bool:
-        """Whether it has been fitted to means, so that it can be added to a case."""
-        return bool(self.parameters) or self.coefficients is not None
-
     def applied(self, effect: Effect) -> AppliedEffect:
         """Return the effect with its size and interval, to be put into a case."""
         ends = None if self.extent is None else (self.low, self.high)

@@ -518,7 +518,20 @@ class Finding(Result):
         if self.kind == "states":
             kinds = [c.effect for c in self.candidates]
             return changed_room(self.case, self.area, self.change, self.identified_surfaces, kinds)
-        best = self._candidate(at, effect)
+        best = self.likeliest
+        if at is None and effect is None and self.undecided is not None:
+            raise DataError(str(self.undecided))
+        if best is None or not (at is None and effect is None):
+            every = [c for c in self.candidates if c.can_be_added and c.probability >= _LEAST]
+            if at is not None:
+                surface = surface_at(self.case, at)
+                every = [c for c in every if c.surface == surface]
+                if not every:
+                    raise DataError(f'at lies on "{surface}", on which nothing was found')
+            best = next((c for c in every if effect in (None, c.effect)), None)
+            if best is None:
+                named = listed([*dict.fromkeys(c.effect for c in every)], last="or")
+                raise DataError(f'effect = "{effect}" is no candidate. Candidates: {named}')
         made = corrected_geometry(self.case, best, form or "patch", at)
         return replace(made, support=str(support(self, best)))
 
@@ -527,7 +540,8 @@ class Finding(Result):
         if not self.can_be_added:
             raise DataError(f'the verdict is "{self.verdict}"; there is no effect to add')
         found = self.candidate(effect)
-        if effect is not None and (found is None or not found.is_fitted):
+        fitted = found is not None and (found.parameters or found.coefficients is not None)
+        if effect is not None and not fitted:
             candidates = listed([n for n in self.names if n != UNKNOWN], last="or")
             raise DataError(f'effect = "{effect}" is no candidate. Candidates: {candidates}')
         why = self.undecided if effect is None else self._unclaimed_volume((effect,))
@@ -554,26 +568,6 @@ class Finding(Result):
         new = [c for c in added if c.effect in self.effects and c.effect not in present]
         applied = [c.applied(self.effects[c.effect]) for c in new]
         return replace(base, applied=(*base.applied, *applied)) if applied else base
-
-    def _candidate(self, at: Sequence[float] | None, effect: str | None) -> Candidate:
-        """Return the candidate to add to a surface: the most probable, at a place, of an effect."""
-        if at is None and effect is None and self.undecided is not None:
-            raise DataError(str(self.undecided))
-        every = [c for c in self.candidates if c.can_be_added and c.probability >= _LEAST]
-        if at is None and effect is None and self.likeliest is not None:
-            return self.likeliest
-        if at is not None:
-            surface = surface_at(self.case, at)
-            every = [c for c in every if c.surface == surface]
-            if not every:
-                raise DataError(f'at lies on "{surface}", on which nothing was found')
-        found = next((c for c in every if effect in (None, c.effect)), None)
-        if found is None:
-            named = dict.fromkeys(c.effect for c in every)
-            raise DataError(
-                f'effect = "{effect}" is no candidate. Candidates: {listed([*named], last="or")}'
-            )
-        return found
 
     def __repr__(self) -> str:
         """Return one line: the verdict, and the answer's first sentence."""

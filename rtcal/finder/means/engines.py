@@ -259,22 +259,12 @@ def _features(energy: Array, width: float) -> Array:
 class Engine:
     """An independent simulator, and the reference rooms that it simulates.
 
-    Attributes
-    ----------
-    name : str
-    simulator : function
-        Prepares a reference room, from it and its number.
-    stream : int
-        Stream of the random numbers, so that engines draw different rooms.
-    setups : int
-        Reference rooms, each with a draw of alpha from the prior.
-    duration : float
-        Simulated time, in reverberation times.
-    models : sequence of str
-        Scattering models, two setups with each in turn. Both have a scattering coefficient, but their
-        decays differ by some percent. None of a simulator that scatters nothing.
-    estimates_bias : bool
-        Whether it estimates the mean of the model's error, and not its scatter alone.
+    ``simulator`` prepares a reference room, from it and its number. Random numbers are those of a
+    ``stream``, so that engines draw different rooms: ``setups`` of them, each with a draw of alpha from
+    the prior, over a ``duration`` in reverberation times. Two setups in turn have each of the
+    scattering ``models``: both have a coefficient, but their decays differ by some percent. A simulator
+    that scatters nothing has none. ``estimates_bias`` is whether it estimates the mean of the model's
+    error, and not its scatter alone.
     """
 
     name: str

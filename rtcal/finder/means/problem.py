@@ -868,16 +868,6 @@ class MeansProblem:
             alpha = alpha + (scale**2 - 1) * common @ common.T
         return alpha, self.without_alpha + self.error_of_change(row)[0]
 
-    def log_likelihood(
-        self, values: Array, ends: Sequence[int], *, off: bool
-    ) -> tuple[Array, Array]:
-        """Return `log_likelihoods` of all hypotheses for ``values`` (n_draws, n_used)."""
-        n, (draws, m) = len(self.predicted.names), values.shape
-        # A few hypotheses at a time, so that their covariances stay in the processor's cache.
-        step = max(1, min(_AT_ONCE, _ELEMENTS // (m + draws) ** 2))
-        parts = (self.moments(slice(begin, begin + step)) for begin in range(0, n, step))
-        return log_likelihoods(parts, values, ends, off=off)
-
     def goodness_of_fit(self, i: int, scale: float = 1.0) -> tuple[float, float]:
         """Return the distance of the measurement from hypothesis ``i``, and its probability.
 
@@ -1009,12 +999,6 @@ class MeansEvidence:
         table = self.by_effect()
         return float(table[name] - table[NONE])
 
-    def under(self, effect: Effect, grid: Sequence[Parameters]) -> Array:
-        """Return the log likelihoods of an effect with these sets of parameters, (n,)."""
-        predicted = predict_hypotheses(self.problem.case, [effect], [grid])
-        of_grid = evaluate(replace(self.problem, predicted=predicted), self.prior_off)[-1]
-        return of_grid.by_hypothesis()[1:]
-
     def beside(self, name: str, others: Sequence[AppliedEffect] = ()) -> MeansEvidence:
         """Return the evidence of one effect, with others in the model."""
         case = self.problem.case
@@ -1040,7 +1024,11 @@ def evaluate(
     y = np.atleast_2d(problem.observed.values if values is None else values)
     alpha, other = problem.covariance_of(0)
     unknown = unknown_evidence(problem.residual(0, y), alpha + other, problem.observed.used, ends)
-    likelihoods = problem.log_likelihood(y, ends, off=prior_off > 0)
+    n, (draws, m) = len(problem.predicted.names), y.shape
+    # A few hypotheses at a time, so that their covariances stay in the processor's cache.
+    step = max(1, min(_AT_ONCE, _ELEMENTS // (m + draws) ** 2))
+    of_rows = (problem.moments(slice(begin, begin + step)) for begin in range(0, n, step))
+    likelihoods = log_likelihoods(of_rows, y, ends, off=prior_off > 0)
     for likelihood in likelihoods:
         likelihood[:, ~problem.predicted.possible] = _IMPOSSIBLE
     parts = [*likelihoods, unknown]

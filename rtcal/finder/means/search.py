@@ -419,7 +419,8 @@ def estimate_size(
         return np.log(np.maximum(effect.density(columns(thetas), base), _LEAST_DENSITY))
 
     def evaluated(thetas: Sequence[Parameters]) -> Array:
-        return evidence.under(effect, thetas) + log_density(thetas)
+        alone = replace(problem, predicted=predict_hypotheses(problem.case, [effect], [thetas]))
+        return evaluate(alone, evidence.prior_off)[-1].by_hypothesis()[1:] + log_density(thetas)
 
     best = grid[int(np.argmax(likelihood + log_density(grid)))]
     if precise:
