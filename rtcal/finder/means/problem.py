@@ -1219,8 +1219,8 @@ def compare(problem: MeansProblem) -> MeansProblem:
     # Changes over each hypothesis's cell of the grid. The standard deviation of an even distribution is
     # the step over sqrt(12). Without it, what lies between the grid's points would look like a second
     # effect.
-    at_used = problem.places
-    features = predicted.features[:, *at_used]
+    which, f, b = problem.places
+    features = predicted.features[:, which, f, b]
     steps: list[Array] = []
     for name, effect in predicted.effects.items():
         rows, grid = predicted.rows[name], predicted.grid(name)

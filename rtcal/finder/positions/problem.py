@@ -51,7 +51,7 @@ from scipy.special import logsumexp
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import observable
+from rtcal.acoustics.observables import LEVEL, observable
 from rtcal.acoustics.room_errors import (
     alike_alpha,
     common_error_columns,
@@ -82,8 +82,11 @@ from rtcal.finder.evidence import (
 from rtcal.finder.model import RoomState
 from rtcal.finder.positions.weighing import (
     AIR,
+    BAND_GAIN,
+    GAIN,
     MOVE,
     OPEN,
+    OWN_GAIN,
     SECOND_ROOMS,
     SHARES,
     STEP,
@@ -91,7 +94,6 @@ from rtcal.finder.positions.weighing import (
     TRACINGS,
     VOLUME,
     PairShifts,
-    covariances_of_gains,
     interpolation,
 )
 from rtcal.loop.measured_pairs import COMMON as OF_ROOM
@@ -837,8 +839,8 @@ class PositionsProblem:
     aimed : array (n, n), optional
         Covariance of what other lobes of the sources change; None where no source may have any.
     gains : sequence of array (n, n)
-        Covariances of what other gains of calibrated sources change (`covariances_of_gains`); none
-        where the level is relative, or its common uncertainty is stated.
+        Covariances of what other gains of calibrated sources change, alike in all bands and band by
+        band; none where the level is relative, or its common uncertainty is stated.
     """
 
     def __init__(self, case: PositionsCase, made: PairShifts, controls: ControlRuns) -> None:
@@ -917,8 +919,13 @@ class PositionsProblem:
         self.levels = levels(shifted("levels").reshape(room.n_bands, *stated.shape[:2], -1))
         self.gains: list[Array] = []
         if self.data.level == "absolute" and "g" not in case.measured.common_uncertainty:
-            of_gains = covariances_of_gains(names, pairs, room.n_bands)
-            self.gains = [covariance * scales for covariance in of_gains]
+            sources = np.array([source for source, _ in pairs])
+            same = (sources[:, np.newaxis] == sources).astype(float)
+            level = np.diag([float(name == LEVEL.key) for name in names])
+            alike = np.kron(level, GAIN**2 + OWN_GAIN**2 * same)
+            together = np.kron(np.ones((room.n_bands, room.n_bands)), alike)
+            own = np.kron(np.eye(room.n_bands), np.kron(level, BAND_GAIN**2 * same))
+            self.gains = [together * scales, (together + own) * scales]
         self.aimed: Array | None = None
         if made.columns["aimed"].any():
             self.aimed = covariance_of_lobes(shifted("aimed"), pairs, frequencies)

@@ -77,7 +77,6 @@ from rtcal.finder.positions.weighing import (
     LIKELY_INDEX,
     LIKELY_LOBES,
     MISCALIBRATED,
-    of_lobes,
     parameters,
     responses_of,
     with_index,
@@ -503,7 +502,13 @@ def find_by_positions(
     if means is not None:
         posterior = with_families(posterior, search.hypotheses, means.families)
     finding = _finding(search, posterior, detected, effects)
-    notes = [*finding.notes, of_lobes(aimed, indexed if doubted else ())]
+    notes = [*finding.notes]
+    if doubted and indexed:
+        code = "index off" if aimed > LIKELY_INDEX else "nothing explains the level"
+        notes.append(Reason(code, {"nats": aimed, "sources": indexed}))
+    elif aimed > -np.log(AIMED):
+        code = "lobes" if aimed > LIKELY_LOBES else "lobes possible"
+        notes.append(Reason(code, {"nats": aimed}))
     said = finding.effect or finding.family
     if means is not None and said is None and (name := means.effect or means.family) is not None:
         # What means over positions identify where positions do not.
@@ -517,7 +522,7 @@ def find_by_positions(
         notes.append(Reason("not tried", {"effects": without}))
     if left_out:
         notes.append(Reason("chosen"))
-    return replace(finding, left_out=tuple(left_out), notes=tuple(filter(None, notes)))
+    return replace(finding, left_out=tuple(left_out), notes=tuple(notes))
 
 
 def every_hypothesis(

@@ -52,11 +52,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.observables import LEVEL, MATCH, TARGET, longest
+from rtcal.acoustics.observables import MATCH, TARGET, longest
 from rtcal.acoustics.room import LARGEST_INDEX, Directivity, Room
 from rtcal.files import disk
 from rtcal.finder.case import PositionsCase
-from rtcal.finder.claim import Reason
 from rtcal.finder.effects import HARD
 from rtcal.finder.positions.surfaces import Faces
 from rtcal.loop import measured_pairs
@@ -706,32 +705,3 @@ def lobes(tracer: PathTracing) -> list[dict[str, Directivity]]:
         changed(INDEX_ERROR) | dict(zip(names, towards, strict=True)),
         *(own | dict.fromkeys(names, lobe) for lobe in along),
     ]
-
-
-def covariances_of_gains(
-    parameters: Sequence[str], pairs: Sequence[Pair], n_bands: int
-) -> tuple[Array, Array]:
-    """Return the covariances in dB² of levels of other gains, (n, n), by band, parameter and pair.
-
-    The first is of gains that are alike in all bands, the second of gains that differ between bands.
-    """
-    sources = np.array([source for source, _ in pairs])
-    same = (sources[:, np.newaxis] == sources).astype(float)
-    level = np.diag([float(name == LEVEL.key) for name in parameters])
-    alike = np.kron(level, GAIN**2 + OWN_GAIN**2 * same)
-    own = np.kron(level, BAND_GAIN**2 * same)
-    together = np.asarray(np.kron(np.ones((n_bands, n_bands)), alike))
-    return together, np.asarray(together + np.kron(np.eye(n_bands), own))
-
-
-def of_lobes(nats: float, stated: Sequence[str]) -> Reason | None:
-    """Return a note that the sources may have other lobes; None where they are as taken.
-
-    ``stated`` are sources of which an index is stated, where it is not taken as stated.
-    """
-    if stated:
-        code = "index off" if nats > LIKELY_INDEX else "nothing explains the level"
-        return Reason(code, {"nats": nats, "sources": list(stated)})
-    if nats <= -np.log(AIMED):
-        return None
-    return Reason("lobes" if nats > LIKELY_LOBES else "lobes possible", {"nats": nats})
