@@ -925,7 +925,8 @@ class PositionsProblem:
             alike = np.kron(level, GAIN**2 + OWN_GAIN**2 * same)
             together = np.kron(np.ones((room.n_bands, room.n_bands)), alike)
             own = np.kron(np.eye(room.n_bands), np.kron(level, BAND_GAIN**2 * same))
-            self.gains = [together * scales, (together + own) * scales]
+            both = (together, together + own)
+            self.gains = [np.asarray(of * scales, dtype=np.float64) for of in both]
         self.aimed: Array | None = None
         if made.columns["aimed"].any():
             self.aimed = covariance_of_lobes(shifted("aimed"), pairs, frequencies)
