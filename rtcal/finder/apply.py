@@ -53,50 +53,36 @@ CASE, ROOM, MESH, CATT, ODEON = "case.json", "room.toml", "room.obj", "catt.txt"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Corrected:
-    """The model of a room with what was found in it.
-
-    Attributes
-    ----------
-    case : Case, PositionsCase or StatesCase
-        Of means with the effects in its model, to be searched and recalibrated like any other.
-    room : Room
-        Not calibrated, but of two states to the first one. Of means it has by the model's equation the
-        absorption area and T of the case's model, without what the ``notes`` list. (A calibration of
-        Millington's model uses Eyring's equation.) A material that was added or changed has a sigma of
-        what the size's interval and the spectrum leave open. With a patch a box states no dimensions,
-        since simulators of boxes know one material per wall. The mesh is ``geometry``.
-    geometry : Polyhedron or None
-        None where no surface is identified.
-    surfaces : tuple of str
-        Those that have changed, each with a material of its own; empty where all materials share it.
-    notes : tuple of Reason
-        What the room does not hold: decay shape, noise, equation. Why the form is another than the one
-        that was asked for, and what was assumed.
-    added : Candidate or None
-        At positions, what was added.
-    material, form : str
-        Name of its material, and "patch" where it has faces of its own, or "material" where the whole
-        surface absorbs as much.
-    support : str
-        Verdict, probability and rivals of what was added, in words.
-    caution : str
-        Why it is not to be simulated with, by the finding's verification; "" where nothing says so. It
-        stands at the head of its files.
-    model : CaseModel or None
-        Of means.
-    """
+    """The model of a room with what was found in it."""
 
     case: Case | PositionsCase | StatesCase
+    """Of means with the effects in its model, to be searched and recalibrated like any other."""
     room: Room
+    """Not calibrated, but of two states to the first one. Of means it has by the model's equation the
+    absorption area and T of the case's model, without what the ``notes`` list. (A calibration of
+    Millington's model uses Eyring's equation.) A material that was added or changed has a sigma of what
+    the size's interval and the spectrum leave open. With a patch a box states no dimensions, since
+    simulators of boxes know one material per wall. The mesh is ``geometry``."""
     geometry: Polyhedron | None = None
+    """None where no surface is identified."""
     surfaces: tuple[str, ...] = ()
+    """Those that have changed, each with a material of its own; empty where all materials share it."""
     notes: tuple[Reason, ...] = ()
+    """What the room does not hold: decay shape, noise, equation. Why the form is another than the one
+    that was asked for, and what was assumed."""
     added: Candidate | None = None
+    """At positions, what was added."""
     material: str = ""
     form: str = ""
+    """Name of its material, and "patch" where it has faces of its own, or "material" where the whole
+    surface absorbs as much."""
     support: str = ""
+    """Verdict, probability and rivals of what was added, in words."""
     caution: str = ""
+    """Why it is not to be simulated with, by the finding's verification; "" where nothing says so. It
+    stands at the head of its files."""
     model: CaseModel | None = None
+    """Of means."""
 
     def simulator(self, make: Callable[[Room], Simulator] | None = None) -> Any:
         """Return a simulator of the corrected model; the rows of alpha are those of the ``room``.

@@ -179,27 +179,6 @@ class ChangedMaterial:
 class Configuration:
     """One measurement of the room, and the changes of the room for it.
 
-    Parameters
-    ----------
-    name : str
-    measured : Measurement
-        Any of T20, EDT, T30, C80, G.
-    changes : mapping of str to Change
-        Materials whose coefficients differ from the room's.
-    suspect_removed : bool
-        Whether the suspected object had been removed.
-    air : Air, optional
-        If the climate differed from the room's.
-    distances : array (n_pairs,), optional
-        From source to receiver in m; by default 0.66 times the cube root of the volume.
-    planned : bool
-        Whether ``measured`` holds placeholders for a measurement that is only planned.
-    simulated : Run, optional
-        What a program gave of this configuration. The model is then the run, and its changes with
-        coefficients and effects are those of the equation.
-    left_out : tuple of str
-        Parameters that were measured and that the run lacks; `in_room` leaves them out.
-
     Raises
     ------
     DataError
@@ -208,13 +187,22 @@ class Configuration:
 
     name: str
     measured: Measurement
+    """Any of T20, EDT, T30, C80, G."""
     changes: Mapping[str, ChangedMaterial] = field(default_factory=dict)
+    """Materials whose coefficients differ from the room's."""
     suspect_removed: bool = False
+    """Whether the suspected object had been removed."""
     air: Air | None = None
+    """If the climate differed from the room's."""
     distances: Array | None = None
+    """From source to receiver in m, (n_pairs,); by default 0.66 times the cube root of the volume."""
     planned: bool = False
+    """Whether ``measured`` holds placeholders for a measurement that is only planned."""
     simulated: Run | None = None
+    """What a program gave of this configuration. The model is then the run, and its changes with
+    coefficients and effects are those of the equation."""
     left_out: Sequence[str] = ()
+    """Parameters that were measured and that the run lacks; `in_room` leaves them out."""
 
     def __post_init__(self) -> None:
         where = f'configuration "{text_name("configuration: name", self.name)}"'
@@ -439,27 +427,6 @@ def _read(where: str, stated: str | MeasurementTable, room: Room, folder: Path) 
 class Case:
     """A room, its equation and the configurations in which it was measured.
 
-    Parameters
-    ----------
-    room : Room
-        Volume, materials with area, alpha and sigma, band correlation, air or none.
-    configurations : sequence of Configuration
-        At least one.
-    equation : str
-        The equation with which the user's model calculates T: the key of a `MeanEquation`, such as
-        "eyring", "sabine", "kuttruff" or "millington".
-    facing : array (n_materials, 3), optional
-        Share of each material's area whose normal is along x, y and z; NaN where nothing says it. By
-        default it follows from what the room states (`rtcal.acoustics.changes.facing`).
-    applied : sequence of AppliedEffect
-        Effects that `Finding.apply` has added.
-    climate_uncertainty : (float, float)
-        Standard uncertainties of the room's climate: K, and % of relative humidity.
-    program : {"", "geometrical"}
-        Kind of program that made the runs. A geometrical program computes no equation
-        (`Effect.in_geometry`), and its field is as uneven as its model's
-        (`rtcal.finder.claim.of_program`): neither is the room's error.
-
     Raises
     ------
     DataError
@@ -469,12 +436,24 @@ class Case:
     kind: ClassVar[str] = "means"
 
     room: Room
+    """Volume, materials with area, alpha and sigma, band correlation, air or none."""
     configurations: Sequence[Configuration]
+    """At least one."""
     equation: str = "eyring"
+    """The equation with which the user's model calculates T: the key of a `MeanEquation`, such as
+    "eyring", "sabine", "kuttruff" or "millington"."""
     facing: Array = None  # type: ignore[assignment]  # filled in when made
+    """Share of each material's area whose normal is along x, y and z, (n_materials, 3); NaN where
+    nothing says it. By default it follows from what the room states
+    (`rtcal.acoustics.changes.facing`)."""
     applied: Sequence[AppliedEffect] = ()
+    """Effects that `Finding.apply` has added."""
     climate_uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
+    """Standard uncertainties of the room's climate: K, and % of relative humidity."""
     program: str = ""
+    """Kind of program that made the runs. A geometrical program computes no equation
+    (`Effect.in_geometry`), and its field is as uneven as its model's (`rtcal.finder.claim.of_program`):
+    neither is the room's error."""
 
     def __post_init__(self) -> None:
         checks.instance("room", self.room, Room)
@@ -703,36 +682,6 @@ def files_of_case(path: str) -> list[Path]:
 class PositionsCase:
     """A simulator of a room, and what was measured at its source-receiver pairs.
 
-    Parameters
-    ----------
-    simulator : PathTracing
-        Geometry, sources, receivers, and the room with the prior of its coefficients.
-    measured : Measurement
-        A row per pair. Its pairs have the simulator's names of sources and receivers. Pairs at one
-        place are repeats: the case has their mean, as one pair.
-    match : sequence of str
-        Parameters that are compared; T30 in place of T20 where T30 alone was measured. Where a
-        source's directivity is unknown, reverberation times alone. The level is G of a calibrated
-        source where ``g`` was measured. A measured ``level`` has any reference that all receivers of a
-        source share.
-    simulated : Measurement, optional
-        Values that another program gave for the input, in the room's bands. The disagreement is then
-        that program's. How it depends on the surfaces is still what the simulator says. Measured
-        pairs, parameters and values that it lacks are left out, which a note says.
-    exclude : sequence of (source, receiver)
-        Measured pairs that are left out.
-    surfaces : mapping of str to sequence of str, optional
-        Names of each surface's faces. By default the coplanar faces of one material are one surface.
-    position_uncertainty : float
-        Root mean square error of the positions of sources and receivers, in m.
-    notes : sequence of str
-        Sentences on the data, which the finding prints; which pairs are repeats of one place is added.
-
-    Attributes
-    ----------
-    faces : dict of str to int array
-        Numbers of each surface's faces.
-
     Raises
     ------
     DataError
@@ -744,14 +693,29 @@ class PositionsCase:
     kind: ClassVar[str] = "positions"
 
     simulator: PathTracing
+    """Geometry, sources, receivers, and the room with the prior of its coefficients."""
     measured: Measurement
+    """A row per pair. Its pairs have the simulator's names of sources and receivers. Pairs at one place
+    are repeats: the case has their mean, as one pair."""
     match: Sequence[str] = MATCH
+    """Parameters that are compared; T30 in place of T20 where T30 alone was measured. Where a source's
+    directivity is unknown, reverberation times alone. The level is G of a calibrated source where ``g``
+    was measured. A measured ``level`` has any reference that all receivers of a source share."""
     simulated: Measurement | None = None
+    """Values that another program gave for the input, in the room's bands. The disagreement is then
+    that program's. How it depends on the surfaces is still what the simulator says. Measured pairs,
+    parameters and values that it lacks are left out, which a note says."""
     exclude: Sequence[Pair] = ()
+    """Measured pairs that are left out."""
     surfaces: Mapping[str, Sequence[str]] | None = None
+    """Names of each surface's faces. By default the coplanar faces of one material are one surface."""
     position_uncertainty: float = POSITION
+    """Root mean square error of the positions of sources and receivers, in m."""
     notes: Sequence[str] = ()
+    """Sentences on the data, which the finding prints; which pairs are repeats of one place is
+    added."""
     faces: dict[str, Faces] = field(init=False)
+    """Numbers of each surface's faces."""
 
     def __post_init__(self) -> None:
         checks.instance("simulator", self.simulator, PathTracing)
@@ -926,39 +890,6 @@ class StatesCase:
     Two measurements are compared with each other, so that neither the coefficients' prior nor a
     configuration counts: the first state calibrates.
 
-    Parameters
-    ----------
-    room : Room
-        Its volume, areas and air.
-    before, after : Measurement
-        Means over positions, or pairs. The pairs that both have are compared, source by source.
-    equation : LinearEquation
-        Turns T into an absorption area; Eyring's unless given. Sabine's overstates the change of a
-        room that absorbs much.
-    simulator : PathTracing, optional
-        Simulator of the same room, with every source's directivity: surfaces are then compared, by the
-        parameters of `MATCH` that both states have. Both levels have one reference.
-    climate_uncertainty : (float, float)
-        Standard uncertainties of the room's climate in K and in % of relative humidity, in each of
-        the two states. A room without air may have any indoor climate in either.
-
-    Attributes
-    ----------
-    states : two Measurement
-        Pairs that both measurements have, in the room's bands.
-    times : array (2, n_bands)
-        Mean T20, or else T30, in s over these pairs, before and after.
-    change : array (n_pairs, n_bands)
-        ln(T after / T before); NaN where one is missing.
-    variance : array (n_pairs, n_bands)
-        Variance of the noise of ``change``, of both states: for each pair the larger of the given one
-        and of what theory expects of one decay, 0.88 / sqrt(B T) for T20. The noise of a decay does
-        not cancel: another absorption is another field. In a laboratory whose panels were turned, the
-        differences scatter by 0.9 to 1.3 times the theory of both states.
-    notes : tuple of str
-        Bands and pairs that one state lacks, what is converted, and where the uncertainties
-        come from.
-
     Raises
     ------
     DataError
@@ -980,16 +911,33 @@ class StatesCase:
     kind: ClassVar[str] = "states"
 
     room: Room
+    """Its volume, areas and air."""
     before: Measurement
     after: Measurement
+    """Means over positions, or pairs. The pairs that both have are compared, source by source."""
     equation: LinearEquation = field(default_factory=Eyring)
+    """Turns T into an absorption area; Eyring's unless given. Sabine's overstates the change of a room
+    that absorbs much."""
     simulator: PathTracing | None = None
+    """Simulator of the same room, with every source's directivity: surfaces are then compared, by the
+    parameters of `MATCH` that both states have. Both levels have one reference."""
     climate_uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
+    """Standard uncertainties of the room's climate in K and in % of relative humidity, in each of the
+    two states. A room without air may have any indoor climate in either."""
     states: tuple[Measurement, Measurement] = field(init=False)
+    """Pairs that both measurements have, in the room's bands."""
     times: Array = field(init=False)
+    """Mean T20, or else T30, in s over these pairs, before and after, (2, n_bands)."""
     change: Array = field(init=False)
+    """ln(T after / T before), (n_pairs, n_bands); NaN where one is missing."""
     variance: Array = field(init=False)
+    """Variance of the noise of ``change``, of both states, (n_pairs, n_bands): for each pair the larger
+    of the given one and of what theory expects of one decay, 0.88 / sqrt(B T) for T20. The noise of a
+    decay does not cancel: another absorption is another field. In a laboratory whose panels were
+    turned, the differences scatter by 0.9 to 1.3 times the theory of both states."""
     notes: tuple[str, ...] = field(init=False)
+    """Bands and pairs that one state lacks, what is converted, and where the uncertainties come
+    from."""
 
     def __post_init__(self) -> None:
         put = partial(object.__setattr__, self)

@@ -348,50 +348,35 @@ LOCATED = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """An effect that explains the data, of positions in one place.
-
-    Attributes
-    ----------
-    effect, family : str
-    surface : str or None
-        None for the whole room, the measurement, and of means over positions.
-    place : str
-        The surface's name; of means a material in quotes, where the effect is about one; of the
-        measurement's errors "receiver R1", "source S1" or "S1 to R1"; "" for the whole room.
-    probability : float
-    size, low, high : float
-        Posterior mean and 90 % interval, in ``unit``; NaN for coefficients off together and for
-        "unknown".
-    unit, end : str, as of a `Size`
-    parameters : mapping of str to float
-        The most probable ones.
-    spectrum : array (n_bands,) or (0,)
-        Posterior mean alpha of what stands on the surface.
-    parts : tuple of (middle, probability)
-        Of a large surface: the middle (x, y, z) of each part in m, and the probability that it stands
-        on this part alone. With the rest of its probability it is spread over the surface.
-    coefficients : OffTogether or None
-        Of means, coefficients that are off in common, where they are likely beside it.
-    absorption : array (3, n_bands) or None
-        Of means, what an effect of absorption adds over the room's mean absorption: of the size's mean
-        and of both ends of its interval.
-    """
+    """An effect that explains the data, of positions in one place."""
 
     effect: str
     family: str
     probability: float
     surface: str | None = None
+    """None for the whole room, the measurement, and of means over positions."""
     place: str = ""
+    """The surface's name; of means a material in quotes, where the effect is about one; of the
+    measurement's errors "receiver R1", "source S1" or "S1 to R1"; "" for the whole room."""
     size: float = math.nan
     low: float = math.nan
     high: float = math.nan
+    """Posterior mean and 90 % interval, in ``unit``; NaN for coefficients off together and for
+    "unknown"."""
     unit: str = ""
     end: End = ""
     parameters: Mapping[str, float] = field(default_factory=dict)
+    """The most probable ones."""
     spectrum: Array = field(default_factory=lambda: np.zeros(0))
+    """Posterior mean alpha of what stands on the surface, (n_bands,)."""
     parts: tuple[tuple[Point, float], ...] = ()
+    """Of a large surface: the middle (x, y, z) of each part in m, and the probability that it stands on
+    this part alone. With the rest of its probability it is spread over the surface."""
     coefficients: OffTogether | None = None
+    """Of means, coefficients that are off in common, where they are likely beside it."""
     absorption: Array | None = None
+    """Of means, what an effect of absorption adds over the room's mean absorption, (3, n_bands): of the
+    size's mean and of both ends of its interval."""
 
     @property
     def extent(self) -> Size | None:
@@ -448,20 +433,6 @@ class Candidate:
 class Detection:
     """Evidence in nats that something is other than stated, whatever it is.
 
-    Attributes
-    ----------
-    score : float
-    threshold : float
-        Score that few rooms with nothing missing exceed.
-    noise : float or None
-        Of positions, that a single pair is noisier than assumed and nothing else is other; None where
-        that was not tried.
-    means : float or None
-        Of means over positions, where positions decide; None where they were not compared.
-    parts : mapping of str to Detection
-        Of means over positions, the same from a part of the data, by what it is: what a part detects is
-        detected. The score and threshold above are those of all data.
-
     Raises
     ------
     ModelError
@@ -470,9 +441,15 @@ class Detection:
 
     score: float
     threshold: float
+    """Score that few rooms with nothing missing exceed."""
     noise: float | None = None
+    """Of positions, that a single pair is noisier than assumed and nothing else is other; None where
+    that was not tried."""
     means: float | None = None
+    """Of means over positions, where positions decide; None where they were not compared."""
     parts: Mapping[str, Detection] = field(default_factory=dict)
+    """Of means over positions, the same from a part of the data, by what it is: what a part detects is
+    detected. The score and threshold above are those of all data."""
 
     def __post_init__(self) -> None:
         for name in ("score", "noise", "means"):

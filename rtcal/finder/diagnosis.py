@@ -27,26 +27,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Diagnosis(Result):
-    """Where model and measurement disagree, what was found and added, and what is left.
-
-    Attributes
-    ----------
-    finding : Finding
-    verification : Verification or None
-        The deviations at data that were held out; None where nothing could be verified.
-    calibrated : PositionsResult or Recalibrated
-        The model with what was added, calibrated to all data; the model as given where nothing was.
-    given : tuple of str
-        Names of the files that were read, the case or room first.
-    """
+    """Where model and measurement disagree, what was found and added, and what is left."""
 
     record_kind: ClassVar[str] = "diagnosis 1"
     words_in: ClassVar[str] = "rtcal.report.of_diagnosis"
 
     finding: Finding
     verification: Verification | None
+    """The deviations at data that were held out; None where nothing could be verified."""
     calibrated: PositionsResult | Recalibrated
+    """The model with what was added, calibrated to all data; the model as given where nothing was."""
     given: tuple[str, ...] = ("room.toml", "measured.csv")
+    """Names of the files that were read, the case or room first."""
 
     @cached_property
     def corrected(self) -> Corrected | None:

@@ -46,27 +46,18 @@ Limits = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect.
-
-    Attributes
-    ----------
-    tried : sequence of float
-        The values that are tried; none where the effect's grid follows from the room.
-    within : (float, float)
-        Where its physics ends in any room.
-    unit : str
-        Text that follows the value.
-    words : sequence of str
-        Words for the values 0, 1, ....
-    discrete : bool
-        Whether there are no values between those of the grid.
-    """
+    """A parameter of an effect."""
 
     tried: Sequence[float] = ()
+    """The values that are tried; none where the effect's grid follows from the room."""
     within: tuple[float, float] = (-inf, inf)
+    """Where its physics ends in any room."""
     unit: str = ""
+    """Text that follows the value."""
     words: Sequence[str] = ()
+    """Words for the values 0, 1, ...."""
     discrete: bool = False
+    """Whether there are no values between those of the grid."""
 
     def shown(self, name: str, value: float) -> str:
         """Return the name and the value, or the value's word."""
@@ -80,77 +71,56 @@ class Effect(ABC):
 
     An effect states its parameters, how it changes a room's state (`change`), its words and its form
     in a corrected room. A new effect is a subclass in one file.
-
-    Attributes
-    ----------
-    name : str
-    size : str
-        The parameter that says how much of the effect there is.
-    unit : str
-        The size's unit, as text that follows the value.
-    parameters : mapping of str to Parameter
-        Parameters that are listed with every effect that is added.
-    neutral : float
-        The size that changes nothing. NaN where there is none: the effect then has no size interval.
-    removable : bool
-        Whether it can be taken out of the room.
-    size_error : float
-        Standard deviation of ln size that the effect's physics leaves open (of the size itself where
-        it can be negative): where an opening is, how an object scatters. Chosen on the development
-        rooms (benchmarks/studies/hidden_world, population 0), so that 90 % intervals hold the true
-        size.
-    family : str
-        The effects that change the measurement alike; "added absorption, ..." names three of one kind.
-    alone : bool
-        Whether the effect is identified by its own name. Otherwise its group is: in rooms of
-        benchmarks/studies/second_world, a coupled room and a non-diffuse field pass for each other at
-        any probability, since both formulas are rough.
-    odds : float
-        Prior odds against the other effects of the library, most of which have 1.
-    spectrum_error : (float, float, float)
-        Standard deviations of the relative error of the effect's change: common to all bands, a tilt
-        per octave from 1 kHz, and rough, of which half is left an octave away.
-    formula_error : float
-        Standard deviation of the relative error of the change of each feature by itself: errors of the
-        formula that no two features share. From the prototype, of half of a variance of 0.15².
-    largest_share : float
-        Largest share of all surfaces that the effect is believed to take.
-    stands_on : sequence of str
-        The kinds of surfaces on which it may stand, of "floor", "wall" and "ceiling". With positions it
-        is sought on each of them; an effect without any is sought by means over positions alone.
-    shares : sequence of float
-        Shares of a surface that are tried, of an effect that takes absorption away from it.
-    needs_directions : bool
-        Whether it acts by the directions in which surfaces face. In a room of which nothing says them
-        it is not judged.
-    in_geometry : bool
-        Whether nothing of the kind can be missing from a geometrical program's run.
-    not_in_simulator : str or None
-        Why a simulator of a room cannot have the effect; None where it can, or has it already. Asked
-        only of effects that no material can represent.
     """
 
     name: ClassVar[str]
     size: ClassVar[str]
+    """The parameter that says how much of the effect there is."""
     unit: ClassVar[str]
+    """The size's unit, as text that follows the value."""
     parameters: ClassVar[Mapping[str, Parameter]] = {}
+    """Parameters that are listed with every effect that is added."""
     neutral: ClassVar[float] = 0.0
+    """The size that changes nothing. NaN where there is none: the effect then has no size interval."""
     removable: ClassVar[bool] = False
+    """Whether it can be taken out of the room."""
     size_error: ClassVar[float] = 0.25
+    """Standard deviation of ln size that the effect's physics leaves open (of the size itself where it
+    can be negative): where an opening is, how an object scatters. Chosen on the development rooms
+    (benchmarks/studies/hidden_world, population 0), so that 90 % intervals hold the true size."""
     family: ClassVar[str] = "of your own"
+    """The effects that change the measurement alike; "added absorption, ..." names three of one
+    kind."""
     alone: ClassVar[bool] = True
+    """Whether the effect is identified by its own name. Otherwise its group is: in rooms of
+    benchmarks/studies/second_world, a coupled room and a non-diffuse field pass for each other at any
+    probability, since both formulas are rough."""
     odds: ClassVar[float] = 1.0
+    """Prior odds against the other effects of the library, most of which have 1."""
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.106, 0.0, 0.0)
+    """Standard deviations of the relative error of the effect's change: common to all bands, a tilt per
+    octave from 1 kHz, and rough, of which half is left an octave away."""
     formula_error: ClassVar[float] = 0.106
+    """Standard deviation of the relative error of the change of each feature by itself: errors of the
+    formula that no two features share. From the prototype, of half of a variance of 0.15²."""
     largest_share: ClassVar[float] = 0.25
+    """Largest share of all surfaces that the effect is believed to take."""
     stands_on: ClassVar[Sequence[str]] = ()
+    """The kinds of surfaces on which it may stand, of "floor", "wall" and "ceiling". With positions it
+    is sought on each of them; an effect without any is sought by means over positions alone."""
     shares: ClassVar[Sequence[float]] = ()
+    """Shares of a surface that are tried, of an effect that takes absorption away from it."""
     needs_directions: ClassVar[bool] = False
+    """Whether it acts by the directions in which surfaces face. In a room of which nothing says them it
+    is not judged."""
     in_geometry: ClassVar[bool] = False
+    """Whether nothing of the kind can be missing from a geometrical program's run."""
     not_in_simulator: ClassVar[str | None] = (
         "it bends the decay, which no material of a simulator does; without make the case's own "
         "model is the simulator"
     )
+    """Why a simulator of a room cannot have the effect; None where it can, or has it already. Asked
+    only of effects that no material can represent."""
 
     @property
     def discrete(self) -> list[str]:
@@ -1315,16 +1285,6 @@ def _run(where: str, call: Callable[[], T], parameters: Parameters | None = None
 class AppliedEffect:
     """An effect that was added to the model.
 
-    Parameters
-    ----------
-    effect : Effect or str
-        An effect of the library by its name, or another one. A case with one that is not in the library
-        cannot be saved.
-    parameters : mapping of str to float
-        Values of the effect's parameters.
-    size_interval : (float, float), optional
-        90 % interval of the effect's size.
-
     Raises
     ------
     DataError
@@ -1333,8 +1293,12 @@ class AppliedEffect:
     """
 
     effect: Any
+    """An effect of the library by its name, or another one. A case with one that is not in the library
+    cannot be saved."""
     parameters: Mapping[str, float]
+    """Values of the effect's parameters."""
     size_interval: tuple[float, float] | None = None
+    """90 % interval of the effect's size."""
 
     def __post_init__(self) -> None:
         effect: Any = self.effect

@@ -71,104 +71,6 @@ DATA = {"means": "means over positions", "positions": "positions", "states": "tw
 class Finding(Result):
     """The result of a search, of means over positions, of every position or of two states.
 
-    Attributes
-    ----------
-    case : Case, PositionsCase or StatesCase
-    verdict : {"none", "hint", "named", "family", "ambiguous", "unknown"}
-        ``named``: an effect whose probability is at least 0.9, and that passes every check; of two
-        states the climate alone, where it explains T by chi-square. ``family``: a family has this
-        probability, but none of its effects, or the effect's size or fit is doubtful. ``ambiguous``:
-        something is missing, and effects of several families explain it. ``unknown``: the model lacks
-        something that no effect of the library explains. ``hint``: the score does not exceed the
-        threshold but is above 0, nothing missing has a third of the probability, no effect and no
-        family has (both of means over positions), or a check has failed (``reasons``).
-    family : str or None
-        The family whose probability is at least 0.9.
-    probabilities, families : mapping of str to float
-        Of "none", "coefficients", "unknown" and each effect, and of each family, that it is there; the
-        most probable first. "added absorption" has the families whose names begin with it.
-    detection : Detection
-        ln Bayes factor for a model that differs from the input, and its threshold.
-    reasons : tuple of Reason
-        Why what is most probable is not identified, or not by its name; `rtcal.finder.claim.LEAVES` has
-        what each leaves. ``str`` of a reason is its sentence.
-    notes : tuple of Reason or str
-        Notes on what was left out and assumed, and reasons to doubt the result. A text is a note
-        of the measurement's or of the simulator's.
-    effects : mapping of str to Effect
-        The effects that were tried, by name.
-    candidates : tuple of Candidate
-        Candidates, the most probable first. Of means, the members, then what explains the
-        data in place of one, or single effects that hold 0.9 of what is not "none". At positions, every
-        effect in every place. Of two states, the kinds of change with 0.03 and more: "added porous",
-        each with the change of the absorption area in m², mean over the bands of ``middle``.
-    named : tuple of str
-        The effects that are identified.
-    modelled : tuple of Measurement
-        What the model gives at the stated coefficients, with a run what the run gave: of means by
-        configuration, at positions one, by pair; of two states none.
-    left_out : tuple of str
-        Names that were left out on request; of means they are among the ``notes``.
-    mistake : Reason or None
-        The doubt that T is twice or half the model's, of means also among the ``reasons``.
-    surfaces : mapping of str to float
-        At positions, the probability of each surface, given that something stands on one. Of two
-        states, that something changed on it; empty where none is identified.
-    sets : mapping of (names) to float
-        Of means, the sets of effects, () being none; of two states, the surfaces that changed together.
-    size : Size or None
-        Of the best effect; of two states the change of the absorption area in m², mean over the bands
-        of ``middle``.
-    named_families, named_set, members : tuple of str
-        Of means. The groups that are identified; those of two or three that are identified together
-        (`rtcal.finder.means.search.TWO`); the effects of the most probable set, in the order in which
-        they act: what `apply` adds.
-    stand_ins : mapping of str to tuple of str
-        Effects that explain the data as well as a member in its place, by member.
-    evidence : mapping of str to float
-        ln Bayes factor over "none", by effect alone, of "coefficients" and of "unknown".
-    likely : sequence of (tuple of AppliedEffect, float)
-        The most probable sets with their parameters, and their probabilities, which sum to 1: what
-        `rtcal.finder.plan` goes on from.
-    alpha : array (n_materials, n_bands)
-        Posterior mean of the coefficients, averaged over all sets: what `apply` cannot give, since it
-        adds one set.
-    prior : Prior
-    advice : Reason or None
-        The next measurement that would decide; None where the data show nothing that is missing.
-    residuals : array (n_configurations, n_features, n_bands)
-        Modelled less measured, over its standard deviation: amount (ln T20), shape
-        (EDT/T20, T30/T20), level (C80, G). NaN where nothing was measured.
-    discrepancy : ModelDiscrepancy
-        Bias and covariance of the model's error.
-    not_judged : mapping of str to str
-        Effects that were not tried, since the room does not state what they act by: each with the
-        reason.
-    surface : str or None
-        At positions, the surface that is identified: something stands on it with a probability of
-        0.9 or more, and the checks agree.
-    groups : tuple of tuples of str
-        Surfaces that these positions do not distinguish.
-    map : array (n_parameters, n_pairs, n_bands)
-        Simulated less measured in standard deviations of what prior, simulator and measurement leave
-        open; NaN where nothing was measured. ``parameters`` and ``pairs`` are its axes.
-    controls : ControlRuns
-        The simulator's error, to be given to another search or calibration.
-    unexplained : float
-        Probability that the model differs by something that no effect explains, alone or beside one.
-    area : array (n_bands,)
-        Of two states, the surfaces' absorption area before in m², by the equation; NaN where T is
-        missing.
-    change : array (3, n_bands)
-        Its change in m², if absorption was added or removed: mean and both ends of the 90 % interval.
-        NaN where that was not tried.
-    shift : array (n_bands,)
-        Mean of ln(T after / T before) if something changed, by absorption and by climate.
-    middle : tuple of float
-        Bands in Hz: those of 500 Hz to 2 kHz, or all where none of them was measured.
-    climate : float
-        Probability that the climate of the air is another as well, if absorption was added or removed.
-
     Notes
     -----
     Two states that are exchanged have the same finding, but for "added" and "removed", which are
@@ -182,49 +84,112 @@ class Finding(Result):
     words_in: ClassVar[str] = WORDS
 
     case: Any
+    """A `Case`, `PositionsCase` or `StatesCase`."""
     verdict: str
+    """``named``: an effect whose probability is at least 0.9, and that passes every check; of two
+    states the climate alone, where it explains T by chi-square. ``family``: a family has this
+    probability, but none of its effects, or the effect's size or fit is doubtful. ``ambiguous``:
+    something is missing, and effects of several families explain it. ``unknown``: the model lacks
+    something that no effect of the library explains. ``hint``: the score does not exceed the threshold
+    but is above 0, nothing missing has a third of the probability, no effect and no family has (both of
+    means over positions), or a check has failed (``reasons``)."""
     family: str | None
+    """The family whose probability is at least 0.9."""
     probabilities: Mapping[str, float]
     families: Mapping[str, float]
+    """Of "none", "coefficients", "unknown" and each effect, and of each family, that it is there; the
+    most probable first. "added absorption" has the families whose names begin with it."""
     detection: Detection
+    """ln Bayes factor for a model that differs from the input, and its threshold."""
     reasons: tuple[Reason, ...]
+    """Why what is most probable is not identified, or not by its name; `rtcal.finder.claim.LEAVES` has
+    what each leaves. ``str`` of a reason is its sentence."""
     notes: tuple[Reason | str, ...]
+    """Notes on what was left out and assumed, and reasons to doubt the result. A text is a note of the
+    measurement's or of the simulator's."""
     effects: Mapping[str, Effect]
+    """The effects that were tried, by name."""
     candidates: tuple[Candidate, ...]
+    """Candidates, the most probable first. Of means, the members, then what explains the data in place
+    of one, or single effects that hold 0.9 of what is not "none". At positions, every effect in every
+    place. Of two states, the kinds of change with 0.03 and more: "added porous", each with the change
+    of the absorption area in m², mean over the bands of ``middle``."""
     named: Names = ()
+    """The effects that are identified."""
     modelled: tuple[Measurement, ...] = ()
+    """What the model gives at the stated coefficients, with a run what the run gave: of means by
+    configuration, at positions one, by pair; of two states none."""
     left_out: Names = ()
+    """Names that were left out on request; of means they are among the ``notes``."""
     mistake: Reason | None = None
+    """The doubt that T is twice or half the model's, of means also among the ``reasons``."""
     surfaces: Mapping[str, float] = field(default_factory=dict)
+    """At positions, the probability of each surface, given that something stands on one. Of two states,
+    that something changed on it; empty where none is identified."""
     sets: Mapping[Names, float] = field(default_factory=dict)
+    """Of means, the sets of effects, () being none; of two states, the surfaces that changed
+    together."""
     size: Size | None = None
+    """Of the best effect; of two states the change of the absorption area in m², mean over the bands of
+    ``middle``."""
 
     named_families: Names = ()
     named_set: Names = ()
     members: Names = ()
+    """Of means. The groups that are identified; those of two or three that are identified together
+    (`rtcal.finder.means.search.TWO`); the effects of the most probable set, in the order in which they
+    act: what `apply` adds."""
     stand_ins: Mapping[str, Names] = field(default_factory=dict)
+    """Effects that explain the data as well as a member in its place, by member."""
     evidence: Mapping[str, float] = field(default_factory=dict)
+    """ln Bayes factor over "none", by effect alone, of "coefficients" and of "unknown"."""
     likely: Sequence[tuple[tuple[AppliedEffect, ...], float]] = ()
+    """The most probable sets with their parameters, and their probabilities, which sum to 1: what
+    `rtcal.finder.plan` goes on from."""
     alpha: Array = field(default_factory=partial(np.zeros, 0))
+    """Posterior mean of the coefficients, averaged over all sets, (n_materials, n_bands): what `apply`
+    cannot give, since it adds one set."""
     prior: Any = None
     advice: Reason | None = None
+    """The next measurement that would decide; None where the data show nothing that is missing."""
     residuals: Array = field(default_factory=partial(np.zeros, 0))
+    """Modelled less measured, over its standard deviation, (n_configurations, n_features, n_bands):
+    amount (ln T20), shape (EDT/T20, T30/T20), level (C80, G). NaN where nothing was measured."""
     discrepancy: Any = None
+    """Bias and covariance of the model's error: a `ModelDiscrepancy`."""
     not_judged: Mapping[str, str] = field(default_factory=dict)
+    """Effects that were not tried, since the room does not state what they act by: each with the
+    reason."""
 
     surface: str | None = None
+    """At positions, the surface that is identified: something stands on it with a probability of 0.9 or
+    more, and the checks agree."""
     groups: tuple[Names, ...] = ()
+    """Surfaces that these positions do not distinguish."""
     map: Array = field(default_factory=partial(np.zeros, 0))
+    """Simulated less measured in standard deviations of what prior, simulator and measurement leave
+    open, (n_parameters, n_pairs, n_bands); NaN where nothing was measured. ``parameters`` and ``pairs``
+    are its axes."""
     parameters: tuple[str, ...] = ()
     pairs: tuple[tuple[str, str], ...] = ()
     controls: Any = None
+    """The simulator's error, to be given to another search or calibration: `ControlRuns`."""
     unexplained: float = 0.0
+    """Probability that the model differs by something that no effect explains, alone or beside one."""
 
     area: Array = field(default_factory=partial(np.zeros, 0))
+    """Of two states, the surfaces' absorption area before in m², by the equation, (n_bands,); NaN where
+    T is missing."""
     change: Array = field(default_factory=partial(np.zeros, 0))
+    """Its change in m², if absorption was added or removed, (3, n_bands): mean and both ends of the 90
+    % interval. NaN where that was not tried."""
     shift: Array = field(default_factory=partial(np.zeros, 0))
+    """Mean of ln(T after / T before) if something changed, by absorption and by climate, (n_bands,)."""
     middle: tuple[float, ...] = ()
+    """Bands in Hz: those of 500 Hz to 2 kHz, or all where none of them was measured."""
     climate: float = 0.0
+    """Probability that the climate of the air is another as well, if absorption was added or
+    removed."""
 
     @property
     def kind(self) -> Kind:

@@ -92,28 +92,19 @@ MISSES = "misses"
 
 @dataclass(frozen=True)
 class Miss:
-    """A band in which the model with what was found misses what it was matched to.
-
-    Attributes
-    ----------
-    quantity, place : str
-        "T20", and where: the name of a configuration; "" where there is one.
-    frequency : float
-        Centre frequency in Hz.
-    model, measured, uncertainty : float
-        In the quantity's ``unit``; the standard uncertainty of what was measured.
-    jnd : float
-        The gap in JND, signed.
-    unit : str
-    """
+    """A band in which the model with what was found misses what it was matched to."""
 
     quantity: str
     place: str
+    """Such as "T20", and the name of a configuration; "" where there is one."""
     frequency: float
+    """Centre frequency in Hz."""
     model: float
     measured: float
     uncertainty: float
+    """In the quantity's ``unit``; the standard uncertainty of what was measured."""
     jnd: float
+    """The gap in JND, signed."""
     unit: str
 
     def __str__(self) -> str:
@@ -144,72 +135,53 @@ def mean_of_known(values: Array, axis: int | tuple[int, ...]) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Verification(Result):
-    """The gap with and without what was found, at data that it was not fitted to.
-
-    Attributes
-    ----------
-    finding : Finding
-    models : tuple of str
-        How each model is called; the last has what was found, the one before it has not.
-    held_out : tuple of str
-        What was held out, in words; () where nothing could be.
-    quantities, places : tuple of str
-        Parameters, and pairs or configurations.
-    gaps : array (n_models, n_seeds, n_quantities, n_places, n_bands)
-        Model less measured in JND, NaN where nothing was measured. Of two states in steps of ln T, so
-        that states that are exchanged have the same means and gains.
-    counted : bool array (n_quantities, n_places)
-        Of which no model was fitted to it.
-    uncertainty : float
-        Standard error of the gain in JND.
-    needed, endured : float
-        The decrease of the gap in JND that supports the finding, and the increase that withdraws it.
-    predictive : float
-        Of means, the nats by which what was held out is more probable with what was found.
-    misses : tuple of Miss
-        What the model with what was found was matched to, and misses.
-    halves : tuple of tuples of (source, receiver)
-        At positions, the pairs to which each model was fitted.
-    added : tuple of Candidate or None
-        At positions, what each half of the pairs added to its model, or None.
-    notes : tuple of str
-        Of two states, notes of the case that was held out; of means, what the second run lacks.
-    plain, corrected : Recalibrated or None
-        Of means, the calibrations to all data without and with what was found.
-    runs : tuple of str
-        Of means, which of the ``models`` are runs of a program as they are; others were moved.
-    features : array (n_configurations, n_features, n_bands) or (0,)
-        Of means, those of the last model, with the model's bias.
-    again : array (n_quantities, n_places, n_bands) or (0,)
-        Of means, the gaps in JND of a second run as it is, before it is moved to the measured T.
-    effect : str
-        Of means, the one that is verified.
-    """
+    """The gap with and without what was found, at data that it was not fitted to."""
 
     record_kind: ClassVar[str] = "verification 8"
     words_in: ClassVar[str] = WORDS
 
     finding: Finding
     models: tuple[str, ...]
+    """How each model is called; the last has what was found, the one before it has not."""
     held_out: tuple[str, ...]
+    """What was held out, in words; () where nothing could be."""
     quantities: tuple[str, ...]
     places: tuple[str, ...]
+    """Parameters, and pairs or configurations."""
     gaps: Array
+    """Model less measured in JND, NaN where nothing was measured, (n_models, n_seeds, n_quantities,
+    n_places, n_bands). Of two states in steps of ln T, so that states that are exchanged have the same
+    means and gains."""
     counted: NDArray[np.bool_]
+    """Of which no model was fitted to it, (n_quantities, n_places)."""
     uncertainty: float
+    """Standard error of the gain in JND."""
     needed: float
     endured: float
+    """The decrease of the gap in JND that supports the finding, and the increase that withdraws it."""
     predictive: float = float("nan")
+    """Of means, the nats by which what was held out is more probable with what was found."""
     misses: tuple[Miss, ...] = ()
+    """What the model with what was found was matched to, and misses."""
     halves: tuple[tuple[Pair, ...], ...] = ()
+    """At positions, the pairs to which each model was fitted."""
     added: tuple[Candidate | None, ...] = ()
+    """At positions, what each half of the pairs added to its model, or None."""
     notes: tuple[str, ...] = ()
+    """Of two states, notes of the case that was held out; of means, what the second run lacks."""
     plain: Recalibrated | None = None
     corrected: Recalibrated | None = None
+    """Of means, the calibrations to all data without and with what was found."""
     runs: tuple[str, ...] = ()
+    """Of means, which of the ``models`` are runs of a program as they are; others were moved."""
     features: Array = field(default_factory=partial(np.zeros, 0))
+    """Of means, those of the last model, with the model's bias, (n_configurations, n_features,
+    n_bands)."""
     again: Array = field(default_factory=partial(np.zeros, 0))
+    """Of means, the gaps in JND of a second run as it is, before it is moved to the measured T,
+    (n_quantities, n_places, n_bands)."""
     effect: str = ""
+    """Of means, the one that is verified."""
 
     @property
     def sizes(self) -> Array:

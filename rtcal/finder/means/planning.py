@@ -54,22 +54,15 @@ _OF_EACH = 5
 
 @dataclass(frozen=True)
 class Proposal:
-    """A measurement that could be made next.
-
-    Attributes
-    ----------
-    measurement : Reason
-        One of `COSTS`, with its values; ``str`` of it is its words.
-    information : float
-        Expected information about which effects are there, in nats. In a sequence: what it adds to the
-        measurements before it.
-    cost : float
-        Hours.
-    """
+    """A measurement that could be made next."""
 
     measurement: Reason
+    """One of `COSTS`, with its values; ``str`` of it is its words."""
     information: float
+    """Expected information about which effects are there, in nats. In a sequence: what it adds to the
+    measurements before it."""
     cost: float
+    """Hours."""
 
     @property
     def kind(self) -> str:
@@ -89,36 +82,25 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Result):
-    """The effects that a case's data could distinguish, and what to measure next.
-
-    Attributes
-    ----------
-    parameters : tuple of str
-        Those that are measured.
-    change : float
-        Relative change of T. Each effect has the size whose change of T is nearest to it.
-    reached : mapping of str to float
-        The change of T by each effect at this size.
-    separations : mapping of (effect, effect) to float
-        The evidence in nats to be expected for the first effect against the most similar size of the
-        second.
-    proposals : tuple of Proposal
-        The measurements that could be made next, the most information per hour first.
-    sequence : tuple of Proposal
-        The three that a greedy choice takes one after the other.
-    uncertainty : float
-        Entropy of what is known of the effects now, in nats: no measurement gives more.
-    """
+    """The effects that a case's data could distinguish, and what to measure next."""
 
     record_kind: ClassVar[str] = "plan 2"
 
     parameters: tuple[str, ...]
+    """Those that are measured."""
     change: float
+    """Relative change of T. Each effect has the size whose change of T is nearest to it."""
     reached: Mapping[str, float]
+    """The change of T by each effect at this size."""
     separations: Mapping[tuple[str, str], float]
+    """The evidence in nats to be expected for the first effect against the most similar size of the
+    second."""
     proposals: tuple[Proposal, ...] = ()
+    """The measurements that could be made next, the most information per hour first."""
     sequence: tuple[Proposal, ...] = ()
+    """The three that a greedy choice takes one after the other."""
     uncertainty: float = 0.0
+    """Entropy of what is known of the effects now, in nats: no measurement gives more."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -228,30 +228,22 @@ def _uncertain(case: Case) -> tuple[Array, NDArray[np.bool_], Array, Array, Arra
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeansHypotheses(PredictedFeatures):
-    """One table: every effect with every set of its parameters, and what the case's model predicts.
-
-    Attributes
-    ----------
-    names, parameters : tuple (n,)
-        The effects, the first hypothesis being "none", with their parameters.
-    possible : bool array (n,)
-        Whether T, C80 and G are finite. A room whose sound ends within 80 ms has no C80, and the data
-        exclude it: its weight is 0, and its predictions are those of "none".
-    spectrum_errors : array (n, n_bands, n_errors)
-        Relative errors of the effect's change over bands, one standard deviation each.
-    formula_errors : array (n,)
-        Standard deviation of the relative error of the change of each feature by itself.
-    applied : array (size, size)
-        Covariance over all features, raveled, from the uncertainty of the effects that the model has
-        already, of stated changes of materials, and of distances that are not stated.
-    """
+    """One table: every effect with every set of its parameters, and what the case's model predicts."""
 
     names: tuple[str, ...]
     parameters: tuple[Parameters, ...]
+    """The effects, the first hypothesis being "none", with their parameters, (n,)."""
     possible: NDArray[np.bool_]
+    """Whether T, C80 and G are finite, (n,). A room whose sound ends within 80 ms has no C80, and the
+    data exclude it: its weight is 0, and its predictions are those of "none"."""
     spectrum_errors: Array
+    """Relative errors of the effect's change over bands, one standard deviation each, (n, n_bands,
+    n_errors)."""
     formula_errors: Array
+    """Standard deviation of the relative error of the change of each feature by itself, (n,)."""
     applied: Array
+    """Covariance over all features, raveled, from the uncertainty of the effects that the model has
+    already, of stated changes of materials, and of distances that are not stated, (size, size)."""
     effects: Mapping[str, Effect] = field(default_factory=dict)
 
     @cached_property

@@ -49,30 +49,23 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recalibrated(Result):
-    """The calibrated coefficients of a case, and the model's prediction with them.
-
-    Attributes
-    ----------
-    case : Case
-    alpha : array (n_materials, n_bands)
-        The room's coefficients; those that a configuration changes are in ``changed``.
-    changed : mapping of (configuration, material) to array (n_bands,)
-    features : array (n_configurations, n_features, n_bands)
-        Predicted: ln T20, ln EDT/T20, ln T30/T20, C80 and G in dB, the model's bias left out.
-    off : float
-        Root mean square of the fitted ln T less the measured one, over its standard deviation.
-    joint : JointResult
-        The QP's answer, in which a configuration's changed materials are further ones.
-    """
+    """The calibrated coefficients of a case, and the model's prediction with them."""
 
     record_kind: ClassVar[str] = "recalibration 1"
 
     case: Case
     alpha: Array
+    """The room's coefficients, (n_materials, n_bands); those that a configuration changes are in
+    ``changed``."""
     changed: Mapping[tuple[str, str], Array]
+    """By configuration and material, (n_bands,) each."""
     features: Array
+    """Predicted, (n_configurations, n_features, n_bands): ln T20, ln EDT/T20, ln T30/T20, C80 and G in
+    dB, the model's bias left out."""
     off: float
+    """Root mean square of the fitted ln T less the measured one, over its standard deviation."""
     joint: JointResult
+    """The QP's answer, in which a configuration's changed materials are further ones."""
 
     @cached_property
     def sigma(self) -> Array:

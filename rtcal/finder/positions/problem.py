@@ -136,37 +136,27 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ShiftHypothesis(Sizes):
-    """Hypotheses that the room is other than stated, which shifts the simulated values.
-
-    Attributes
-    ----------
-    response : str
-        Which of the responses is interpolated.
-    weights : array (n_hypotheses, n_bands, n_nodes)
-        Shift of band k is weights[:, k] @ the response's nodes of band k.
-    error : array (n_bands, n_bands)
-        Covariance of the relative error of the change, band by band.
-    spectra : array (n_hypotheses, n_bands)
-        Alpha of what stands on the surface; empty for the whole room.
-    uneven : array (n_hypotheses,)
-        How far it may shift one pair more than another, over an absorber that is spread evenly.
-    size_error : float
-        Standard deviation of ln size that the effect's description leaves open.
-    part : int or None
-        Number of the part of the surface; None for all of it.
-    divisible : bool
-        Whether it may stand on a part of its surface alone.
-    """
+    """Hypotheses that the room is other than stated, which shifts the simulated values."""
 
     response: str
+    """Which of the responses is interpolated."""
     weights: Array
+    """Shift of band k is weights[:, k] @ the response's nodes of band k, (n_hypotheses, n_bands,
+    n_nodes)."""
     parameters: Sequence[Parameters]
     error: Array
+    """Covariance of the relative error of the change, band by band, (n_bands, n_bands)."""
     spectra: Array
+    """Alpha of what stands on the surface, (n_hypotheses, n_bands); empty for the whole room."""
     uneven: Array
+    """How far it may shift one pair more than another, over an absorber that is spread evenly,
+    (n_hypotheses,)."""
     size_error: float = 0.0
+    """Standard deviation of ln size that the effect's description leaves open."""
     part: int | None = None
+    """Number of the part of the surface; None for all of it."""
     divisible: bool = False
+    """Whether it may stand on a part of its surface alone."""
 
     def some(self, which: Any) -> ShiftHypothesis:
         """Return some of the hypotheses, by a slice or by flags."""

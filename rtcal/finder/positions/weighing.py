@@ -366,31 +366,26 @@ STEP = 0.08
 
 @dataclass(frozen=True, eq=False)
 class PairShifts:
-    """Shifts of the parameters at all pairs of a simulator.
-
-    Attributes
-    ----------
-    parameters, pairs : tuple
-    columns : mapping of str to array (n_parameters, n_pairs, n_bands, n_columns)
-        - "base": what is simulated as stated, with `TRACINGS` times `BASE` times its paths;
-        - "surface 0", ..., "part 0", ...: shifts at the nodes `SHARES` of each surface, and of each of
-          the case's ``divided.parts``;
-        - "aperture 0", ...: at the nodes `OPEN` of each surface for each of `SECOND_ROOMS`; 0 for a
-          floor;
-        - "air", "volume": at the nodes `AIR` and `VOLUME`;
-        - "source S1", "receiver R1", ...: where it is displaced by `MOVE`;
-        - "levels": where the whole room scatters more or less, by `TRACED`;
-        - "aimed": where the sources have other lobes (`rtcal.finder.positions.weighing.lobes`);
-        - "materials": where a material's alpha is larger by `STEP` of the way to 1;
-        - "scattering": derivatives by the log odds of each material's scattering coefficient;
-        - "noise": deviations of groups of paths from the mean of their tracing. Each group
-          has as many paths as the simulator in the reference simulations;
-        - "noise of scattering": the same of the derivatives, group by group.
-    """
+    """Shifts of the parameters at all pairs of a simulator."""
 
     parameters: tuple[str, ...]
     pairs: tuple[Pair, ...]
     columns: Mapping[str, Array]
+    """By name, (n_parameters, n_pairs, n_bands, n_columns):
+
+    - "base": what is simulated as stated, with `TRACINGS` times `BASE` times its paths;
+    - "surface 0", ..., "part 0", ...: shifts at the nodes `SHARES` of each surface, and of each of the
+      case's ``divided.parts``;
+    - "aperture 0", ...: at the nodes `OPEN` of each surface for each of `SECOND_ROOMS`; 0 for a floor;
+    - "air", "volume": at the nodes `AIR` and `VOLUME`;
+    - "source S1", "receiver R1", ...: where it is displaced by `MOVE`;
+    - "levels": where the whole room scatters more or less, by `TRACED`;
+    - "aimed": where the sources have other `lobes`;
+    - "materials": where a material's alpha is larger by `STEP` of the way to 1;
+    - "scattering": derivatives by the log odds of each material's scattering coefficient;
+    - "noise": deviations of groups of paths from the mean of their tracing. Each group has as many
+      paths as the simulator in the reference simulations;
+    - "noise of scattering": the same of the derivatives, group by group."""
 
     @property
     def base(self) -> Array:
