@@ -88,13 +88,7 @@ def with_added(families: Mapping[str, float]) -> dict[str, float]:
 
 
 def summed(parts: Iterable[tuple[Key, float]]) -> dict[Key, float]:
-    """Return the sums of probabilities by key, the most probable first.
-
-    Examples
-    --------
-    >>> summed([("opening", 0.3), ("air", 0.4), ("opening", 0.2)])
-    {'opening': 0.5, 'air': 0.4}
-    """
+    """Return the sums of probabilities by key, the most probable first."""
     out: dict[Key, float] = {}
     for key, p in parts:
         out[key] = out.get(key, 0.0) + p
@@ -237,14 +231,7 @@ def conclude(
 
 
 def too_weak(probabilities: Mapping[str, float], families: Mapping[str, float]) -> Reason | None:
-    """Return why nothing is said to be missing although the score exceeds its threshold, or None.
-
-    Examples
-    --------
-    >>> too_weak({"none": 0.4, "opening": 0.35}, {"none": 0.4, "added absorption": 0.5}).code
-    'nothing likely'
-    >>> too_weak({"none": 0.2, "opening": 0.3}, {"none": 0.2, "added absorption": 0.5})
-    """
+    """Return why nothing is said to be missing although the score exceeds its threshold, or None."""
     nothing = probabilities.get(NONE, 0.0)
     if nothing >= FAIR:
         return Reason("nothing likely", {"probability": nothing})

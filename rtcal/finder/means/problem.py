@@ -1134,11 +1134,6 @@ def thresholds(scores: Array) -> Array:
 
     They are quantiles of the steps at one level, and at least `MINIMUM`. Of the rooms `QUANTILE` exceed
     none of them.
-
-    Examples
-    --------
-    >>> thresholds(np.stack([np.arange(101.0), np.arange(101.0)], axis=1))
-    array([95., 95.])
     """
     raised = np.maximum(scores, MINIMUM)
     below = [np.searchsorted(np.sort(column), column) for column in raised.T]
