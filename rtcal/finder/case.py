@@ -158,10 +158,7 @@ class CaseTable(FileTable):
 class ChangedMaterial:
     """Coefficients of one material in one configuration: alpha and sigma, (n_bands,).
 
-    Raises
-    ------
-    DataError
-        If one of them is not an array of numbers from 0 to 1.
+    Raises DataError if one of them is not an array of numbers from 0 to 1.
     """
 
     alpha: Array
@@ -179,10 +176,7 @@ class ChangedMaterial:
 class Configuration:
     """One measurement of the room, and the changes of the room for it.
 
-    Raises
-    ------
-    DataError
-        For a value of the wrong kind; the message names place and value.
+    Raises DataError for a value of the wrong kind; the message names place and value.
     """
 
     name: str
@@ -427,10 +421,7 @@ def _read(where: str, stated: str | MeasurementTable, room: Room, folder: Path) 
 class Case:
     """A room, its equation and the configurations in which it was measured.
 
-    Raises
-    ------
-    DataError
-        If a value breaks a rule; the message names place, value and rule.
+    Raises DataError if a value breaks a rule; the message names place, value and rule.
     """
 
     kind: ClassVar[str] = "means"
@@ -682,12 +673,9 @@ def files_of_case(path: str) -> list[Path]:
 class PositionsCase:
     """A simulator of a room, and what was measured at its source-receiver pairs.
 
-    Raises
-    ------
-    DataError
-        If the measurement is a mean over pairs, if ``simulated`` has nothing that was measured, if the
-        room was calibrated already, if a pair of ``exclude`` was not measured, or for a surface,
-        parameter or number that breaks its rule.
+    Raises DataError if the measurement is a mean over pairs, if ``simulated`` has nothing that was
+    measured, if the room was calibrated already, if a pair of ``exclude`` was not measured, or for a
+    surface, parameter or number that breaks its rule.
     """
 
     kind: ClassVar[str] = "positions"
@@ -888,13 +876,9 @@ class StatesCase:
     """A room that was measured twice, at the same positions with the same equipment.
 
     Two measurements are compared with each other, so that neither the coefficients' prior nor a
-    configuration counts: the first state calibrates.
-
-    Raises
-    ------
-    DataError
-        If no pair, or no T20 or T30 in a band of the room, is in both; if the simulator is of another
-        room, or lacks a measured pair; for an uncertainty of a climate that the room does not have.
+    configuration counts: the first state calibrates. Raises DataError if no pair, or no T20 or T30 in a
+    band of the room, is in both; if the simulator is of another room, or lacks a measured pair; for an
+    uncertainty of a climate that the room does not have.
 
     Examples
     --------

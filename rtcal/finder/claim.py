@@ -420,10 +420,7 @@ class Candidate:
 class Detection:
     """Evidence in nats that something is other than stated, whatever it is.
 
-    Raises
-    ------
-    ModelError
-        For a score that is no finite number.
+    Raises ModelError for a score that is no finite number.
     """
 
     score: float

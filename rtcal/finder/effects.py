@@ -1285,11 +1285,8 @@ def _run(where: str, call: Callable[[], T], parameters: Parameters | None = None
 class AppliedEffect:
     """An effect that was added to the model.
 
-    Raises
-    ------
-    DataError
-        If the library has no effect of this name, or if a parameter is missing or outside the effect's
-        `Effect.limits`.
+    Raises DataError if the library has no effect of this name, or if a parameter is missing or outside
+    the effect's `Effect.limits`.
     """
 
     effect: Any

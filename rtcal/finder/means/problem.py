@@ -270,12 +270,8 @@ def predict_hypotheses(
 ) -> MeansHypotheses:
     """Predict the case under every effect and set of parameters.
 
-    ``grids`` has the sets of each effect; the effects' own grids if not given.
-
-    Raises
-    ------
-    DataError
-        If an effect breaks a rule, or T, C80 or G of no set of its parameters is finite.
+    ``grids`` has the sets of each effect; the effects' own grids if not given. Raises DataError if an
+    effect breaks a rule, or T, C80 or G of no set of its parameters is finite.
     """
     base = [state(case, c) for c in case.configurations]
     if grids is None:
@@ -484,10 +480,7 @@ def steps(case: Case, used: Array) -> dict[int, str]:
 def observe(case: Case) -> tuple[ObservedFeatures, list[Reason]]:
     """Return the measured features, and which bands were dropped.
 
-    Raises
-    ------
-    DataError
-        If no band is left.
+    Raises DataError if no band is left.
     """
     notes: list[Reason] = []
     origins: dict[str, list[str]] = {"stated": [], "made": []}
