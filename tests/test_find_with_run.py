@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import features_of, observe
 from rtcal.finder.means.recalibration import plain
 from rtcal.finder.verification import residual_map
-from rtcal.report import figures
+from rtcal.report import figures, of_finding
 from rtcal.report.verification_words import sentence
 from rtcal.support.errors import DataError
 
@@ -307,3 +308,36 @@ def test_a_second_run_that_has_what_calibrating_lacks_supports_the_finding(
     assert made.verdict == "supported", str(made)
     without = run_of(absorber, effect=False, off=0.97 * off)
     assert verify(absorber, case, simulated=without).verdict != "supported"
+
+
+def test_what_a_second_run_lacks_is_said(absorber: Finding) -> None:
+    values = {p: v[0] for p, v in absorber.case.configurations[0].measured.values.items()}
+
+    def run(*names: str) -> rt.Measurement:
+        return rt.Measurement.from_values(F, **{n: values[n] for n in names})
+
+    lacking = verify(absorber, simulated=run("t20", "edt"))
+    assert lacking.verdict == "not tested"
+    assert "a second run lacks what the finding was not fitted to (C80 and G)" in sentence(lacking)
+    assert "T30, C80 and G left out, which a second run lacks." in lacking.notes
+    assert "lacks what" not in sentence(verify(absorber, simulated=run("t20", "c80")))
+    with pytest.raises(DataError, match="simulated has no T20, which was measured; it has EDT"):
+        verify(absorber, simulated=run("edt", "c80"))
+    first = absorber.case.configurations[0].simulated
+    assert first is not None
+    with pytest.raises(DataError, match="the corrected run is the first run"):
+        verify(absorber, simulated=first.simulated)
+
+
+def test_instructions_are_in_the_terms_of_the_program(absorber: Finding, tmp_path: Path) -> None:
+    """The list's old coefficients are those of the run; a run with the new ones has the measured T."""
+    _, _, files = of_finding.correct(absorber, tmp_path, effect=absorber.names[0])
+    text = files[tmp_path / "instructions.txt"].decode()
+    assert "drawn larger" in " ".join(text.split())
+    assert re.search(r"^opening, 3\d\d m² +0\.6", text, re.M)
+    old = next(line for line in text.splitlines() if line.startswith("walls, old"))
+    assert [float(v) for v in old.split()[2:]] == [0.05] * 6
+    assert "means over positions do not show where" in " ".join(text.split())
+    bare = replace(absorber.case.configurations[0], simulated=None)
+    without = replace(absorber, case=replace(absorber.case, configurations=[bare]))
+    assert tmp_path / "instructions.txt" not in of_finding.correct(without, tmp_path)[2]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -176,6 +178,32 @@ def sofa(**changes):
         "convention": "SingleRoomSRIR",
     }
     return rt.io.sofa.Responses(**given | changes)
+
+
+def test_responses_of_a_sofa_file():
+    """Its first pair was measured twice; then its positions have other names, and one is far off."""
+    _, signals = heard()
+    twice = np.concatenate([signals[:1], 0 * signals[:1], signals[1:]])[:, np.newaxis]
+    turned = {f"R{k}": RECEIVERS[3 - k] for k in range(4)}
+    named = sofa(
+        pairs=tuple(PAIRS[::-1]),
+        samples=signals[:, np.newaxis],
+        sources={"S": (0.21, 0.33, 0.2)},
+        receivers=turned,
+    )
+    by_hand = rt.calibrate_modes(PLACED, find_modes(PLACED, signals, RATE, PAIRS), times(TRUTH))
+    by_file, by_place = (
+        rt.calibrate_modes(PLACED, given, times(TRUTH))
+        for given in (sofa(pairs=(PAIRS[0], *PAIRS), samples=twice), named)
+    )
+    np.testing.assert_array_equal(by_file.alpha, by_hand.alpha)
+    np.testing.assert_array_equal(by_place.alpha, by_hand.alpha)
+    assert "receiver R0 is R3" in str(by_place.notes)
+    far = replace(named, receivers={**turned, "R1": (3.0, 3.0, 1.0)})
+    with pytest.raises(
+        DataError, match=r"receiver R1 of the SOFA file is at \(3, 3, 1\) m, 0.99 m"
+    ):
+        rt.calibrate_modes(PLACED, far)
 
 
 def test_command_takes_a_sofa_file(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 
+import numpy as np
 import pytest
 
 import rtcal as rt
@@ -49,4 +50,18 @@ def test_a_notebook_shows_a_room_as_a_table() -> None:
         ["α ± σ", "S / m²", "500 Hz", "1000 Hz"],
         ["floor", "20", "0.400 ± 0.100", "0.500 ± 0.100"],
         ["wall", "74", "0.020 ± 0.010", "0.030 ± 0.010"],
+    ]
+
+
+def test_a_notebook_shows_means_and_what_is_missing() -> None:
+    measured = rt.Measurement(
+        centre_frequencies=[500, 1000],
+        values={"t20": [[2.0, np.nan]], "c80": [[1.25, -3.0]]},
+        pairs=[("S", "R")],
+        uncertainty={"t20": [[0.1, np.nan]]},
+    )
+    assert cells(measured._repr_html_()) == [
+        ["mean ± u", "500 Hz", "1000 Hz"],
+        ["T20 / s", "2 ± 0.1", "–"],
+        ["C80 / dB", "1.25", "-3"],
     ]

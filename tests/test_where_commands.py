@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,18 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Finding:
     measured(False).save("pairs.csv")
     finding.save(FOUND)
     return finding
+
+
+def test_the_next_position_is_proposed(found: Finding, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("plan", FOUND, "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["places"] == [
+        {"point": list(PLACE.point), "source": PLACE.source, "nats": PLACE.nats}
+    ]
+    claimed = replace(found, surface="floor")
+    claimed.save(FOUND)
+    assert run("plan", FOUND) == 0
+    assert "No surfaces are in question" in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_same_search_is_made_once(found: Finding, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,7 +21,7 @@ from rtcal.finder.finding import Finding
 from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification
 from rtcal.loop.measured_pairs import ControlRuns
-from rtcal.report import room_view, verification_words
+from rtcal.report import of_finding, room_view, verification_words
 from rtcal.report.room_view import ABOVE, into_picture
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
 
@@ -167,3 +169,20 @@ def test_the_room_is_looked_at_so_that_the_surface_is_seen(surface: str) -> None
     turn = json.loads(room.data)["turn"]
     normals = finding.case.geometry.normals[finding.case.faces[surface]]
     assert (normals @ into_picture(turn, ABOVE) > 0).all()
+
+
+def test_the_page_begins_with_the_answer_and_the_three_bars(
+    finding: Finding, tmp_path: Path
+) -> None:
+    result = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.99}, 1.0)
+    of_finding.write(finding, result, tmp_path, place=PLACE)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    body = page[page.index("<main>") :]
+    assert body.index("The room absorbs more") < body.index("Unproven") < body.index("<img")
+    assert "Three bars" in body[body.index("<img") :][:40]
+    assert body.count("<img") == 3
+    for alt in re.findall(r'<img alt="([^"]+)"', body):
+        assert len(alt) > 60, alt
+    assert "measure at (6.5, 3.0, 1.2) m with source S" in " ".join(body.split())
+    record = json.loads((tmp_path / "result.json").read_text())
+    assert (record["rtcal"], record["verdict"]) == (Verification.record_kind, "unproven")
