@@ -123,9 +123,6 @@ def read_measured(path: str | os.PathLike[str], *, quietly: bool = False) -> Mea
     """Return the measurement that a command takes; what was read from another format is told once.
 
     With ``quietly`` it is not told, since another command or step has told it.
-
-    Raises DataError as `rtcal.io.tables.measurement`; where the table leaves something open, the
-    message says how `rtcal table` is told.
     """
     from rtcal.io import tables
 
@@ -152,10 +149,7 @@ def read_measured(path: str | os.PathLike[str], *, quietly: bool = False) -> Mea
 
 
 def read_run(room: Room, simulated: str | None, at: str | None) -> Run | None:
-    """Return the run of --simulated and --at, or None without it.
-
-    Raises DataError as `read_measured`, and where --at is not ``room`` with other coefficients.
-    """
+    """Return the run of --simulated and --at, or None without it."""
     from rtcal.acoustics.room import Room
     from rtcal.acoustics.run import Run
 
@@ -174,10 +168,7 @@ def read_run(room: Room, simulated: str | None, at: str | None) -> Run | None:
 
 
 def read_room(path: str) -> Room:
-    """Return the room that a command takes; where its mesh has other areas or volume is told once.
-
-    Raises DataError as `rtcal.Room.from_file` and `rtcal.io.geometry_files.mesh_doubt`.
-    """
+    """Return the room that a command takes; where its mesh has other areas or volume is told once."""
     from rtcal.acoustics.room import Room
     from rtcal.io import geometry_files
 

@@ -195,10 +195,7 @@ def _progress(unit: str) -> Iterator[Callable[[str, int, int], None]]:
 
 
 def saved(path: str) -> tuple[Any, Any]:
-    """Return the finding that ``find`` or ``diagnose --out`` wrote, and its verification or None.
-
-    DataError for a file that holds no finding, with the command that writes one.
-    """
+    """Return the finding that ``find`` or ``diagnose --out`` wrote, and its verification or None."""
     from rtcal.finder.diagnosis import Diagnosis
     from rtcal.finder.finding import Finding
     from rtcal.finder.verification import Verification

@@ -112,10 +112,7 @@ def material(
 
 @cache
 def material_list() -> MaterialList:
-    """Return the catalogue as a material list, each material in the bands that it has.
-
-    Raises MissingDependencyError without pyroomacoustics.
-    """
+    """Return the catalogue as a material list, each material in the bands that it has."""
     descriptions, mounted = names(), _mounting()
     with resources.as_file(resources.files(_TABLE) / "data" / "materials.json") as path:
         listed = pyroomacoustics.read(path)

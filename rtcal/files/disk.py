@@ -278,10 +278,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file whole at once, without a record: a piece of a study, or what a cache keeps.
-
-    Raises DataError if it cannot be written.
-    """
+    """Write a file whole at once, without a record: a piece of a study, or what a cache keeps."""
     new = path.with_name(f".{path.name}.{os.getpid()}{NEW}")
     begun.append(path)
     with _naming(path, _UNWRITTEN):

@@ -235,12 +235,7 @@ MAX_DOTS = 500
 
 
 def json_object(text: str) -> dict[str, Any]:
-    """Return the object that a JSON text holds.
-
-    Raises DataError, without the file's name, for anything but one object, a key that is given twice,
-    NaN and Infinity, an integer of more than `MAX_DIGITS`, more than `MAX_DEPTH` levels, and half of a
-    surrogate pair in a text.
-    """
+    """Return the object that a JSON text holds."""
     try:
         value = json.loads(
             text, object_pairs_hook=_unique, parse_constant=_no_number, parse_int=_integer

@@ -33,11 +33,7 @@ def require(number: float, most: float, of: str, path: str, remedy: str = "") ->
 
 
 def members(content: bytes, path: str, kind: str) -> dict[str, int]:
-    """Return the sizes in bytes of a zip file's members by name.
-
-    Raises DataError for what is no zip file, and for members that unpack to more than `MAX_UNPACKED`.
-    Python's zipfile unpacks no more of a member than is declared.
-    """
+    """Return the sizes in bytes of a zip file's members by name."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             sizes = {part.filename: part.file_size for part in archive.infolist()}

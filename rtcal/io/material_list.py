@@ -122,10 +122,7 @@ class ListedMaterial:
         unit: float = 1.0,
         **more: Any,
     ) -> ListedMaterial:
-        """Return the material of a row of coefficients and, if known, one of scattering.
-
-        Raises DataError unless every number is from 0 to 1 (0 to 100 in percent).
-        """
+        """Return the material of a row of coefficients and, if known, one of scattering."""
         alpha, spans = coefficients(row, place, unit)
         scattering, of_scattering = None, tuple[Span, ...]()
         if scatters is not None:
@@ -227,9 +224,6 @@ class MaterialList:
         default max(0.3 alpha, 0.01)). ``scattering`` is the coefficient of materials that state none;
         without it, the room has scattering only if all its materials state it. ``others`` are materials
         of another source.
-
-        Raises DataError for a material that the list lacks or whose coefficients are in doubt, a
-        missing area, a band that a material lacks, and as `Room` does.
         """
         surfaces = (
             [Surface(n, n, a) for n, a in areas.items()]
@@ -334,9 +328,6 @@ class MaterialList:
         is replaced only if the coefficient, rounded to the file's decimals, differs from it. Scattering
         is written where the file holds it, or its format takes it; what is lacking are the materials
         without it, and without it in all of them, the room as read has none.
-
-        Raises DataError for a material that the file lacks or that has none of the room's bands, and
-        for two aliases of one material with different coefficients.
         """
         common = set.intersection(*(set(self.listed(n).centre_frequencies) for n in room.materials))
         room = self._in_file_bands(room, sorted(common))
@@ -431,10 +422,7 @@ def numbers(row: Sequence[Token], place: str) -> tuple[float, ...]:
 def coefficients(
     row: Sequence[Token], place: str, unit: float = 1.0, name: str = "alpha"
 ) -> tuple[tuple[float, ...], tuple[Span, ...]]:
-    """Return the coefficients of a row, and where the file's text has each.
-
-    Raises DataError unless every number is from 0 to 1 (0 to 100 in percent).
-    """
+    """Return the coefficients of a row, and where the file's text has each."""
     values = numbers(row, place)
     for value in values:
         if not 0 <= coefficient(value, unit) <= 1:
@@ -840,8 +828,6 @@ def _statements(characters: str, path: str) -> Iterator[tuple[int, int, re.Match
     """Yield the line and the start of each ABS statement, its keyword, name and value, and a name.
 
     The last is the material's name in the room that the list was written for, "" where it is the same.
-
-    Raises DataError for a line that begins as one and is none.
     """
     for line, start, raw in lines(characters):
         code, _, comment = raw.partition(";")

@@ -241,8 +241,6 @@ class Column:
 def stated(text: str) -> Column:
     """Return the column of a meaning as `Column.meaning` has it, or of a usual header.
 
-    Raises DataError for another text.
-
     Examples
     --------
     >>> stated("T20 [ms] at 500 Hz of S1 to Row 5").receiver, stated("band [kHz]").kind

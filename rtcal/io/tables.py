@@ -814,10 +814,7 @@ class _Table:
         )
 
     def _rows(self, body: Sequence[Row]) -> list[Row]:
-        """Return the rows with a cell per column; a text alone is left out.
-
-        Raises DataError for a row of another width.
-        """
+        """Return the rows with a cell per column; a text alone is left out."""
         width, rows = len(self.columns), []
         for line, cells in body:
             while len(cells) > width and not cells[-1]:
@@ -937,10 +934,7 @@ class _Table:
         return commas
 
     def _example_of_both(self) -> str | None:
-        """Return the first position that names source and receiver; None if none does.
-
-        Raises DataError for a row of values among such positions that is none of them.
-        """
+        """Return the first position that names source and receiver; None if none does."""
         at = next((i for i, column in enumerate(self.columns) if column.kind == "receiver"), None)
         if at is None:
             return None
@@ -1094,10 +1088,7 @@ class _Table:
         )
 
     def _row_parameter(self, entries: Mapping[str, str], place: str) -> str:
-        """Return the parameter of a row; empty if it names none, or one that is not known.
-
-        Raises DataError for one that is not of the row's columns, where all of these name theirs.
-        """
+        """Return the parameter of a row; empty if it names none, or one that is not known."""
         text = entries.get("parameter", "")
         name = text if parameter_of(text) else name_and_unit(text)[0]
         parameter = self._closed(Column("parameter", text, parameter_of(name)), place)
@@ -1180,10 +1171,7 @@ def _is_accepted(parameter: str, value: float) -> bool:
 
 
 def _values(tables: Sequence[_Table], options: _Options) -> tuple[Values, Values]:
-    """Return the values of all tables: of single positions, and of several.
-
-    Raises DataError for a value that another row, or another table, has given.
-    """
+    """Return the values of all tables: of single positions, and of several."""
     single: Values = {}
     of_several: Values = {}
     given: dict[Key, list[Sheet]] = {}

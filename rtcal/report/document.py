@@ -161,11 +161,7 @@ class Page:
 def render(
     page: Page, heading: Heading | None = None, progress: Callable[[], None] | None = None
 ) -> str:
-    """Return a page as HTML; ``progress`` is called after each figure.
-
-    Raises MissingDependencyError without jinja2 or matplotlib, and DataError if the page would be
-    larger than 2 MB.
-    """
+    """Return a page as HTML; ``progress`` is called after each figure."""
     whole = (heading or Heading()).completed(page.name, page.author)
     subject = page.subject[:1].upper() + page.subject[1:]
 
@@ -195,10 +191,7 @@ def render(
 def page_files(
     page: Page, result: Result, folder: Path, heading: Heading | None = None
 ) -> dict[Path, bytes]:
-    """Return by path a page, the numbers of its result and its figures that have a name.
-
-    Raises as `render`.
-    """
+    """Return by path a page, the numbers of its result and its figures that have a name."""
     out = {
         folder / PAGE: render(page, heading).encode(),
         folder / NUMBERS: result.to_json(folder).encode(),

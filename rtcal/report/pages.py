@@ -106,10 +106,7 @@ def _made(path: str | os.PathLike[str]) -> Page:
 
 
 def write_workbook(result: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
-    """Write the tables of a saved result's page as a workbook (xlsx), a sheet each.
-
-    Raises DataError as `page_of`, and MissingDependencyError without openpyxl.
-    """
+    """Write the tables of a saved result's page as a workbook (xlsx), a sheet each."""
     write_bytes(path, workbook.content(sheets(_made(result))))
 
 
