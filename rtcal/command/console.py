@@ -448,8 +448,18 @@ def tell(
     if sys.stdout is None:
         raise CannotPrint("cannot print: the standard output is closed")
     if as_json:
-        whole = record() if callable(record) else record
-        said = _json_text({**whole, "written": made} if made else whole)
+        whole = {
+            **(record() if callable(record) else record),
+            **({"written": made} if made else {}),
+        }
+        said = json_text(whole)
+        try:
+            said.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
+            escape = printable(said) != said
+        except UnicodeEncodeError:
+            escape = True
+        if escape:  # characters that the terminal lacks or interprets
+            said = json_text(whole, ascii_only=True)
     elif made:
         said = printable(fitted("\n".join(filter(None, [text, written(made), then]))))
     else:
@@ -536,17 +546,6 @@ def written(paths: Sequence[object]) -> str:
     """Return a line that names the written files, or one line per file if that is too long."""
     line = f"Written: {', '.join(map(str, paths))}"
     return line if len(line) <= width() else "\n  ".join(["Written:", *map(str, paths)])
-
-
-def _json_text(record: Mapping[str, Any]) -> str:
-    """Return a record as JSON; characters that a terminal lacks or interprets are escaped."""
-    text = json_text(record)
-    try:
-        text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
-        escape = printable(text) != text
-    except UnicodeEncodeError:
-        escape = True
-    return json_text(record, ascii_only=True) if escape else text
 
 
 def without_air_warning() -> warnings.catch_warnings[None]:

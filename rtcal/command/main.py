@@ -97,7 +97,13 @@ for command in (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command and exit with one of `EXIT_CODES`."""
-    _fill_closed_descriptors()
+    # Where the shell has closed a stream (``>&-``), the next opened file would get its number, and
+    # libraries that print would write into this file.
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # A character that the terminal lacks is printed as a question mark.
@@ -149,16 +155,3 @@ def _exchanged(error: BaseException, stated: Sequence[str]) -> str:
     right = [*stated]
     right[i], right[k] = right[k], right[i]
     return f". Exchange them: {shlex.join(['rtcal', *right])}"
-
-
-def _fill_closed_descriptors() -> None:
-    """Open the null device in place of standard streams that the shell has closed (``>&-``).
-
-    Otherwise the next opened file would get the stream's number, and libraries that print would write
-    into this file.
-    """
-    for descriptor in range(3):
-        try:
-            os.fstat(descriptor)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)

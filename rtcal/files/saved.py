@@ -140,28 +140,26 @@ def load(path: str | os.PathLike[str]) -> Any:
         if not place.exists():
             raise DataError(f"folder {path} has no {NUMBERS}: {MADE}")
     with expecting(RESULT, place):
-        return _result(json_object(read_text(place, MAX_BYTES)), place.parent)
-
-
-def _result(record: Mapping[str, Any], folder: Path) -> Result:
-    """Return the result of a file's content, in ``folder``."""
-    kind, itself = record.get("rtcal"), record.get(_OBJECT)
-    if not isinstance(kind, str) or not isinstance(itself, dict):
-        raise DataError(f'no saved result: it has no "rtcal" and "{_OBJECT}"; calculate it again')
-    if "not_saved" in itself:
-        raise DataError(f"the result itself is not in it: {itself['not_saved']}")
-    version = itself.get("version")
-    if version != __version__ or set(itself) != {"version", "objects"}:
-        other = version not in (None, __version__)
-        by = f"rtcal {checks.shown(version)}" if other else "an earlier state of rtcal"
-        raise DataError(
-            f'"{kind}" of {by}, which rtcal {__version__} does not read: calculate the result again '
-            "from its data"
-        )
-    result = restored(itself["objects"], folder)
-    if not isinstance(result, Result) or result.record_kind != kind:
-        raise DataError(f'its "{_OBJECT}" is no {checks.shown(kind)}')
-    return result
+        record = json_object(read_text(place, MAX_BYTES))
+        kind, itself = record.get("rtcal"), record.get(_OBJECT)
+        if not isinstance(kind, str) or not isinstance(itself, dict):
+            raise DataError(
+                f'no saved result: it has no "rtcal" and "{_OBJECT}"; calculate it again'
+            )
+        if "not_saved" in itself:
+            raise DataError(f"the result itself is not in it: {itself['not_saved']}")
+        version = itself.get("version")
+        if version != __version__ or set(itself) != {"version", "objects"}:
+            other = version not in (None, __version__)
+            by = f"rtcal {checks.shown(version)}" if other else "an earlier state of rtcal"
+            raise DataError(
+                f'"{kind}" of {by}, which rtcal {__version__} does not read: calculate the result '
+                "again from its data"
+            )
+        result = restored(itself["objects"], place.parent)
+        if not isinstance(result, Result) or result.record_kind != kind:
+            raise DataError(f'its "{_OBJECT}" is no {checks.shown(kind)}')
+        return result
 
 
 def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]:

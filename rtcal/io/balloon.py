@@ -170,7 +170,17 @@ def _from_text(place: str, wanted: Sequence[float]) -> list[Array]:
             f"{place}: begins with {text.shown(head)!r}; CLF's text begins with <CLF1> or <CLF2>"
         )
     step = _STEPS[head[-2]]
-    _check_tags(rows, place)
+    # What would be read otherwise than it is meant is refused.
+    for tag, known in {
+        "<RADIATION>": ("fullsphere",),
+        "<SIGN>": ("actual",),
+        "<BALLOON-ARC-ORDER>": ("default", "normal", "reversed"),
+        "<BALLOON-SYMMETRY>": (*_ARCS, "rotational"),
+    }.items():
+        if (stated := _stated(rows, tag)) not in (*known, ""):
+            raise DataError(
+                f"{place}: {tag} is {text.shown(stated)!r}; what is read is {', '.join(known)}"
+            )
     at = {}
     for n, row in enumerate(rows):
         if row[0].upper() == "<BAND>":
@@ -186,20 +196,6 @@ def _from_text(place: str, wanted: Sequence[float]) -> list[Array]:
             np.mean([Directivity(gains=[e], aim=(1, 0, 0)).gains[0] for e in inside], axis=0)
         )
     return out
-
-
-def _check_tags(rows: Sequence[Sequence[str]], place: str) -> None:
-    """Refuse what would be read otherwise than it is meant."""
-    for tag, known in {
-        "<RADIATION>": ("fullsphere",),
-        "<SIGN>": ("actual",),
-        "<BALLOON-ARC-ORDER>": ("default", "normal", "reversed"),
-        "<BALLOON-SYMMETRY>": (*_ARCS, "rotational"),
-    }.items():
-        if (stated := _stated(rows, tag)) not in (*known, ""):
-            raise DataError(
-                f"{place}: {tag} is {text.shown(stated)!r}; what is read is {', '.join(known)}"
-            )
 
 
 def _stated(rows: Sequence[Sequence[str]], tag: str) -> str:

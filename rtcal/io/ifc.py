@@ -96,7 +96,12 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
     place = f'{path}: space "{shown(chosen)}"'
     gap, open_by = _close_outlines(spaces[chosen], length, weld, place)
     try:
-        triangles = _triangles(ifcopenshell, spaces[chosen])
+        settings = ifcopenshell.geom.settings()
+        settings.set("use-world-coords", True)
+        element = ifcopenshell.geom.create_shape(settings, spaces[chosen])
+        shape = element.geometry  # 0.8.1 frees it with the element
+        points = np.array(shape.verts, dtype=float).reshape(-1, 3)
+        triangles = np.asarray(points[np.array(shape.faces, dtype=int).reshape(-1, 3)])
         boundaries, unknown = _boundaries(ifcopenshell, spaces[chosen], length)
     except (RuntimeError, ValueError, AttributeError, IndexError) as error:
         why = "it has none, or its solid is not closed"
@@ -177,7 +182,11 @@ def _close_outlines(space: Any, length: float, weld: float, place: str) -> tuple
                 wider = max(wider, gap if gap <= _LARGEST_GAP else 0.0)
             elif gap > _SAME:
                 closed = max(closed, gap)
-                _join_ends(curve)
+                if curve.is_a("IfcPolyline"):
+                    curve.Points = (*curve.Points[:-1], curve.Points[0])
+                else:
+                    listed = curve.Points.CoordList
+                    curve.Points.CoordList = (*listed[:-1], listed[0])
     return closed, wider
 
 
@@ -215,15 +224,6 @@ def _corners(curve: Any) -> Array | None:
     return np.array([(*row, 0.0, 0.0)[:3] for row in rows], dtype=float)
 
 
-def _join_ends(curve: Any) -> None:
-    """Make the last point of an outline its first."""
-    if curve.is_a("IfcPolyline"):
-        curve.Points = (*curve.Points[:-1], curve.Points[0])
-    else:
-        listed = curve.Points.CoordList
-        curve.Points.CoordList = (*listed[:-1], listed[0])
-
-
 _END = b"END-ISO-10303-21;"
 _DEEPEST = 1000
 """Most entities that refer to each other in a row: ifcopenshell follows them on the stack."""
@@ -256,16 +256,6 @@ def _require_sound(path: str) -> None:
         raise DataError(
             f"{path}: {deep} entities refer to each other in a row; at most {_DEEPEST} are read"
         )
-
-
-def _triangles(ifcopenshell: Any, space: Any) -> Array:
-    """Return the triangles of a space in m, (n, 3, 3)."""
-    settings = ifcopenshell.geom.settings()
-    settings.set("use-world-coords", True)
-    element = ifcopenshell.geom.create_shape(settings, space)
-    shape = element.geometry  # 0.8.1 frees it with the element
-    points = np.array(shape.verts, dtype=float).reshape(-1, 3)
-    return np.asarray(points[np.array(shape.faces, dtype=int).reshape(-1, 3)])
 
 
 def _boundaries(ifcopenshell: Any, space: Any, length: float) -> tuple[list[_Boundary], int]:

@@ -57,7 +57,17 @@ def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
     if _AURORA in content[:200]:
         return [_of_aurora(sheets_of_text(text, path)[0])]
     if _is_of_dirac(content):
-        return _of_dirac(sheets_of_text(text, path)[0])
+        # A sheet for each of Dirac's tables, with the parameter in the header of each band.
+        sheet = sheets_of_text(text, path)[0]
+        tables: list[list[Row]] = []
+        for line, cells in sheet.rows:
+            if _is_head(cells):
+                tables.append(
+                    [(line, ["position", *(f"{cells[0]} {b} Hz" if b else "" for b in cells[1:])])]
+                )
+            else:
+                tables[-1].append((line, cells))
+        return [Sheet(sheet.place, tuple(rows), f"Dirac's table, {sheet.note}") for rows in tables]
     numbered = [(n, raw.strip()) for n, _, raw in lines(text.characters)]
     if not _is_of_rew(content):
         return [_averages(numbered, path, text)]
@@ -246,16 +256,3 @@ def _is_head(cells: Sequence[str]) -> bool:
     bands = [cell.strip() for cell in cells[1:] if cell.strip()]
     named = column is not None and column.parameter and not column.has_band
     return bool(named and len(bands) > 1 and all(re.fullmatch(r"[\d.,]+", b) for b in bands))
-
-
-def _of_dirac(sheet: Sheet) -> list[Sheet]:
-    """Return a sheet for each of Dirac's tables, with the parameter in the header of each band."""
-    tables: list[list[Row]] = []
-    for line, cells in sheet.rows:
-        if _is_head(cells):
-            tables.append(
-                [(line, ["position", *(f"{cells[0]} {b} Hz" if b else "" for b in cells[1:])])]
-            )
-        else:
-            tables[-1].append((line, cells))
-    return [Sheet(sheet.place, tuple(rows), f"Dirac's table, {sheet.note}") for rows in tables]

@@ -611,7 +611,16 @@ class Format:
             in_new_bands, notes = _in_new_bands(
                 room, self.bands(room), missing_bands, os.fspath(path)
             )
-            renamed = _renamed(room.materials, entries, self.readable)
+            taken = {entries.get(name, name) for name in room.materials}
+            renamed: dict[str, str] = {}
+            for i, name in enumerate(room.materials):
+                new = self.readable(name)
+                if name in entries or new == name:
+                    continue
+                while new in taken:
+                    new = f"{new}_{i + 1}"
+                taken.add(new)
+                renamed[name] = new
             entries |= renamed
             names = [entries.get(name, name) for name in room.materials]
             if renamed:
@@ -664,23 +673,6 @@ def _kind(content: bytes, path: str | os.PathLike[str], tried: Format) -> str:
         return "a table of bras: `rtcal import bras` reads it"
     found = kind_of(path)
     return "" if tried is bras and found == TABLE else found
-
-
-def _renamed(
-    materials: Sequence[str], stated: Mapping[str, str], readable: Callable[[str], str]
-) -> dict[str, str]:
-    """Return other names for materials whose own cannot stand in a new file, each there once."""
-    taken = {stated.get(name, name) for name in materials}
-    renamed: dict[str, str] = {}
-    for i, name in enumerate(materials):
-        new = readable(name)
-        if name in stated or new == name:
-            continue
-        while new in taken:
-            new = f"{new}_{i + 1}"
-        taken.add(new)
-        renamed[name] = new
-    return renamed
 
 
 def _replaced_scattering(listed: MaterialList, as_written: MaterialList) -> tuple[str, ...]:

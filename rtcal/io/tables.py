@@ -800,7 +800,18 @@ class _Table:
         self.parameter = None if "parameter" in kinds else self._of_table()
         if self.parameter is not None:
             self.columns = [*_completed(self.columns, self.parameter)]
-        self.comma = self._decimal_comma()
+        commas = points = False
+        for line, cells in self.rows:
+            for cell in self._cells_of_values(cells):
+                digits = cell.removesuffix(unit_of(cell)).strip()
+                if _NUMBER.fullmatch(digits):
+                    commas |= "," in digits
+                    points |= "." in digits
+            if commas and points:
+                raise DataError(
+                    f"{self.sheet.place}, line {line}: decimal commas and decimal points in one table"
+                )
+        self.comma = commas
         self._set_positions({c.kind for c in self.columns})
 
     @property
@@ -918,21 +929,6 @@ class _Table:
         pairs = zip(self.columns, cells, strict=True)
         return [cell for column, cell in pairs if column.has_values and not is_missing(cell)]
 
-    def _decimal_comma(self) -> bool:
-        """Return whether decimals have a comma; DataError if they have commas and points."""
-        commas = points = False
-        for line, cells in self.rows:
-            for cell in self._cells_of_values(cells):
-                digits = cell.removesuffix(unit_of(cell)).strip()
-                if _NUMBER.fullmatch(digits):
-                    commas |= "," in digits
-                    points |= "." in digits
-            if commas and points:
-                raise DataError(
-                    f"{self.sheet.place}, line {line}: decimal commas and decimal points in one table"
-                )
-        return commas
-
     def _example_of_both(self) -> str | None:
         """Return the first position that names source and receiver; None if none does."""
         at = next((i for i, column in enumerate(self.columns) if column.kind == "receiver"), None)
@@ -999,7 +995,16 @@ class _Table:
                 source, receiver = column.source or source, column.receiver
             parameter = column.parameter or row_parameter
             if not parameter:
-                self._refuse_unnamed(entries, cell, place)
+                if "parameter" in entries:
+                    raise DataError(
+                        f'{place}: parameter "{shown(entries["parameter"])}" is unknown'
+                    )
+                named = (c.parameter for t in self.titles if (c := _name_of(t)))
+                likely = next(named, REVERBERATION[0].key)
+                raise DataError(
+                    f'{place}: no heading says which parameter the value "{shown(cell)}" is; state it: '
+                    f'parameter="{likely}", for instance'
+                )
             band = column.band if column.has_band else row_band
             if band is None:
                 raise DataError(f'{place}: no band for the value "{shown(cell)}"')
@@ -1075,17 +1080,6 @@ class _Table:
             place, mark, repeat = receiver.partition("#")
             receiver = f"{place}-{channel}{mark}{repeat}"
         return source or self.pair[0], receiver
-
-    def _refuse_unnamed(self, entries: Mapping[str, str], cell: str, place: str) -> None:
-        """Raise DataError for a value of which nothing says the parameter."""
-        if "parameter" in entries:
-            raise DataError(f'{place}: parameter "{shown(entries["parameter"])}" is unknown')
-        named = (c.parameter for t in self.titles if (c := _name_of(t)))
-        likely = next(named, REVERBERATION[0].key)
-        raise DataError(
-            f'{place}: no heading says which parameter the value "{shown(cell)}" is; state it: '
-            f'parameter="{likely}", for instance'
-        )
 
     def _row_parameter(self, entries: Mapping[str, str], place: str) -> str:
         """Return the parameter of a row; empty if it names none, or one that is not known."""

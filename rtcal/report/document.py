@@ -69,11 +69,6 @@ class Heading:
         for name, text in vars(self).items():
             short_name(name, text)
 
-    def completed(self, title: str, author: str) -> Heading:
-        """Return the heading with a title and an author, where it has none; a long title is cut."""
-        title = self.title or shortened(title, LONGEST_NAME)
-        return Heading(title, self.author or author, self.date)
-
 
 @dataclass(frozen=True)
 class Section:
@@ -162,7 +157,9 @@ def render(
     page: Page, heading: Heading | None = None, progress: Callable[[], None] | None = None
 ) -> str:
     """Return a page as HTML; ``progress`` is called after each figure."""
-    whole = (heading or Heading()).completed(page.name, page.author)
+    stated = heading or Heading()
+    title = stated.title or shortened(page.name, LONGEST_NAME)
+    whole = Heading(title, stated.author or page.author, stated.date)
     subject = page.subject[:1].upper() + page.subject[1:]
 
     def drawn(picture: Picture) -> str:

@@ -16,7 +16,6 @@ from string import ascii_uppercase
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtcal.acoustics.marks import gap_jnd, letters, rms
 from rtcal.acoustics.observables import TARGET, parameter_label
@@ -146,15 +145,6 @@ def band_axis(axes: Axes, frequencies: Array, below: list[str] | None = None) ->
     axes.set_xlabel("Band centre frequency / Hz")
 
 
-def band_places(axes: Axes, frequencies: Array) -> NDArray[np.int64]:
-    """Make x an axis with one place per band, of bars or cells; return the places."""
-    places = np.arange(len(frequencies))
-    turn = 90 if len(places) > _MANY_BANDS else 0
-    axes.set_xticks(places, [f"{f:g}" for f in frequencies], rotation=turn)
-    axes.set_xlabel("Band centre frequency / Hz")
-    return places
-
-
 def jnd_band(axes: Axes, frequencies: Array, measured: Array) -> None:
     """Draw T ± one JND in grey; bands without T interrupt it."""
     low, high = (1 - TARGET.jnd) * measured, (1 + TARGET.jnd) * measured
@@ -206,7 +196,10 @@ def reverberation_time(result: CalibrationResult) -> Any:
 def gap(result: CalibrationResult) -> Any:
     """Return the figure of the deviation from the measured T, before and after, in JND by band."""
     figure, axes = new_figure(7.0, 3.2)
-    at = band_places(axes, result.prior.centre_frequencies)
+    f = result.prior.centre_frequencies
+    at = np.arange(len(f))
+    axes.set_xticks(at, [f"{v:g}" for v in f], rotation=90 if len(f) > _MANY_BANDS else 0)
+    axes.set_xlabel("Band centre frequency / Hz")
     axes.axhspan(-1, 1, color="0.85", label="within 1 JND (5 %)")
     axes.axhline(0, color=BLACK, linewidth=0.8)
     bars = {"facecolor": "#F5C9A6", "edgecolor": ORANGE, "hatch": "//"}

@@ -318,9 +318,44 @@ def pictures(
 ) -> list[Picture]:
     """Return the figures of a finding, the one that stands beside the answer first."""
     if finding.kind == "means":
-        return _pictures_of_means(finding, verification)
+        if verification is None:
+            return []
+        tested = [] if np.isnan(verification.before) else [_bars(verification, "data")]
+        return [
+            *tested,
+            Picture(
+                lambda: figures.corrected_times(verification),
+                "T(f). A calibration without the effect meets T whatever is missing: that proves "
+                "nothing.",
+                name="reverberation_time",
+            ),
+            Picture(
+                lambda: figures.corrected_shifts(verification),
+                "How far the coefficients had to move, with and without the effect in the model, and "
+                "their 90 % intervals: those without it hold only if the model lacks nothing.",
+                tall=True,
+                name="shifts",
+            ),
+        ]
     if finding.kind == "positions":
-        return _pictures_at_positions(finding, verification, place)
+        likely = "; ".join(f"{n} {percent(finding.surfaces[n])}" for n in finding.likely_surfaces)
+        coloured = (
+            f"coloured are {likely}"
+            if finding.verdict != "none" and likely
+            else "no surface is coloured"
+        )
+        drawn = [
+            Picture(
+                lambda: figures.plan(finding, place),
+                "The plan. A line joins source (triangle) and receiver (circle); it is as dark as the "
+                "pair disagrees. Walls are as orange as they are probable.",
+                f"The plan of the room with sources and receivers; {coloured}.",
+                name="plan",
+            ),
+        ]
+        if verification is None:
+            return drawn
+        return [_bars(verification, "pairs"), *drawn]
     return [
         Picture(
             lambda: figures.change(finding),
@@ -328,52 +363,6 @@ def pictures(
             name="change",
         ),
     ]
-
-
-def _pictures_of_means(finding: Finding, verified: Verification | None) -> list[Picture]:
-    """Return the figures; those of shifts and T need a verification."""
-    if verified is None:
-        return []
-    tested = [] if np.isnan(verified.before) else [_bars(verified, "data")]
-    return [
-        *tested,
-        Picture(
-            lambda: figures.corrected_times(verified),
-            "T(f). A calibration without the effect meets T whatever is missing: that proves nothing.",
-            name="reverberation_time",
-        ),
-        Picture(
-            lambda: figures.corrected_shifts(verified),
-            "How far the coefficients had to move, with and without the effect in the model, and "
-            "their 90 % intervals: those without it hold only if the model lacks nothing.",
-            tall=True,
-            name="shifts",
-        ),
-    ]
-
-
-def _pictures_at_positions(
-    finding: Finding, verification: Verification | None, place: Place | None
-) -> list[Picture]:
-    """Return the figures with what they show in words and numbers."""
-    likely = "; ".join(f"{n} {percent(finding.surfaces[n])}" for n in finding.likely_surfaces)
-    coloured = (
-        f"coloured are {likely}"
-        if finding.verdict != "none" and likely
-        else "no surface is coloured"
-    )
-    drawn = [
-        Picture(
-            lambda: figures.plan(finding, place),
-            "The plan. A line joins source (triangle) and receiver (circle); it is as dark as the pair "
-            "disagrees. Walls are as orange as they are probable.",
-            f"The plan of the room with sources and receivers; {coloured}.",
-            name="plan",
-        ),
-    ]
-    if verification is None:
-        return drawn
-    return [_bars(verification, "pairs"), *drawn]
 
 
 def _bars(verified: Verification, what: str) -> Picture:
