@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -401,60 +401,34 @@ def _proposal(table: _Table, title: str) -> str:
     )
 
 
-@dataclass(frozen=True)
-class _Value:
-    """A cell of a product at a band: its text and unit."""
-
-    text: str
-    unit: str
-    line: int
-
-
-def _values(table: _Table) -> Iterator[tuple[str, float, _Value, list[str]]]:
-    """Yield product, band in Hz, value, and what else its row states."""
+def _of_table(table: _Table) -> list[ListedMaterial]:
+    """Return the materials of a table."""
+    products: dict[str, dict[float, tuple[str, str, int]]] = {}  # text, unit and line by band
+    texts: dict[str, dict[str, None]] = {}  # what else their rows state
+    in_rows = any(column.kind == "product" for column in table.columns)
+    in_khz = any(c.kind == "band" and c.unit.lower() == "khz" for c in table.columns)
     for line, cells in table.rows:
-        entries = {c.kind: cell for c, cell in zip(table.columns, cells, strict=True) if c.kind}
         pairs = [*zip(table.columns, cells, strict=True)]
+        entries = {column.kind: cell for column, cell in pairs if column.kind}
         beside = [f"{c.header}: {cell}" for c, cell in pairs if c.kind in ("", "unit") and cell]
-        of_column = next((c.unit for c in table.columns if c.kind == "band"), "")
-        of_row = _band(entries.get("band", ""), 1000 if of_column.lower() == "khz" else 1)
-        for column, cell in pairs:
-            name, band = column.receiver or entries.get("product", ""), column.band
-            band = of_row if of_row else band
-            if not column.has_values:
-                continue
+        of_row = _band(entries.get("band", ""), 1000 if in_khz else 1)
+        for column, cell in (pair for pair in pairs if pair[0].has_values):
+            name, band = column.receiver or entries.get("product", ""), of_row or column.band
             if not name and cell:
                 raise DataError(
                     f"{table.place}, line {line}: coefficients without a product's name"
                 )
+            known = products.setdefault(name, {})
+            if band in known or (in_rows and known and line != next(iter(known.values()))[2]):
+                raise DataError(
+                    f'{table.place}, line {line}: "{shown(name)}" is given twice at '
+                    f"{bands.label(band)}; a band has one coefficient per product"
+                )
             unit = column.unit or entries.get("unit", "") or _own_unit(name)
-            yield name, band, _Value(cell, unit, line), beside
-
-
-def _of_table(table: _Table) -> list[ListedMaterial]:
-    """Return the materials of a table."""
-    products: dict[str, dict[float, _Value]] = {}
-    texts: dict[str, dict[str, None]] = {}
-    first: dict[str, int] = {}
-    for name, band, value, beside in _values(table):
-        of_product = products.setdefault(name, {})
-        line = first.setdefault(name, value.line)
-        if band in of_product or (
-            "product" in {c.kind for c in table.columns} and line != value.line
-        ):
-            raise DataError(
-                f'{table.place}, line {value.line}: "{shown(name)}" is given twice at '
-                f"{bands.label(band)}; a band has one coefficient per product"
-            )
-        of_product[band] = value
-        texts.setdefault(name, dict.fromkeys(table.titles)).update(dict.fromkeys(beside))
-    units = {
-        bool(value.unit or "%" in value.text)
-        for of_product in products.values()
-        for value in of_product.values()
-        if not _AREA.search(value.unit)
-    }
-    if len(units) > 1:
+            known[band] = cell, unit, line
+            texts.setdefault(name, dict.fromkeys(table.titles)).update(dict.fromkeys(beside))
+    every = [value for known in products.values() for value in known.values()]
+    if len({bool(u or "%" in cell) for cell, u, _ in every if not _AREA.search(u)}) > 1:
         raise DataError(
             f"{table.place}, line {table.first}: some coefficients have a unit and others none; write "
             "it, as % or -, with all or with none"
@@ -468,16 +442,18 @@ def _of_table(table: _Table) -> list[ListedMaterial]:
 
 
 def _material(
-    table: _Table, name: str, values: Mapping[float, _Value], texts: Sequence[str]
+    table: _Table, name: str, values: Mapping[float, tuple[str, str, int]], texts: Sequence[str]
 ) -> ListedMaterial:
     """Return a product as a material; it has a doubt if its numbers are no coefficients."""
-    place = f"{table.place}, line {next(iter(values.values())).line}"
-    doubt, alpha, above = "", [], []
-    known = {f: value for f, value in values.items() if not is_missing(value.text)}
-    for frequency, value in known.items():
+    line = next(iter(values.values()))[2]
+    place = f"{table.place}, line {line}"
+    doubt, alpha, above = "", dict[float, float](), []
+    for frequency, (cell, unit, _) in values.items():
+        if is_missing(cell):
+            continue
         where = f"{place}: {shown(name)} at {bands.label(frequency)}"
-        text = value.text.rstrip("% ")
-        unit = "%" if value.text != text else value.unit
+        text = cell.rstrip("% ")
+        unit = "%" if cell != text else unit
         if _AREA.search(unit) or _AREA.search(name[:MAX_HEADER]):
             doubt = (
                 f'{place}: {shown(name)}: "{shown(unit or name)}" names absorption areas in m², and no '
@@ -497,22 +473,21 @@ def _material(
             )
         if share > 1:
             above.append(f"{share:.2f} at {bands.label(frequency)}")
-        alpha.append(min(share, 1.0))
-    missing = [bands.label(f) for f in values if f not in known]
-    source = "; ".join(
-        [place, *texts, *[f"no coefficient at {', '.join(missing)}"] * bool(missing)]
-    )
+        alpha[frequency] = min(share, 1.0)
+    source = [place, *texts]
+    if missing := [bands.label(f) for f in values if f not in alpha]:
+        source.append(f"no coefficient at {', '.join(missing)}")
     if above:
-        source += f"; above 1 (edge effect), taken as 1: {', '.join(above)}"
+        source.append(f"above 1 (edge effect), taken as 1: {', '.join(above)}")
     if table.left_out:
         named = [f'"{shown(n)}"' for n in dict.fromkeys(table.left_out)]
-        source += f"; left out: {first_of(named, _MOST_LEFT_OUT)}"
+        source.append(f"left out: {first_of(named, _MOST_LEFT_OUT)}")
     return ListedMaterial(
         name=name,
-        line=next(iter(values.values())).line,
-        alpha=tuple(alpha),
-        centre_frequencies=tuple(known),
+        line=line,
+        alpha=tuple(alpha.values()),
+        centre_frequencies=tuple(alpha),
         spans=(),
-        source=" ".join(source.split())[:1000],
+        source=" ".join("; ".join(source).split())[:1000],
         doubt=doubt,
     )
