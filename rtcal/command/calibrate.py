@@ -10,47 +10,27 @@ from typing import Any
 import click
 
 from rtcal.acoustics.observables import MATCH
-from rtcal.command.console import (
-    PATHS,
-    bar_wanted,
-    choice,
-    control_bar,
-    errors_name_options,
-    flag,
-    folder,
-    is_forced,
-    is_quiet,
-    pairs,
-    read_measured,
-    read_room,
-    takes,
-    tell,
-    texts,
-    told_by_modes,
-    warn,
-    whole,
-    without_air_warning,
-)
+from rtcal.command import console
 from rtcal.files.disk import make_folder, spare, write_all
 from rtcal.support import text
 from rtcal.support.errors import DataError
 
 
 @click.command(short_help="Calibrate a room to measured reverberation times.")
-@takes(
+@console.takes(
     "ROOM",
     "MEASURED",
     "method",
     "equation",
-    choice("solver", ("clarabel", "osqp"), "The solver of the QP.", default="clarabel"),
-    choice(
+    console.choice("solver", ("clarabel", "osqp"), "The solver of the QP.", default="clarabel"),
+    console.choice(
         "unreachable",
         ("raise", "nearest"),
         "If no coefficients give the measured T: stop, or use the nearest T.",
         default="raise",
     ),
     "modes",
-    folder(
+    console.folder(
         "Folder for the calibrated room (room.toml), all numbers (result.json) and T(f) "
         "(reverberation_time.png, not with --modes). Nothing is written without it."
     ),
@@ -78,23 +58,25 @@ def calibrate(
             raise DataError(
                 "--modes has a method of its own: leave out --method, --solver, --unreachable"
             )
-        with without_air_warning():
-            data = read_measured(measured)
-            by_modes = told_by_modes(read_room(room), modes, data, equation)
+        with console.without_air_warning():
+            data = console.read_measured(measured)
+            by_modes = console.told_by_modes(console.read_room(room), modes, data, equation)
         if out is not None:
             figures.write_folder(by_modes, out, {})
-        tell(str(by_modes), by_modes.to_dict)
+        console.tell(str(by_modes), by_modes.to_dict)
         return
-    prior = read_room(room)
-    with without_air_warning():
-        result = methods.calibrate(prior, read_measured(measured), equation=equation, **stated)
+    prior = console.read_room(room)
+    with console.without_air_warning():
+        result = methods.calibrate(
+            prior, console.read_measured(measured), equation=equation, **stated
+        )
     if prior.scene.mesh is not None:
         with suppress(DataError):  # told by the mesh's doubt
             result = replace(result, shares=facing(prior, geometry_files.read(prior)))
     if out is not None:
         pictures = {figures.FIGURE: lambda: figures.reverberation_time(result)}
         figures.write_folder(result, out, pictures)
-    tell(str(result), result.to_dict)
+    console.tell(str(result), result.to_dict)
 
 
 NOT_NEARER = 7
@@ -106,22 +88,22 @@ moved against that of 0.1 by up to 0.38 and 1.13 of the prior sigma."""
 
 
 @click.command(short_help="Calibrate to the measurement at every position, in the room's mesh.")
-@takes(
+@console.takes(
     "ROOM",
     "MEASURED",
     "match",
     "exclude",
     "scattering",
     "paths",
-    choice(
+    console.choice(
         "scattering-model",
         ["random", "vector"],
         "Meaning of the coefficients, if not the room's; fitted with random alone.",
     ),
-    flag("keep-scattering", "Keep the room's scattering; by default it is fitted too."),
+    console.flag("keep-scattering", "Keep the room's scattering; by default it is fitted too."),
     "seed",
     "modes",
-    folder(
+    console.folder(
         "Folder for the calibrated room (room.toml), all numbers (result.json) and a plan (plan.png). "
         "Nothing is written without it."
     ),
@@ -162,41 +144,41 @@ def fit(
     if out is not None:
         read = [path for path in (room, measured, stated.scene.mesh, modes) if path is not None]
         spare([out / name for name in figures.POSITION_FILES], read)
-    data = read_measured(measured)
+    data = console.read_measured(measured)
     if stated.scattering is None and scattering is None and not keep_scattering:
         scattering = _START
-        if not is_quiet():
-            warn(
+        if not console.is_quiet():
+            console.warn(
                 f"{room} has no scattering: the fit starts at {_START:g} for every material and band; "
                 "--scattering gives another start"
             )
-    with without_air_warning():
-        prior = stated if modes is None else told_by_modes(stated, modes)
-        with errors_name_options("scattering", "n_paths"):
+    with console.without_air_warning():
+        prior = stated if modes is None else console.told_by_modes(stated, modes)
+        with console.errors_name_options("scattering", "n_paths"):
             tracer = geometry_files.path_tracing(
                 stated,
                 scattering=scattering,
                 scattering_model=scattering_model,
-                n_paths=paths or PATHS,
+                n_paths=paths or console.PATHS,
             )
-            with control_bar() as progress:
+            with console.control_bar() as progress:
                 result = calibrate_positions(
                     tracer,
                     prior,
                     data,
                     match or MATCH,
-                    exclude=pairs("--exclude", exclude),
+                    exclude=console.pairs("--exclude", exclude),
                     cache=Path(room).parent / FOLDER,
                     position_uncertainty=stated.scene.position_uncertainty,
                     fit_scattering=not keep_scattering,
                     seed=seed,
                     progress=progress,
                 )
-    if out is not None and (is_forced() or not result.refused):
+    if out is not None and (console.is_forced() or not result.refused):
         at = tracer.geometry, tracer.sources, tracer.receivers
         pictures = {figures.PLAN: lambda: figures.position_gaps(result, *at)}
         figures.write_folder(result, out, pictures)
-    tell(str(result), result.to_dict)
+    console.tell(str(result), result.to_dict)
     if result.refused:
         raise click.exceptions.Exit(NOT_NEARER)
 
@@ -205,7 +187,7 @@ LIBRARY_ROOM = "room.toml"
 
 
 @click.command(short_help="A library of materials from a folder of calibrated rooms.")
-@takes(
+@console.takes(
     "FOLDER",
     "as",
     click.option(
@@ -214,7 +196,9 @@ LIBRARY_ROOM = "room.toml"
         type=click.Path(),
         help="A room (TOML) that gets the library's coefficients: room.toml of --out.",
     ),
-    folder("Folder for the archive (result.json), and with --apply for the room (room.toml)."),
+    console.folder(
+        "Folder for the archive (result.json), and with --apply for the room (room.toml)."
+    ),
 )
 def learn(
     folder: str,
@@ -238,7 +222,7 @@ def learn(
     saved = [*map(str, Path(folder).rglob(NUMBERS))]
     if out is not None:
         spare([out / NUMBERS, out / LIBRARY_ROOM], [*saved, *([] if room is None else [room])])
-    called = texts("--as", entries, "MATERIAL=ENTRY")
+    called = console.texts("--as", entries, "MATERIAL=ENTRY")
     calibrated = archive.read_folder(folder)
     new = None if room is None else Room.from_file(room)
     of_room = {} if new is None else {m: e for m, e in called.items() if m in new.materials}
@@ -259,11 +243,11 @@ def learn(
             files[out / LIBRARY_ROOM] = applied.to_text(out).encode()
         make_folder(out)
         write_all(files)
-    tell(said, record)
+    console.tell(said, record)
 
 
 @click.command(short_help="The paper's stochastic study beside its numbers.")
-@takes(
+@console.takes(
     click.option(
         "--kind",
         "rooms",
@@ -282,7 +266,7 @@ def learn(
         show_default=True,
         help="Parameter of the Rayleigh distribution of sigma. The option may be repeated.",
     ),
-    choice(
+    console.choice(
         "sampling",
         ("sigma_r", "sigma_n"),
         "How far the input coefficients keep from 0 and 1. sigma_r: twice the Rayleigh parameter, "
@@ -290,16 +274,16 @@ def learn(
         "reads.",
         default="sigma_r",
     ),
-    whole("realisations", 1, "Rooms drawn.", default=10_000),
-    whole(
+    console.whole("realisations", 1, "Rooms drawn.", default=10_000),
+    console.whole(
         "trials",
         0,
         "Draws of the true coefficients per room; 0 for the analytic study only.",
         default=10_000,
     ),
     "seed",
-    whole("workers", 1, "Threads; default: all cores."),
-    folder("Folder for the tables (CSV) and figures (PNG)."),
+    console.whole("workers", 1, "Threads; default: all cores."),
+    console.folder("Folder for the tables (CSV) and figures (PNG)."),
 )
 def study(out: Path | None, **stated: Any) -> None:
     """Simulate random rooms and score every calibration method, beside the paper's tables.
@@ -312,9 +296,11 @@ def study(out: Path | None, **stated: Any) -> None:
 
     if out is not None:
         make_folder(out)
-    with errors_name_options("sigma_r"):
-        report = study_report.report(**stated, progress=bar_wanted(), with_files=out is not None)
+    with console.errors_name_options("sigma_r"):
+        report = study_report.report(
+            **stated, progress=console.bar_wanted(), with_files=out is not None
+        )
     if out is not None:
         write_all({out / name: content for name, content in report.files.items()})
     settings = ("sampling", "realisations", "trials", "seed")
-    tell(str(report), {**{k: stated[k] for k in settings}, "studies": report.records})
+    console.tell(str(report), {**{k: stated[k] for k in settings}, "studies": report.records})

@@ -7,26 +7,18 @@ from typing import Any
 
 import click
 
-from rtcal.command.console import (
-    folder,
-    read_measured,
-    read_room,
-    read_run,
-    takes,
-    tell,
-    without_air_warning,
-)
+from rtcal.command import console
 from rtcal.files.disk import make_folder, spare, write_all
 
 
 @click.command(short_help="Where your simulation and the measurement disagree.")
-@takes(
+@console.takes(
     "ROOM",
     "MEASURED",
     "simulated",
     "at",
     "equation",
-    folder("Folder for the page (report.html) and all numbers (result.json)."),
+    console.folder("Folder for the page (report.html) and all numbers (result.json)."),
 )
 def compare(
     room: str, measured: str, simulated: str | None, at: str | None, equation: Any, out: Path | None
@@ -45,12 +37,12 @@ def compare(
 
     files = {} if out is None else {name: out / name for name in (NUMBERS, PAGE)}
     spare([*files.values()], [path for path in (room, measured, simulated, at) if path is not None])
-    stated = read_room(room)
-    with without_air_warning():
-        run, data = read_run(stated, simulated, at), read_measured(measured)
+    stated = console.read_room(room)
+    with console.without_air_warning():
+        run, data = console.read_run(stated, simulated, at), console.read_measured(measured)
         found = compared(stated, data, run, equation=equation)
     if out is not None:
         make_folder(out)
         texts = (found.to_json(out), pages.page(found))
         write_all({path: text.encode() for path, text in zip(files.values(), texts, strict=True)})
-    tell(str(found), found.to_dict)
+    console.tell(str(found), found.to_dict)

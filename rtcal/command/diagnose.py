@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rtcal.command.console import heading_options, takes, tell
+from rtcal.command import console
 from rtcal.command.finder import kept_beside, searched, verified
 from rtcal.files.disk import make_folder, write_all
 from rtcal.support.errors import DataError
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.command(
     short_help="All at once: where a model is off, why, and what is left when it is mended."
 )
-@takes(
+@console.takes(
     click.argument("case", metavar="CASE|ROOM", type=click.Path()),
     "MEASURED?",
     "match",
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
         help="Folder for one page (report.html) with its figures, the calibrated room (room.toml, with "
         "its mesh and its lists of materials where there are any) and all numbers (result.json).",
     ),
-    heading_options,
+    console.heading_options,
 )
 def diagnose(heading: Heading, out: str | None, **options: Any) -> None:
     """Find what the model misses, verify it, add it and calibrate: one answer, one page.
@@ -72,4 +72,4 @@ def diagnose(heading: Heading, out: str | None, **options: Any) -> None:
         written = of_diagnosis.contents(result, target, heading)
         make_folder(target)
         write_all(written)
-    tell(str(result), result.to_dict)
+    console.tell(str(result), result.to_dict)

@@ -11,26 +11,7 @@ import click
 import numpy as np
 
 from rtcal.acoustics.observables import OBSERVABLES
-from rtcal.command.console import (
-    ARGUMENTS,
-    as_options,
-    bar_wanted,
-    choice,
-    errors_name_options,
-    file,
-    fit_ending,
-    flag,
-    folder,
-    heading_options,
-    is_quiet,
-    numbers,
-    said,
-    several,
-    takes,
-    tell,
-    texts,
-    warn,
-)
+from rtcal.command import console
 from rtcal.files import disk
 from rtcal.files.disk import make_folder, spare, write_all, write_text
 from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
@@ -46,14 +27,14 @@ _TABLES = (".csv", ".xlsx")
 PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 
 
-_OUT = file("out", "Measurement (CSV, xlsx) to write.")
+_OUT = console.file("out", "Measurement (CSV, xlsx) to write.")
 
 
 @click.command(short_help="Impulse responses (sound, SOFA) to T20, EDT, C80 and others.")
-@takes(
+@console.takes(
     click.argument("responses", type=click.Path(), nargs=-1, required=True),
     "bands",
-    several(
+    console.several(
         "minimum-range",
         "PARAMETER=DB",
         "Impulse-to-noise ratio in dB that a parameter needs, if not ISO 3382's: t30=38.",
@@ -64,13 +45,13 @@ _OUT = file("out", "Measurement (CSV, xlsx) to write.")
         metavar="N|receivers",
         help="In files of several channels: the one to read, or 'receivers' if each is a receiver.",
     ),
-    flag(
+    console.flag(
         "uncertainty",
         "Write the standard uncertainty of T20, T30, EDT, C50 and C80 too: per value that of one "
         "decay, in common what teams differ by.",
     ),
     "repeats",
-    file(
+    console.file(
         "positions",
         "File (TOML) to write: [sources] and [receivers] of one SOFA file, for the room's file.",
     ),
@@ -98,17 +79,17 @@ def measure(
     from rtcal.support.speed import bar
 
     spare([path for path in (out, positions) if path is not None], responses)
-    fit_ending("--out", out, *_TABLES)
+    console.fit_ending("--out", out, *_TABLES)
     scene = None if positions is None else _positions_text(responses)
     with (
-        errors_name_options("channels", "repeats"),
-        bar(len(responses), "response", bar_wanted(), said()) as shown,
+        console.errors_name_options("channels", "repeats"),
+        bar(len(responses), "response", console.bar_wanted(), console.said()) as shown,
     ):
         analysis = impulse_responses.read(
             responses,
             bands="octave" if bands is None else bands,
             channels=int(channels) if channels and channels.isdecimal() else channels,
-            minimum_range=numbers("--minimum-range", ranges, "PARAMETER=DB"),
+            minimum_range=console.numbers("--minimum-range", ranges, "PARAMETER=DB"),
             repeats=repeats,
             progress=lambda: shown.update(1),
         )
@@ -120,7 +101,7 @@ def measure(
             f"{out}: not written, since no parameter could be determined. {analysis.missing[0]} "
             "Without --out, all reasons are printed"
         )
-    if nothing and not is_quiet():
+    if nothing and not console.is_quiet():
         click.echo("rtcal: no parameter could be determined; the reasons are listed", err=True)
     if positions is not None and scene is not None:
         write_text(positions, scene)
@@ -129,8 +110,8 @@ def measure(
         "anything else"
         for error in in_measurement(analysis.measurement)
     ]
-    for sentence in () if is_quiet() else odd:
-        warn(sentence)
+    for sentence in () if console.is_quiet() else odd:
+        console.warn(sentence)
     notes = {
         "impulse_to_noise_ratio_db": analysis.impulse_to_noise_ratio,
         "minimum_range_db": analysis.minimum_range,
@@ -150,7 +131,7 @@ def _positions_text(responses: tuple[str, ...]) -> str:
 
 
 @click.command(short_help="A measuring system's table (CSV, xlsx, REW) to a measurement.")
-@takes(
+@console.takes(
     click.argument("paths", type=click.Path(), nargs=-1, required=True),
     click.option(
         "--decay-time",
@@ -162,7 +143,7 @@ def _positions_text(responses: tuple[str, ...]) -> str:
         type=click.Choice(tuple(OBSERVABLES), case_sensitive=False),
         help="The parameter of the values, if the table does not name it.",
     ),
-    several("where", "COLUMN=ENTRY", "Read only rows with this entry."),
+    console.several("where", "COLUMN=ENTRY", "Read only rows with this entry."),
     "columns",
     click.option(
         "--sources",
@@ -174,7 +155,7 @@ def _positions_text(responses: tuple[str, ...]) -> str:
         "--receivers", "n_receivers", type=click.IntRange(1), help="And over N receivers."
     ),
     "repeats",
-    several("sheets", "SHEET", "Read only this sheet of a workbook."),
+    console.several("sheets", "SHEET", "Read only this sheet of a workbook."),
     _OUT,
 )
 def table(paths: tuple[str, ...], where: tuple[str, ...], out: str | None, **stated: Any) -> None:
@@ -189,11 +170,11 @@ def table(paths: tuple[str, ...], where: tuple[str, ...], out: str | None, **sta
     from rtcal.io import tables
 
     spare([] if out is None else [out], paths)
-    fit_ending("--out", out, *_TABLES)
-    with errors_name_options(*ARGUMENTS):
-        entries = texts("--where", where, "NAME=ENTRY")
+    console.fit_ending("--out", out, *_TABLES)
+    with console.errors_name_options(*console.ARGUMENTS):
+        entries = console.texts("--where", where, "NAME=ENTRY")
         table_read = tables.read(paths, where=entries, **stated)
-    columns = tuple(as_options(line, ARGUMENTS) for line in table_read.columns)
+    columns = tuple(console.as_options(line, console.ARGUMENTS) for line in table_read.columns)
     table_read = replace(table_read, columns=columns)
     notes = {"columns": table_read.columns, "doubts": table_read.doubts}
     _write_and_tell(table_read, notes, out)
@@ -216,11 +197,11 @@ def _write_and_tell(
         "values": measurement.values,
         **notes,
     }
-    tell(str(analysis), record)
+    console.tell(str(analysis), record)
 
 
 @click.command(short_help="A calibrated room into a program's material list, changed or new.")
-@takes(
+@console.takes(
     click.argument("program", type=click.Choice(PROGRAMS)),
     "ROOM",
     "MATERIALS",
@@ -231,7 +212,7 @@ def _write_and_tell(
     ),
     "decimals",
     "as",
-    choice(
+    console.choice(
         "missing-bands",
         ("refuse", "nearest"),
         "If the room lacks a band of a new list (CATT, ODEON): refuse, or use the nearest band.",
@@ -265,10 +246,10 @@ def export(
         raise DataError(
             f"--missing-bands: a list of {program} has the room's bands, whatever they are"
         )
-    options["entries"] = texts("--as", entries, "MATERIAL=ENTRY")
+    options["entries"] = console.texts("--as", entries, "MATERIAL=ENTRY")
     if template is None:
         disk.may_replace(materials)  # its numbers are what is asked to be changed
-    with errors_name_options("missing_bands", "decimals"):
+    with console.errors_name_options("missing_bands", "decimals"):
         done = module.write(Room.from_file(room), materials, **options)
     record = {
         "new_list": done.template is None,
@@ -282,7 +263,7 @@ def export(
         "notes": done.notes,
         "not_in_file": done.lost,
     }
-    tell(str(done), record)
+    console.tell(str(done), record)
 
 
 _PURPOSES = {
@@ -310,9 +291,9 @@ _LIST = "\b\n" + "\n".join(f"    {name:16s}{text}" for name, text in _PURPOSES.i
     Example: rtcal example room --out my-room
     """,
 )
-@takes(
+@console.takes(
     click.argument("name", type=click.Choice(tuple(_PURPOSES))),
-    folder("Folder to write; NAME if not given."),
+    console.folder("Folder to write; NAME if not given."),
 )
 def example(name: str, out: Path | None) -> None:
     """Write the files of a small project, and print the commands that use them."""
@@ -328,21 +309,21 @@ def example(name: str, out: Path | None) -> None:
     write_all(targets)
     commands = [f"cd {shlex.quote(str(into))}", *project.commands]
     lines = ["\nNext:", *(line for command in commands for line in shell(command, "  "))]
-    tell("", {"commands": list(project.commands)}, "\n".join(lines))
+    console.tell("", {"commands": list(project.commands)}, "\n".join(lines))
 
 
 _FIGURES = 3
 
 
 @click.command(short_help="Write a saved result as one HTML page.")
-@takes(
+@console.takes(
     "RESULT",
-    file(
+    console.file(
         "out",
         "Page (HTML) to write, by default report.html beside the result; or, as tables.xlsx, a "
         "workbook of all its tables.",
     ),
-    heading_options,
+    console.heading_options,
 )
 def report(result: str, out: str | None, heading: Heading) -> None:
     """Write RESULT as one HTML page: summary, doubts, tables, figures; or its tables as a workbook.
@@ -368,12 +349,12 @@ def report(result: str, out: str | None, heading: Heading) -> None:
     kept = [beside / name for name in figures.FILES if (beside / name).exists()]
     target = Path(out) if out is not None else beside / "report.html"
     spare([target], [result, *kept])
-    fit_ending("--out", out, ".html", ".htm", workbook.ENDING)
+    console.fit_ending("--out", out, ".html", ".htm", workbook.ENDING)
     if target.suffix.lower() == workbook.ENDING:
         pages.write_workbook(result, target)
-        tell("", {})
+        console.tell("", {})
         return
-    with bar(_FIGURES, "figure", bar_wanted(), said()) as shown:
+    with bar(_FIGURES, "figure", console.bar_wanted(), console.said()) as shown:
         text = pages.page_of(result, heading=heading, progress=lambda: shown.update(1))
     write_text(target, text)
-    tell("", {"bytes": len(text.encode())})
+    console.tell("", {"bytes": len(text.encode())})

@@ -16,22 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rtcal.command.console import (
-    bar_wanted,
-    choice,
-    errors_name_options,
-    file,
-    heading_options,
-    numbers,
-    pairs,
-    read_measured,
-    read_room,
-    read_run,
-    said,
-    several,
-    takes,
-    tell,
-)
+from rtcal.command import console
 from rtcal.files.disk import command, make_folder, replace_file, spare, write_all
 from rtcal.files.saved import CannotBeSavedError, Result, load, plain
 from rtcal.support import __version__
@@ -91,18 +76,18 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
         case = Case.from_file(path)
         spare(targets, files_of(options))
         return case
-    room = read_room(path)
+    room = console.read_room(path)
     read = [*files_of(options), *([] if room.scene.mesh is None else [room.scene.mesh])]
     spare(targets, read)
-    measured = read_measured(options["measured"], quietly=before is not None)
+    measured = console.read_measured(options["measured"], quietly=before is not None)
     at_positions = bool(room.scene.sources) and not measured.is_summary
     more: dict[str, Any] = {}
     if before is not None:
-        more["before"] = read_measured(before, quietly=True)
+        more["before"] = console.read_measured(before, quietly=True)
         at_positions = at_positions and not more["before"].is_summary
         others = [n for n in (*_OF_POSITIONS, *_OF_MEANS, *_OF_RUN) if n != "scattering"]
         refuse(stated(options, *others), " is not of what changed between two states")
-    run = read_run(room, options.get("simulated"), options.get("at"))
+    run = console.read_run(room, options.get("simulated"), options.get("at"))
     if not at_positions:
         refuse(stated(options, *_OF_POSITIONS), _NEEDS_POSITIONS)
         if before is None:
@@ -111,12 +96,12 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
     refuse(stated(options, *_OF_MEANS), ": with a geometry there is no such option")
     if before is None:
         more |= stated(options, "match") | {
-            "exclude": pairs("--exclude", options.get("exclude", ()))
+            "exclude": console.pairs("--exclude", options.get("exclude", ()))
         }
         more["simulated"] = run
     tracing = {"paths": "n_paths", "scattering": "scattering"}
     more["tracing"] = {tracing[k]: v for k, v in stated(options, *tracing).items()}
-    with errors_name_options("scattering", "match", "exclude"):
+    with console.errors_name_options("scattering", "match", "exclude"):
         return case_of(room, measured, **more)
 
 
@@ -131,7 +116,9 @@ def searched(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) -> 
     chosen = {name: options[name] for name in ("seed", "without", "only")}
     if isinstance(case, Case):
         chosen["most"] = options["most"]
-        chosen["prior"] = numbers("--prior", options["prior"], "EFFECT=ODDS, such as opening=2")
+        chosen["prior"] = console.numbers(
+            "--prior", options["prior"], "EFFECT=ODDS, such as opening=2"
+        )
     cache = kept_beside(options["case"])
 
     def find() -> Any:
@@ -181,7 +168,7 @@ def refuse(stated: Mapping[str, object], why: str) -> None:
 def _progress(unit: str) -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar for each step of a computation."""
     begun: list[str] = []
-    with bar(0, unit, bar_wanted(), said()) as shown:
+    with bar(0, unit, console.bar_wanted(), console.said()) as shown:
 
         def progress(step: str, done: int, total: int) -> None:
             if step not in begun:
@@ -242,13 +229,13 @@ def verified(finding: Any, cache: Path) -> Any:
 
 
 @click.command(short_help="Find what a model misses.")
-@takes(
+@console.takes(
     click.argument("case", metavar="CASE|ROOM", type=click.Path()),
     "MEASURED?",
     "before",
     "simulated",
     "at",
-    choice(
+    console.choice(
         "program",
         ("geometrical",),
         "What made the run: a program that traces rays or image sources computes no equation, and the "
@@ -259,13 +246,13 @@ def verified(finding: Any, cache: Path) -> Any:
     "exclude",
     "scattering",
     "paths",
-    several("without", "EFFECT", "Do not try this effect."),
-    several(
+    console.several("without", "EFFECT", "Do not try this effect."),
+    console.several(
         "only",
         "EFFECT",
         "Try this effect, and beside it what no effect explains; at positions alone.",
     ),
-    several(
+    console.several(
         "prior",
         "EFFECT=ODDS",
         "Prior odds of an effect, of none or of coefficients: opening=2.",
@@ -284,7 +271,7 @@ def verified(finding: Any, cache: Path) -> Any:
         help="Folder for page (report.html), figures (PNG) and the finding (result.json), which is "
         "then verified, too; or a file that ends in .json, for the finding alone.",
     ),
-    heading_options,
+    console.heading_options,
 )
 def find(heading: Heading, out: str | None, **options: Any) -> None:
     """Print whether the model misses something, where it shows, and what it is.
@@ -320,7 +307,7 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
         finding = searched(options, [] if target is None else [target])
         if target is not None:
             finding.save(target)
-        tell(str(finding), finding.to_dict)
+        console.tell(str(finding), finding.to_dict)
         return
     finding = searched(options, [target / name for name in of_finding.WRITTEN])
     verification = (
@@ -331,7 +318,7 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     record = finding.to_dict()
     if verification is not None:
         record["verification"] = verification.to_dict()
-    tell("\n".join(lines(blocks(finding, verification))), record)
+    console.tell("\n".join(lines(blocks(finding, verification))), record)
 
 
 _EFFECT = click.option(
@@ -342,16 +329,16 @@ _EFFECT = click.option(
 
 
 @click.command(short_help="Compare the deviations with and without what was found.")
-@takes(
+@console.takes(
     "FOUND",
     "simulated",
-    file(
+    console.file(
         "calibrated",
         "With --simulated, what the program gave of the model calibrated without the correction.",
     ),
     _EFFECT,
     "before",
-    file(
+    console.file(
         "after",
         "Of two states, with --before: the same after the change, at pairs that the finding "
         "predicts.",
@@ -388,13 +375,18 @@ def verify(
             raise DataError("--before and --after are of a finding of two states")
         if before is None or after is None:
             raise DataError("--before and --after belong together: the same pairs in both states")
-        measured: Any = {"before": read_measured(before), "after": read_measured(after)}
+        measured: Any = {
+            "before": console.read_measured(before),
+            "after": console.read_measured(after),
+        }
         verification = finder.verify(finding, **measured)
     runs = {"simulated": simulated, "calibrated": calibrated}
-    some: dict[str, Any] = {n: read_measured(path) for n, path in runs.items() if path is not None}
+    some: dict[str, Any] = {
+        n: console.read_measured(path) for n, path in runs.items() if path is not None
+    }
     some |= {} if effect is None else {"effect": effect}
     if some:
-        with errors_name_options(*runs, "effect"):
+        with console.errors_name_options(*runs, "effect"):
             verification = finder.verify(finding, **some)
     if verification is None:
         why, nothing = finding.refusal, ""
@@ -403,17 +395,19 @@ def verify(
             nothing = f"Not verified. {of_finding.chosen(finding, found) or together}"
         if why is not None or nothing:
             nothing = nothing or str(why)
-            tell(nothing, {"verdict": None, "sentence": nothing, "finding": finding.to_dict()})
+            console.tell(
+                nothing, {"verdict": None, "sentence": nothing, "finding": finding.to_dict()}
+            )
             return
         verification = verified(finding, kept_beside(found))
-    tell(str(verification), verification.to_dict)
+    console.tell(str(verification), verification.to_dict)
 
 
 @click.command(short_help="Add what was found to the model.")
-@takes(
+@console.takes(
     "FOUND",
     click.option("--out", type=click.Path(), required=True, help="Folder for the files."),
-    choice(
+    console.choice(
         "form",
         ("patch", "material"),
         "With a geometry: a patch on the surface (default), or the whole surface.",
@@ -461,18 +455,18 @@ def apply(found: str, out: str, **options: Any) -> None:
     if target.is_file() or target.suffix in _ENDINGS:
         what = "is a file" if target.is_file() else "has the ending of a file"
         raise DataError(f"--out {out} {what}; it is a folder: --out {target.with_suffix('')}")
-    with errors_name_options("effect", "at", "form"):
+    with console.errors_name_options("effect", "at", "form"):
         said, record, files = of_finding.correct(finding, target, verification, **options)
     if files:
         make_folder(target)
     write_all(files)
-    tell(said, record)
+    console.tell(said, record)
     if not files:
         raise click.exceptions.Exit(NOTHING_TO_ADD)
 
 
 @click.command(short_help="Which effects the data could distinguish; what to measure next.")
-@takes(
+@console.takes(
     click.argument("case", metavar="CASE|FOUND", type=click.Path()),
     click.option(
         "--relative-change",
@@ -487,7 +481,9 @@ def apply(found: str, out: str, **options: Any) -> None:
         type=click.Path(dir_okay=False),
         help="With FOUND: a case whose configurations without measurements could be measured next.",
     ),
-    several("cost", "MEASUREMENT=HOURS", "Hours of a further measurement, such as G=0.5.", "costs"),
+    console.several(
+        "cost", "MEASUREMENT=HOURS", "Hours of a further measurement, such as G=0.5.", "costs"
+    ),
     writes=False,
 )
 def plan(case: str, change: float | None, further: str | None, costs: tuple[str, ...]) -> None:
@@ -531,10 +527,10 @@ def plan(case: str, change: float | None, further: str | None, costs: tuple[str,
         read,
         change=CHANGE if change is None else change,
         finding=finding,
-        costs=numbers("--cost", costs, "MEASUREMENT=HOURS, such as G=0.5"),
+        costs=console.numbers("--cost", costs, "MEASUREMENT=HOURS, such as G=0.5"),
         planned=planned,
     )
-    tell(str(result), result.to_dict)
+    console.tell(str(result), result.to_dict)
 
 
 def _further_places(finding: Any) -> tuple[Place, ...]:
@@ -579,7 +575,7 @@ def _tell_places(finding: Finding) -> None:
         "places": [{**vars(place), "point": list(place.point)} for place in places],
         "finding": finding.to_dict(),
     }
-    tell("\n".join(lines(said)), record)
+    console.tell("\n".join(lines(said)), record)
 
 
 def _place(stated: str | None) -> tuple[float, ...] | None:

@@ -13,20 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rtcal.command.console import (
-    as_options,
-    errors_name_options,
-    file,
-    fit_ending,
-    flag,
-    numbers,
-    option,
-    said,
-    several,
-    takes,
-    tell,
-    texts,
-)
+from rtcal.command import console
 from rtcal.command.files import PROGRAMS
 from rtcal.files.disk import commit, spare
 from rtcal.support.errors import DataError, MissingDependencyError
@@ -44,46 +31,48 @@ _LEAST_UNCERTAINTY = 1e-3
 _MOST_UNCERTAINTY = 0.99
 """That of an area which may be missing: a room states less than 1."""
 _MESH = (
-    option("unit", float, "The mesh's unit in m; by default what the file states, else 1."),
-    option("space", None, "Space of a building model (IFC), if it has several."),
-    option(
+    console.option("unit", float, "The mesh's unit in m; by default what the file states, else 1."),
+    console.option("space", None, "Space of a building model (IFC), if it has several."),
+    console.option(
         "weld",
         float,
         "In a mesh that does not close: distance in m within which corners are one.",
         default=0.01,
     ),
-    option(
+    console.option(
         "hole",
         float,
         "Largest area in m² of a hole that is closed; by default 1 % of the walls.",
         "largest_hole",
     ),
-    flag(
+    console.flag(
         "open",
         "Take a mesh that cannot be closed as it is drawn: V by rays with its uncertainty, no mesh for "
         "tracers.",
         "as_drawn",
     ),
-    file("mended", "Mended mesh (OBJ) to write."),
-    file("picture", "Picture (PNG) of the mesh to write."),
+    console.file("mended", "Mended mesh (OBJ) to write."),
+    console.file("picture", "Picture (PNG) of the mesh to write."),
 )
 """Options of how a mesh is read and mended."""
 _ROOM = (
-    option(
+    console.option(
         "mesh",
         click.Path(),
         "Mesh (OBJ, glTF, COLLADA, DXF, PLY, STL, 3MF, IFC), for areas and volume.",
     ),
     *_MESH,
-    option("name", None, "The room's name; by default that of the list, the mesh or --out."),
-    option("volume", float, "The room's volume in m³, without a mesh."),
-    several(
+    console.option(
+        "name", None, "The room's name; by default that of the list, the mesh or --out."
+    ),
+    console.option("volume", float, "The room's volume in m³, without a mesh."),
+    console.several(
         "area",
         "MATERIAL=M2",
         "Area of a material in m², without a mesh; one option per material.",
         "areas",
     ),
-    several(
+    console.several(
         "catalogue",
         "MATERIAL=ENTRY",
         "Take a material from the catalogue (Vorländer 2008).",
@@ -91,25 +80,27 @@ _ROOM = (
     ),
     "as",
     "bands",
-    option("temperature", float, "Temperature of the air in °C (20 with --humidity alone)."),
-    option("humidity", float, "Relative humidity in % (50 with --temperature alone)."),
-    option(
+    console.option(
+        "temperature", float, "Temperature of the air in °C (20 with --humidity alone)."
+    ),
+    console.option("humidity", float, "Relative humidity in % (50 with --temperature alone)."),
+    console.option(
         "sigma",
         click.Path(),
         "Table of sigma (CSV): material,sigma or one column per band.",
         "sigma_table",
     ),
-    option("sigma-relative", float, "sigma as a share of alpha.", "relative", default=0.3),
-    option("sigma-minimum", float, "Smallest sigma.", "minimum", default=0.01),
-    flag("iso-12999-2", "Use at least the sigma between laboratories."),
-    option(
+    console.option("sigma-relative", float, "sigma as a share of alpha.", "relative", default=0.3),
+    console.option("sigma-minimum", float, "Smallest sigma.", "minimum", default=0.01),
+    console.flag("iso-12999-2", "Use at least the sigma between laboratories."),
+    console.option(
         "in-situ-factor",
         float,
         "Factor on every sigma, such as 2 where specimens were mounted otherwise.",
         default=1.0,
     ),
     "scattering",
-    file("out", "Room (TOML) to write.", required=True),
+    console.file("out", "Room (TOML) to write.", required=True),
 )
 """Options of a room that is made of a list of materials."""
 
@@ -123,7 +114,7 @@ def import_room() -> None:
 
 
 @import_room.command(short_help="V, S and the defects of a mesh.")
-@takes(click.argument("mesh", type=click.Path()), *_MESH)
+@console.takes(click.argument("mesh", type=click.Path()), *_MESH)
 def check(
     mesh: str, as_drawn: bool, mended: str | None, picture: str | None, **options: Any
 ) -> None:
@@ -133,12 +124,12 @@ def check(
 
     Example: rtcal import check hall.glb --picture hall.png
     """
-    fit_ending("--mended", mended, ".obj")
+    console.fit_ending("--mended", mended, ".obj")
     spare([path for path in (mended, picture) if path is not None], [mesh])
     done = _read(mesh, as_drawn, picture, options)
     if mended is not None:
         _closed(done).save(mended)
-    notes = [as_options(note, ["unit"]) for note in done.notes]
+    notes = [console.as_options(note, ["unit"]) for note in done.notes]
     record = {
         "volume": done.volume,
         "volume_uncertainty": done.volume_uncertainty,
@@ -148,7 +139,7 @@ def check(
         "defects": [asdict(defect) for defect in done.defects],
         "notes": notes,
     }
-    tell("\n".join([*notes, str(done)]), record)
+    console.tell("\n".join([*notes, str(done)]), record)
 
 
 def _imported(
@@ -181,11 +172,11 @@ def _imported(
 
     written = [path for path in (out, mended, picture) if path is not None]
     spare(written, [path for path in (materials, mesh, sigma_table) if path is not None])
-    fit_ending("--out", out, ".toml")
-    fit_ending("--mended", mended, ".obj")
+    console.fit_ending("--out", out, ".toml")
+    console.fit_ending("--mended", mended, ".obj")
     options = {key: stated.pop(key) for key in ("unit", "space", "weld", "largest_hole")}
     of_library = {} if columns is None else {"columns": columns}
-    with errors_name_options("columns"):
+    with console.errors_name_options("columns"):
         listed: MaterialList = (
             catalogue.material_list()
             if materials is None
@@ -194,8 +185,8 @@ def _imported(
     model = None if mesh is None else _read(mesh, as_drawn, picture, options)
     volume, surfaces = _volume_and_surfaces(model, as_drawn, volume, areas, listed.names)
     used = list(dict.fromkeys(surface.material for surface in surfaces))
-    chosen = texts("--catalogue", in_catalogue, "NAME=ENTRY")
-    renamed = texts("--as", entries, "MATERIAL=ENTRY")
+    chosen = console.texts("--catalogue", in_catalogue, "NAME=ENTRY")
+    renamed = console.texts("--as", entries, "MATERIAL=ENTRY")
     if both := [name for name in renamed if name in chosen]:
         raise DataError(f'"{both[0]}" is in --as and in --catalogue; give one of them')
     place = "--area" if mesh is None else mesh
@@ -248,7 +239,7 @@ def _add_import(program: str) -> None:
     materials = () if program == "catalogue" else ("MATERIALS",)
     example = "" if program == "catalogue" else f" {_EXAMPLES.get(program, 'materials')}"
 
-    @takes(*materials, *(("columns",) if program == "library" else ()), *_ROOM)
+    @console.takes(*materials, *(("columns",) if program == "library" else ()), *_ROOM)
     def command(**stated: Any) -> None:
         _imported(program, **stated)
 
@@ -287,7 +278,10 @@ def _read(mesh: str, as_drawn: bool, picture: str | None, options: Any) -> Mende
     from rtcal.io.mend import MeshError
     from rtcal.report import figures
 
-    with errors_name_options("unit", "weld"), bar(1, "step", False, said()) as shown:
+    with (
+        console.errors_name_options("unit", "weld"),
+        bar(1, "step", False, console.said()) as shown,
+    ):
         shown.set_description(f"mending of {mesh}")
         try:
             done = meshes.room(mesh, **options)
@@ -347,7 +341,7 @@ def _volume_and_surfaces(
             "how large is the room? Give --mesh room.obj, or --volume M3 and --area MATERIAL=M2 for "
             f"each material in it. The list has: {shortened(', '.join(names), 200)}"
         )
-    stated = numbers("--area", areas, "NAME=M2")
+    stated = console.numbers("--area", areas, "NAME=M2")
     return volume, [Surface(name, name, area) for name, area in stated.items()]
 
 
@@ -375,7 +369,7 @@ def _with_scene(
 
 def _with_uncertainty(room: Room, model: Mended) -> tuple[Room, list[str]]:
     """Return the room with what a mesh leaves open of its volume and areas, and the notes on it."""
-    read = [as_options(note, ["unit"]) for note in model.notes]
+    read = [console.as_options(note, ["unit"]) for note in model.notes]
     notes = [f"mesh: {note}" for note in (*read, *map(str, model.defects))]
     if model.volume_uncertainty > _LEAST_UNCERTAINTY * room.volume:
         sigma = float(f"{model.volume_uncertainty / room.volume:.2g}")
@@ -503,4 +497,4 @@ def _tell(room: Room, unused: list[str], notes: list[str], scattering: dict[str,
         "notes": notes,
         "left_out": unused,
     }
-    tell("\n".join(rows), record)
+    console.tell("\n".join(rows), record)

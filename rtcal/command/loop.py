@@ -8,27 +8,15 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from rtcal.command.console import (
-    choice,
-    file,
-    flag,
-    numbers,
-    read_measured,
-    read_room,
-    read_run,
-    several,
-    takes,
-    tell,
-    told_by_modes,
-)
+from rtcal.command import console
 from rtcal.files.disk import spare
 
 if TYPE_CHECKING:
     from rtcal.loop import closed
 
-_STATE = file("state", "File of the loop's state (JSON).", required=True)
-_OUT = file("out", "Room to simulate next (TOML) to write.", required=True)
-_AGAIN = flag(
+_STATE = console.file("state", "File of the loop's state (JSON).", required=True)
+_OUT = console.file("out", "Room to simulate next (TOML) to write.", required=True)
+_AGAIN = console.flag(
     "again", "Accept a table that is likely the wrong one, such as that of an earlier step."
 )
 
@@ -39,20 +27,20 @@ def loop() -> None:
 
 
 @loop.command(short_help="Begin: write what to simulate first.")
-@takes(
+@console.takes(
     "ROOM",
     "MEASURED",
     _STATE,
     _OUT,
     "method",
     "equation",
-    choice(
+    console.choice(
         "rule",
         ("secant", "safeguarded"),
         "How the loop chooses the next target; see docs/closed_loop.md.",
         default="safeguarded",
     ),
-    several(
+    console.several(
         "weight",
         "PARAMETER=NUMBER",
         "Match the mean of T20 and EDT with these weights: --weight t20=1 --weight edt=0.5.",
@@ -94,10 +82,10 @@ def start(
     read = [path for path in (room, measured, modes, simulated, at) if path is not None]
     spare([state, out], read)
     closed.refuse_progress(state)
-    prior, data = read_room(room), read_measured(measured)
-    weighted = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
-    known = prior if modes is None else told_by_modes(prior, modes)
-    run = read_run(prior, simulated, at)
+    prior, data = console.read_room(room), console.read_measured(measured)
+    weighted = console.numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
+    known = prior if modes is None else console.told_by_modes(prior, modes)
+    run = console.read_run(prior, simulated, at)
     begun = closed.start(known, data, weights=weighted or None, run=run, **stated)
     if simulated is not None and not again:
         closed.refuse_doubtful(replace(begun, steps=()), begun.steps[0], simulated)
@@ -122,7 +110,7 @@ def start(
         *([] if begun.low is None else text.wrapped(begun.low.loop_note)),
         closed.write(begun, state, out),
     ]
-    tell("\n".join(lines), record)
+    console.tell("\n".join(lines), record)
 
 
 def _first(begun: closed.Loop, simulated: str) -> str:
@@ -132,7 +120,7 @@ def _first(begun: closed.Loop, simulated: str) -> str:
 
 
 @loop.command(name="next", short_help="Go on: read what was simulated.")
-@takes(
+@console.takes(
     "ROOM",
     "SIMULATED",
     _STATE,
@@ -154,13 +142,15 @@ def next_(room: str, simulated: str, state: str, out: str, again: bool) -> None:
 
     spare([state, out], [room, simulated])
     before = closed.Loop.load(state, Room.from_file(room))
-    after = closed.record(before, read_measured(simulated), simulated, state, out, again=again)
+    after = closed.record(
+        before, console.read_measured(simulated), simulated, state, out, again=again
+    )
     end = closed.write(after, state, out)
-    tell(f"{after}\n{end}", {"state": state, "simulate": out, **after.to_dict()})
+    console.tell(f"{after}\n{end}", {"state": state, "simulate": out, **after.to_dict()})
 
 
 @loop.command(short_help="Take the last step back.")
-@takes("ROOM", _STATE, _OUT)
+@console.takes("ROOM", _STATE, _OUT)
 def back(room: str, state: str, out: str) -> None:
     """Forget the table that `next` read last, and write the room to simulate in its place.
 
@@ -175,4 +165,4 @@ def back(room: str, state: str, out: str) -> None:
     before = closed.Loop.load(state, Room.from_file(room)).back()
     n = len(before.steps)
     said = f"{state} now holds {n} simulation{'s' * (n != 1)}. {closed.write(before, state, out)}"
-    tell(said, {"simulations": n, "state": state, "simulate": out})
+    console.tell(said, {"simulations": n, "state": state, "simulate": out})

@@ -9,17 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.command.console import (
-    control_bar,
-    folder,
-    is_quiet,
-    read_measured,
-    read_room,
-    takes,
-    tell,
-    warn,
-    without_air_warning,
-)
+from rtcal.command import console
 from rtcal.files.disk import read_text
 from rtcal.files.schema import expecting
 from rtcal.support.errors import DataError
@@ -42,7 +32,7 @@ _KNOWN = (
         help="A further measured state: the same room with other areas. It narrows the interval most.",
     ),
     "equation",
-    folder("Folder for all numbers (result.json), of which `rtcal report` makes a page."),
+    console.folder("Folder for all numbers (result.json), of which `rtcal report` makes a page."),
 )
 """Options of measured states, of the equation, and of what is done with the result."""
 
@@ -51,7 +41,7 @@ def told(found: Result, out: Path | None) -> None:
     """Write a result's file where asked for, and print the result."""
     if out is not None:
         found.save(out)
-    tell(str(found), found.to_dict)
+    console.tell(str(found), found.to_dict)
 
 
 def read_changes(path: str, kind: str, read: Callable[[str], Any]) -> Any:
@@ -61,7 +51,7 @@ def read_changes(path: str, kind: str, read: Callable[[str], Any]) -> Any:
 
 
 @click.command(short_help="Predict T after changes of a room, and how sure that is.")
-@takes(
+@console.takes(
     "ROOM",
     "MEASURED?",
     click.option(
@@ -98,7 +88,7 @@ def predict(
 
     # What the file of variants states is checked before anything is calibrated.
     known = saved(room, measured, also)
-    before = read_room(room) if known is None else getattr(known, "prior", None)
+    before = console.read_room(room) if known is None else getattr(known, "prior", None)
     if before is None:
         raise DataError(f"{room} is no folder of `rtcal calibrate` or `rtcal fit`")
     variants, target = read_changes(
@@ -112,15 +102,17 @@ def predict(
         if known is None:
             told(predict_variants(before, variants, equation=equation, target=target), out)
             return
-        if before.scene.sources and not is_quiet():
-            warn("T is predicted by an equation; the folder of `rtcal fit` predicts every position")
+        if before.scene.sources and not console.is_quiet():
+            console.warn(
+                "T is predicted by an equation; the folder of `rtcal fit` predicts every position"
+            )
         told(predict_variants(known, variants, target=target), out)
         return
     if target is not None:
         raise DataError(
             f"{change}: a target is one of T by an equation, and {room} is of `rtcal fit`"
         )
-    with control_bar() as progress:
+    with console.control_bar() as progress:
         at_positions = predict_positions(
             known,
             variants,
@@ -154,12 +146,15 @@ def calibrated(
 
     if measured is None:
         raise DataError("MEASURED is missing: T of the room before the change")
-    rooms = [room, *(read_room(path) for path, _ in also)]
-    times = [read_measured(path, quietly=True) for path in (measured, *(path for _, path in also))]
+    rooms = [room, *(console.read_room(path) for path, _ in also)]
+    times = [
+        console.read_measured(path, quietly=True)
+        for path in (measured, *(path for _, path in also))
+    ]
     for state, heard in zip(rooms, times, strict=True):
         tell_data(state, heard)
     if not also:
-        with without_air_warning():
+        with console.without_air_warning():
             return calibrate(rooms[0], times[0], equation=equation)
     given = [
         (times_in_room(state, heard).fingerprint, state.areas.tolist())
@@ -174,13 +169,13 @@ def calibrated(
     names = [
         f"{name} ({i})" if every.count(name) > 1 else name for i, name in enumerate(every, start=1)
     ]
-    with without_air_warning():
+    with console.without_air_warning():
         joint = calibrate(Configurations(rooms, names), times, method="joint", equation=equation)
     return joint.results[0]
 
 
 @click.command(short_help="Find the cheapest treatments with which T meets a target.")
-@takes(
+@console.takes(
     "ROOM",
     "MEASURED?",
     click.option(
@@ -215,7 +210,7 @@ def design(
     from rtcal.prediction.designed import design as cheapest
 
     result = saved(room, measured, also)
-    result = result or calibrated(read_room(room), measured, also, equation)
+    result = result or calibrated(console.read_room(room), measured, also, equation)
     if not isinstance(result, CalibrationResult):
         raise DataError(f"{room} is no folder of `rtcal calibrate`")
     stated, target, in_file = read_changes(
