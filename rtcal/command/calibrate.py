@@ -174,7 +174,7 @@ def fit(
                     seed=seed,
                     progress=progress,
                 )
-    if out is not None and (console.is_forced() or not result.refused):
+    if out is not None and (console.has("force") or not result.refused):
         at = tracer.geometry, tracer.sources, tracer.receivers
         pictures = {figures.PLAN: lambda: figures.position_gaps(result, *at)}
         figures.write_folder(result, out, pictures)
@@ -190,11 +190,11 @@ LIBRARY_ROOM = "room.toml"
 @console.takes(
     "FOLDER",
     "as",
-    click.option(
-        "--apply",
+    console.option(
+        "apply",
+        click.Path(),
+        "A room (TOML) that gets the library's coefficients: room.toml of --out.",
         "room",
-        type=click.Path(),
-        help="A room (TOML) that gets the library's coefficients: room.toml of --out.",
     ),
     console.folder(
         "Folder for the archive (result.json), and with --apply for the room (room.toml)."
@@ -248,23 +248,21 @@ def learn(
 
 @click.command(short_help="The paper's stochastic study beside its numbers.")
 @console.takes(
-    click.option(
-        "--kind",
+    console.option(
+        "kind",
+        click.Choice(("shoebox", "lecture-hall", "halls")),
+        "shoebox: Tables 1 and 2. lecture-hall: Table 3, with a stand-in, since the paper does "
+        "not state the areas. halls: five random halls, analytic. The option may be repeated.",
         "rooms",
-        type=click.Choice(("shoebox", "lecture-hall", "halls")),
         multiple=True,
         default=("shoebox",),
-        show_default=True,
-        help="shoebox: Tables 1 and 2. lecture-hall: Table 3, with a stand-in, since the paper does "
-        "not state the areas. halls: five random halls, analytic. The option may be repeated.",
     ),
-    click.option(
-        "--sigma-r",
+    console.option(
+        "sigma-r",
+        float,
+        "Parameter of the Rayleigh distribution of sigma. The option may be repeated.",
         multiple=True,
-        type=float,
         default=(0.01, 0.05, 0.1),
-        show_default=True,
-        help="Parameter of the Rayleigh distribution of sigma. The option may be repeated.",
     ),
     console.choice(
         "sampling",

@@ -204,33 +204,22 @@ def told_by_modes(
         return calibrate_modes(room, modes, measured, equation=equation)
 
 
-def _kept(context: click.Context, parameter: click.Parameter, value: bool) -> bool:
-    """Keep a flag with the call of the command, from which what prints asks for it."""
+def _kept(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    """Keep a flag with the call of the command, for `has`; --force lets it replace foreign files."""
     context.meta[f"rtcal.{parameter.name}"] = value
-    return value
+    if value and parameter.name == "force":
+        disk.may_replace()
 
 
-def _flag(name: str) -> bool:
-    """Return a flag that is kept with the running command; False outside a command."""
+def has(name: str) -> bool:
+    """Return whether the running command was called with a flag that all have; False outside one."""
     context = click.get_current_context(silent=True)
     return context is not None and bool(context.meta.get(f"rtcal.{name}"))
 
 
 def is_quiet() -> bool:
     """Return whether the running command was called with ``--quiet``."""
-    return _flag("quiet")
-
-
-def _force(context: click.Context, parameter: click.Parameter, value: bool) -> None:
-    """Let the command replace files that rtcal did not write, and write what it advises against."""
-    if value:
-        context.meta["rtcal.force"] = True
-        disk.may_replace()
-
-
-def is_forced() -> bool:
-    """Return whether the running command was called with ``--force``."""
-    return _flag("force")
+    return has("quiet")
 
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -290,7 +279,7 @@ OPTIONS: dict[str, Decorator] = {
         "Replace files of these names that rtcal did not write, or that were changed since.",
         expose_value=False,
         is_eager=True,
-        callback=_force,
+        callback=_kept,
     ),
     "method": choice(
         "method",
@@ -442,7 +431,7 @@ def tell(
     names. Raises CannotPrint where the output is closed or full.
     """
     made = disk.commit()
-    as_json = _flag("as_json")
+    as_json = has("as_json")
     if is_quiet() and not as_json:
         return
     if sys.stdout is None:

@@ -11,7 +11,6 @@ import click
 from rtcal.command import console
 from rtcal.command.finder import kept_beside, searched, verified
 from rtcal.files.disk import make_folder, write_all
-from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
     from rtcal.report.document import Heading
@@ -28,15 +27,13 @@ if TYPE_CHECKING:
     "scattering",
     "paths",
     "seed",
-    click.option(
-        "--out",
-        type=click.Path(file_okay=False),
-        help="Folder for one page (report.html) with its figures, the calibrated room (room.toml, with "
-        "its mesh and its lists of materials where there are any) and all numbers (result.json).",
+    console.folder(
+        "Folder for one page (report.html) with its figures, the calibrated room (room.toml, with "
+        "its mesh and its lists of materials where there are any) and all numbers (result.json)."
     ),
     console.heading_options,
 )
-def diagnose(heading: Heading, out: str | None, **options: Any) -> None:
+def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
     """Find what the model misses, verify it, add it and calibrate: one answer, one page.
 
     It stands for `rtcal find`, `verify`, `apply` and `fit`, with their defaults, and prints them. What
@@ -49,9 +46,6 @@ def diagnose(heading: Heading, out: str | None, **options: Any) -> None:
     from rtcal.finder.diagnosis import diagnosis
     from rtcal.report import of_diagnosis, of_finding
 
-    if out == "":
-        raise DataError("--out is empty; it is a folder")
-    target = None if out is None else Path(out)
     files = (*of_finding.WRITTEN, ROOM, CASE, MESH, CATT, ODEON)
     defaults = {
         "before": None,
@@ -61,15 +55,13 @@ def diagnose(heading: Heading, out: str | None, **options: Any) -> None:
         "prior": (),
         "most": 1,
     }
-    finding = searched(
-        defaults | options, [] if target is None else [target / name for name in files]
-    )
+    finding = searched(defaults | options, [] if out is None else [out / name for name in files])
     cache = kept_beside(options["case"])
     verification = verified(finding, cache) if finding.can_be_verified else None
     given = tuple(filter(None, (options["case"], options["measured"])))
     result = replace(diagnosis(finding, verification, cache=cache), given=given)
-    if target is not None:
-        written = of_diagnosis.contents(result, target, heading)
-        make_folder(target)
+    if out is not None:
+        written = of_diagnosis.contents(result, out, heading)
+        make_folder(out)
         write_all(written)
     console.tell(str(result), result.to_dict)

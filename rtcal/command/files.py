@@ -40,10 +40,11 @@ _OUT = console.file("out", "Measurement (CSV, xlsx) to write.")
         "Impulse-to-noise ratio in dB that a parameter needs, if not ISO 3382's: t30=38.",
         "ranges",
     ),
-    click.option(
-        "--channels",
+    console.option(
+        "channels",
+        None,
+        "In files of several channels: the one to read, or 'receivers' if each is a receiver.",
         metavar="N|receivers",
-        help="In files of several channels: the one to read, or 'receivers' if each is a receiver.",
     ),
     console.flag(
         "uncertainty",
@@ -133,27 +134,22 @@ def _positions_text(responses: tuple[str, ...]) -> str:
 @click.command(short_help="A measuring system's table (CSV, xlsx, REW) to a measurement.")
 @console.takes(
     click.argument("paths", type=click.Path(), nargs=-1, required=True),
-    click.option(
-        "--decay-time",
-        type=click.Choice(DECAY_TIMES_OF_RT60, case_sensitive=False),
-        help="The decay time in a column RT60 or T60.",
+    console.option(
+        "decay-time",
+        click.Choice(DECAY_TIMES_OF_RT60, case_sensitive=False),
+        "The decay time in a column RT60 or T60.",
     ),
-    click.option(
-        "--parameter",
-        type=click.Choice(tuple(OBSERVABLES), case_sensitive=False),
-        help="The parameter of the values, if the table does not name it.",
+    console.option(
+        "parameter",
+        click.Choice(tuple(OBSERVABLES), case_sensitive=False),
+        "The parameter of the values, if the table does not name it.",
     ),
     console.several("where", "COLUMN=ENTRY", "Read only rows with this entry."),
     "columns",
-    click.option(
-        "--sources",
-        "n_sources",
-        type=click.IntRange(1),
-        help="The values are means over N sources.",
+    console.option(
+        "sources", click.IntRange(1), "The values are means over N sources.", "n_sources"
     ),
-    click.option(
-        "--receivers", "n_receivers", type=click.IntRange(1), help="And over N receivers."
-    ),
+    console.option("receivers", click.IntRange(1), "And over N receivers.", "n_receivers"),
     "repeats",
     console.several("sheets", "SHEET", "Read only this sheet of a workbook."),
     _OUT,
@@ -205,10 +201,10 @@ def _write_and_tell(
     click.argument("program", type=click.Choice(PROGRAMS)),
     "ROOM",
     "MATERIALS",
-    click.option(
-        "--template",
-        type=click.Path(),
-        help="Program's file whose changed copy is MATERIALS; by default MATERIALS itself.",
+    console.option(
+        "template",
+        click.Path(),
+        "Program's file whose changed copy is MATERIALS; by default MATERIALS itself.",
     ),
     "decimals",
     "as",

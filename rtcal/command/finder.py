@@ -257,18 +257,14 @@ def verified(finding: Any, cache: Path) -> Any:
         "EFFECT=ODDS",
         "Prior odds of an effect, of none or of coefficients: opening=2.",
     ),
-    click.option(
-        "--most",
-        type=int,
-        default=1,
-        show_default=True,
-        help="Largest number of effects that may be missing at once, up to 3.",
+    console.option(
+        "most", int, "Largest number of effects that may be missing at once, up to 3.", default=1
     ),
     "seed",
-    click.option(
-        "--out",
-        type=click.Path(),
-        help="Folder for page (report.html), figures (PNG) and the finding (result.json), which is "
+    console.option(
+        "out",
+        click.Path(),
+        "Folder for page (report.html), figures (PNG) and the finding (result.json), which is "
         "then verified, too; or a file that ends in .json, for the finding alone.",
     ),
     console.heading_options,
@@ -321,10 +317,11 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     console.tell("\n".join(lines(blocks(finding, verification))), record)
 
 
-_EFFECT = click.option(
-    "--effect",
+_EFFECT = console.option(
+    "effect",
+    None,
+    "The candidate to add; needed where none has a probability of 0.3.",
     metavar="NAME",
-    help="The candidate to add; needed where none has a probability of 0.3.",
 )
 
 
@@ -412,12 +409,13 @@ def verify(
         ("patch", "material"),
         "With a geometry: a patch on the surface (default), or the whole surface.",
     ),
-    click.option(
-        "--place",
+    console.option(
+        "place",
+        None,
+        "With a geometry: middle of the patch in m, on its surface.",
         "at",
         metavar="X,Y,Z",
         callback=lambda context, parameter, text: _place(text),
-        help="With a geometry: middle of the patch in m, on its surface.",
     ),
     _EFFECT,
 )
@@ -468,18 +466,18 @@ def apply(found: str, out: str, **options: Any) -> None:
 @click.command(short_help="Which effects the data could distinguish; what to measure next.")
 @console.takes(
     click.argument("case", metavar="CASE|FOUND", type=click.Path()),
-    click.option(
-        "--relative-change",
-        "change",
-        type=float,
-        help="Relative change of T by each effect, in the band that changes most; "
+    console.option(
+        "relative-change",
+        float,
+        "Relative change of T by each effect, in the band that changes most; "
         f"{CHANGE:g} by default.",
+        "change",
     ),
-    click.option(
-        "--case",
+    console.option(
+        "case",
+        click.Path(dir_okay=False),
+        "With FOUND: a case whose configurations without measurements could be measured next.",
         "further",
-        type=click.Path(dir_okay=False),
-        help="With FOUND: a case whose configurations without measurements could be measured next.",
     ),
     console.several(
         "cost", "MEASUREMENT=HOURS", "Hours of a further measurement, such as G=0.5.", "costs"

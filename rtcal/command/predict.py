@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 MAX_BYTES = 2**18
 """Largest size of a file of variants or treatments in bytes."""
 _KNOWN = (
-    click.option(
-        "--also",
+    console.option(
+        "also",
+        click.Path(),
+        "A further measured state: the same room with other areas. It narrows the interval most.",
         nargs=2,
-        type=click.Path(),
         multiple=True,
         metavar="ROOM MEASURED",
-        help="A further measured state: the same room with other areas. It narrows the interval most.",
     ),
     "equation",
     console.folder("Folder for all numbers (result.json), of which `rtcal report` makes a page."),
@@ -54,11 +54,11 @@ def read_changes(path: str, kind: str, read: Callable[[str], Any]) -> Any:
 @console.takes(
     "ROOM",
     "MEASURED?",
-    click.option(
-        "--change",
-        type=click.Path(),
+    console.option(
+        "change",
+        click.Path(),
+        "File of variants (TOML): `rtcal example change` writes one; see docs/files.md.",
         required=True,
-        help="File of variants (TOML): `rtcal example change` writes one; see docs/files.md.",
     ),
     *_KNOWN,
 )
@@ -178,12 +178,12 @@ def calibrated(
 @console.takes(
     "ROOM",
     "MEASURED?",
-    click.option(
-        "--treatments",
-        type=click.Path(),
-        required=True,
-        help="File of treatments and target (TOML): `rtcal example change` writes one; see "
+    console.option(
+        "treatments",
+        click.Path(),
+        "File of treatments and target (TOML): `rtcal example change` writes one; see "
         "docs/files.md.",
+        required=True,
     ),
     click.option("--probability", type=float, help="0.8 or more; by default that of the file."),
     *_KNOWN,
