@@ -40,9 +40,6 @@ _MOST_RECORD = 2**22
 _CALL = "the call that wrote it"
 _UNWRITTEN = "cannot be written: "
 
-begun: list[Path] = []
-"""Files that this process has written, or begun to write: without any, nothing was written."""
-
 
 @contextmanager
 def _naming(path: Any, what: str = "") -> Iterator[None]:
@@ -155,7 +152,6 @@ def _write_set(contents: Mapping[Path, bytes], command: str) -> None:
     folders = list(dict.fromkeys(path.parent for path in contents))
     news = {path: path.with_name(f".{path.name}{NEW}") for path in contents}
     digests = {path: hashlib.sha256(content).hexdigest() for path, content in contents.items()}
-    begun.extend(contents)
     try:
         for path, content in contents.items():
             with _naming(path, _UNWRITTEN):
@@ -280,7 +276,6 @@ def _sync_folder(folder: Path) -> None:
 def replace_file(path: Path, content: bytes) -> None:
     """Write a file whole at once, without a record: a piece of a study, or what a cache keeps."""
     new = path.with_name(f".{path.name}.{os.getpid()}{NEW}")
-    begun.append(path)
     with _naming(path, _UNWRITTEN):
         _write_file(new, content)
         os.replace(new, path)

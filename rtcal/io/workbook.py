@@ -193,23 +193,18 @@ def _text(cell: Any, formula: Any, place: str) -> str:
     return " ".join(str(value).split())
 
 
-def content(
-    tables: Mapping[str, Sequence[Sequence[Any]]], *, notes: Mapping[str, str] | None = None
-) -> bytes:
+def content(tables: Mapping[str, Sequence[Sequence[Any]]]) -> bytes:
     """Return the bytes of a workbook with one sheet per table: a header and rows of values and None.
 
     A table has its header in row 1 and its values from A2 on, so that another workbook can refer to a
-    cell and finds it there after the next calibration, too. ``notes`` are remarks by the table's name,
-    on a sheet of their own. Raises DataError for two tables whose names Excel does not keep apart.
+    cell and finds it there after the next calibration, too. Raises DataError for two tables whose names
+    Excel does not keep apart.
     """
     openpyxl = _library()
     book = openpyxl.Workbook()
     book.remove(book.active)
     names: dict[str, str] = {}
-    every = dict(tables)
-    if notes:
-        every["notes"] = [("table", "note"), *notes.items()]
-    for title, rows in every.items():
+    for title, rows in tables.items():
         name = title.translate(_NOT_IN_NAMES)[:MAX_NAME].strip() or "table"
         if (other := names.setdefault(name.casefold(), title)) != title:
             raise DataError(f'tables "{other}" and "{title}" have one name in Excel: "{name}"')

@@ -115,22 +115,29 @@ def of_materials(
     chosen = np.sort(np.argsort(-size, kind="stable")[:MOST_PANELS])
     n = len(chosen)
     abreast = min(2 if n <= _FEW else 3, n)
-    rows = -(-n // abreast)
-    figure, grid = new_figure(max(5.0, 3.1 * abreast), 2.4 * rows + 0.7, rows, abreast)
-    every = [*np.atleast_1d(grid).ravel()]
-    for axes in every[n:]:
-        axes.set_visible(False)
-    for axes, i in zip(every, chosen, strict=False):
-        band_axis(axes, frequencies)
-        few = frequencies[:: -(-len(frequencies) // 4)]
-        axes.set_xticks(few, [f"{f:g}" for f in few], rotation=0)
+    figure, every = _panels(n, abreast, 2.4 * -(-n // abreast) + 0.7, frequencies)
+    for axes, i in zip(every, chosen, strict=True):
         axes.tick_params(labelsize=8.5)
-        axes.set_xlabel("Band / Hz", fontsize=9)
         draw(axes, int(i))
         axes.set_title(f"{shown(materials[i], 28)}, {areas[i]:.4g} m²", fontsize=9)
     handles, labels = every[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(n, columns), fontsize=9)
     return figure
+
+
+def _panels(n: int, abreast: int, height: float, frequencies: Array) -> tuple[Any, list[Any]]:
+    """Return a figure of this height in inches, and its n panels over few of the bands."""
+    rows = -(-n // abreast)
+    figure, grid = new_figure(max(5.0, 3.1 * abreast), height, rows, abreast)
+    every = [*np.atleast_1d(grid).ravel()]
+    for axes in every[n:]:
+        axes.set_visible(False)
+    few = frequencies[:: -(-len(frequencies) // 4)]
+    for axes in every[:n]:
+        band_axis(axes, frequencies)
+        axes.set_xticks(few, [f"{f:g}" for f in few], rotation=0)
+        axes.set_xlabel("Band / Hz", fontsize=9)
+    return figure, every[:n]
 
 
 def band_axis(axes: Axes, frequencies: Array, below: list[str] | None = None) -> None:
@@ -217,15 +224,8 @@ def disagreement(comparison: Comparison) -> Any:
     c, f = comparison, comparison.run.room.centre_frequencies
     chosen = c.parameters[:_FEW]
     abreast = min(3, len(chosen))
-    size = max(5.0, 3.1 * abreast), 2.7 * -(-len(chosen) // abreast) + 0.6
-    figure, grid = new_figure(*size, -(-len(chosen) // abreast), abreast)
-    every = [*np.atleast_1d(grid).ravel()]
-    for axes in every[len(chosen) :]:
-        axes.set_visible(False)
-    for axes, p in zip(every, chosen, strict=False):
-        band_axis(axes, f)
-        few = f[:: -(-len(f) // 4)]
-        axes.set_xticks(few, [f"{v:g}" for v in few], rotation=0)
+    figure, every = _panels(len(chosen), abreast, 2.7 * -(-len(chosen) // abreast) + 0.6, f)
+    for axes, p in zip(every, chosen, strict=True):
         axes.axhspan(-1, 1, color="0.85", label="1 JND")
         axes.axhline(0, color=BLACK, linewidth=0.8)
         off, (centre, open_) = c.deviation[p], c.coefficients[p]
@@ -238,7 +238,6 @@ def disagreement(comparison: Comparison) -> Any:
         style = {"color": BLUE, "marker": "o", "linestyle": "--", "capsize": 3}
         axes.errorbar(f, off, yerr=error, **style, label="mean")
         axes.set_title(parameter_label(p), fontsize=10)
-        axes.set_xlabel("Band / Hz", fontsize=9)
     every[0].set_ylabel("run less measurement / JND", fontsize=9)
     drawn = dict(zip(*reversed(every[0].get_legend_handles_labels()), strict=True))
     figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=4, fontsize=9)
