@@ -75,13 +75,14 @@ def measure(
     Example: rtcal measure *.wav --out t.csv
     """
     from rtcal.acoustics.marks import in_measurement
-    from rtcal.io import impulse_responses
-    from rtcal.io.impulse_responses import with_uncertainty
+    from rtcal.io import impulse_responses, sofa
     from rtcal.support.speed import bar
 
     spare([path for path in (out, positions) if path is not None], responses)
     console.fit_ending("--out", out, *_TABLES)
-    scene = None if positions is None else _positions_text(responses)
+    if positions is not None and len(responses) != 1:
+        raise DataError("--positions is of one SOFA file: files name their positions alike")
+    scene = None if positions is None else sofa.read(responses[0]).positions_text()
     with (
         console.errors_name_options("channels", "repeats"),
         bar(len(responses), "response", console.bar_wanted(), console.said()) as shown,
@@ -95,7 +96,9 @@ def measure(
             progress=lambda: shown.update(1),
         )
     if uncertainty:
-        analysis = replace(analysis, measurement=with_uncertainty(analysis.measurement))
+        analysis = replace(
+            analysis, measurement=impulse_responses.with_uncertainty(analysis.measurement)
+        )
     nothing = all(np.isnan(v).all() for v in analysis.measurement.values.values())
     if nothing and out is not None:
         raise DataError(
@@ -120,15 +123,6 @@ def measure(
         "notes": (*odd, *analysis.notes),
     }
     _write_and_tell(analysis, notes, out)
-
-
-def _positions_text(responses: tuple[str, ...]) -> str:
-    """Return the positions of the one SOFA file; DataError for other files, which state none."""
-    from rtcal.io import sofa
-
-    if len(responses) != 1:
-        raise DataError("--positions is of one SOFA file: files name their positions alike")
-    return sofa.read(responses[0]).positions_text()
 
 
 @click.command(short_help="A measuring system's table (CSV, xlsx, REW) to a measurement.")

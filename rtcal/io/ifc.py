@@ -79,10 +79,13 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
         raise DataError(f"{path}: {error.strerror or error}") from error
     budget.require(size, MAX_IFC, "bytes", path, "export one storey, or the room alone")
     _require_sound(path)
+    spaces: dict[str, Any] = {}
     try:
         model = ifcopenshell.open(path)
         length = float(ifcopenshell.util.unit.calculate_unit_scale(model))
-        spaces = {_title(s): s for s in model.by_type("IfcSpace")}
+        for each in model.by_type("IfcSpace"):
+            parts = dict.fromkeys(str(p) for p in (each.Name, each.LongName) if p)
+            spaces[text_name("a space", " ".join(parts)) or f"space {each.id()}"] = each
     except DataError:
         raise
     except Exception as error:  # ifcopenshell raises what its parser raises
@@ -133,11 +136,6 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
     if not boundaries:
         notes.append("the model does not say what bounds it: faces are floor, ceiling and wall")
     return Faces(path, polygons, materials, names, tuple(notes), length)
-
-
-def _title(space: Any) -> str:
-    parts = dict.fromkeys(str(p) for p in (space.Name, space.LongName) if p)
-    return text_name("a space", " ".join(parts)) or f"space {space.id()}"
 
 
 def _chosen(path: str, spaces: dict[str, Any], wanted: str | None) -> str:

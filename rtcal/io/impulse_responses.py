@@ -740,7 +740,8 @@ def _cut(energy: Array, rate: float, centre: float | None) -> int:
     The sound falls by `_CLIFF` and three times its own decay in two blocks, and does not rise again.
     Digital silence is left out before; but one that carries the noise of a converter is none.
     """
-    block = max(int(_window(centre) * rate), 1)
+    window = 0.03 if centre is None else 0.8 / centre + 0.01  # s, over which Lundeby smooths
+    block = max(int(window * rate), 1)
     n = len(energy) // block
     if n < 4:
         return len(energy)
@@ -787,11 +788,6 @@ def _cut_into_noise(energy: Array, rate: float, centre: float | None, bandwidth:
     before = max(int(crossing - t / 2), 0)
     left = np.cumsum(energy[before:last][::-1])[::-1] / np.arange(last - before, 0, -1)
     return before + int(np.argmax(left < 2 * floor))
-
-
-def _window(centre: float | None) -> float:
-    """Return the length in s over which Lundeby's method smooths, shorter in high bands."""
-    return 0.03 if centre is None else 0.8 / centre + 0.01
 
 
 def _integrated(energy: Array) -> Array:

@@ -213,13 +213,6 @@ _CHANNEL = re.compile(r"(?:.*\s)?(?:ch|channel)\s*(\d+)(?:\s.*)?", re.I)
 _WITHOUT_UNIT = {D50.key: "[%]", Ts.key: "[ms]"}
 
 
-def _with_unit(name: str) -> str:
-    """Return the name of a parameter and its band, such as D50_500, with the unit that it lacks."""
-    column = column_of(name)
-    unit = _WITHOUT_UNIT.get(column.parameter, "") if column and not column.unit else ""
-    return name.replace("_", f" {unit}_", 1) if unit else name
-
-
 def _of_aurora(sheet: Sheet) -> Sheet:
     """Return Aurora's tables as one, with a column of channels where there are several."""
     rows: list[Row] = []
@@ -231,7 +224,12 @@ def _of_aurora(sheet: Sheet) -> Sheet:
         if named := _CHANNEL.fullmatch(cells[0]):
             channel = named[1]
         if cells[0] == "Filename" and not rows:
-            rows.append((line, [_with_unit(name) for name in cells]))
+            columns = [column_of(name) for name in cells]
+            units = [
+                _WITHOUT_UNIT.get(c.parameter, "") if c and not c.unit else "" for c in columns
+            ]
+            named = zip(cells, units, strict=True)  # such as D50_500
+            rows.append((line, [n.replace("_", f" {u}_", 1) if u else n for n, u in named]))
         elif rows and len(cells) == len(rows[0][1]) and cells[0] != "Filename":
             rows.append((line, cells))
             channels.append(channel)

@@ -73,7 +73,7 @@ from rtcal.acoustics.room import Material, Room, Surface, above_one_hint, times_
 from rtcal.files.disk import read_bytes, write_bytes
 from rtcal.files.schema import TABLE, kind_of
 from rtcal.io.table_columns import nearest_band
-from rtcal.io.text import MAX_TEXT, Text, decode, line_of, lines, number, shown
+from rtcal.io.text import MAX_TEXT, Text, decode, lines, number, shown
 from rtcal.support import checks, text
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
@@ -1050,7 +1050,7 @@ def _parse_pyroomacoustics(content: bytes, path: str = "JSON file") -> MaterialL
         row = tokens(r"[^\s,]+", match[1], match.start(1))
         if not row:
             continue
-        line = line_of(text.characters, row[0][1])
+        line = text.characters.count("\n", 0, row[0][1]) + 1
         place, of_scattering = f"{path}, line {line}", keys[:1] == ("scattering",)
         coefficients(row, place, name="scattering" if of_scattering else "alpha")
         centres = entry.get("center_freqs", of_file)

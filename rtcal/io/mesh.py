@@ -179,7 +179,8 @@ def _with_doubts(done: Mended, faces: Faces) -> tuple[str, Mended]:
     doubt = units.size_doubt(done.volume, done.size, faces.unit or 1.0, is_stated=is_stated)
     if doubt and done.geometry is None:
         doubt = f"by rays {doubt}"
-    box = "" if is_stated else units.box_note(done.size)
+    of_box = f"the file states no unit: with unit = 1 the room is {units.in_words(done.size)}"
+    box = "" if is_stated else of_box
     return doubt, replace(done, notes=(*filter(None, (doubt, box)), *done.notes))
 
 
@@ -416,7 +417,11 @@ def _prepared_gltf(content: bytes, path: str, ending: str) -> bytes:
         tree = json.loads(head)
         counts = [int(accessor["count"]) for accessor in tree.get("accessors", ())]
         children = Counter(k for node in tree.get("nodes", ()) for k in node.get("children", ()))
-        coloured = [_gltf_colour(material) for material in tree.get("materials", ())]
+        coloured = [
+            "".join(f"{round(255 * float(c)):02x}" for c in of.get("baseColorFactor", ())[:3])
+            for material in tree.get("materials", ())
+            for of in (material.get("pbrMetallicRoughness", {}),)
+        ]
     except (ValueError, TypeError, KeyError, AttributeError, struct.error, RecursionError) as error:
         raise DataError(f"{path}: cannot be read as {ending[1:]}: {error}") from error
     budget.require(sum(counts), 12 * budget.MAX_FACES, "numbers in its accessors", path, _SIMPLER)
@@ -425,7 +430,7 @@ def _prepared_gltf(content: bytes, path: str, ending: str) -> bytes:
     for i, (material, colour) in enumerate(zip(tree.get("materials", ()), coloured, strict=True)):
         if not material.get("name"):
             alone = colour and coloured.count(colour) == 1
-            material["name"] = f"colour {colour}" if alone else f"material {i + 1}"
+            material["name"] = f"colour #{colour}" if alone else f"material {i + 1}"
         for key in [k for k in material if "exture" in k]:
             del material[key]
         rough = material.get("pbrMetallicRoughness", {})
@@ -439,12 +444,6 @@ def _prepared_gltf(content: bytes, path: str, ending: str) -> bytes:
     made += b" " * (-len(made) % 4)
     size = 20 + len(made) + len(rest)
     return struct.pack("<4s4I", b"glTF", 2, size, len(made), _JSON_CHUNK) + made + rest
-
-
-def _gltf_colour(material: Any) -> str:
-    """Return the colour of a glTF material as #rrggbb; "" without one."""
-    colour = material.get("pbrMetallicRoughness", {}).get("baseColorFactor", ())
-    return "#" + "".join(f"{round(255 * float(c)):02x}" for c in colour[:3]) if colour else ""
 
 
 _PLY_GROUPS = {
@@ -476,7 +475,10 @@ def _by_plyfile(content: bytes, path: str, _unit: bool) -> _Drawn:
         layers, colours = [""] * len(index), [""] * len(index)
         if numbered := next((name for name in _PLY_GROUPS if name in known), ""):
             kind = _PLY_GROUPS[numbered]
-            names = [_ply_text(row) for e in data.elements if e.name == kind for row in e.data]
+            rows = (row for e in data.elements if e.name == kind for row in e.data)
+            texts = (next((v for v in row if np.ndim(v) == 1), ()) for row in rows)
+            codes = (bytes(int(c) & 255 for c in text) for text in texts)
+            names = [code.decode("utf-8", errors="replace").strip("\0 ") for code in codes]
             numbers = np.asarray(face[numbered], dtype=int).reshape(-1).tolist()
             layers = [(names[k] if 0 <= k < len(names) else "") or f"{kind} {k}" for k in numbers]
         elif {"red", "green", "blue"} <= known:
@@ -490,12 +492,6 @@ def _by_plyfile(content: bytes, path: str, _unit: bool) -> _Drawn:
         corners = points[_known(face, len(points), name or f"face {i}", path)]
         faces.append((name, name, corners))
     return _Drawn(faces)
-
-
-def _ply_text(row: Any) -> str:
-    """Return the text in the first list of an element of a PLY file."""
-    values = next((v for v in row if np.ndim(v) == 1), ())
-    return bytes(int(c) & 255 for c in values).decode("utf-8", errors="replace").strip("\0 ")
 
 
 def _by_pycollada(content: bytes, path: str, _unit: bool) -> _Drawn:

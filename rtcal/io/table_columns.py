@@ -344,7 +344,9 @@ def column_of(header: str) -> Column | None:
         known = unit.lower() in units.get(kind, ("",))
         wrong = "" if known else f'column "{shown(header)}": the unit is not known'
         return Column(kind, header, unit=unit, wrong=wrong)
-    if is_unused(header) or _is_of_whole_range(name):
+    whole = _OF_WHOLE_RANGE.fullmatch(name)  # such as "T20_A"
+    of_whole = whole and (is_unused(whole[1]) or parameter_of(whole[1]) not in ("", OPEN))
+    if of_whole or is_unused(header):
         return Column("", header)
     if position := position_of(header):
         return Column("value", header, source=position[0], receiver=position[1])
@@ -455,12 +457,6 @@ def is_unused(text: str) -> bool:
     if name.partition(" ")[0] == UNCALIBRATED or _CORRELATION.fullmatch(text.strip()):
         return True
     return any(plain(word) in UNUSED_PARAMETERS for word in (name, *([both[1]] if both else [])))
-
-
-def _is_of_whole_range(name: str) -> bool:
-    """Return whether a header is of a parameter over the whole range, such as "T20_A"."""
-    of = _OF_WHOLE_RANGE.fullmatch(name)
-    return bool(of and (is_unused(of[1]) or parameter_of(of[1]) not in ("", OPEN)))
 
 
 def frequency_of(text: str) -> float | None:

@@ -85,11 +85,6 @@ def lines(characters: str) -> Iterator[tuple[int, int, str]]:
             yield number_of_line, match.start(), match.group(1)
 
 
-def line_of(characters: str, position: int) -> int:
-    """Return the number, from 1, of the line that holds a position."""
-    return characters.count("\n", 0, position) + 1
-
-
 def number(token: str, place: str) -> float:
     """Return a decimal number; a typographic minus counts as a minus. DataError for anything else.
 

@@ -63,11 +63,6 @@ def notes(length: float, in_file: float | None, stated: float | None) -> list[st
     return [f"the file's unit is {length:g} m"] if length != 1.0 else []
 
 
-def box_note(size: Sequence[float]) -> str:
-    """Return the note on a file that states no unit, with the box around its room in m, (3,)."""
-    return f"the file states no unit: with unit = 1 the room is {in_words(size)}"
-
-
 def in_words(size: Sequence[float]) -> str:
     """Return the lengths of a box in m in words."""
     return f"{' × '.join(rounded(x, 3) for x in size)} m"

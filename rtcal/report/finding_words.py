@@ -13,7 +13,6 @@ import numpy as np
 
 from rtcal.acoustics import bands, marks
 from rtcal.acoustics.comparison import Comparison
-from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import LEVEL, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
@@ -670,9 +669,12 @@ _ANSWERS = {"means": _of_means, "positions": _at_positions, "states": _of_states
 
 def cautions(f: Finding) -> list[str]:
     """Return reasons to doubt the answer, and likely typing errors in what was read."""
-    room, off = f.case.room, f.coefficients
-    typed = list[str]()
-    for measured in _measurements(f):
+    room, off, typed = f.case.room, f.coefficients, list[str]()
+    if f.kind == "means":
+        every = [c.measured for c in f.case.configurations]
+    else:
+        every = [f.case.before, f.case.after] if f.kind == "states" else [f.case.measured]
+    for measured in every:
         t = measured.in_bands(room.centre_frequencies).reverberation_time
         typed += [doubt.sentence for doubt in marks.of_input(room, t)] + [*unusual(measured)]
     said = [str(r) for r in f.reasons if r is not f.leading and r.code != OWN_FIELD]
@@ -688,12 +690,6 @@ def cautions(f: Finding) -> list[str]:
             f"factor of {np.exp(BY_SEED):.1f}: search with another --seed as well."
         )
     return [*map(as_sentence, dict.fromkeys(typed)), *said]
-
-
-def _measurements(f: Finding) -> list[Measurement]:
-    if f.kind == "states":
-        return [f.case.before, f.case.after]
-    return [c.measured for c in f.case.configurations] if f.kind == "means" else [f.case.measured]
 
 
 def details(f: Finding) -> list[str]:
@@ -914,9 +910,25 @@ def candidates(f: Finding) -> Table | None:
 
 def numbers(f: Finding) -> list[Table]:
     """Return what was measured by band: of means the deviations, of two states T and the change."""
-    if f.kind == "states":
-        return [_by_band(f)]
-    return [] if f.kind == "positions" else deviations(f, f.residuals)
+    if f.kind != "states":
+        return deviations(f, f.residuals) if f.kind == "means" else []
+    case, measured = f.case, np.flatnonzero(f.case.known)
+    width = f.change[2] - f.change[1]
+    known = width[np.isfinite(width) & (width > 0)]
+    # So many decimals that the interval shows its width.
+    digits = int(np.clip(np.ceil(-np.log10(known.min() / 2)), 1, 6)) if len(known) else 1
+    columns = {
+        "T / s": [f"{t:.2f}" for t in case.times[0, measured]],
+        "after / s": [f"{t:.2f}" for t in case.times[1, measured]],
+        "area / m²": [f"{area:.1f}" for area in f.area[measured]],
+        "change / m² (90 %)": [
+            f"{mean:+.{digits}f} ({low:+.{digits}f} to {high:+.{digits}f})"
+            if np.isfinite([mean, low, high]).all()
+            else "not tried"
+            for mean, low, high in f.change[:, measured].T
+        ],
+    }
+    return [Table.of_columns(bands.labels(case.room.centre_frequencies[measured]), columns)]
 
 
 def deviations(f: Finding, residuals: Array, of: str = "") -> list[Table]:
@@ -930,36 +942,6 @@ def deviations(f: Finding, residuals: Array, of: str = "") -> list[Table]:
         heading = f'Deviation of "{c.name}"{of} in standard deviations (model - measured)'
         made.append(Table(labels, rows, heading))
     return made
-
-
-def _decimals(change: Array) -> int:
-    """Return the decimals with which changes (3, n_bands) are printed: the interval shows its width.
-
-    >>> _decimals(np.array([[10.0], [8.0], [13.0]])), _decimals(np.array([[0.04], [-0.01], [0.09]]))
-    (1, 2)
-    """
-    width = change[2] - change[1]
-    known = width[np.isfinite(width) & (width > 0)]
-    return int(np.clip(np.ceil(-np.log10(known.min() / 2)), 1, 6)) if len(known) else 1
-
-
-def _by_band(f: Finding) -> Table:
-    case, digits = f.case, _decimals(f.change)
-    measured = np.flatnonzero(case.known).tolist()
-
-    def change(k: int) -> str:
-        if not np.isfinite(f.change[:, k]).all():
-            return "not tried"
-        mean, low, high = (f"{value:+.{digits}f}" for value in f.change[:, k])
-        return f"{mean} ({low} to {high})"
-
-    columns = {
-        "T / s": [f"{case.times[0, k]:.2f}" for k in measured],
-        "after / s": [f"{case.times[1, k]:.2f}" for k in measured],
-        "area / m²": [f"{f.area[k]:.1f}" for k in measured],
-        "change / m² (90 %)": [change(k) for k in measured],
-    }
-    return Table.of_columns(bands.labels(case.room.centre_frequencies[measured]), columns)
 
 
 def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:

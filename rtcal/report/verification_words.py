@@ -161,12 +161,9 @@ def _of_pairs(v: Verification) -> list[str]:
         )
     for half, what in zip(v.halves, v.added, strict=True):
         names = ", ".join(" to ".join(pair) for pair in half)
-        out.append(f"Fitted on {names}: added {_in_words(what)}.")
+        added = "nothing" if what is None else f"{what.title}, {what.in_words}"
+        out.append(f"Fitted on {names}: added {added}.")
     return out
-
-
-def _in_words(added: Candidate | None) -> str:
-    return "nothing" if added is None else f"{added.title}, {added.in_words}"
 
 
 def gaps(v: Verification) -> Table:
