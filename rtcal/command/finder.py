@@ -1,6 +1,7 @@
-"""``rtcal find``, ``verify``, ``apply`` and ``plan``: what a model misses, and what to do about it.
+"""``rtcal compare``, ``find``, ``verify``, ``apply``, ``diagnose`` and ``plan``: what a model misses.
 
-`find` alone searches. The others read the finding that it wrote with ``--out``.
+`find` and `diagnose` search. `verify`, `apply` and `plan` read the finding that was written with
+``--out``.
 """
 
 from __future__ import annotations
@@ -228,6 +229,43 @@ def verified(finding: Any, cache: Path) -> Any:
     return _once(cache, finding, {"seeds": SEEDS}, verify)
 
 
+@click.command(short_help="Where your simulation and the measurement disagree.")
+@console.takes(
+    "ROOM",
+    "MEASURED",
+    "simulated",
+    "at",
+    "equation",
+    console.folder("Folder for the page (report.html) and all numbers (result.json)."),
+)
+def compare(
+    room: str, measured: str, simulated: str | None, at: str | None, equation: Any, out: Path | None
+) -> None:
+    """Compare what a program gave for ROOM (TOML) with MEASURED (CSV), by parameter, band and pair.
+
+    Without --simulated the equation's T is compared. It prints one sentence and one table, the
+    largest deviation first, in JND and in standard deviations.
+
+    Example: rtcal compare room.toml measured.csv --simulated run.csv --out gap
+    """
+    from rtcal.acoustics.comparison import compare as compared
+    from rtcal.files.saved import NUMBERS
+    from rtcal.report import pages
+    from rtcal.report.document import PAGE
+
+    files = {} if out is None else {name: out / name for name in (NUMBERS, PAGE)}
+    spare([*files.values()], [path for path in (room, measured, simulated, at) if path is not None])
+    stated = console.read_room(room)
+    with console.without_air_warning():
+        run, data = console.read_run(stated, simulated, at), console.read_measured(measured)
+        found = compared(stated, data, run, equation=equation)
+    if out is not None:
+        make_folder(out)
+        texts = (found.to_json(out), pages.page(found))
+        write_all({path: text.encode() for path, text in zip(files.values(), texts, strict=True)})
+    console.tell(str(found), found.to_dict)
+
+
 @click.command(short_help="Find what a model misses.")
 @console.takes(
     click.argument("case", metavar="CASE|ROOM", type=click.Path()),
@@ -294,6 +332,7 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     Example: rtcal find room.toml measured.csv --out found
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.report import of_finding
+    from rtcal.report.document import page_files
     from rtcal.report.finding_words import blocks
 
     if out == "":
@@ -310,7 +349,10 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
         verified(finding, kept_beside(options["case"])) if finding.can_be_verified else None
     )
     place = next(iter(_further_places(finding)), None)
-    of_finding.write(finding, verification, target, heading, command(), place)
+    made = of_finding.page(finding, verification, command(), place)
+    contents = page_files(made, verification or finding, target, heading)
+    make_folder(target)
+    write_all(contents)
     record = finding.to_dict()
     if verification is not None:
         record["verification"] = verification.to_dict()
@@ -461,6 +503,57 @@ def apply(found: str, out: str, **options: Any) -> None:
     console.tell(said, record)
     if not files:
         raise click.exceptions.Exit(NOTHING_TO_ADD)
+
+
+@click.command(
+    short_help="All at once: where a model is off, why, and what is left when it is mended."
+)
+@console.takes(
+    click.argument("case", metavar="CASE|ROOM", type=click.Path()),
+    "MEASURED?",
+    "match",
+    "exclude",
+    "scattering",
+    "paths",
+    "seed",
+    console.folder(
+        "Folder for one page (report.html) with its figures, the calibrated room (room.toml, with "
+        "its mesh and its lists of materials where there are any) and all numbers (result.json)."
+    ),
+    console.heading_options,
+)
+def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
+    """Find what the model misses, verify it, add it and calibrate: one answer, one page.
+
+    It stands for `rtcal find`, `verify`, `apply` and `fit`, with their defaults, and prints them. What
+    has a probability of less than 0.3, or is withdrawn by its verification, is not added: the model is
+    then calibrated as it is given, and the text says so.
+
+    Example: rtcal diagnose room.toml pairs.csv --out diagnosis
+    """
+    from rtcal.finder.apply import CASE, CATT, MESH, ODEON, ROOM
+    from rtcal.finder.diagnosis import diagnosis
+    from rtcal.report import of_diagnosis, of_finding
+
+    files = (*of_finding.WRITTEN, ROOM, CASE, MESH, CATT, ODEON)
+    defaults = {
+        "before": None,
+        "simulated": None,
+        "without": (),
+        "only": (),
+        "prior": (),
+        "most": 1,
+    }
+    finding = searched(defaults | options, [] if out is None else [out / name for name in files])
+    cache = kept_beside(options["case"])
+    verification = verified(finding, cache) if finding.can_be_verified else None
+    given = tuple(filter(None, (options["case"], options["measured"])))
+    result = replace(diagnosis(finding, verification, cache=cache), given=given)
+    if out is not None:
+        written = of_diagnosis.contents(result, out, heading)
+        make_folder(out)
+        write_all(written)
+    console.tell(str(result), result.to_dict)
 
 
 @click.command(short_help="Which effects the data could distinguish; what to measure next.")

@@ -12,11 +12,17 @@ from collections.abc import Sequence
 import click
 
 from rtcal.command.calibrate import NOT_NEARER, calibrate, fit, learn, study
-from rtcal.command.compare import compare
 from rtcal.command.console import CannotPrint, printing, show_warning, warn
-from rtcal.command.diagnose import diagnose
 from rtcal.command.files import example, export, measure, report, table
-from rtcal.command.finder import NOTHING_TO_ADD, apply, find, plan, verify
+from rtcal.command.finder import (
+    NOTHING_TO_ADD,
+    apply,
+    compare,
+    diagnose,
+    find,
+    plan,
+    verify,
+)
 from rtcal.command.import_room import import_room
 from rtcal.command.loop import loop
 from rtcal.command.predict import design, predict

@@ -224,12 +224,6 @@ def _require_whole(path: Path) -> None:
     )
 
 
-def is_own(path: Path) -> bool:
-    """Return whether rtcal wrote a file, and it is as it was written, or of a set in part."""
-    known = _files(path.parent).get(path.name)
-    return known is not None and (not known["whole"] or known["sha256"] == _digest_of(path))
-
-
 def refuse_foreign(path: str | os.PathLike[str]) -> None:
     """Raise DataError if the running command would replace a file that is not rtcal's own."""
     if _current is None or _current.replaced is None:
@@ -237,7 +231,10 @@ def refuse_foreign(path: str | os.PathLike[str]) -> None:
     known = _current.replaced | _current.contents.keys()
     try:
         file = target(Path(path))
-        foreign = file.exists() and file not in known and not is_own(file)
+        stated = _files(file.parent).get(file.name)
+        # It is rtcal's own as it was written, or of a set in part.
+        own = stated and (not stated["whole"] or stated["sha256"] == _digest_of(file))
+        foreign = file.exists() and file not in known and not own
     except OSError:
         return  # where it is written, the reason is said
     if foreign:

@@ -192,11 +192,18 @@ def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]
         if isinstance(value, Mapping):
             return {"table": [[of(k), of(v)] for k, v in value.items()]}
         if id(value) not in places:
-            entry = _array_entry(value) if isinstance(value, np.ndarray) else fields_of(value)
+            entry = array_of(value) if isinstance(value, np.ndarray) else fields_of(value)
             places[id(value)] = len(objects)
             objects.append(entry)
             written.append(value)
         return {_OBJECT: places[id(value)]}
+
+    def array_of(array: np.ndarray[Any, Any]) -> dict[str, Any]:
+        if array.dtype.kind not in _KINDS:
+            raise CannotBeSavedError(f"an array of {array.dtype} cannot be saved")
+        little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+        content = base64.b64encode(np.ascontiguousarray(little).tobytes()).decode()
+        return {"dtype": little.dtype.str, "shape": list(array.shape), "content": content}
 
     def fields_of(value: Any) -> dict[str, Any]:
         kind = type(value)
@@ -271,14 +278,6 @@ def _class(name: Any) -> type:
             "no class that rtcal saves; a class in a module of your own is to be imported first"
         )
     return kind
-
-
-def _array_entry(array: np.ndarray[Any, Any]) -> dict[str, Any]:
-    if array.dtype.kind not in _KINDS:
-        raise CannotBeSavedError(f"an array of {array.dtype} cannot be saved")
-    little = array.astype(array.dtype.newbyteorder("<"), copy=False)
-    content = base64.b64encode(np.ascontiguousarray(little).tobytes()).decode()
-    return {"dtype": little.dtype.str, "shape": list(array.shape), "content": content}
 
 
 def _array(dtype: str, shape: list[int], content: str) -> np.ndarray[Any, Any]:

@@ -748,14 +748,8 @@ def _name_of(text: str) -> Column | None:
 # -- columns to values
 
 
-@dataclass
-class _Value:
-    """The numbers of one value of a row, of single positions unless it is a ``statistic``."""
-
-    place: str
-    key: Key
-    numbers: dict[str, float]
-    statistic: str | None
+_Value = tuple[str, Key, dict[str, float], str | None]
+"""The place and the numbers of one value of a row, of single positions unless it is a statistic."""
 
 
 class _Table:
@@ -1023,7 +1017,7 @@ class _Table:
                     numbers[name] = number(entries[name], place)
             if "value" in numbers:
                 self._check(parameter, numbers["value"], place)
-            yield _Value(place, (source, receiver, parameter, band), numbers, statistic)
+            yield place, (source, receiver, parameter, band), numbers, statistic
 
     def _statistic(
         self, entries: Mapping[str, str], values: Sequence[str], place: str
@@ -1172,10 +1166,9 @@ def _values(tables: Sequence[_Table], options: _Options) -> tuple[Values, Values
     for table in tables:
         sheet = table.sheet
         file = sheet.place.split(", sheet")[0]
-        for value in table.values():
-            key = value.key
+        for place, key, numbers, statistic in table.values():
             at = f"{key[0]}, {key[1]} at {bands.label(key[3])}"
-            twice = f"{value.place}: {parameter_label(key[2])} of {at} is given twice"
+            twice = f"{place}: {parameter_label(key[2])} of {at} is given twice"
             for other in given.get(key, ()):
                 of_file = other.place.split(", sheet")[0] == file and other.name != sheet.name
                 if of_file and not options.sheets:  # those that are named are meant together
@@ -1186,16 +1179,16 @@ def _values(tables: Sequence[_Table], options: _Options) -> tuple[Values, Values
                         f'sheets="{shown(other.name)}"'
                     )
             given.setdefault(key, []).append(sheet)
-            values = single if value.statistic is None else of_several
-            if value.statistic is None and options.repeats:
+            values = single if statistic is None else of_several
+            if statistic is None and options.repeats:
                 repeats = ((key[0], n, *key[2:]) for n in names_of_repeats(key[1]))
                 key = next(k for k in repeats if k not in values)
             held = values.setdefault(key, options.counts)
-            if held.keys() & value.numbers.keys() & {"value", "standard_deviation"}:
+            if held.keys() & numbers.keys() & {"value", "standard_deviation"}:
                 hint = "; if they are repeats of one place, state repeats=True"
                 hint = "" if SUMMARY in key else hint
                 raise DataError(f"{twice}{hint}")
-            held.update(value.numbers)
+            held.update(numbers)
     return single, of_several
 
 

@@ -41,21 +41,19 @@ def sentence(c: Comparison) -> str:
         agree = f"{whose} {right} agree{'s' * (len(c.parameters) == 1)} with the measurement"
         agree += " in the mean over the pairs" if c.pairs else ""
         return f"{agree}, within {NOTICED:g} JND or twice the uncertainty in all bands."
-    said = [
-        f"{parameter_label(p)} is {_deviates(c, p)}{_positions(c, p) if p == wrong[0] else ''}"
-        for p in wrong[:_MOST]
-    ]
+    said = []
+    for p in wrong[:_MOST]:
+        of_time = OBSERVABLES[p].unit == "s"
+        words = ("too short", "too long") if of_time else ("too low", "too high")
+        deviates = _groups(c, c.deviation[p], c.disagrees[p], p, words)
+        said.append(
+            f"{parameter_label(p)} is {deviates}{_positions(c, p) if p == wrong[0] else ''}"
+        )
     if more := [parameter_label(p) for p in wrong[_MOST:]]:
         said.append(f"{listed(more)} disagree{'s' * (len(more) == 1)}, too")
     if right:
         said.append(f"{right} agree{'s' * (len(c.parameters) - len(wrong) == 1)}")
     return f"{whose} {'; '.join(said)}."
-
-
-def _deviates(c: Comparison, parameter: str) -> str:
-    of_time = OBSERVABLES[parameter].unit == "s"
-    words = ("too short", "too long") if of_time else ("too low", "too high")
-    return _groups(c, c.deviation[parameter], c.disagrees[parameter], parameter, words)
 
 
 def _groups(

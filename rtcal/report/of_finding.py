@@ -15,7 +15,6 @@ from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import parameter_label
 from rtcal.acoustics.room import MAX_BYTES, Room
 from rtcal.acoustics.run import Run
-from rtcal.files.disk import make_folder, write_all
 from rtcal.files.saved import NUMBERS
 from rtcal.finder.apply import Corrected
 from rtcal.finder.evidence import NONE
@@ -30,14 +29,12 @@ from rtcal.report.document import (
     Box,
     Code,
     Files,
-    Heading,
     Items,
     Page,
     Picture,
     Section,
     SideBySide,
     coefficients,
-    page_files,
 )
 from rtcal.report.finding_words import odds, percent
 from rtcal.support.blocks import Block, Note, Row, Table
@@ -376,22 +373,6 @@ def _bars(verified: Verification, what: str) -> Picture:
         f"{listed([f'{gap:.2f} JND {model}' for gap, model in each])}.",
         name="gap",
     )
-
-
-def write(
-    finding: Finding,
-    verification: Verification | None,
-    folder: Path,
-    heading: Heading | None = None,
-    command: str = "",
-    place: Place | None = None,
-) -> None:
-    """Write `page`, numbers and figures, all or none; the arguments are those of `page`."""
-    made = page(finding, verification, command, place)
-    saved = finding if verification is None else verification
-    contents = page_files(made, saved, folder, heading)
-    make_folder(folder)
-    write_all(contents)
 
 
 def _reproduced(finding: Finding, command: str) -> list[Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -127,18 +127,14 @@ def sheets(made: Page) -> dict[str, list[list[Any]]]:
         elif isinstance(block, Table) and block.rows:
             title = re.split("[:;,]", block.title)[0][:28] or block.corner or "table"
             same = sum(name.startswith(title) for name in made_of)
-            made_of[f"{title} {same + 1}" if same else title] = [
-                [block.corner, *block.columns],
-                *([name, *map(_number, values)] for name, values in _rows(block)),
-            ]
+            rows: list[list[Any]] = [[block.corner, *block.columns]]
+            for row in block.rows:
+                rows.append([row.name.strip(), *map(_number, row.values)])
+                rows += [
+                    [f"{row.name.strip()}, {n}", *map(_number, v)] for n, v in row.others.items()
+                ]
+            made_of[f"{title} {same + 1}" if same else title] = rows
     return made_of
-
-
-def _rows(table: Table) -> Iterator[tuple[str, Iterable[Any]]]:
-    for row in table.rows:
-        yield row.name.strip(), row.values
-        for name, values in row.others.items():
-            yield f"{row.name.strip()}, {name}", values
 
 
 def _number(value: Any) -> Any:

@@ -13,7 +13,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
@@ -242,21 +242,16 @@ class RoomSection:
             text = text.replace(character, f"\\u{ord(character):04x}")
         return text
 
-    @property
+    @cached_property
     def script(self) -> str:
         """The page's script, ``room.js``."""
-        return _script()
+        return resources.files("rtcal.report").joinpath("templates/room.js").read_text("utf-8")
 
     @property
     def fingerprint(self) -> str:
         """What the page's policy allows to run: this script, and nothing else."""
-        digest = hashlib.sha256(_script().encode()).digest()
+        digest = hashlib.sha256(self.script.encode()).digest()
         return f"'sha256-{base64.b64encode(digest).decode()}'"
-
-
-@cache
-def _script() -> str:
-    return resources.files("rtcal.report").joinpath("templates/room.js").read_text("utf-8")
 
 
 def _section(**of: Any) -> list[Any]:
