@@ -228,8 +228,8 @@ def _of_aurora(sheet: Sheet) -> Sheet:
             units = [
                 _WITHOUT_UNIT.get(c.parameter, "") if c and not c.unit else "" for c in columns
             ]
-            named = zip(cells, units, strict=True)  # such as D50_500
-            rows.append((line, [n.replace("_", f" {u}_", 1) if u else n for n, u in named]))
+            both = zip(cells, units, strict=True)  # such as D50_500
+            rows.append((line, [n.replace("_", f" {u}_", 1) if u else n for n, u in both]))
         elif rows and len(cells) == len(rows[0][1]) and cells[0] != "Filename":
             rows.append((line, cells))
             channels.append(channel)

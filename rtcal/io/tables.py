@@ -993,8 +993,8 @@ class _Table:
                     raise DataError(
                         f'{place}: parameter "{shown(entries["parameter"])}" is unknown'
                     )
-                named = (c.parameter for t in self.titles if (c := _name_of(t)))
-                likely = next(named, REVERBERATION[0].key)
+                titled = (c.parameter for t in self.titles if (c := _name_of(t)))
+                likely = next(titled, REVERBERATION[0].key)
                 raise DataError(
                     f'{place}: no heading says which parameter the value "{shown(cell)}" is; state it: '
                     f'parameter="{likely}", for instance'

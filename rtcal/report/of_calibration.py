@@ -80,9 +80,33 @@ def blocks(result: CalibrationResult) -> list[Any]:
     clean = [f for f in room.centre_frequencies.tolist() if f not in marked]
     reserved = f"Bands without a caution: {bands.hertz(clean) or 'none'}."
     sources = [(m, room.sources[m]) for m in room.materials if room.sources.get(m)]
+    known = np.isfinite(result.gap_before)
+    compared = bands.span(room.centre_frequencies[known]) if known.any() else "no band"
+    gap = Picture(
+        lambda: figures.gap(result),
+        "How far the model's reverberation time was from the measured one: before (bars) and after "
+        f"calibration (dots), in {compared}. One JND, the just noticeable difference, is 5 %.",
+    )
+    times = Picture(
+        lambda: figures.reverberation_time(result),
+        "Reverberation time by band, with the band of one JND around the measured one.",
+    )
+    alphas = Picture(
+        lambda: figures.coefficients(result),
+        "Absorption coefficients before and after, with 90 % intervals. Where the two intervals are "
+        "alike, the measurement does not determine the material.",
+        tall=True,
+    )
+    posterior = (
+        "the exact posterior distribution, within the bounds, with the uncertainty of T where it "
+        "is known"
+        if result.joint.is_exact
+        else "the linear estimate, a normal density within the bounds for each coefficient by itself: "
+        "bands or rooms share errors here, or the method has no posterior distribution"
+    )
     return [
         Section("Summary", "summary"),
-        SideBySide([[Note(s, kind="lead") for s in _summary(result)], [_gap(result)]], "summary"),
+        SideBySide([[Note(s, kind="lead") for s in _summary(result)], [gap]], "summary"),
         *room_view.of_calibration(result),
         Section("Cautions", "cautions"),
         Note(_GAP_REMAINS if left.any() else _AGREEMENT),
@@ -91,7 +115,11 @@ def blocks(result: CalibrationResult) -> list[Any]:
         Items(table.remarks(record)),
         Section("Tables", "tables"),
         coefficients(title, room, result.alpha, result.interval, result.active != 0, rows),
-        Note(_of_intervals(result), kind="note"),
+        Note(
+            f"The intervals are those of {posterior}. The calibrated coefficient lies within its "
+            "interval.",
+            kind="note",
+        ),
         Table(
             bands.labels(room.centre_frequencies),
             table.shift_rows(record),
@@ -107,7 +135,7 @@ def blocks(result: CalibrationResult) -> list[Any]:
         ),
         _shares(result, rows),
         Section("Pictures", "pictures"),
-        SideBySide([[p] for p in _pictures(result)], "pictures"),
+        SideBySide([[times], [alphas]], "pictures"),
         Section("What was assumed", "assumed"),
         Items(assumed(result)),
         Table(
@@ -146,31 +174,6 @@ def _summary(result: CalibrationResult) -> list[str]:
     ]
 
 
-def _gap(result: CalibrationResult) -> Picture:
-    f, known = result.prior.centre_frequencies, np.isfinite(result.gap_before)
-    compared = bands.span(f[known]) if known.any() else "no band"
-    return Picture(
-        lambda: figures.gap(result),
-        "How far the model's reverberation time was from the measured one: before (bars) and after "
-        f"calibration (dots), in {compared}. One JND, the just noticeable difference, is 5 %.",
-    )
-
-
-def _pictures(result: CalibrationResult) -> list[Picture]:
-    alike = "Where the two intervals are alike, the measurement does not determine the material."
-    return [
-        Picture(
-            lambda: figures.reverberation_time(result),
-            "Reverberation time by band, with the band of one JND around the measured one.",
-        ),
-        Picture(
-            lambda: figures.coefficients(result),
-            f"Absorption coefficients before and after, with 90 % intervals. {alike}",
-            tall=True,
-        ),
-    ]
-
-
 def _shares(result: CalibrationResult, rows: list[int]) -> Table:
     """Return the shares of materials (of which a page shows some), effects and air by band, in %."""
     names = [*result.prior.materials]
@@ -188,19 +191,6 @@ def _shares(result: CalibrationResult, rows: list[int]) -> Table:
         "Material",
         most=[*rows, *range(len(result.prior.materials), len(shares))],
     )
-
-
-def _of_intervals(result: CalibrationResult) -> str:
-    of = (
-        "the exact posterior distribution, within the bounds, with the uncertainty of T where it "
-        "is known"
-    )
-    if not result.joint.is_exact:
-        of = (
-            "the linear estimate, a normal density within the bounds for each coefficient by itself: "
-            "bands or rooms share errors here, or the method has no posterior distribution"
-        )
-    return f"The intervals are those of {of}. The calibrated coefficient lies within its interval."
 
 
 def assumed(result: CalibrationResult) -> list[str]:
