@@ -14,7 +14,6 @@ from benchmarks.studies.archives import archive as study
 from rtcal.calibration import archive as model
 from rtcal.calibration.archive import Evidence, RoomData, Spread
 from rtcal.command.main import cli
-from rtcal.report import pages
 from rtcal.support.errors import DataError
 
 SPREAD = Spread(table=0.9, between=0.3, room=0.05, together=0.1, equation=0.02, correlation=0.6)
@@ -290,18 +289,6 @@ def test_a_material_that_it_does_not_know_is_off_as_all_tables_are(
     again = archive.apply(known)
     np.testing.assert_array_equal(again.alpha, known.alpha)
     assert again.sources == known.sources
-
-
-def test_it_is_saved_and_read_back(
-    rooms: list[rt.calibration.CalibrationResult], tmp_path: Path
-) -> None:
-    archive = rt.learn(rooms)
-    archive.save(tmp_path)
-    again = rt.load(tmp_path)
-    assert str(again) == str(archive)
-    assert (again.alpha == archive.alpha).all()
-    with pytest.raises(DataError, match='a result of the kind "archive" has no page'):
-        pages.page_of(tmp_path)
 
 
 def test_the_command_reads_a_folder_and_writes_a_room(

@@ -136,14 +136,6 @@ def test_run_and_measurement_with_twice_the_time_say_the_same() -> None:
     assert one.score == pytest.approx(other.score, abs=1e-6)
 
 
-def test_what_the_run_lacks_is_left_out_and_named() -> None:
-    values = values_of(hall())
-    run = {k: v for k, v in values.items() if k != "c80"}
-    finding = found(values, run)
-    assert np.isnan(finding.residuals[0, 3]).all()
-    assert any(str(n) == '"as measured": C80 left out, which the run lacks.' for n in finding.notes)
-
-
 def test_calibrations_meet_the_measurement_in_the_terms_of_the_run() -> None:
     """At the run's coefficients the model is the run, whatever they are; away from them, its ratio."""
     room, values = hall(), values_of(hall(), 1.3)

@@ -277,7 +277,7 @@ def test_a_fit_of_the_corrected_prior_of_a_tight_one_keeps_its_gap():
 
 
 @pytest.mark.parametrize("name", ["paths", "images", "program", "equation"])
-@pytest.mark.parametrize("factor", [0.85, 1.0, 3.0])
+@pytest.mark.parametrize("factor", [0.85, 1.0, *also(3.0)])
 def test_no_loop_ends_farther_than_the_stated_coefficients(name, factor):
     room = stated(PRIORS["usual"])
     simulator = SIMULATORS[name](room)

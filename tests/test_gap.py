@@ -19,7 +19,6 @@ from rtcal.finder.claim import Size
 from rtcal.finder.means.engines import FOLDER
 from rtcal.finder.search import find
 from rtcal.finder.verification import Miss, Verification, of_means
-from rtcal.report import of_finding
 from tests.conftest import candidates_of
 
 pytestmark = pytest.mark.usefixtures("runs_kept")
@@ -164,19 +163,6 @@ def with_gap(
 
 
 MISS = Miss("T20", "", 500.0, 0.53, 0.645, 0.013, -3.6, "s")
-
-
-def test_the_verdict_stands_beside_what_is_supported(finding: Finding) -> None:
-    seen = verify(finding)
-    sure = with_gap(seen, {"C80": (1.0, 0.1)})
-    assert sure.verdict == "supported"
-    assert sure.sentence in of_finding.rests_on(sure.finding, sure)
-    blocks = of_finding.page(sure.finding, sure).blocks
-    (table,) = (b for b in blocks if getattr(b, "title", "").startswith("Corrected coefficients"))
-    row = table.rows[0]
-    np.testing.assert_array_equal(row.values, sure.corrected.alpha[0])
-    assert (row.others["90 %: from"] < row.values).all()
-    assert (row.values < row.others["to"]).all()
 
 
 @pytest.mark.parametrize(

@@ -165,9 +165,8 @@ LEAST = {"t20": 35.0, "t30": 45.0, "edt": 20.0}
 @pytest.mark.parametrize(
     "how",
     ["nothing", "offset 0.001", "offset 0.1", "sparse 60", "sparse 80", "bits 12", "bits 24"]
-    + [
-        f"{kind} {down}" for kind in ("cut", "zeros", "dither") for down in (15, 28, 33, 40, 52, 66)
-    ],
+    + [f"{kind} {down}" for kind in ("cut", "zeros", "dither") for down in (15, 33, 52)]
+    + also(*(f"{kind} {down}" for kind in ("cut", "zeros", "dither") for down in (28, 40, 66))),
 )
 def test_a_straight_decay_has_its_own_t_or_the_true_reason(how: str, t: float) -> None:
     """A decay cut 40 dB down had a T20 3 % too short; few late rays were noise; there is none."""

@@ -103,21 +103,6 @@ def test_a_table_that_lacks_something_is_refused_and_nothing_is_written(
     assert [(tmp_path / n).read_bytes() for n in ("loop.json", "next.toml")] == before
 
 
-def test_the_same_table_twice_is_refused(cr2, tmp_path):
-    room, measured = cr2
-    _, runner, command, files = begun(room, measured, tmp_path)
-    table = simulate(tmp_path)
-    assert runner.invoke(cli, [*command, table, *files]).exit_code == 0
-    before = [(tmp_path / n).read_bytes() for n in ("loop.json", "next.toml")]
-    done = runner.invoke(cli, [*command, table, *files])
-    assert "the table is the last step's, though alpha changed" in str(done.exception)
-    assert [(tmp_path / n).read_bytes() for n in ("loop.json", "next.toml")] == before
-    done = runner.invoke(cli, [*command, table, *files, "--again"])
-    assert done.exit_code == 0, done.output
-    done = runner.invoke(cli, [*command, simulate(tmp_path), *files])
-    assert done.exit_code == 0, done.output
-
-
 @pytest.mark.parametrize("factor", [0.05, 0.1, 10, 20])
 @pytest.mark.parametrize("step", [1, 2])
 def test_a_simulation_in_another_unit_is_named_first(cr2, tmp_path, step, factor):
@@ -156,20 +141,6 @@ def test_the_last_step_is_taken_back(cr2, tmp_path):
         assert f"now holds {left} simulation" in unwrapped(done.output)
         assert [(tmp_path / n).read_bytes() for n in names] == kept[left]
     assert "none to take back" in str(runner.invoke(cli, back).exception)
-
-
-def test_a_loop_in_progress_is_not_written_over(cr2, tmp_path):
-    room, measured = cr2
-    begun(room, measured, tmp_path)
-    done, runner, command, files = begun(room, measured, tmp_path)
-    assert done.exit_code == 0  # nothing was simulated yet
-    runner.invoke(cli, [*command, simulate(tmp_path), *files])
-    before = (tmp_path / "loop.json").read_bytes()
-    done, *_ = begun(room, measured, tmp_path)
-    assert "holds 1 simulation of a loop: delete it to begin anew" in str(done.exception)
-    assert (tmp_path / "loop.json").read_bytes() == before
-    (tmp_path / "loop.json").unlink()
-    assert begun(room, measured, tmp_path)[0].exit_code == 0
 
 
 def test_t_of_other_coefficients_is_refused(cr2, tmp_path):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from rtcal.command.main import main
 from rtcal.io import geometry_files, mend, mesh
 from rtcal.io.mend import volume_by_rays
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.support.errors import DataError, MissingDependencyError
+from rtcal.support.errors import DataError
 
 BOX = Polyhedron.shoebox((10, 7, 4), "plaster")
 V, S = 280.0, 276.0
@@ -215,29 +214,6 @@ def test_low_screens_and_fins_reflect_on_both_sides() -> None:
         areas = {"plaster": S, "fin": 2 * 3.5 * np.sqrt(2)}
         assert done.areas == pytest.approx(areas, rel=2e-3)
         assert "contact" not in kinds(done)
-
-
-def test_a_free_panel_reflects_on_both_sides_of_a_tracer() -> None:
-    done = mended([*walls(), PANEL])
-    assert done.areas["panel"] == pytest.approx(8, rel=1e-3)
-    assert done.volume == pytest.approx(V - 4 * mend.THICKNESS, rel=1e-6)
-    room = rt.Room(
-        name="panel",
-        volume=done.volume,
-        materials=[*done.areas],
-        areas=[*done.areas.values()],
-        alpha=[[0.05]] * 6 + [[0.9]],
-        sigma=[[0.01]] * 7,
-        centre_frequencies=[1000],
-        scattering=[[0.3]] * 7,
-    )
-    stands = {"sources": {"S": (4, 3, 1)}, "receivers": {"R": (4, 3, 3.5)}}
-    tracer = rt.simulators.PathTracing(geometry=done.geometry, room=room, n_paths=800, **stands)
-    with_panel = tracer.simulate(room.alpha, seed=1).mean("t20")
-    alpha = room.alpha.copy()
-    alpha[6] = 0.05
-    assert with_panel[0] < 0.9 * tracer.simulate(alpha, seed=1).mean("t20")[0]
-    assert tracer.lost_share < 1e-3
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.001, -0.001])
@@ -536,17 +512,6 @@ def test_bad_files(tmp_path: Path, name: str, content: bytes, rule: str) -> None
     (tmp_path / name).write_bytes(content)
     with pytest.raises(DataError, match=rule):
         mesh.room(tmp_path / name)
-
-
-def test_without_the_libraries_the_extra_is_named(tmp_path: Path, monkeypatch) -> None:
-    for ending, needed in ((".stl", "trimesh"), (".dxf", "ezdxf")):
-        path = written(tmp_path, ending)
-        monkeypatch.setitem(sys.modules, needed, None)
-        with pytest.raises(MissingDependencyError, match=r"pip install 'rtcal\[mesh\]'"):
-            mesh.room(path)
-    monkeypatch.setitem(sys.modules, "shapely", None)
-    with pytest.raises(MissingDependencyError, match=r"needs shapely: pip install 'rtcal\[mesh\]'"):
-        mended([*walls(), PANEL])
 
 
 # -- commands

@@ -106,31 +106,6 @@ def test_what_cannot_be_matched_is_refused(tracer, measured, changed, options, p
         calibrate(tracer, changed(measured), **options)
 
 
-def without_c80(measured):
-    return only(
-        measured, range(len(measured.pairs)), c80=np.full_like(measured.values["c80"], np.nan)
-    )
-
-
-def t30_alone(measured):
-    return replace(measured, values={p: measured.values[p] for p in ("t30", "c80")}, uncertainty={})
-
-
-@pytest.mark.parametrize(
-    ("changed", "parameters", "note"),
-    [
-        (lambda m: only(m, [0, 1], [("S1", "R1"), ("S1", "R9")]), ("t20", "c80"), "S1 to R9"),
-        (without_c80, ("t20",), "not measured: C80"),
-        (t30_alone, ("t30", "c80"), "T30 is matched in place of T20"),
-    ],
-)
-def test_what_was_not_measured_is_left_out(tracer, measured, changed, parameters, note):
-    result = calibrate(tracer, changed(measured))
-    assert result.parameters == parameters
-    assert set(result.pairs) <= {*changed(measured).pairs} & {*tracer.pairs}
-    assert note in " ".join(str(result).split())
-
-
 def test_stated_uncertainties_replace_the_assumed_ones(tracer, measured):
     rows, shape = list(range(len(measured.pairs))), measured.values["t20"].shape
     own, common = np.full(shape, 0.02), np.full(shape[1], 0.1)
@@ -148,30 +123,6 @@ def test_stated_uncertainties_replace_the_assumed_ones(tracer, measured):
     made, _ = covariance()
     of_team, _ = covariance(common_uncertainty={"t20": common})
     assert np.diag(of_team - made) == pytest.approx(0.01 / t**2 - made[0, 1])
-
-
-def traced(receivers):
-    places = {"sources": {"S1": PLACES["sources"]["S1"]}, "receivers": receivers}
-    return PathTracing(geometry=HALL.geometry, room=ROOM, **places, n_paths=160, scattering=0.5)
-
-
-def test_all_pairs_at_one_place_are_refused(measured):
-    x, y, z = PLACES["receivers"]["R1"]
-    close = {f"R{i}": (x + 0.01 * i, y, z) for i in (1, 2, 3)}
-    tracer = traced(close)
-    with pytest.raises(DataError, match="pairs stand at one place"):
-        calibrate(tracer, only(measured, [0, 1, 2], [("S1", f"R{i}") for i in (1, 2, 3)]))
-
-
-def test_control_runs_of_another_simulator_are_refused(tracer, measured):
-    controls = calibrate(tracer, only(measured, [0, 1])).controls
-    one = traced({"new": PLACES["receivers"]["R1"]})
-    with pytest.raises(DataError, match="the reference simulations lack S1 to new"):
-        calibrate(one, only(measured, [0], [("S1", "new")]), controls=controls)
-    with pytest.raises(DataError, match="at least 2 runs"):
-        measured_pairs.ControlRuns(
-            parameters=("t20",), pairs=(("S", "R"),), errors=np.zeros((1, 1, 1, 3))
-        )
 
 
 BOX = rt.Room(

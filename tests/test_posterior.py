@@ -62,7 +62,7 @@ def test_marginals_of_two_against_quadrature(target: float, uncertainty: float) 
         np.testing.assert_allclose(found.values @ areas, target, rtol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", [*range(8), *also(*range(8, 24))])
 def test_random_bands_against_quadrature(seed: int) -> None:
     """Scales over six decades, T up to hundreds of sigma off; of 150 bands the worst errs by 0.039."""
     rng = np.random.default_rng(seed)
@@ -306,7 +306,7 @@ def test_a_coupled_density_is_that_of_plain_draws(exact: bool) -> None:
     np.testing.assert_allclose(np.cov(of_samples.T), np.cov(plain.T), atol=0.1 * spread.max() ** 2)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", [*range(4), *also(*range(4, 10))])
 def test_no_coupled_room_is_refused(seed: int) -> None:
     """Coefficients and sigmas span decades, and T is far from its prediction."""
     rng = np.random.default_rng(seed)

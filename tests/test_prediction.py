@@ -306,18 +306,6 @@ def test_an_even_change_is_the_same_with_and_without_uneven_equations(result) ->
 # What is known ------------------------------------------------------------------------------------
 
 
-def test_t_before_is_given_and_its_uncertainty_stands_apart() -> None:
-    room = a_room(2)
-    t = measured_in(room, 2).mean("t20")
-    change = Change(add=PANEL, area=5)
-    found = [rt.calibrate(room, at_two_positions(t, u)) for u in (0.02, 0.06)]
-    sure, unsure = (each.predict(change) for each in found)
-    for result, made in zip(found, (sure, unsure), strict=True):
-        assert made.uncertainty_before == pytest.approx(result.measured_uncertainty)
-    assert unsure.half_width == pytest.approx(sure.half_width, rel=0.35)
-    assert np.isnan(rt.calibrate(room, t).predict(change).uncertainty_before).all()
-
-
 def test_without_a_measurement_the_error_of_t_before_counts() -> None:
     room = a_room(2)
     found = calibrated(2).predict(Change(add=PANEL, area=5))

@@ -87,23 +87,6 @@ def test_a_broken_solver_is_caught(
     assert not row.passes
 
 
-def test_feasible_point_that_is_not_optimal(feasible: Case, test_set: Rooms) -> None:
-    """It meets every constraint, so only error, dual residual and gap can see it."""
-    good = right(feasible, test_set)
-    rows = feasible.A.toarray()
-    step = np.random.default_rng(0).standard_normal(len(good.x))
-    inside = np.abs(good.z[: len(step)]) + np.abs(good.z[len(step) :]) < 1e-6
-    step = np.where(inside, step, 0)
-    free = rows[:, inside]
-    step[inside] -= np.linalg.pinv(free) @ (rows @ step)
-    x = good.x + 0.05 * step / np.abs(step).max()
-    row = judged(feasible, test_set, x=x)
-    assert row.primal < 1e-8
-    assert row.error > 1e-4
-    assert row.dual > 1e-3
-    assert row.wrong
-
-
 def test_solved_claimed_of_an_infeasible_problem(impossible: Case, test_set: Rooms) -> None:
     row = judged(impossible, test_set, status="solved")
     assert not row.feasible

@@ -7,15 +7,12 @@ import re
 import pytest
 from scipy.stats import binom
 
-import rtcal as rt
 from benchmarks import records as benchmark
-from rtcal.acoustics.observables import LEVEL
 from rtcal.finder import records
-from rtcal.finder.records import HANDBOOK, IN_SITU, Share, record_of
+from rtcal.finder.records import Share, record_of
 from rtcal.report.finding_words import (
     interval,
     record_of_means,
-    record_of_positions,
 )
 
 VERDICTS = ("none", "hint", "named", "family", "ambiguous", "unknown")
@@ -45,19 +42,3 @@ def test_every_record_of_means_has_counts_and_an_interval(verdict: str, data: st
     if (right := record.get(verdict)) is not None:
         assert re.search(rf"\b{right.count} of {right.of} .*\({interval(right)}\)", said)
     assert "95 % interval" in said
-
-
-@pytest.mark.parametrize("statement", [IN_SITU, HANDBOOK])
-@pytest.mark.parametrize("match", [("t20",), ("t20", LEVEL.key)])
-def test_a_search_at_positions_states_the_claims_of_rooms_like_its_own(
-    statement: str, match: tuple[str, ...]
-) -> None:
-    room = rt.datasets.hidden_room()[0].room
-    room = room.replace(sigma=(0.3 if statement == HANDBOOK else 0.1) * room.alpha)
-    assert records.statement_of(room) == statement
-    data = records.WITH_LEVEL if LEVEL.key in match else records.WITHOUT_LEVEL
-    record = record_of("positions", statement, data)
-    said = record_of_positions(room, match)
-    for share in record.values():
-        assert {f"{share.count}", f"{share.of}"} <= set(re.findall(r"\d+", said))
-        assert interval(share) in said

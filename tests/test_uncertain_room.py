@@ -224,38 +224,18 @@ def test_a_common_factor_alone_has_an_interval() -> None:
     np.testing.assert_allclose(result.interval[1][inside], high[inside], rtol=0, atol=2e-3)
 
 
-def test_a_missing_band_and_a_coefficient_that_is_known() -> None:
-    room = room_of(6, air=rt.Air(), common_alpha_sigma=0.1, **STATED)
-    sigma = room.sigma.copy()
-    sigma[0] = 0
-    room, t = room.replace(sigma=sigma), times(room, 6)
-    t[1] = np.nan
-    result = rt.calibrate(room, t, equation=SABINE)
-    assert (result.alpha[0] == room.alpha[0]).all()
-    # All coefficients may be off together, so the other bands tell something of this one.
-    assert np.abs(result.shift[1:, 1]).max() > 1e-4
-    apart = rt.calibrate(room.replace(common_alpha_sigma=0), t, equation=SABINE)
-    assert np.abs(apart.shift[:, 1]).max() < 1e-12
-
-
 @pytest.mark.parametrize(
     ("stated", "message"),
     [
         ({"volume_sigma": 5}, "volume_sigma = 5 is not .* percent"),
-        ({"volume_sigma": -0.1}, "volume_sigma = -0.1"),
         ({"volume_sigma": np.nan}, "volume_sigma = nan"),
         ({"common_alpha_sigma": "much"}, "common_alpha_sigma"),
         ({"area_sigma": [0.1, 0.1]}, "area_sigma has 2 values"),
-        ({"area_sigma": [None] * 4}, "area_sigma.* = None is not a number"),
-        ({"area_sigma": [False] * 4}, "area_sigma.* = False is not a number"),
         ({"area_sigma": {"roof": 0.1}}, 'area_sigma\\["roof"\\]'),
         ({"area_sigma": {"door": "1.5"}}, 'such as "1.5 m²"'),
-        ({"area_sigma": {"door": "1.5 m2"}}, "no number with the unit m² .written with ²"),
-        ({"area_sigma": {"door": "nan m²"}}, 'such as "1.5 m²"'),
         ({"area_sigma": {"door": "15 m²"}}, "below the area, which is 15 m²"),
         ({"area_sigma": 3}, 'area_sigma\\["floor"\\] = 3 is not .* percent'),
         ({"climate_sigma": (1,)}, "climate_sigma has 1 values"),
-        ({"climate_sigma": (30, 0)}, "climate_sigma = 30 K"),
         ({"climate_sigma": (1, 5), "air": None}, "no air"),
     ],
 )

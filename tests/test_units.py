@@ -45,13 +45,10 @@ def measured(**values: Any) -> rt.Measurement:
 
 REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: room(centre_frequencies=[0.5, 1]), "0.5, 1 looks like kHz"),
-    (lambda: rt.Measurement.from_values([0.125, 8], t20=[1, 1]), "looks like kHz"),
     (lambda: room(centre_frequencies=[120, 250]), r"120 Hz, which is no .* nearest is 125 Hz"),
-    (lambda: room(centre_frequencies=[500, 1024]), r"1024 Hz, which is no .* is 1000 Hz"),
     (lambda: rt.Air(20, 0.417), r"humidity = 0.417 % looks like a fraction; 41.7 %"),
     (lambda: room(sigma=[[2, 2], [5, 5]]), r'sigma\["a", 500 Hz\] = 2 .* is it in percent'),
     (lambda: room(sigma=[[1e160, 0.1], [0.1, 0.1]]), r"1e\+160 is not in \[0, 1\]"),
-    (lambda: SigmaRule(relative=30), "relative = 30 is not from 0 to 1: is it in percent"),
     (lambda: SoftMatch(relative=30), "relative = 30 .* at most 1: is it in percent"),
     (lambda: measured(ts=[80, 70]), r"ts, 500 Hz\] = 80 is not from 0 to 10 s: is it in ms"),
     (lambda: measured(d50=[50, 60]), "= 50 is not from 0 to 1: is it in percent"),
@@ -60,24 +57,10 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
         lambda: room(alpha=[[10, 20], [30, 20]], above_one="clip"),
         r'alpha\["a", 500 Hz\] = 10 looks like percent',
     ),
-    (lambda: room().replace(volume=True), "volume = True is not a number"),
-    (lambda: room(areas=[100, 120], dimensions=(True, 2, 3)), "dimensions = True is not a number"),
     (lambda: SigmaRule().sigma([0.1, 2, -3], [1, 2, 3]), "alpha has -3, which is not from 0 to 2"),
-    (lambda: sigma_iso_12999_2([-1, 5], [500, 1000]), "alpha has -1, which is not from 0 to 2"),
     (lambda: sigma_iso_12999_2([0.1, 0.2], [500, 1000, 2000]), "its last axis has 3 bands"),
-    (
-        lambda: rt.exact.maximum_likelihood([0.1, 0.2], [-0.1, 0.1], [10, 20], 4),
-        "sigma has -0.1, which is not 0 or more",
-    ),
-    (lambda: rt.exact.multiplier([0.1, 0.2], [-0.1, 0.1], [10, 20], 4), "not 0 or more"),
     (lambda: rt.exact.multiplier([0.1, 0.2], [0, 0], [10, 20], 4), "no coefficient there"),
-    (lambda: rt.exact.least_squares([0.1, 0.2], [-10, 20], 4), "areas has -10 m²"),
-    (lambda: rt.exact.scaling([0.1, 0.2], [0, 20], 4), "areas has 0 m²"),
     (lambda: analytic_scores([1e300, 1e300], 0.05, 10), r"areas\[0\] = 1e\+300 m² is not above 0"),
-    (
-        lambda: start(room(), measured(t20=[1, 1])).record("nonsense", measured(t20=[1, 1])),
-        "alpha is not an array of real numbers",
-    ),
     (
         lambda: start(room(), measured(t20=[1, 1])).record([[0.1]], measured(t20=[1, 1])),
         r"alpha has shape \(1, 1\)",

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import base64
-import io
 import json
 import struct
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -35,38 +33,6 @@ def dxf(unit: int | None, length: float) -> str:
         for k, corner in enumerate(CORNERS[list(face)] / length):
             rows += [f"{10 * (axis + 1) + k}\n{float(x)!r}\n" for axis, x in enumerate(corner)]
     return f"{head}0\nSECTION\n2\nENTITIES\n{''.join(rows)}0\nENDSEC\n0\nEOF\n"
-
-
-def model_3mf(unit: str | None, length: float) -> bytes:
-    """One object for each material, as programs for printing name them."""
-    objects = []
-    for i, (name, faces) in enumerate(FACES.items(), start=1):
-        points = "".join(
-            '<vertex x="{}" y="{}" z="{}"/>'.format(*map(repr, map(float, corner)))
-            for corner in CORNERS / length
-        )
-        halves = [h for a, b, c, d in faces for h in ((a, b, c), (a, c, d))]
-        triangles = "".join('<triangle v1="{}" v2="{}" v3="{}"/>'.format(*h) for h in halves)
-        objects.append(
-            f'<object id="{i}" name="{name}" type="model"><mesh><vertices>{points}</vertices>'
-            f"<triangles>{triangles}</triangles></mesh></object>"
-        )
-    stated = "" if unit is None else f' unit="{unit}"'
-    items = "".join(f'<item objectid="{i + 1}"/>' for i in range(len(FACES)))
-    text = (
-        f'<?xml version="1.0"?><model{stated} xmlns="http://schemas.microsoft.com/3dmanufacturing/'
-        f'core/2015/02"><resources>{"".join(objects)}</resources><build>{items}</build></model>'
-    )
-    relations = (
-        '<?xml version="1.0"?><Relationships xmlns="http://schemas.openxmlformats.org/package/2006/'
-        'relationships"><Relationship Target="/3D/3dmodel.model" Id="r" Type="http://schemas.microsoft'
-        '.com/3dmanufacturing/2013/01/3dmodel"/></Relationships>'
-    )
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as made:
-        made.writestr("_rels/.rels", relations)
-        made.writestr("3D/3dmodel.model", text)
-    return stream.getvalue()
 
 
 def require_box(done: mesh.Mended, areas: dict[str, float] = AREAS) -> None:
@@ -102,13 +68,6 @@ def test_a_unit_that_dxf_does_not_have_is_refused(code: int, tmp_path: Path) -> 
     with pytest.raises(DataError, match=rf"line 8: \$INSUNITS = {code} is no unit of DXF"):
         mesh.room(path)
     require_box(mesh.room(path, unit=1.0))
-
-
-@pytest.mark.parametrize("name", [*units.OF_3MF, None])
-def test_the_same_room_in_every_unit_of_3mf(name: str | None, tmp_path: Path) -> None:
-    path = tmp_path / "room.3mf"
-    path.write_bytes(model_3mf(name, units.OF_3MF[name or "millimeter"]))
-    require_box(mesh.room(path))
 
 
 def test_a_unit_that_is_not_stated_is_said_with_the_box_that_it_gives(tmp_path: Path) -> None:

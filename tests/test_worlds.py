@@ -11,7 +11,6 @@ import pytest
 
 import rtcal as rt
 from benchmarks import studies
-from benchmarks.studies.geometric_world import load as geometric_rooms
 from benchmarks.studies.hidden_world import generate as hidden
 from benchmarks.studies.hidden_world import populations, shipped, tracer
 from benchmarks.studies.means import judged
@@ -134,21 +133,6 @@ def test_told_the_truth_of_a_position_room_the_package_simulates_the_same(index:
     alpha = position_rooms.true_alpha(0, index, "wide")
     simulated = told(position_rooms, case, truth, 4000).observe(alpha, tuple(BOUNDS))
     compare(simulated, position_rooms.without_noise(0, index, "wide"))
-
-
-@pytest.mark.long
-def test_told_the_truth_of_a_geometric_room_the_package_simulates_the_same() -> None:
-    """In a room of 430 m³ in which nothing is hidden and every surface has its own material."""
-    for index, row in sorted(geometric_rooms.stored(0, "truth").items()):
-        case = geometric_rooms.load(0, index)
-        alone = case.room.n_materials == len(case.geometry.faces)
-        if alone and row["truth"]["kind"] == geometric_rooms.EMPTY:
-            break
-    truth = geometric_rooms.truth(0, index)
-    simulated = told(geometric_rooms, case, truth, 16000).observe(
-        np.array(truth["alpha"]), tuple(BOUNDS)
-    )
-    compare(simulated, geometric_rooms.without_noise(0, index))
 
 
 @pytest.mark.long

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.report import document, of_calibration, pages
+from rtcal.report import document, pages
 from rtcal.support.errors import DataError
-from tests.report.pages import evil_room, no_figure, run
+from tests.report.pages import no_figure, run
 
 
 @pytest.mark.long
@@ -60,20 +60,6 @@ def test_the_page_reproduces_itself(html, result, tmp_path, monkeypatch) -> None
     np.testing.assert_allclose(again.alpha, result.alpha, rtol=0, atol=1e-12)
     np.testing.assert_allclose(again.plausibility.z, result.plausibility.z, rtol=1e-9)
     np.testing.assert_allclose(again.measured_uncertainty, result.measured_uncertainty, rtol=1e-12)
-
-
-def test_a_composed_calibration_does_not_claim_a_command() -> None:
-    room = evil_room()
-    terms = rt.terms
-    soft = rt.Calibration(terms.PriorDeviation() + 2 * terms.SoftMatch(0.05), []).build(room)
-    seen = soft.solve([0.4, 0.4, 0.4])
-    assert of_calibration.command(seen) is None
-    assert any("SoftMatch" in text for text in of_calibration.assumed(seen))
-    kuttruff = rt.calibrate(room, [0.4] * 3, equation=rt.Kuttruff(path_variance=0.3))
-    assert of_calibration.command(kuttruff) is None
-    assert "path_variance = 0.3" in " ".join(of_calibration.assumed(kuttruff))
-    usual = rt.calibrate(room, [0.4] * 3, equation=rt.Kuttruff())
-    assert "--equation kuttruff" in str(of_calibration.command(usual))
 
 
 def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:

@@ -13,7 +13,6 @@ import pytest
 import rtcal as rt
 from rtcal.finder.effects import Absorber, Parameters
 from rtcal.finder.positions.search import of_means
-from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 from tests.test_where import measured, stated, tracing
 
@@ -57,15 +56,3 @@ def test_it_is_found_on_the_wall_where_it_stands(case: rt.finder.PositionsCase, 
 def test_it_is_found_by_means_over_positions(case: rt.finder.PositionsCase) -> None:
     finding = rt.find(of_means(case), effects=OWN)
     assert finding.families["added absorption, hatches"] > 0.05
-
-
-@pytest.mark.parametrize(
-    ("places", "message"),
-    [(("roof",), "stands_on has 'roof', which is not one of floor, wall, ceiling")],
-)
-def test_a_place_that_no_room_has_is_named(
-    places: Sequence[str], message: str, case: rt.finder.PositionsCase
-) -> None:
-    wrong = type("Wrong", (Hatch,), {"stands_on": places})()
-    with pytest.raises(DataError, match=message):
-        rt.find(case, effects=[wrong])

@@ -23,6 +23,7 @@ from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
 from rtcal.loop.positions import PositionsResult
 from rtcal.report import figures, of_positions
 from rtcal.simulators import Polyhedron, of_equation
+from tests.conftest import also
 from tests.test_where_corrected import candidate
 
 
@@ -227,7 +228,7 @@ def template(name: str, folder: Path, kind: str) -> Path | None:
     return path
 
 
-@pytest.mark.parametrize("kind", ROOMS)
+@pytest.mark.parametrize("kind", ["stated", "fit", *also("calibrated", "loop", "patch")])
 @pytest.mark.parametrize("given", ["new", "without scattering", "with scattering"])
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_list_holds_what_it_does_not_say(

@@ -14,7 +14,6 @@ from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.observables import MODULATIONS, OBSERVABLES, Observable, observable, register
 from rtcal.io import impulse_responses, tables
 from rtcal.io.impulse_responses import means, with_uncertainty
-from rtcal.loop import measured_pairs
 from rtcal.simulators import ImageSource
 from tests.test_positions_input import BOX, IN_BOX
 
@@ -109,23 +108,6 @@ def test_new_observables_are_measured_with_their_uncertainty() -> None:
         (own,), (common,) = stated.uncertainty[key][0], [stated.common_uncertainty[key]]
         assert 0 < own < 3 * observable(key).jnd
         assert 0 < common[0] < observable(key).jnd
-
-
-def test_new_observables_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measured_pairs, "RUNS", 2)
-    simulator = ImageSource(room=BOX, duration=1.0, **IN_BOX)
-    seen = simulator.observe(np.array([[0.6], [0.35]]), NEW)
-    measured = rt.Measurement(
-        centre_frequencies=[1000],
-        pairs=seen.pairs,
-        values={p: seen.natural(p) for p in NEW},
-        uncertainty={p: np.full((2, 1), 0.01) for p in NEW},
-    )
-    result = rt.calibrate_positions(simulator, BOX, measured, match=NEW)
-    assert result.parameters == NEW
-    assert (result.alpha > BOX.alpha).all()
-    assert (np.abs(result.gap_after) < 0.8 * np.abs(result.gap_before)).all()
-    assert all(observable(p).label in str(result) for p in NEW)
 
 
 def test_an_observable_from_outside_is_heard() -> None:

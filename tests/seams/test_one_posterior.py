@@ -48,7 +48,7 @@ def solved(n: int, method: str, relative: float, more: float = 1.05, **prior: fl
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("n", [1, 2, 6])
-@pytest.mark.parametrize("relative", [0.002, 0.02, 0.1])
+@pytest.mark.parametrize("relative", [0.02, *also(0.002, 0.1)])
 def test_far_from_the_bounds_all_say_the_same(n: int, method: str, relative: float) -> None:
     result = solved(n, method, relative)
     low, high = result.interval
@@ -74,7 +74,7 @@ def test_one_material_is_as_uncertain_as_its_time() -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [*range(4), *also(*range(4, 12))])
 def test_the_interval_holds_its_own_value(method: str, seed: int) -> None:
     """Also at a bound, and where T is beyond reach."""
     rng = np.random.default_rng(seed)

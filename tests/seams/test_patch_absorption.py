@@ -12,11 +12,12 @@ from rtcal.finder.effects import library
 from rtcal.finder.positions.problem import on_surfaces
 from rtcal.simulators import Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
+from tests.conftest import also
 from tests.test_where_corrected import BANDS, SIZE, candidate, case_in
 
 
 @pytest.mark.parametrize("form", ["patch", "material"])
-@pytest.mark.parametrize("wall_alpha", [0.05, 0.6, 0.9])
+@pytest.mark.parametrize("wall_alpha", [0.6, *also(0.05, 0.9)])
 @pytest.mark.parametrize("size", [0.5, 12.0])
 @pytest.mark.parametrize("effect", on_surfaces(library()), ids=lambda effect: effect.name)
 def test_the_corrected_room_has_the_change_that_was_found(
