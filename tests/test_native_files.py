@@ -165,7 +165,6 @@ def test_the_whole_format_is_read(name: str, tmp_path: Path) -> None:
     assert read(tmp_path / name)
 
 
-MANY = "[" * 5000
 FLAT = "1" + "0" * 400
 BROKEN: dict[str, list[tuple[str, str, str]]] = {
     "room.toml": [
