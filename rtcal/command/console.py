@@ -450,7 +450,9 @@ def tell(
         if escape:  # characters that the terminal lacks or interprets
             said = json_text(whole, ascii_only=True)
     elif made:
-        said = printable(fitted("\n".join(filter(None, [text, written(made), then]))))
+        names = f"Written: {', '.join(map(str, made))}"
+        names = names if len(names) <= width() else "\n  ".join(["Written:", *map(str, made)])
+        said = printable(fitted("\n".join(filter(None, [text, names, then]))))
     else:
         said = printable(fitted(text))
     with printing():
@@ -529,12 +531,6 @@ def control_bar() -> Iterator[Callable[[int, int], None]]:
 
     with bar(RUNS, "reference simulation", bar_wanted(), said()) as shown:
         yield following(shown)
-
-
-def written(paths: Sequence[object]) -> str:
-    """Return a line that names the written files, or one line per file if that is too long."""
-    line = f"Written: {', '.join(map(str, paths))}"
-    return line if len(line) <= width() else "\n  ".join(["Written:", *map(str, paths)])
 
 
 def without_air_warning() -> warnings.catch_warnings[None]:

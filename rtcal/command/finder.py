@@ -20,6 +20,7 @@ import click
 from rtcal.command import console
 from rtcal.files.disk import command, make_folder, replace_file, spare, write_all
 from rtcal.files.saved import CannotBeSavedError, Result, load, plain
+from rtcal.files.schema import RESULT, kind_of
 from rtcal.support import __version__
 from rtcal.support.blocks import Block, Note, Row, Table, lines
 from rtcal.support.errors import DataError
@@ -200,20 +201,6 @@ def saved(path: str) -> tuple[Any, Any]:
         f"{path} holds the result of another command ({kind}), not of `rtcal find`: `rtcal find "
         "room.toml t.csv --out found` writes a finding"
     )
-
-
-def _is_saved(path: Path) -> bool:
-    """Return whether a path is that of a saved result, a folder or its file, and not of a case.
-
-    A file that cannot be read counts as one: `load` says why.
-    """
-    if path.is_dir() or path.suffix != ".json":
-        return path.is_dir()
-    try:
-        with path.open("rb") as file:
-            return b'"rtcal"' in file.read(200)
-    except OSError:
-        return True
 
 
 def verified(finding: Any, cache: Path) -> Any:
@@ -595,7 +582,7 @@ def plan(case: str, change: float | None, further: str | None, costs: tuple[str,
     from rtcal.finder import plan as planned_with
 
     finding = None
-    if _is_saved(Path(case)):
+    if Path(case).is_dir() or kind_of(case) == RESULT:
         finding, _ = saved(case)
         if finding.kind != "means":
             refused = {"relative-change": change, "cost": costs or None, "case": further}

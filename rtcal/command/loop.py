@@ -12,7 +12,7 @@ from rtcal.command import console
 from rtcal.files.disk import spare
 
 if TYPE_CHECKING:
-    from rtcal.loop import closed
+    pass
 
 _STATE = console.file("state", "File of the loop's state (JSON).", required=True)
 _OUT = console.file("out", "Room to simulate next (TOML) to write.", required=True)
@@ -97,11 +97,16 @@ def start(
         "measured": begun.matched.time_label,
         "matched": begun.matched.label,
     }
+    worst = 0.0 if run is None else float(np.nanmax(np.abs(begun.gap)))
     lines = [
         f"{begun.matched.time_label} is taken as the measured T.",
         *([f"Matched: {begun.matched.label}."] if weights else []),
         *record["unreachable"],
-        *([] if run is None else [_first(begun, str(simulated))]),
+        *(
+            []
+            if run is None
+            else [f"{simulated} is the loop's first simulation, off by {worst:.1f} JND at most."]
+        ),
         *(
             line
             for said in explained(begun.marks_of_next)
@@ -111,12 +116,6 @@ def start(
         closed.write(begun, state, out),
     ]
     console.tell("\n".join(lines), record)
-
-
-def _first(begun: closed.Loop, simulated: str) -> str:
-    """Return how far off the run is with which a loop begins."""
-    worst = float(np.nanmax(np.abs(begun.gap)))
-    return f"{simulated} is the loop's first simulation, off by {worst:.1f} JND at most."
 
 
 @loop.command(name="next", short_help="Go on: read what was simulated.")

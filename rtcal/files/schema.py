@@ -68,21 +68,11 @@ def read(kind: type[T], data: object, place: str = "") -> T:
     try:
         made = msgspec.convert(data, kind)
     except _REFUSED as error:
-        raise DataError(_fault(kind, data, place) or f"{_whole(place)}: {error}") from error
-    if wrong := _key_of_no_field(kind, data, place):  # msgspec passes over those of dataclasses
+        fault = _fault(kind, data, place, refused=True)
+        raise DataError(fault or f"{_whole(place)}: {error}") from error
+    if wrong := _fault(kind, data, place, refused=False):
         raise DataError(wrong)
     return made
-
-
-def _key_of_no_field(kind: Any, value: Any, place: str) -> str | None:
-    """Return the first key in a value, at any level, that its table does not have; None if none."""
-    for option in _options(kind):
-        if wrong := _wrong_key(option, value, place):
-            return wrong
-        for where, of, part in _parts(option, value, place):
-            if isinstance(part, Mapping | list) and (wrong := _key_of_no_field(of, part, where)):
-                return wrong
-    return None
 
 
 def _whole(place: str) -> str:
@@ -94,20 +84,27 @@ def within(place: str, key: str) -> str:
     return f"{place} {key}" if place.endswith(":") else f"{place}.{key}" if place else key
 
 
-def _fault(kind: Any, value: Any, place: str) -> str | None:
-    """Return the first thing in a value that its type does not allow; None if there is none."""
+def _fault(kind: Any, value: Any, place: str, *, refused: bool) -> str | None:
+    """Return the first thing in a value that its type does not allow; None if there is none.
+
+    Of what msgspec has not ``refused`` it is a key, since msgspec passes over those of dataclasses.
+    """
     cause = None
-    try:
-        msgspec.convert(value, kind)
-        return None
-    except _REFUSED as error:
-        cause = error.__cause__
+    if refused:
+        try:
+            msgspec.convert(value, kind)
+            return None
+        except _REFUSED as error:
+            cause = error.__cause__
     for option in _options(kind):
         if wrong := _wrong_key(option, value, place):
             return wrong
         for where, of, part in _parts(option, value, place):
-            if fault := _fault(of, part, where):
+            is_nested = isinstance(part, Mapping | list)
+            if (refused or is_nested) and (fault := _fault(of, part, where, refused=refused)):
                 return fault
+    if not refused:
+        return None
     if isinstance(cause, DataError):  # of the constructor
         return str(cause) if str(cause).startswith(place) else within(place, str(cause))
     if isinstance(value, int) and abs(value) > 1e300:
