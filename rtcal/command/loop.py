@@ -90,6 +90,10 @@ def start(
     if simulated is not None and not again:
         closed.refuse_doubtful(replace(begun, steps=()), begun.steps[0], simulated)
     unreachable = begun.calibrated(begun.wanted).unreachable
+    first = []
+    if run is not None:
+        worst = float(np.nanmax(np.abs(begun.gap)))
+        first = [f"{simulated} is the loop's first simulation, off by {worst:.1f} JND at most."]
     record = {
         "state": state,
         "simulate": out,
@@ -97,7 +101,6 @@ def start(
         "measured": begun.matched.time_label,
         "matched": begun.matched.label,
     }
-    worst = 0.0 if run is None else float(np.nanmax(np.abs(begun.gap)))
     lines = [
         f"{begun.matched.time_label} is taken as the measured T.",
         *([f"Matched: {begun.matched.label}."] if weights else []),
@@ -107,6 +110,7 @@ def start(
             if run is None
             else [f"{simulated} is the loop's first simulation, off by {worst:.1f} JND at most."]
         ),
+        *first,
         *(
             line
             for said in explained(begun.marks_of_next)

@@ -41,10 +41,9 @@ from rtcal.io.table_columns import (
     nearest_band,
     parameter_of,
     plain,
-    stated,
     statistic_of,
 )
-from rtcal.io.tables import columns_text, lines_and_texts, sheets_of
+from rtcal.io.tables import columns_text, sheets_of, stated_columns
 from rtcal.io.text import MAX_TEXT, Row, Sheet, Text, number, shown
 from rtcal.support import checks
 from rtcal.support.errors import DataError
@@ -169,14 +168,7 @@ class _Table:
 
 def _stated_table(sheet: Sheet, columns: str, otherwise: str) -> _Table:
     """Return the table whose columns are stated; ``otherwise`` is the name of a protocol's product."""
-    lines, texts = lines_and_texts(columns, sheet)
-    made = []
-    for k, text in enumerate(texts):
-        try:
-            is_product = text.strip() == "product"
-            made.append(Column("product", text) if is_product else stated(text))
-        except DataError as error:
-            raise DataError(f"{sheet.place}: columns, {k + 1}: {error}") from error
+    lines, made = stated_columns(sheet, columns, "product")
     rows = [row for row in sheet.rows if row[0] in lines]
     if short := [n for n, cells in rows if len(cells) != len(made)]:
         raise DataError(f"{sheet.place}, line {short[0]}: not {len(made)} cells, as columns states")

@@ -478,26 +478,29 @@ def _problem(columns: Sequence[Column | None], header: Sequence[str], body: Sequ
     return ""
 
 
-def lines_and_texts(columns: str, sheet: Sheet) -> tuple[range, list[str]]:
-    """Return the lines with values that ``columns`` states, and the meaning of each column."""
-    found, lines = _LINES.fullmatch(columns), [line for line, _ in sheet.rows]
-    texts = (found[3] if found else columns).split(";")
+def stated_columns(sheet: Sheet, stated_text: str, *kinds: str) -> tuple[range, list[Column]]:
+    """Return the lines with values that ``columns`` states, and each column.
+
+    ``kinds`` are further meanings than those of measured values.
+    """
+    found, lines = _LINES.fullmatch(stated_text), [line for line, _ in sheet.rows]
     first = int(found[1]) if found else lines[min(1, len(lines) - 1)]
-    return range(first, int(found[2] or lines[-1]) + 1 if found else lines[-1] + 1), texts
+    columns = []
+    for k, text in enumerate((found[3] if found else stated_text).split(";"), start=1):
+        try:
+            own = text.strip() in kinds
+            columns.append(Column(text.strip(), text) if own else stated(text))
+        except DataError as error:
+            raise DataError(f"{sheet.place}: columns, {k}: {error}") from error
+    return range(first, int(found[2] or lines[-1]) + 1 if found else lines[-1] + 1), columns
 
 
 def _stated_table(sheet: Sheet, options: _Options) -> _Table:
     """Return the table whose columns are stated; its rows stand in the lines that are stated."""
-    lines, texts = lines_and_texts(options.columns, sheet)
+    lines, columns = stated_columns(sheet, options.columns)
     above = [cells for line, cells in sheet.rows if line < lines.start]
-    names = [*(above[-1] if above else []), *[""] * len(texts)]
-    columns = []
-    for k, (text, name) in enumerate(zip(texts, names, strict=False)):
-        try:
-            column = stated(text)
-        except DataError as error:
-            raise DataError(f"{sheet.place}: columns, {k + 1}: {error}") from error
-        columns.append(replace(column, header=name or column.header))
+    names = [*(above[-1] if above else []), *[""] * len(columns)]
+    columns = [replace(c, header=n or c.header) for c, n in zip(columns, names, strict=False)]
     body = [row for row in sheet.rows if row[0] in lines]
     notes = [sheet.note, "columns are as given", *sheet.notes]
     return _Table(sheet, columns, max(len(above) - 1, 0), body, [], notes, options)
