@@ -105,11 +105,6 @@ def start(
         f"{begun.matched.time_label} is taken as the measured T.",
         *([f"Matched: {begun.matched.label}."] if weights else []),
         *record["unreachable"],
-        *(
-            []
-            if run is None
-            else [f"{simulated} is the loop's first simulation, off by {worst:.1f} JND at most."]
-        ),
         *first,
         *(
             line

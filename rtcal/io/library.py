@@ -27,22 +27,9 @@ from pathlib import Path
 from rtcal.acoustics import bands
 from rtcal.files.disk import read_bytes
 from rtcal.files.schema import TABLE, expecting
+from rtcal.io import table_columns as words
 from rtcal.io.material_list import ListedMaterial, MaterialList
-from rtcal.io.table_columns import (
-    COLUMNS,
-    DOUBTFUL,
-    LEAST_BAND,
-    MAX_HEADER,
-    UNIT_WORDS,
-    Column,
-    frequency_of,
-    is_missing,
-    name_and_unit,
-    nearest_band,
-    parameter_of,
-    plain,
-    statistic_of,
-)
+from rtcal.io.table_columns import Column
 from rtcal.io.tables import columns_text, sheets_of, stated_columns
 from rtcal.io.text import MAX_TEXT, Row, Sheet, Text, number, shown
 from rtcal.support import checks
@@ -192,7 +179,7 @@ def _table(sheet: Sheet, otherwise: str) -> _Table | None:
         of_bands = [band for band in found if band]
         if len(of_bands) >= _LEAST_BANDS and of_bands == sorted(of_bands):
             return _across(sheet.place, rows, i, found, otherwise)
-    in_khz = any("khz" in cells[0].lower() for _, cells in rows if not frequency_of(cells[0]))
+    in_khz = any("khz" in cells[0].lower() for _, cells in rows if not words.frequency_of(cells[0]))
     at = [i for i, (_, cells) in enumerate(rows) if _band(cells[0], 1000 if in_khz else 1)]
     if len(at) < _LEAST_BANDS:
         return None
@@ -208,7 +195,7 @@ def _across(
         raise DataError(f"{place}, line {line}: no column has the product's name")
     columns = [Column("product", header[0])]
     for name, band in zip(header[1:], found[1:], strict=True):
-        kind = "unit" if COLUMNS.get(plain(name)) == "unit" else ""
+        kind = "unit" if words.COLUMNS.get(words.plain(name)) == "unit" else ""
         unit = _own_unit(name) if band else ""
         columns.append(Column("value" if band else kind, name, band=band or 0.0, unit=unit))
     of_values = [k for k, column in enumerate(columns) if column.has_values]
@@ -318,33 +305,33 @@ def _is_number(cell: str) -> bool:
 
 def _band(cell: str, factor: float = 1.0) -> float | None:
     """Return the band that a cell names, perhaps with a unit of its values; ``factor`` is to Hz."""
-    name, unit = name_and_unit(re.sub(r"^(alpha|α)\w*\s*", "", cell.strip()))
-    value = frequency_of(f"{name} {unit}" if unit.lower() in ("hz", "khz") else name)
+    name, unit = words.name_and_unit(re.sub(r"^(alpha|α)\w*\s*", "", cell.strip()))
+    value = words.frequency_of(f"{name} {unit}" if unit.lower() in ("hz", "khz") else name)
     if value is not None and not re.search(r"k|hz", cell, re.I):
         value *= factor
-    return nearest_band(value) if value is not None and value >= LEAST_BAND else None
+    return words.nearest_band(value) if value is not None and value >= words.LEAST_BAND else None
 
 
 def _own_unit(name: str) -> str:
     """Return the unit behind a product's or a band's name, "" without one."""
-    name = name[-MAX_HEADER:].rstrip()
+    name = name[-words.MAX_HEADER :].rstrip()
     if _ENDS_IN_PERCENT.search(name):
         return "%"
-    unit = name_and_unit(name)[1] if name.endswith(("]", ")")) else ""
-    is_unit = unit.lower() in UNIT_WORDS - {"hz", "khz"} or _AREA.search(unit)
+    unit = words.name_and_unit(name)[1] if name.endswith(("]", ")")) else ""
+    is_unit = unit.lower() in words.UNIT_WORDS - {"hz", "khz"} or _AREA.search(unit)
     return unit if is_unit else ""
 
 
 def _role(name: str) -> str:
     """Return "coefficient", "beside" (a time, an uncertainty, a statistic), or "" for a product."""
-    name = name_and_unit(name.strip())[0] if len(name) <= MAX_HEADER else ""
+    name = words.name_and_unit(name.strip())[0] if len(name) <= words.MAX_HEADER else ""
     name = re.sub(
         r"\s*(?:(?:/|\bin|\ben)\s*[-\u2013]?|[\[(])?\s*$", "", _ENDS_IN_PERCENT.sub("", name)
     )
     if not name or _COEFFICIENT.fullmatch(name):
         return "coefficient" if name else ""
-    is_beside = parameter_of(name) or _BESIDE.fullmatch(name)
-    return "beside" if is_beside or statistic_of(name) not in (None, DOUBTFUL) else ""
+    is_beside = words.parameter_of(name) or _BESIDE.fullmatch(name)
+    return "beside" if is_beside or words.statistic_of(name) not in (None, words.DOUBTFUL) else ""
 
 
 def _checked(table: _Table) -> _Table:
@@ -441,12 +428,12 @@ def _material(
     place = f"{table.place}, line {line}"
     doubt, alpha, above = "", dict[float, float](), []
     for frequency, (cell, unit, _) in values.items():
-        if is_missing(cell):
+        if words.is_missing(cell):
             continue
         where = f"{place}: {shown(name)} at {bands.label(frequency)}"
         text = cell.rstrip("% ")
         unit = "%" if cell != text else unit
-        if _AREA.search(unit) or _AREA.search(name[:MAX_HEADER]):
+        if _AREA.search(unit) or _AREA.search(name[: words.MAX_HEADER]):
             doubt = (
                 f'{place}: {shown(name)}: "{shown(unit or name)}" names absorption areas in m², and no '
                 "coefficients: multiply one by the number of objects, and divide by the area that is "
