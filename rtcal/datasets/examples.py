@@ -179,18 +179,7 @@ NAMES = tuple(_EXAMPLES)
 
 
 def example(name: str) -> Example:
-    """Return the example of this name, one of `NAMES`.
-
-    Raises
-    ------
-    DataError
-        If there is none of this name.
-
-    Examples
-    --------
-    >>> example("room").commands
-    ('rtcal calibrate room.toml t.csv --out calibrated', 'rtcal report calibrated')
-    """
+    """Return the example of this name; DataError if it is none of `NAMES`."""
     if name not in _EXAMPLES:
         raise DataError(f'example "{name}" is none of {", ".join(NAMES)}')
     shared, commands = _EXAMPLES[name]

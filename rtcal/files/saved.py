@@ -122,17 +122,6 @@ def load(path: str | os.PathLike[str]) -> Any:
     ------
     DataError
         If the file is no result, or another version of rtcal wrote it.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import rtcal as rt
-    >>> result = rt.calibrate(*rt.datasets.bras_cr2())
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = result.save(folder)
-    ...     again = rt.load(folder)
-    >>> print(bool((again.alpha == result.alpha).all()), str(again) == str(result))
-    True True
     """
     place = checks.path("path", path)
     if place.is_dir():

@@ -52,7 +52,7 @@ def read(
     aim: Sequence[float],
     up: Sequence[float] = UPWARDS,
 ) -> Directivity:
-    r"""Return the energy that a measured loudspeaker radiates in each direction, per octave.
+    """Return the energy that a measured loudspeaker radiates in each direction, per octave.
 
     The energy of an octave is the mean over the file's frequencies in it, and over its thirds with
     equal power. Between the directions of a SOFA file it is linear in each triangle of neighbours, at
@@ -74,18 +74,6 @@ def read(
         gap, levels that are no numbers, and an axis that is not where it radiates.
     MissingDependencyError
         For a SOFA file, without netCDF4.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> arcs = ["\t".join(str(-level) for level in range(0, 37, 2))] * 36
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder, "box.tab")
-    ...     _ = path.write_text("\n".join(["<CLF1>", "<BAND>\t1000", *arcs]))
-    ...     speaker = read(path, [1000], aim=(1, 0, 0))
-    >>> print(10 * np.log10(speaker.gain([[1, 0, 0], [-1, 0, 0]])[:, 0]).round(1))
-    [ 12. -24.]
     """
     place = os.fspath(checks.path("path", path))
     wanted = np.atleast_1d(checks.array("frequencies", frequencies)).ravel().tolist()

@@ -170,12 +170,6 @@ class MaterialList:
 
     ``aliases`` are further names of materials. ``scattering_text`` returns the text for a
     `ListedMaterial.scattering_place`, of one number per band.
-
-    Examples
-    --------
-    >>> from rtcal.io import catt
-    >>> catt.parse(b"ABS floor = <2 3 5 8 10 12>").names
-    ('floor',)
     """
 
     path: str
@@ -1105,15 +1099,7 @@ def _json(text: str, path: str) -> tuple[Any, list[tuple[tuple[str, ...], dict[s
 
 
 def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
-    """Return the arguments of ``pyroomacoustics.Material`` by material; the library is not imported.
-
-    Examples
-    --------
-    >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[0.1, 0.2]],
-    ...             sigma=[[0.01, 0.02]], centre_frequencies=[500, 1000])
-    >>> dictionaries(room)["wall"]["energy_absorption"]["coeffs"]
-    [0.1, 0.2]
-    """
+    """Return the arguments of ``pyroomacoustics.Material`` by material; the library is not imported."""
     frequencies = [float(f) for f in room.centre_frequencies]
     tables = {"energy_absorption": room.alpha, "scattering": room.scattering}
     return {

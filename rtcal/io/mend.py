@@ -907,15 +907,7 @@ _GUESSED = 0.3
 
 
 def volume_by_rays(polygons: Sequence[Array]) -> tuple[float, float]:
-    """Return the volume in m³ that polygons (n, 3) in m enclose, and its standard uncertainty.
-
-    >>> from rtcal.simulators import Polyhedron
-    >>> box = Polyhedron.shoebox((4, 5, 3), "plaster")
-    >>> open_box = [box.vertices[list(face)] for face in box.faces[:-1]]
-    >>> volume, uncertainty = volume_by_rays(open_box)
-    >>> bool(abs(volume - 60) < 2 * uncertainty < 2)
-    True
-    """
+    """Return the volume in m³ that polygons (n, 3) in m enclose, and its standard uncertainty."""
     corners = np.concatenate(
         [
             polygon[np.array(triangulate(polygon), dtype=int).reshape(-1, 3)]
@@ -1532,22 +1524,9 @@ def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = Non
     """Return the closed room of some faces, and every defect.
 
     Faces that close as they are drawn are taken as they are: closed objects are in the room, without
-    what they share with the faces that they touch.
-
-    Parameters
-    ----------
-    faces : Faces
-    weld : float
-        Distance in m within which corners are one.
-    largest_hole : float, optional
-        Largest area in m² of a hole that is closed; by default 1 % of the shell's area.
-
-    Raises
-    ------
-    MeshError
-        For a mesh without a closed room. It names the defect, where, and how to mend it.
-    MissingDependencyError
-        Without shapely or manifold3d, if a face must be cut or something is in the room.
+    what they share with the faces that they touch. Corners within ``weld`` (m) of each other are one. A
+    hole is closed up to ``largest_hole`` (m²), by default 1 % of the shell's area. MeshError for a mesh
+    without a closed room: it names the defect, where, and how to mend it.
     """
     for name, value, unit in (("weld", weld, "m"), ("largest_hole", largest_hole or 0.0, "m²")):
         if not 0 <= value < np.inf:
