@@ -105,7 +105,18 @@ def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
     materials: dict[str, tuple[Path, ListedMaterial]] = {}
     for file in files:
         with expecting(TABLE, file):
-            of_file = _materials(file, columns)
+            sheets = sheets_of(read_bytes(file, MAX_TEXT * 16), os.fspath(file))
+            of_file = list[ListedMaterial]()
+            for sheet in sheets:
+                name = file.stem if len(sheets) == 1 else sheet.name
+                table = _stated_table(sheet, columns, name) if columns else _table(sheet, name)
+                if table is not None:
+                    of_file += _of_table(table)
+            if not of_file:
+                raise DataError(
+                    f"{sheets[0].place}: no table of coefficients; a header with {_LEAST_BANDS} bands "
+                    "or more is needed, such as product;125;250;500, or rows that begin with a band"
+                )
         for material in of_file:
             if material.name in materials:
                 raise DataError(
@@ -115,22 +126,6 @@ def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
             materials[material.name] = file, material
     listed = tuple(material for _, material in materials.values())
     return MaterialList(path=os.fspath(path), text=Text(""), materials=listed)
-
-
-def _materials(file: Path, columns: str) -> list[ListedMaterial]:
-    sheets = sheets_of(read_bytes(file, MAX_TEXT * 16), os.fspath(file))
-    found = []
-    for sheet in sheets:
-        name = file.stem if len(sheets) == 1 else sheet.name
-        table = _stated_table(sheet, columns, name) if columns else _table(sheet, name)
-        if table is not None:
-            found += _of_table(table)
-    if not found:
-        raise DataError(
-            f"{sheets[0].place}: no table of coefficients; a header with {_LEAST_BANDS} bands or more "
-            "is needed, such as product;125;250;500, or rows that begin with a band"
-        )
-    return found
 
 
 @dataclass(frozen=True)

@@ -1272,15 +1272,6 @@ def _add_plate(part: FaceSet, plane: Polygon, shape: Any, material: str, name: s
             part.add([front[k], front[k - 1], back[k - 1], back[k]], material, f"{name} edge")
 
 
-def note_loose(shell: FaceSet, others: Sequence[FaceSet]) -> None:
-    """Note what else there is where the shell is open; nothing is cut, since nothing is in a room."""
-    walls = Walls(shell, np.zeros((len(shell.faces), 3)))
-    for part in others:
-        kind = "panel" if part.open_edges() else "object"
-        kind = "overlay" if kind == "panel" and overlaid_on(walls, part) else kind
-        shell.mend.found(kind, part.names[:1], part.size, done=_LOOSE * (kind == "panel"))
-
-
 @dataclass
 class _Placed:
     """A component in the room: its ``faces`` among all, and whether it is open, and within the walls.
@@ -1545,7 +1536,12 @@ def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = Non
         shell = without_holes(shell, others)
     except MeshError as error:
         note_repetitions(mend)
-        note_loose(shell, others)
+        # What else there is; nothing is cut, since nothing is in a room.
+        walls = Walls(shell, np.zeros((len(shell.faces), 3)))
+        for part in others:
+            kind = "panel" if part.open_edges() else "object"
+            kind = "overlay" if kind == "panel" and overlaid_on(walls, part) else kind
+            shell.mend.found(kind, part.names[:1], part.size, done=_LOOSE * (kind == "panel"))
         refused = mend.refused(error.reason)
         refused.edges = error.edges
         raise as_drawn(shell, others, refused) from None
