@@ -241,8 +241,7 @@ def learn(
             record["left_as_stated"] = list(left)
             said = "\n".join([said, *(line for each in left for line in text.wrapped(each))])
             files[out / LIBRARY_ROOM] = applied.to_text(out).encode()
-        make_folder(out)
-        write_all(files)
+        write_all(files, out)
     console.tell(said, record)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.command import console
 from rtcal.files import disk
-from rtcal.files.disk import make_folder, spare, write_all, write_text
+from rtcal.files.disk import spare, write_all, write_text
 from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
 from rtcal.support.errors import DataError
 
@@ -295,8 +295,7 @@ def example(name: str, out: Path | None) -> None:
     targets = {into / file: content for file, content in project.files.items()}
     if present := [path for path in targets if path.exists()]:
         raise DataError(f"{present[0]} exists; an example writes over no file: give another --out")
-    make_folder(into)
-    write_all(targets)
+    write_all(targets, into)
     commands = [f"cd {shlex.quote(str(into))}", *project.commands]
     lines = ["\nNext:", *(line for command in commands for line in shell(command, "  "))]
     console.tell("", {"commands": list(project.commands)}, "\n".join(lines))

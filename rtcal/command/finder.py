@@ -247,9 +247,10 @@ def compare(
         run, data = console.read_run(stated, simulated, at), console.read_measured(measured)
         found = compared(stated, data, run, equation=equation)
     if out is not None:
-        make_folder(out)
         texts = (found.to_json(out), pages.page(found))
-        write_all({path: text.encode() for path, text in zip(files.values(), texts, strict=True)})
+        write_all(
+            {path: text.encode() for path, text in zip(files.values(), texts, strict=True)}, out
+        )
     console.tell(str(found), found.to_dict)
 
 
@@ -338,8 +339,7 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     place = next(iter(_further_places(finding)), None)
     made = of_finding.page(finding, verification, command(), place)
     contents = page_files(made, verification or finding, target, heading)
-    make_folder(target)
-    write_all(contents)
+    write_all(contents, target)
     record = finding.to_dict()
     if verification is not None:
         record["verification"] = verification.to_dict()
@@ -538,8 +538,7 @@ def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
     result = replace(diagnosis(finding, verification, cache=cache), given=given)
     if out is not None:
         written = of_diagnosis.contents(result, out, heading)
-        make_folder(out)
-        write_all(written)
+        write_all(written, out)
     console.tell(str(result), result.to_dict)
 
 

@@ -369,14 +369,16 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     write_all({checks.path("path", path): content})
 
 
-def write_all(contents: Mapping[Any, bytes]) -> None:
+def write_all(contents: Mapping[Any, bytes], folder: str | os.PathLike[str] | None = None) -> None:
     """Write several files as one set: each whole, or all as they were if one cannot be written.
 
     In a command they are written at its end, with all else that it writes. If the process is killed
     while they are written, readers refuse them until they are written anew. Links are followed, and
-    existing files keep their mode. The keys are paths. Raises DataError, naming the file, if a place
-    cannot be written.
+    existing files keep their mode. The keys are paths, in a ``folder`` that is made. Raises DataError,
+    naming the file, if a place cannot be written.
     """
+    if folder is not None:
+        make_folder(folder)
     targets, stated = {}, {}
     for path, content in contents.items():
         with _naming(path, _UNWRITTEN):

@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rtcal.files.disk import json_numbers, json_text, make_folder, read_text, write_all
+from rtcal.files.disk import json_numbers, json_text, read_text, write_all
 from rtcal.files.schema import MADE, RESULT, expecting, json_object
 from rtcal.support import __version__, checks
 from rtcal.support.blocks import Block, lines, notebook
@@ -99,8 +99,7 @@ class Result(ABC):  # some kinds have methods that each of them must have
         if place.suffix != ".json" or place.is_dir():
             place /= NUMBERS
         content = self._text({"objects": plain(self, place.parent)}).encode()
-        make_folder(place.parent)
-        write_all({place: content})
+        write_all({place: content}, place.parent)
         return place
 
 

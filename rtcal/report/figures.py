@@ -20,7 +20,7 @@ import numpy as np
 from rtcal.acoustics.marks import gap_jnd, letters, rms
 from rtcal.acoustics.observables import TARGET, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.files.disk import make_folder, write_all, write_bytes
+from rtcal.files.disk import write_all, write_bytes
 from rtcal.files.saved import NUMBERS
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
@@ -804,6 +804,5 @@ def write_folder(
         contents |= {folder / name: picture for name, picture in pictures.items()}
     except MissingDependencyError as error:
         warnings.warn(f"no figure{'s' * (len(draw) > 1)}: {error}", stacklevel=checks.stack_level())
-    make_folder(folder)
-    write_all(contents)
+    write_all(contents, folder)
     return list(contents)
