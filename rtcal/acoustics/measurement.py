@@ -741,18 +741,12 @@ def _header(header: list[str], line: str) -> list[str]:
         raise DataError(f'column "{repeated}" is given twice')
     allowed = _COLUMNS + _OPTIONAL_COLUMNS
     if missing := [column for column in _COLUMNS if column not in header]:
-        raise DataError(f'column "{missing[0]}" is missing{_separator_note(line)}')
+        other = {s: n for s, n in ((";", '";"'), ("\t", "tabs")) if line.count(s) > line.count(",")}
+        why = [f', since columns are separated by {n} and not by ","' for n in other.values()]
+        raise DataError(f'column "{missing[0]}" is missing{"".join(why[:1])}')
     if unknown := [column for column in header if column not in allowed]:
         raise DataError(f'column "{unknown[0]}" is not one of {", ".join(allowed)}')
     return header
-
-
-def _separator_note(header: str) -> str:
-    """Return words on a header that another character than the comma separates; "" else."""
-    for separator, name in ((";", '";"'), ("\t", "tabs")):
-        if header.count(separator) > header.count(","):
-            return f', since columns are separated by {name} and not by ","'
-    return ""
 
 
 def _row(cell: Mapping[str, str]) -> tuple[Place, dict[str, float]]:

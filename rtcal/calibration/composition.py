@@ -174,8 +174,7 @@ class Composition:
         stated: float | None = getattr(self.prior, "sigma", None)
         if stated is not None:  # a coefficient with sigma = 0 stays fixed
             sigma = np.where(sigma > 0, stated, 0.0)
-        areas, floors = configurations.areas, room.alpha_min
-        floors = np.zeros(alpha.shape) if floors is None else floors
+        areas, floors = configurations.areas, room.least_alpha
         if layout.n_alpha_rows < len(layout.materials):
             self._check_shared(room)
             alpha, sigma = alpha[layout.first], sigma[layout.first]

@@ -134,7 +134,12 @@ def restrict_to_reach(
     low, high = reach(numbers)
     tolerance, largest = end_tolerance(numbers), numbers.largest_target
     top = np.minimum(high, largest)
-    _refuse_invalid(numbers, asked & (low > (1 + _MARGIN) * largest), low)
+    for c, k in np.argwhere(asked & (low > (1 + _MARGIN) * largest))[:1].tolist():
+        raise InfeasibleError(
+            f"{bands.label(rooms[c].centre_frequencies[k])}: the bounds allow mean coefficients "
+            f"from {low[c, k] / rooms[c].total_area:.3f}, but {equation.name}'s equation holds up "
+            f"to {equation.largest_mean:.3f}"
+        )
     wanted_low = np.max([least for least, _ in matches], axis=0)
     wanted_high = np.min([most for _, most in matches], axis=0)
     # Where the match has a tolerance, the target becomes the reachable value nearest to it.
@@ -145,22 +150,13 @@ def restrict_to_reach(
     too_low = asked & (target < low - tolerance)
     too_high = asked & (np.isnan(target) | (target > top + tolerance))
     beyond = []
-    for c, k in zip(*np.nonzero(too_low | too_high), strict=True):
-        longest, shortest = (
-            where_valid(equation.time, rooms[c], area)[k] for area in (low[c], top[c])
+    for c, k in np.argwhere(too_low | too_high).tolist():
+        shortest, longest = (
+            where_valid(equation.time, rooms[c], area)[k] for area in (top[c], low[c])
         )
-        beyond.append(
-            Unreachable(
-                int(c),
-                float(rooms[c].centre_frequencies[k]),
-                float(times[c, k]),
-                float(target[c, k]),
-                float(low[c, k]),
-                float(top[c, k]),
-                float(shortest),
-                float(longest),
-            )
-        )
+        areas = target[c, k], low[c, k], top[c, k]
+        stated = rooms[c].centre_frequencies[k], times[c, k], *areas, shortest, longest
+        beyond.append(Unreachable(c, *map(float, stated)))
     if beyond and unreachable == "raise":
         more = [f"{len(beyond) - _SHOWN} more bands are beyond reach"] * (len(beyond) > _SHOWN)
         raise InfeasibleError("; ".join([*map(str, beyond[:_SHOWN]), *more]))
@@ -174,18 +170,6 @@ def restrict_to_reach(
     target = np.where(moved | np.isnan(numbers.target), reached, numbers.target)
     held_at = _forced(numbers, at_low, at_high)
     return replace(numbers, target=target), held_at, tuple(beyond)
-
-
-def _refuse_invalid(numbers: Numbers, where: Flags, least: Array) -> None:
-    """Raise InfeasibleError where every coefficient within the bounds is beyond the equation."""
-    if where.any():
-        c, k = (int(v) for v in np.argwhere(where)[0])
-        room, equation = numbers.rooms[c], numbers.equation
-        raise InfeasibleError(
-            f"{bands.label(room.centre_frequencies[k])}: the bounds allow mean coefficients "
-            f"from {least[c, k] / room.total_area:.3f}, but {equation.name}'s equation holds up "
-            f"to {equation.largest_mean:.3f}"
-        )
 
 
 def _forced(numbers: Numbers, at_low: Flags, at_high: Flags) -> NDArray[np.int8]:

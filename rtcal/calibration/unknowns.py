@@ -180,40 +180,28 @@ class Configurations:
         if len(self.rooms) == 1:
             return self.rooms[0]
         first = self.rooms[0]
-        owners = [next(r for r in self.rooms if m in r.materials) for m in self.materials]
-        rows = [r.materials.index(m) for r, m in zip(owners, self.materials, strict=True)]
-        floors = [
-            np.max(
-                [
-                    np.zeros(first.n_bands)
-                    if r.alpha_min is None
-                    else r.alpha_min[r.materials.index(m)]
-                    for r in self.rooms
-                    if m in r.materials
-                ],
-                axis=0,
-            )
-            for m in self.materials
-        ]
+
+        def of_rooms(name: str) -> list[list[Array]]:
+            """Return the rows of a table that the rooms with each material have."""
+            return [
+                [getattr(r, name)[r.materials.index(m)] for r in self.rooms if m in r.materials]
+                for m in self.materials
+            ]
+
         return Room(
             name=first.name,
             volume=first.volume,
             materials=self.materials,
             areas=self.areas.max(axis=0),
-            alpha=np.array([r.alpha[i] for r, i in zip(owners, rows, strict=True)]),
-            sigma=np.array([r.sigma[i] for r, i in zip(owners, rows, strict=True)]),
+            alpha=np.array([rows[0] for rows in of_rooms("alpha")]),
+            sigma=np.array([rows[0] for rows in of_rooms("sigma")]),
             centre_frequencies=first.centre_frequencies,
             air=next((r.air for r in self.rooms if r.air is not None), None),
-            alpha_min=np.array(floors),
+            alpha_min=np.array([np.max(rows, axis=0) for rows in of_rooms("least_alpha")]),
             band_correlation=first.band_correlation,
             material_correlation=self._pairs(),
             volume_sigma=first.volume_sigma,
-            area_sigma=np.array(
-                [
-                    max(r.area_sigma[r.materials.index(m)] for r in self.rooms if m in r.materials)
-                    for m in self.materials
-                ]
-            ),
+            area_sigma=np.array([max(rows) for rows in of_rooms("area_sigma")]),
             common_area_sigma=first.common_area_sigma,
             common_alpha_sigma=first.common_alpha_sigma,
             climate_sigma=tuple(np.max([r.climate_sigma for r in self.rooms], axis=0).tolist()),

@@ -238,14 +238,6 @@ class ParameterGap:
     lost: Array
 
 
-def _worst(gap: Array, names: Sequence[str]) -> str:
-    """Return the largest deviation in JND and its band, as the end of a sentence about T."""
-    if not np.isfinite(gap).any():
-        return " was compared in no band"
-    k = int(np.nanargmax(np.abs(gap)))
-    return f" deviates from the measured T by up to {abs(gap[k]):.1f} JND ({names[k]})"
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Loop(Result):
     """A closed loop: its simulations so far, what to simulate next, and what came of it.
@@ -363,7 +355,10 @@ class Loop(Result):
         none = np.full(self.prior.n_bands, np.nan)
         every = {p for step in self.steps for p in step.means}
         return Step(
-            **{n: of_best([getattr(s, n) for s in self.steps]) for n in _OF_STEPS},
+            **{
+                n: of_best([getattr(s, n) for s in self.steps])
+                for n in ("target", "alpha", "simulated", "noise")
+            },
             means={p: of_best([s.means.get(p, none) for s in self.steps]) for p in every},
         )
 
@@ -667,8 +662,7 @@ class Loop(Result):
     def _target_limits(self) -> tuple[Array, Array]:
         """The shortest and the longest T in s that the equation can give within the bounds."""
         room, fixed = self.prior, self.prior.sigma == 0
-        floor = 0.0 if room.alpha_min is None else room.alpha_min
-        least = room.areas @ np.where(fixed, room.alpha, floor)
+        least = room.areas @ np.where(fixed, room.alpha, room.least_alpha)
         most = room.areas @ np.where(fixed, room.alpha, 1.0)
         margin = _FROM_BOUNDS * (most - least)
         largest = _BELOW_LARGEST_MEAN * self.equation.largest_mean * room.total_area
@@ -835,11 +829,14 @@ class Loop(Result):
             for when, value in means.items()
         ]
         names, n = labels(self.prior.centre_frequencies), self.simulations
-        of = self.simulator or "the program that was run by hand"
+        of, worst = self.simulator or "the program that was run by hand", "was compared in no band"
+        if np.isfinite(self.gap).any():
+            k = int(np.nanargmax(np.abs(self.gap)))
+            worst = f"deviates from the measured T by up to {abs(self.gap[k]):.1f} JND ({names[k]})"
         return [
             Note(
-                f"After {n} simulation{'s' * (n != 1)}, T{_worst(self.gap, names)}. The coefficients "
-                f"are valid only for {of}."
+                f"After {n} simulation{'s' * (n != 1)}, T {worst}. The coefficients are valid only "
+                f"for {of}."
             ),
             Table(names, rows, "By band"),
             *([Table(names, others, "Means over the pairs, not matched alone")] if others else []),
@@ -884,7 +881,6 @@ def _numbers(room: Room) -> list[bytes]:
     return [*(m.encode() for m in room.materials), *(np.asarray(n).tobytes() for n in numbers)]
 
 
-_OF_STEPS = ("target", "alpha", "simulated", "noise")
 _SETTINGS = ("simulator", "wanted", "rule", "method", "decimals", "tolerance", "steps")
 
 

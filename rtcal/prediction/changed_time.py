@@ -385,7 +385,13 @@ class TimeChange:
         """Return draws of ln T in some bands, (n_bands, n_draws); state 0 is that before."""
         unknowns = unknowns or self.unknowns
         even, air = self._even(state, unknowns, bands)
-        return np.asarray(even + self._uneven(state, unknowns, air))
+        # u leads through the equations by the T that they give, the shortest first.
+        low, middle, high = np.sort(self._uneven_terms(state, unknowns, air), axis=0)
+        u = unknowns.evenness
+        uneven = (
+            low + np.minimum(u, 1.0) * (middle - low) + np.maximum(u - 1.0, 0.0) * (high - middle)
+        )
+        return np.asarray(even + uneven)
 
     def _even(
         self, state: int, unknowns: Unknowns, bands: slice = slice(None)
@@ -414,17 +420,6 @@ class TimeChange:
             m = state.room.air_attenuation
             np.maximum(found, of_m / np.where(of_m > 0, m, 1.0), out=found)
         return found
-
-    def _uneven(self, state: int, unknowns: Unknowns, air: Array) -> Array:
-        """Return what uneven absorption adds to ln T of a state, (n_bands, n_draws).
-
-        u leads through the equations by the T that they give, the shortest first.
-        """
-        low, middle, high = np.sort(self._uneven_terms(state, unknowns, air), axis=0)
-        u = unknowns.evenness
-        return np.asarray(
-            low + np.minimum(u, 1.0) * (middle - low) + np.maximum(u - 1.0, 0.0) * (high - middle)
-        )
 
     def _uneven_terms(self, state: int, unknowns: Unknowns, air: Array) -> Array:
         """Return what each equation adds to the even one's ln T of a state, (3, n_bands, n_draws)."""

@@ -107,6 +107,7 @@ class Choice:
         Unknowns with a margin that is ``enough`` are not improved.
         """
         from scipy.optimize import minimize
+        from scipy.stats import qmc
 
         scale = np.maximum(self.most, 1e-12)
 
@@ -127,7 +128,8 @@ class Choice:
             return at
 
         alike = np.array([0.5, 0.75, 0.25, 0.9, 0.1, 1.0])[:, np.newaxis] * np.ones(n)
-        for share in (*alike, *_even(16, n)):
+        even = qmc.Sobol(n, seed=np.random.default_rng(0)).random(16)  # fills the unit cube evenly
+        for share in (*alike, *even):
             if best[1] >= enough:
                 return best
             kept(share)
@@ -256,13 +258,6 @@ class Choice:
             step = step if v[j] + step <= self.most[j] and (covered <= 1).all() else -step
             out[j] = (self.at(np.where(np.arange(len(v)) == j, v[j] + step, v))[k] - here) / step
         return out
-
-
-def _even(number: int, size: int) -> Array:
-    """Return points that fill the unit cube evenly (Sobol 1967), (number, size)."""
-    from scipy.stats import qmc
-
-    return np.asarray(qmc.Sobol(size, seed=np.random.default_rng(0)).random(number))
 
 
 _LEAST, _MOST = 1e-3, 1 - 1e-6

@@ -359,7 +359,12 @@ def mean_energy(room: Room, alpha: Array, distances: Array, times: Array) -> Arr
     s after the direct sound.
     """
     c = room.speed_of_sound
-    hits = _directions(_DIRECTIONS) / np.array(room.dimensions)
+    # Unit vectors, spread evenly over an octant by the golden ratio.
+    i = np.arange(_DIRECTIONS) + 0.5
+    z, azimuth = i / _DIRECTIONS, np.pi / 2 * (i * (1 + np.sqrt(5)) / 2 % 1)
+    across = np.sqrt(1 - z**2)
+    directions = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), z], axis=1)
+    hits = directions / np.array(room.dimensions)
     lost = hits @ -np.log(1 - alpha) + room.air_attenuation
     before = np.exp(-np.multiply.outer(distances, lost))
     # Even steps in time: exp(-a (t0 + i dt)) = exp(-a t0) exp(-a dt m q) exp(-a dt r), i = m q + r.
@@ -376,14 +381,6 @@ def mean_energy(room: Room, alpha: Array, distances: Array, times: Array) -> Arr
         for k in range(lost.shape[1])
     ]
     return np.asarray(np.stack(of_bands, axis=1) * (c / (len(hits) * room.volume)))
-
-
-def _directions(n: int) -> Array:
-    """Return unit vectors (n, 3), spread evenly over an octant by the golden ratio."""
-    i = np.arange(n) + 0.5
-    z, azimuth = i / n, np.pi / 2 * (i * (1 + np.sqrt(5)) / 2 % 1)
-    across = np.sqrt(1 - z**2)
-    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), z], axis=1)
 
 
 _NODES = 6
