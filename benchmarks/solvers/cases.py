@@ -72,7 +72,7 @@ class Case(qpbenchmark.Problem):
         composed = replace(built, room=rooms)
         numbers = composed.numbers(times)
         self.centre, self.scale, self.layout = numbers.mu, numbers.sigma, numbers.layout
-        qp = composed.qp(numbers)
+        qp = composed.compiled.filled(numbers)
         order = np.concatenate(
             [qp.compiled.places, np.setdiff1d(np.arange(len(qp.c)), qp.compiled.places)]
         )

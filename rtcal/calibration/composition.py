@@ -1,7 +1,7 @@
 """A calibration composed for rooms: its terms, the order of its unknowns, its numbers, its QP.
 
-`numbers` brings the room and its T into the order of the unknowns, `qp` puts them into the compiled
-problem, which rooms of one layout share.
+`numbers` brings the room and its T into the order of the unknowns; the compiled problem, which rooms of
+one layout share, is filled with them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import MeasuredTimes
-from rtcal.calibration.qp import QP, Active, CompiledProblem, closed_form, compile_once
+from rtcal.calibration.qp import Active, CompiledProblem, closed_form, compile_once
 from rtcal.calibration.terms import (
     AddedAbsorption,
     Bounds,
@@ -115,10 +115,6 @@ class Composition:
         prior = every[self.objective.terms.index(self.prior)]
         return tuple(w / prior for w in every)
 
-    def qp(self, numbers: Numbers) -> QP:
-        """Return the QP of some numbers."""
-        return self.compiled.filled(numbers)
-
     def unknowns_at(self, numbers: Numbers, at: Active) -> Active:
         """Return the active bounds of the unknowns, (size,), from those of the QP's variables."""
         return np.where(numbers.movable, at[self.compiled.places], 0).astype(np.int8)
@@ -139,7 +135,7 @@ class Composition:
         slack = _KEPT * (1 + np.abs(u))
         if (low < -slack).any() or (high > slack).any():
             return np.inf
-        program, places = self.qp(numbers), self.compiled.places[numbers.sigma > 0]
+        program, places = self.compiled.filled(numbers), self.compiled.places[numbers.sigma > 0]
         lower, upper = program.lower.copy(), program.upper.copy()
         lower[places] = upper[places] = ((u - numbers.mu) * numbers.inverse_sigma)[
             numbers.sigma > 0

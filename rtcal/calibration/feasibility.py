@@ -94,18 +94,6 @@ def reach(numbers: Numbers) -> tuple[Array, Array]:
     return least, most
 
 
-def end_tolerance(numbers: Numbers) -> Array:
-    """Return the distance in m² up to which b counts as an end, (n_configurations, n_bands).
-
-    b of a T at an end is an end only up to rounding. A sum of n products has an error of at most n eps
-    / 2 times the sum of their absolute values (Higham 2002, Sect. 3.1). From alpha to T and back, b has
-    at most 1.5 eps sum S. So 16 n is eight times their sum or more.
-    """
-    upper = numbers.alpha(numbers.box[1])
-    n = numbers.areas.shape[1]
-    return np.asarray(16 * n * np.finfo(float).eps * (numbers.areas @ np.abs(upper)))
-
-
 def restrict_to_reach(
     numbers: Numbers, matches: Sequence[tuple[Array, Array]], unreachable: str
 ) -> tuple[Numbers, NDArray[np.int8], tuple[Unreachable, ...]]:
@@ -132,7 +120,12 @@ def restrict_to_reach(
         return numbers, none_held, ()
     asked = np.isfinite(times)
     low, high = reach(numbers)
-    tolerance, largest = end_tolerance(numbers), numbers.largest_target
+    # b of a T at an end is an end only up to rounding. A sum of n products has an error of at most
+    # n eps / 2 times the sum of their absolute values (Higham 2002, Sect. 3.1). From alpha to T and
+    # back, b has at most 1.5 eps sum S. So 16 n is eight times their sum or more.
+    sizes = numbers.areas @ np.abs(numbers.alpha(numbers.box[1]))
+    tolerance = 16 * numbers.areas.shape[1] * np.finfo(float).eps * sizes
+    largest = numbers.largest_target
     top = np.minimum(high, largest)
     for c, k in np.argwhere(asked & (low > (1 + _MARGIN) * largest))[:1].tolist():
         raise InfeasibleError(

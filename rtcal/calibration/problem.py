@@ -217,7 +217,7 @@ class CalibrationProblem(Composition, Generic[R]):
 
         1. T in the bands of each room (`measured_times`), and of it and the rooms the numbers.
         2. `feasibility.restrict_to_reach`: is T within reach, and which unknowns holds a T at an end?
-        3. `qp` fills the compiled matrices; `rtcal.calibration.qp.solve` asks the solver.
+        3. The compiled matrices are filled; `rtcal.calibration.qp.solve` asks the solver.
         4. The first of `_candidates` that `rtcal.calibration.qp.certify` accepts is the answer.
 
         Parameters
@@ -264,7 +264,7 @@ class CalibrationProblem(Composition, Generic[R]):
         try:
             limits = [match.target_limits(numbers) for match in problem.matches]
             numbers, held_at, beyond = feasibility.restrict_to_reach(numbers, limits, unreachable)
-            program = problem.qp(numbers)
+            program = problem.compiled.filled(numbers)
             at = np.zeros(len(program.c), dtype=np.int8)
             at[problem.compiled.places] = held_at
             try:

@@ -140,7 +140,7 @@ class JointResult(Result):
     @cached_property
     def qp(self) -> QP:
         """The QP that was solved."""
-        return self.composition.qp(self.numbers)
+        return self.composition.compiled.filled(self.numbers)
 
     @cached_property
     def raw_alpha(self) -> Array:
@@ -170,18 +170,6 @@ class JointResult(Result):
     def active(self) -> Active:
         """The same of the coefficients, (n_materials, n_bands)."""
         return self.composition.layout.expand(self.at_bounds)
-
-    @cached_property
-    def match_multipliers(self) -> Array:
-        """D of the match, (n_configurations, n_bands) in 1/m²; NaN where nothing was matched."""
-        matched = np.isfinite(self.target)
-        for term, stated in self.composition.compiled.rows_of:
-            if term in self.composition.matches:
-                # An equality, or a lower and an upper limit.
-                y = [self.point.y[rows] for rows in stated]
-                values = y[0] if len(y) == 1 else y[1] - y[0]
-                return np.where(matched, values.reshape(matched.shape), np.nan)
-        return np.full(matched.shape, np.nan)
 
     @property
     def asks_for_measured_time(self) -> bool:
@@ -224,7 +212,7 @@ class JointResult(Result):
         if not measured:
             missing = np.full_like(numbers.target, np.nan)
             numbers = replace(numbers, target=missing, time=missing)
-        program, u = self.composition.qp(numbers), self.unknowns
+        program, u = self.composition.compiled.filled(numbers), self.unknowns
         unit, places = numbers.inverse_sigma, self.composition.compiled.places
         x = np.where(numbers.sigma > 0, (u - numbers.mu) * unit, self.point.v[places])
         gradient, curvature, kept = _reduced(program, x)
@@ -279,7 +267,8 @@ class JointResult(Result):
         for place, time in enumerate(numbers.time.ravel()):
             if not all(np.isfinite(end.target.ravel()[place]) for end in ends):
                 continue
-            before, after = (self.composition.qp(_at_one(numbers, end, place)) for end in ends)
+            at_ends = (_at_one(numbers, end, place) for end in ends)
+            before, after = map(self.composition.compiled.filled, at_ends)
             force = before.force(point.v, point.y) - after.force(point.v, point.y)
             limit = after.b - after.row_sums(point.v) - (before.b - before.row_sums(point.v))
             dv, _ = system.solve(force, limit)
@@ -582,7 +571,16 @@ class CalibrationResult(Result):
     @property
     def multipliers(self) -> Array:
         """D in 1/m², (n_bands,): free coefficients are mu - D S sigma² (Eq. 25)."""
-        return read_only_view(self.joint.match_multipliers[self.configuration])
+        composed, matched = self.joint.composition, np.isfinite(self.joint.target)
+        found = np.full(matched.shape, np.nan)
+        for term, stated in composed.compiled.rows_of:
+            if term in composed.matches:
+                # An equality, or a lower and an upper limit.
+                y = [self.joint.point.y[rows] for rows in stated]
+                values = y[0] if len(y) == 1 else y[1] - y[0]
+                found = np.where(matched, values.reshape(matched.shape), np.nan)
+                break
+        return read_only_view(found[self.configuration])
 
     @cached_property
     def active(self) -> Active:

@@ -1022,7 +1022,6 @@ class PositionsResult(Result):
         wanted: Sequence[str] = WANTED,
         name: str = "",
         assumptions: Assumptions | None = None,
-        position_uncertainty: float = POSITION,
     ) -> PositionsPrediction:
         """Predict the values at every position after a change of this room.
 
@@ -1032,11 +1031,7 @@ class PositionsResult(Result):
         made = (changes,) if isinstance(changes, Change) else tuple(changes)
         variant = Variant(name or "; ".join(map(str, made)) or "no change", made)
         predicted: PositionsPrediction = predict_positions(
-            self,
-            [variant],
-            wanted=wanted,
-            assumptions=assumptions,
-            position_uncertainty=position_uncertainty,
+            self, [variant], wanted=wanted, assumptions=assumptions
         ).predictions[0]
         return predicted
 

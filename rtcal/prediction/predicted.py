@@ -70,7 +70,7 @@ class Prediction(TimeChange, Result):
 
     record_kind: ClassVar[str] = "prediction 3"
     in_file: ClassVar[str] = (
-        "room=before.name name changes measured_states=known.n_measured equation=equation.name "
+        "room=before.name name changes measured_states=known.n_measured equation=known.equation.name "
         "assumptions centre_frequencies=after.centre_frequencies before_is "
         "reverberation_time_before=time_before uncertainty_before reverberation_time=mean "
         "interval_90=interval change_jnd=change half_width_jnd=half_width "
@@ -81,11 +81,6 @@ class Prediction(TimeChange, Result):
     name: str
     changes: tuple[Change, ...]
     """What leads from one state to the other; empty if the changed room itself was given."""
-
-    @property
-    def equation(self) -> LinearEquation:
-        """The equation of the calibration."""
-        return self.known.equation
 
     @cached_property
     def samples(self) -> Array:
@@ -197,7 +192,7 @@ class Prediction(TimeChange, Result):
     @cached_property
     def uncalibrated(self) -> Prediction:
         """The same prediction from the stated coefficients alone, without any measurement."""
-        return replace(self, known=KnownRoom.stated(self.before, self.equation))
+        return replace(self, known=KnownRoom.stated(self.before, self.known.equation))
 
     def probability(self, low: Array, high: Array) -> Array:
         """Return the probability that T is from ``low`` to ``high`` in s, (n_bands,).
@@ -329,7 +324,7 @@ class Prediction(TimeChange, Result):
         n = self.known.n_measured
         return [
             Note(
-                f"{self.equation.name}'s equation, {n} measured state{'s' * (n != 1)}. Standard "
+                f"{self.known.equation.name}'s equation, {n} measured state{'s' * (n != 1)}. Standard "
                 "deviations, unless said otherwise:"
             ),
             [f"{words.ASSUMED[k]}: {v:g}" for k, v in asdict(self.assumptions).items()],

@@ -75,7 +75,8 @@ class ShoeboxSimulator(RoomSimulator, ABC):
     Raises
     ------
     DataError
-        If the room is no shoebox, or a position is outside it.
+        If the room is no shoebox, an area differs from the walls' by over 1 %, a position is outside
+        it, or a source and a receiver are at the same place.
     """
 
     room: Room
@@ -85,7 +86,26 @@ class ShoeboxSimulator(RoomSimulator, ABC):
     deterministic: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "box", shoebox_of(self.room, self.sources, self.receivers))
+        room, box = self.room, box_of(self.room)
+        sides = np.ptp(box.vertices, axis=0)
+        for material, area in zip(room.materials, room.areas, strict=True):
+            if abs(box.areas.get(material, 0.0) - area) > 0.01 * area:
+                raise DataError(
+                    f'areas["{material}"] = {area:.4g} m², but its walls in the box of '
+                    f"{' x '.join(f'{d:g}' for d in sides)} m have "
+                    f"{box.areas.get(material, 0.0):.4g} m²"
+                )
+        of_sources, of_receivers = box.positions(self.sources, self.receivers)
+        made = Shoebox(
+            dimensions=sides,
+            walls=np.array([room.material_index(material) for material in box.materials]),
+            sources=of_sources,
+            receivers=of_receivers,
+            pairs=tuple((s, r) for s in self.sources for r in self.receivers),
+        )
+        for values in made[:4]:
+            values.setflags(write=False)
+        object.__setattr__(self, "box", made)
 
     @property
     @abstractmethod
@@ -157,33 +177,6 @@ def box_of(room: Room) -> Polyhedron:
             "with its material and area (docs/files.md)"
         )
     return Polyhedron.shoebox(sides, walls)
-
-
-def shoebox_of(room: Room, sources: Mapping[str, Point], receivers: Mapping[str, Point]) -> Shoebox:
-    """Return the room as a shoebox.
-
-    Raises DataError as `box_of`, and if an area differs from the walls' by over 1 %, a position is
-    outside, or a source and a receiver are at the same place.
-    """
-    box = box_of(room)
-    for material, area in zip(room.materials, room.areas, strict=True):
-        if abs(box.areas.get(material, 0.0) - area) > 0.01 * area:
-            raise DataError(
-                f'areas["{material}"] = {area:.4g} m², but its walls in the box of '
-                f"{' x '.join(f'{d:g}' for d in np.ptp(box.vertices, axis=0))} m have "
-                f"{box.areas.get(material, 0.0):.4g} m²"
-            )
-    of_sources, of_receivers = box.positions(sources, receivers)
-    made = Shoebox(
-        dimensions=np.ptp(box.vertices, axis=0),
-        walls=np.array([room.material_index(material) for material in box.materials]),
-        sources=of_sources,
-        receivers=of_receivers,
-        pairs=tuple((s, r) for s in sources for r in receivers),
-    )
-    for values in made[:4]:
-        values.setflags(write=False)
-    return made
 
 
 _MOST_IMAGES = 50_000_000
