@@ -43,10 +43,18 @@ def versions() -> Mapping[str, str]:
 
 def inputs(room: Room, measured: MeasuredTimes) -> dict[str, Any]:
     """Return the room as TOML and the mean T as CSV; the two suffice to repeat the calibration."""
-    return {
-        "room": room.to_text(),
-        "measured": _mean_measurement(room, measured).to_text(),
-    }
+    values, uncertainty = {}, {}
+    for parameter in dict.fromkeys(p for p in measured.parameter if p):
+        of_parameter = np.array([p == parameter for p in measured.parameter])
+        values[parameter] = np.where(of_parameter, measured.reverberation_time, np.nan)[np.newaxis]
+        u = np.where(of_parameter, measured.uncertainty, np.nan)[np.newaxis]
+        if np.isfinite(u).any():
+            uncertainty[parameter] = u
+    if not values:  # no T was matched
+        values[TARGET.key] = np.full((1, room.n_bands), np.nan)
+    frequencies = room.centre_frequencies
+    mean = Measurement(centre_frequencies=frequencies, values=values, uncertainty=uncertainty)
+    return {"room": room.to_text(), "measured": mean.to_text()}
 
 
 def measurement(measured: MeasuredTimes) -> dict[str, Any]:
@@ -113,22 +121,6 @@ def coefficients(
 def residuals(certificate: Certificate) -> dict[str, float]:
     """Return the certificate's residuals."""
     return {name: getattr(certificate, name) for name in _RESIDUALS}
-
-
-def _mean_measurement(room: Room, measured: MeasuredTimes) -> Measurement:
-    """Return the matched T per band as a measurement: a summary over the pairs."""
-    values, uncertainty = {}, {}
-    for parameter in dict.fromkeys(p for p in measured.parameter if p):
-        of_parameter = np.array([p == parameter for p in measured.parameter])
-        values[parameter] = np.where(of_parameter, measured.reverberation_time, np.nan)[np.newaxis]
-        u = np.where(of_parameter, measured.uncertainty, np.nan)[np.newaxis]
-        if np.isfinite(u).any():
-            uncertainty[parameter] = u
-    if not values:  # no T was matched
-        values[TARGET.key] = np.full((1, room.n_bands), np.nan)
-    return Measurement(
-        centre_frequencies=room.centre_frequencies, values=values, uncertainty=uncertainty
-    )
 
 
 _STRONG_SHIFT = 3.0

@@ -773,14 +773,14 @@ class RoomPoles:
             like = None if own else self.calculated.mixtures
             if len(known) >= _MOST_POLES:
                 known.pop(next(iter(known)))
-            known[key] = self.modes.poles(self._admittances(alpha), like)
-        return known[key]
+            f, beta = self.modes.frequencies, admittance(self.at.alpha(alpha))
 
-    def _admittances(self, alpha: Array) -> Admittances:
-        """Return the walls' admittances; between the modes' frequencies they are interpolated."""
-        f = self.modes.frequencies
-        beta = admittance(self.at.alpha(alpha))
-        return lambda frequency: np.array([np.interp(frequency, f, row) for row in beta])[self.rows]
+            def admittances(frequency: float) -> Complex:
+                """Return the walls', interpolated between the modes' frequencies."""
+                return np.array([np.interp(frequency, f, row) for row in beta])[self.rows]
+
+            known[key] = self.modes.poles(admittances, like)
+        return known[key]
 
     def amplitudes(self, pairs: Sequence[tuple[str, str]]) -> Complex:
         """Return what each pair of positions hears of each pole, (n_poles, n_pairs).

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.geometry import convex_parts
@@ -99,26 +98,17 @@ class RayTracing(Tracer):
             for group in np.split(bands, range(_BANDS, len(bands), _BANDS))
         ]
         direct = direct_lengths(self.geometry, *self._points())
-        batches = [
-            [self._batch(alpha, bands, seconds, direct, rng) for bands in groups]
-            for _ in range(self.n_batches)
-        ]
+        per_bin, batches = round(self.bin_width / _FINE), []
+        for _ in range(self.n_batches):
+            batch = []
+            for bands in groups:
+                fine = self._trace(alpha[:, bands], self.scattering[:, bands[0]], seconds, rng)
+                length = self.room.speed_of_sound * _FINE * (np.arange(fine.shape[-1]) + 0.5)
+                air = np.exp(-self.room.air_attenuation[bands][:, np.newaxis] * length)
+                batch.append(self._from_direct_sound(fine * air, direct, per_bin))
+            batches.append(batch)
         n_bins = min(decay.shape[-1] for batch in batches for decay in batch)
         return np.stack([of_all_bands(groups, batch)[..., :n_bins] for batch in batches])
-
-    def _batch(
-        self,
-        alpha: Array,
-        bands: NDArray[np.int64],
-        seconds: float,
-        direct: Array,
-        rng: np.random.Generator,
-    ) -> Array:
-        """Trace one batch of rays for some bands; return its decays with air, in rtcal's bins."""
-        fine = self._trace(alpha[:, bands], self.scattering[:, bands[0]], seconds, rng)
-        length = self.room.speed_of_sound * _FINE * (np.arange(fine.shape[-1]) + 0.5)
-        fine = fine * np.exp(-self.room.air_attenuation[bands][:, np.newaxis] * length)
-        return self._from_direct_sound(fine, direct, round(self.bin_width / _FINE))
 
     def _radius(self) -> float:
         return float(self._radii().min())

@@ -26,7 +26,14 @@ def exports(
         else:
             __getattr__, __dir__, __all__ = support.exports(__name__, __file__)
     """
-    modules = typing_imports(Path(file).read_text(encoding="utf-8"))
+    modules = {
+        alias.asname or alias.name: node.module or ""
+        for block in ast.parse(Path(file).read_text(encoding="utf-8")).body
+        if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING"
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
 
     def load(name: str) -> Any:
         if name not in modules:
@@ -52,18 +59,6 @@ def library(message: str, name: str, *further: str) -> Any:
         return import_module(name)
     except ImportError as error:
         raise MissingDependencyError(message) from error
-
-
-def typing_imports(source: str) -> dict[str, str]:
-    """Return for each name imported under ``if TYPE_CHECKING:`` the module it comes from."""
-    return {
-        alias.asname or alias.name: node.module or ""
-        for block in ast.parse(source).body
-        if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING"
-        for node in block.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
 
 
 __version__ = "0.1.0"
