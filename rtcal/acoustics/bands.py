@@ -241,12 +241,7 @@ def is_middle(frequencies: Array) -> NDArray[np.bool_]:
 def correlation(frequencies: Array, per_octave: float) -> Array:
     """Return the correlation of errors between bands, (n_bands, n_bands): per_octave ** octaves.
 
-    Parameters
-    ----------
-    frequencies : array (n_bands,)
-        Hz.
-    per_octave : float
-        The correlation of two bands an octave apart, 0 to below 1.
+    ``frequencies`` (n_bands,) are in Hz; two bands an octave apart have ``per_octave``, 0 to below 1.
     """
     octave = np.log2(np.asarray(frequencies, dtype=float))
     apart = np.abs(octave[:, np.newaxis] - octave)

@@ -47,15 +47,10 @@ class Equation(Protocol):
 
 @dataclass(frozen=True)
 class ReverberationEquation(ABC):
-    """Base of rtcal's equations, with the constant 24 ln 10 / c and the air's 4mV.
-
-    Parameters
-    ----------
-    speed_of_sound : float, optional
-        c in m/s; from the room's air if it is not given.
-    """
+    """Base of rtcal's equations, with the constant 24 ln 10 / c and the air's 4mV."""
 
     speed_of_sound: float | None = None
+    """c in m/s; from the room's air if it is not given."""
 
     name: ClassVar[str] = ""
     key: ClassVar[str] = ""
@@ -178,13 +173,7 @@ class MeanEquation(ReverberationEquation):
 
 @dataclass(frozen=True)
 class LinearEquation(MeanEquation):
-    """An equation in which T depends on alpha only through S'alpha: h(alpha) = alpha.
-
-    Parameters
-    ----------
-    speed_of_sound : float, optional
-        c in m/s; from the room's air if it is not given.
-    """
+    """An equation in which T depends on alpha only through S'alpha: h(alpha) = alpha."""
 
     @property
     def largest_mean(self) -> float:

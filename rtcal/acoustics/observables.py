@@ -170,13 +170,8 @@ class Observable(ABC):
         """Return the standard deviation as observed of one response, whose field is noise.
 
         In a band of bandwidth B the energy of a bin of width w has the relative variance 1 / (B w).
-
-        Parameters
-        ----------
-        frequencies : array (n_bands,)
-            Centre frequencies in Hz.
-        times : array (..., n_bands)
-            Decay time in s of an exponential decay.
+        ``frequencies`` (n_bands,) are in Hz, ``times`` (..., n_bands) decay times of an exponential
+        decay in s.
         """
         times = np.asarray(times, dtype=float)
         bandwidth = np.broadcast_to(bands.bandwidth_factor(frequencies) * frequencies, times.shape)
@@ -744,12 +739,6 @@ class STI(Observable):
         """Return the STI of all octaves from 125 Hz to 8 kHz, (...); NaN if one is missing.
 
         Sum of alpha_k M_k - sum of beta_k sqrt(M_k M_k+1) (IEC 60268-16:2011, A.5.6), M by octave.
-
-        Examples
-        --------
-        >>> octaves = np.array([125, 250, 500, 1000, 2000, 4000, 8000])
-        >>> print(STI().overall(np.full(7, 0.6), octaves).round(3))
-        0.6
         """
         listed = np.asarray(frequencies, dtype=float).tolist()
         if not set(_OCTAVES) <= set(listed):

@@ -214,15 +214,7 @@ def target_changes(equation: LinearEquation, room: Room, t: Array) -> Array:
     In Sabine's equation E' = 1 and db/dS = 0, so that only the products of two errors are neglected:
     (alpha - mu) times the error of an area. In Eyring's and Kuttruff's, b is linearised as well: the
     climate changes it by S / E' times its change of a.
-    Bands without T, or whose T no absorption gives, have 0.
-
-    Parameters
-    ----------
-    equation : LinearEquation
-    room : Room
-        Its stated standard deviations and mu.
-    t : array (n_bands,)
-        Measured T in s.
+    Bands without T, or whose T no absorption gives, have 0. ``t`` is the measured T in s, (n_bands,).
     """
     t = np.asarray(t, dtype=float)
     total = room.total_area

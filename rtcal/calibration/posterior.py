@@ -421,7 +421,7 @@ def _part(
     mean = -covariance @ gradient
     equal = limits[0] == limits[1]
     loose = equal & (noise > 0)
-    least, most = _sums(rows, *box)
+    least, most = (each.sum(axis=1) for each in _ends(rows, *box))
     lower, upper = _implied(rows[~loose], [limit[~loose] for limit in limits], *box)
     held = upper - lower <= _HELD
     exact = np.vstack([rows[equal], np.eye(len(mean))[held]])
@@ -459,12 +459,6 @@ def _part(
         sums,
         np.where(loose, 0.0, limits[0])[equal] - rows[equal] @ np.where(held, fixed, 0.0),
     )
-
-
-def _sums(rows: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """The least and the largest value of each row within the box, (n_rows,) each."""
-    least, most = _ends(rows, lower, upper)
-    return least.sum(axis=1), most.sum(axis=1)
 
 
 def _ends(rows: Array, lower: Array, upper: Array) -> list[Array]:

@@ -368,15 +368,7 @@ def _candidates(program: qp.QP, at: Active, raw: Iterate) -> Iterator[Iterate]:
 
 
 class Observation(Protocol):
-    """Data of a room, and the model that predicts them from its coefficients.
-
-    Attributes
-    ----------
-    values : array (n,)
-        The data.
-    covariance : array (n, n)
-        Of the errors of data and model.
-    """
+    """Data of a room, and the model that predicts them from its coefficients."""
 
     @property
     def values(self) -> Array:
@@ -482,25 +474,13 @@ def fit(
     is taken. A step that raises the objective is halved, up to six times, and left out where it is
     small as a whole.
 
-    Parameters
-    ----------
-    problem : CalibrationProblem
-        Built with ``term``, whose numbers are the linearised data.
-    data, start, term
-        The start is (n_materials, n_bands).
-    method, times
-        Name of the result's method, and the measured T of the problem's other terms.
-    most : int
-        Largest number of steps.
-    covariance : array (n, n), optional
-        In the QP in place of that of the data, which judges the steps all the same.
-    allowed : callable
-        Whether a point may be an end, whatever its objective.
-    settled : callable, optional
-        Whether a step, and the alpha at which it ended, is the last; by default where the whole step
-        changes no coefficient by more than `SETTLED` of its prior sigma.
-
-    Raises InfeasibleError and SolverError as `CalibrationProblem.solve`.
+    The problem was built with ``term``, whose numbers are the linearised data; ``times`` are the
+    measured T of its other terms, and ``method`` is the name of the result's. ``start`` is
+    (n_materials, n_bands), ``most`` the largest number of steps. A ``covariance`` (n, n) takes in the
+    QP the place of that of the data, which judges the steps all the same. ``allowed`` says whether a
+    point may be an end, whatever its objective, ``settled`` whether a step, and the alpha at which it
+    ended, is the last: by default if the whole step changes no coefficient by more than `SETTLED` of
+    its prior sigma. Raises InfeasibleError and SolverError as `CalibrationProblem.solve`.
     """
     factor = np.asarray(np.linalg.cholesky(data.covariance))
     in_qp = data.covariance if covariance is None else covariance

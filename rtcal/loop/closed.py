@@ -1236,14 +1236,9 @@ def record(
     """Return the loop after what was simulated, as read from the file ``table``.
 
     ``loop`` was read from the file ``state``, and the room at ``out`` was to be simulated. ``again``
-    accepts a table that is likely another one.
-
-    Raises
-    ------
-    DataError
-        If the end of the loop was simulated already, the table is no measurement, or the room at
-        ``out`` is not the one to simulate. Also if T is about ten times what the coefficients give,
-        or a tenth, is the measured one itself or that of an earlier step, or does not follow alpha.
+    accepts a table that is likely another one: T is about ten times what the coefficients give, or a
+    tenth, is the measured one itself or that of an earlier step, or does not follow alpha. Without it
+    that raises DataError, as do a finished loop and an ``out`` that is not the room to simulate.
     """
     if loop.after is not None:
         raise DataError(

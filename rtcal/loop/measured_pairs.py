@@ -161,14 +161,8 @@ def pairs_to_match(
     """Return what was measured at the simulator's pairs, without those of ``exclude``.
 
     ``simulated`` is the simulated values with the prior: its pairs, the direct sound, and the
-    reference of the level.
-
-    Raises
-    ------
-    DataError
-        If the measurement is a summary over pairs, if no pair is the simulator's, if none of the
-        parameters was measured, if ``exclude`` names a pair that was not measured, or for a stated
-        uncertainty below a millionth.
+    reference of the level. DataError for a summary over pairs, without a pair of the simulator or any
+    of the parameters, for an ``exclude`` that was not measured, and an uncertainty below a millionth.
     """
     if measured.is_summary:
         raise DataError(
@@ -398,12 +392,6 @@ def response_noise(
     decay with ``decay_time`` in s. In a band of ``bandwidth`` in Hz the energy of the decay in a bin
     has the relative variance 1 / (bandwidth width). ISO 3382-2's standard deviation of T20 is nearly
     the same as this one.
-
-    Examples
-    --------
-    >>> noise = response_noise(["t20", "level"], 1.0, 710.0)
-    >>> print(np.sqrt(np.diag(noise)).round(3))
-    [0.033 0.428]
     """
     width = 2 * decay_time / _BINS
     share = np.asarray(direct, dtype=float)[..., np.newaxis]
@@ -803,23 +791,13 @@ def simulated_controls(
 ) -> ControlRuns | None:
     """Return the errors of a simulator in `RUNS` reference simulations; None without a geometry.
 
-    `PathTracing`, `ScatteringDelayNetwork` and `ImageSource` have one.
-
-    Parameters
-    ----------
-    simulator, room, match
-        Alpha is drawn from the prior of ``room``.
-    seed : int
-        Of the paths. What is not known is drawn alike for every seed.
-    position_uncertainty : float
-        Root mean square distance of sources and receivers from where they are stated, in m.
-    cache : path, optional
-        Folder in which the errors are kept, by a hash of everything they depend on.
-    after : sequence of (names, callable)
-        Further states of the room, simulated in the same runs: the values there stand behind
-        ``match``, by these names. Nothing is kept in the ``cache`` then.
-    more_paths : int
-        Factor of the number of paths of the runs, and of a simulator that traces paths.
+    `PathTracing`, `ScatteringDelayNetwork` and `ImageSource` have one. Alpha is drawn from the prior of
+    ``room``. The ``seed`` is that of the paths: what is not known is drawn alike for every seed.
+    ``position_uncertainty`` is the root mean square distance of sources and receivers from where they
+    are stated, in m. The folder ``cache`` keeps the errors by a hash of everything they depend on, but
+    none with ``after``: names and simulation of further states of the room, in the same runs, whose
+    values stand behind ``match``. ``more_paths`` is a factor of the number of paths of the runs, and of
+    a simulator that traces paths.
     """
     uncertainty = checked_uncertainty(position_uncertainty)
     tracing = complete(simulator).tracing

@@ -387,12 +387,8 @@ def observe(
 ) -> Observations:
     """Return what a simulator's positions hear for alpha (n_materials, n_bands).
 
-    Raises
-    ------
-    DataError
-        For an unknown parameter, a seed or an alpha that breaks its rule.
-    SimulatorError
-        If the simulator raises it, or does not give a parameter. The message names it.
+    DataError for an unknown parameter, a seed or an alpha that breaks its rule; SimulatorError if the
+    simulator raises it, or does not give a parameter.
     """
     if (own := derivatives(simulator)) is not None:
         if not isinstance(own, RoomSimulator):  # those check it themselves

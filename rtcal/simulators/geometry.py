@@ -450,11 +450,6 @@ def vector_area(polygon: Array) -> Array:
 
     ½ sum of p_i x p_(i+1) (Newell), for any plane polygon. Seen against the normal, the vertices
     run counter-clockwise.
-
-    Examples
-    --------
-    >>> print(vector_area(np.array([[0.0, 0, 0], [2, 0, 0], [2, 3, 0], [0, 3, 0]])))
-    [0. 0. 6.]
     """
     local = polygon - polygon[0]  # near the origin the products lose no digits
     after = np.concatenate((local[1:], local[:1]))

@@ -132,14 +132,8 @@ class Tracer(RoomSimulator, ABC):
         """Return the parameters of a response for alpha (n_materials, n_bands), by pair.
 
         The uncertainty of EDT, T20, C50 and C80 is the standard error that tracing causes. The
-        decay is traced for longer until it holds T20.
-
-        Raises
-        ------
-        DataError
-            For an alpha that is not (n_materials, n_bands) or not in [0, 1], or a negative seed.
-        TooShortError
-            If a decay of `LONGEST` does not hold T20.
+        decay is traced for longer until it holds T20: TooShortError if one of `LONGEST` does not.
+        DataError for a negative seed, or alpha of another shape or not in [0, 1].
         """
         alpha = check_alpha(self, alpha)
         energy = decay_long_enough(
@@ -1047,9 +1041,8 @@ class PathTracing(Tracer):
         for ``seconds`` above `rtcal.simulators.path_tracing.LONGEST`, or another ``number``.
         """
         self._check_groups(1 if number is None else number)
-        return self._energy(check_alpha(self, alpha), seconds, seed, number)
+        alpha = check_alpha(self, alpha)
 
-    def _energy(self, alpha: Array, seconds: float, seed: int, number: int | None) -> Array:
         def sweep(paths: Paths, bands: NDArray[np.int64]) -> Array:
             return paths.energy(*self._weighing(alpha, bands), number)
 
@@ -1109,7 +1102,7 @@ class PathTracing(Tracer):
         alpha, match = check_alpha(self, alpha), base.checked_parameters(match)
         # Each group is to hold the decay times, so no mean over the groups is asked.
         (groups,) = decay_long_enough(
-            lambda seconds: self._energy(alpha, seconds, seed, number)[np.newaxis],
+            lambda seconds: self.energy(alpha, seconds, seed=seed, number=number)[np.newaxis],
             self.room,
             alpha,
             longest(match),

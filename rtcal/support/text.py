@@ -31,13 +31,6 @@ def wrapped(sentence: str, indent: str = "", hanging: str | None = None) -> list
 
     By default it is the indent and two blanks. A word longer than a line is not broken, so that paths
     and commands can be copied.
-
-    Examples
-    --------
-    >>> for line in wrapped("T does not depend on alpha. " * 3, indent="  "):
-    ...     print(line)
-      T does not depend on alpha. T does not depend on alpha. T does not depend on
-        alpha.
     """
     return textwrap.wrap(
         sentence,
