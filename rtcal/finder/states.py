@@ -70,7 +70,6 @@ from rtcal.finder.evidence import (
 from rtcal.finder.finding import Finding
 from rtcal.finder.model import RoomState
 from rtcal.finder.positions import surfaces as of_room
-from rtcal.finder.positions.surfaces import Faces
 from rtcal.finder.positions.weighing import Weighing, interpolation
 from rtcal.simulators import base
 from rtcal.simulators.base import Observations
@@ -670,19 +669,6 @@ _MISSING = 1e6
 _TINY = 1e-8
 
 
-def sets_of(simulator: PathTracing, surfaces: Mapping[str, Faces]) -> list[tuple[str, ...]]:
-    """Return the sets of surfaces that are tried: one, two, three walls, and all walls."""
-    area = {n: float(simulator.geometry.face_areas[f].sum()) for n, f in surfaces.items()}
-    largest = sorted(sorted(area, key=lambda n: -area[n])[:MOST_SURFACES])
-    upright = [n for n in largest if of_room.kind(simulator.geometry, surfaces[n]) == "wall"]
-    out: list[tuple[str, ...]] = [(n,) for n in largest]
-    out += combinations(largest, 2)
-    out += combinations(upright, 3)
-    if len(upright) > 3:
-        out.append(tuple(upright))
-    return out
-
-
 def _located(
     case: StatesCase,
     family: str | None,
@@ -745,7 +731,13 @@ def _located(
     noise = _noise(energy[rows], tracer, match) * (1 + np.asarray(shorter))[:, None, None]
     noise = noise / weights[:, None, None, None]
     faces = of_room.of_geometry(tracer.geometry)
-    tried = sets_of(tracer, faces)
+    # One, two, three walls, and all walls.
+    area = {n: float(tracer.geometry.face_areas[f].sum()) for n, f in faces.items()}
+    largest = sorted(sorted(area, key=lambda n: -area[n])[:MOST_SURFACES])
+    upright = [n for n in largest if of_room.kind(tracer.geometry, faces[n]) == "wall"]
+    tried: list[tuple[str, ...]] = [(n,) for n in largest]
+    tried += [*combinations(largest, 2), *combinations(upright, 3)]
+    tried += [tuple(upright)] if len(upright) > 3 else []
     groups = [np.concatenate([faces[n] for n in names]) for names in tried]
     base = _observed(energy, tracer, match)
     shifts = np.array(

@@ -891,7 +891,15 @@ def _of_states(
     # The geometric mean is the same of two states that are exchanged.
     times = np.sqrt(found.times[0] * found.times[1])
     left = (finding.shift - found.change) / np.log1p(TARGET.jnd)
-    at = (found.pairs, found.room.centre_frequencies, times, _prediction_error(finding))
+    # The error of T after by the interval of the change, in JND. The state of the longer T is the first.
+    total, area, sign = case.room.total_area, finding.area, 1.0
+    if not case.falls:
+        area, sign = case.equation.absorption_area(case.room, case.times[1]), -1.0
+    areas = np.clip(area + sign * finding.change[1:], 0.0, 0.999 * total)
+    air = 4 * case.room.air_attenuation * case.room.volume
+    low, high = total * case.equation.exponent(areas / total) + air
+    error = np.abs(np.log(high / low)) / (2 * NORMAL_90 * np.log1p(TARGET.jnd))
+    at = (found.pairs, found.room.centre_frequencies, times, np.nan_to_num(error))
     return at_pairs(
         finding,
         held.pairs,
@@ -908,20 +916,3 @@ def _of_pairs(case: StatesCase, pairs: Sequence[Pair]) -> StatesCase:
     """Return the case of some pairs, of which T alone is compared."""
     before, after = case.before.select(pairs), case.after.select(pairs)
     return replace(case, before=before, after=after, simulator=None)
-
-
-def _prediction_error(finding: Finding) -> Array:
-    """Return the standard deviation in JND of T after, by the interval of the change, (n_bands,).
-
-    The state of the longer T is the first: two states that are exchanged have the same one.
-    """
-    case: StatesCase = finding.case
-    total = case.room.total_area
-    air = 4 * case.room.air_attenuation * case.room.volume
-    area, sign = finding.area, 1.0
-    if not case.falls:
-        area, sign = case.equation.absorption_area(case.room, case.times[1]), -1.0
-    areas = np.clip(area + sign * finding.change[1:], 0.0, 0.999 * total)
-    low, high = total * case.equation.exponent(areas / total) + air
-    out = np.abs(np.log(high / low)) / (2 * NORMAL_90 * np.log1p(TARGET.jnd))
-    return np.asarray(np.nan_to_num(out))

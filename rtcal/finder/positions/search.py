@@ -39,7 +39,7 @@ from rtcal.finder.claim import (
     Detection,
     Reason,
     conclude,
-    most_probable_first,
+    summed,
     with_added,
 )
 from rtcal.finder.effects import Effect, checked_effects
@@ -65,7 +65,6 @@ from rtcal.finder.positions.problem import (
     PositionsHypotheses,
     PositionsProblem,
     ShiftHypothesis,
-    SpreadHypothesis,
     on_parts,
     on_surfaces,
     shifts,
@@ -265,29 +264,34 @@ def summary_of(case: PositionsCase, hypotheses: PositionsHypotheses, posterior: 
     for shift, some in zip(hypotheses.shifts, of_shifts, strict=True):
         grouped.setdefault((shift.effect, shift.surface, shift.place), []).append((shift, some))
     candidates = [_candidate(case, members) for members in grouped.values()]
-    candidates += [_misplaced(*of) for of in zip(hypotheses.spreads, of_spreads, strict=True)]
+    for spread, some in zip(hypotheses.spreads, of_spreads, strict=True):
+        share = _shares(some)  # of the sizes that are tried
+        likely = spread.sizes[share >= min(0.05, share.max())]
+        candidates.append(
+            Candidate(
+                effect=spread.effect,
+                family=spread.family,
+                place=spread.place,
+                probability=float(some.sum()),
+                size=float(np.clip(share @ spread.sizes, likely.min(), likely.max())),
+                low=float(likely.min()),
+                high=float(likely.max()),
+                unit=spread.unit,
+            )
+        )
     for effect, chance in zip((COEFFICIENTS, UNKNOWN), chances[1:3].tolist(), strict=True):
         if chance > 0:
             candidates.append(Candidate(effect=effect, family=effect, probability=chance))
     candidates.sort(key=lambda c: -c.probability)
-    probabilities = {NONE: float(chances[0])}
-    families = dict(probabilities)
-    surfaces = dict.fromkeys(case.faces, 0.0)
-    for c in candidates:
-        probabilities[c.effect] = probabilities.get(c.effect, 0.0) + c.probability
-        families[c.family] = families.get(c.family, 0.0) + c.probability
-        if c.surface is not None:
-            surfaces[c.surface] += c.probability
+    none = (NONE, float(chances[0]))
+    effects = summed([none, *((c.effect, c.probability) for c in candidates)])
+    families = summed([none, *((c.family, c.probability) for c in candidates)])
+    standing = [(c.surface, c.probability) for c in candidates if c.surface is not None]
+    surfaces = summed([*((name, 0.0) for name in case.faces), *standing])
     on_surfaces = sum(surfaces.values())
     shares = {n: p / on_surfaces if on_surfaces > 0 else 0.0 for n, p in surfaces.items()}
-    return Summary(
-        tuple(candidates),
-        most_probable_first(probabilities),
-        with_added(families),
-        most_probable_first(shares),
-        on_surfaces,
-        unexplained,
-    )
+    families = with_added(families)
+    return Summary(tuple(candidates), effects, families, shares, on_surfaces, unexplained)
 
 
 def _shares(chances: Array) -> Array:
@@ -330,22 +334,6 @@ def _candidate(case: PositionsCase, members: Sequence[tuple[ShiftHypothesis, Arr
             for member, some in members
             if member.part is not None
         ),
-    )
-
-
-def _misplaced(spread: SpreadHypothesis, chances: Array) -> Candidate:
-    """Return a candidate of the measurement: its sizes are those that are tried."""
-    share = _shares(chances)
-    likely = spread.sizes[share >= min(0.05, share.max())]
-    return Candidate(
-        effect=spread.effect,
-        family=spread.family,
-        place=spread.place,
-        probability=float(chances.sum()),
-        size=float(np.clip(share @ spread.sizes, likely.min(), likely.max())),
-        low=float(likely.min()),
-        high=float(likely.max()),
-        unit=spread.unit,
     )
 
 
