@@ -891,7 +891,7 @@ def _of_states(
     # The geometric mean is the same of two states that are exchanged.
     times = np.sqrt(found.times[0] * found.times[1])
     left = (finding.shift - found.change) / np.log1p(TARGET.jnd)
-    # The error of T after by the interval of the change, in JND. The state of the longer T is the first.
+    # The error of T after in JND, by the change's interval. The state of the longer T is the first.
     total, area, sign = case.room.total_area, finding.area, 1.0
     if not case.falls:
         area, sign = case.equation.absorption_area(case.room, case.times[1]), -1.0
