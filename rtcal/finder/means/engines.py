@@ -19,7 +19,7 @@ import numpy as np
 
 from rtcal.acoustics import bands, observables
 from rtcal.acoustics.equations import Eyring, mean_equation
-from rtcal.acoustics.room import Room, Surface
+from rtcal.acoustics.room import Room
 from rtcal.files import disk
 from rtcal.finder.case import Case
 from rtcal.finder.evidence import by_name
@@ -32,7 +32,6 @@ from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
 
-_AXIS_OF_WALL = (0, 0, 1, 1, 2, 2)
 SCATTERING: Mapping[ScatteringModel, tuple[float, float]] = {
     "random": (0.4, 0.9),
     "vector": (0.5, 0.9),
@@ -139,28 +138,21 @@ def box(case: Case) -> tuple[Room, Polyhedron, Array]:
         # Sides from the areas along the axes, with limited ratios: no corridor.
         sides = np.clip(sides / np.exp(np.log(sides).mean()), 0.4, 2.5)
         sides *= (room.volume / np.prod(sides)) ** (1 / 3)
-    x, y, z = sides
-    areas = np.repeat([y * z, x * z, x * y], 2)
-    names = ("x", "y", "z")
-    share = towards / total
-    k = room.n_bands
+    x, y, z = sides.tolist()
+    geometry = Polyhedron.shoebox((x, y, z), dict(zip(SHOEBOX_WALLS, "xxyyzz", strict=True)))
     control = Room(
         name="control",
         volume=float(np.prod(sides)),
-        materials=list(names),
-        areas=2 * areas[::2],
-        alpha=np.full((3, k), 0.1),
-        sigma=np.zeros((3, k)),
+        materials=[*"xyz"],
+        areas=[2 * y * z, 2 * x * z, 2 * x * y],
+        alpha=np.full((3, room.n_bands), 0.1),
+        sigma=np.zeros((3, room.n_bands)),
         air=room.air,
         centre_frequencies=room.centre_frequencies,
-        dimensions=(float(x), float(y), float(z)),
-        surfaces=[
-            Surface(name=wall, material=names[a], area=float(area))
-            for wall, a, area in zip(SHOEBOX_WALLS, _AXIS_OF_WALL, areas, strict=True)
-        ],
+        dimensions=(x, y, z),
+        surfaces=geometry.surfaces,
     )
-    walls = dict(zip(SHOEBOX_WALLS, (names[a] for a in _AXIS_OF_WALL), strict=True))
-    return control, Polyhedron.shoebox(control.dimensions or (), walls), share
+    return control, geometry, towards / total
 
 
 @dataclass(frozen=True)
