@@ -501,23 +501,7 @@ def find(
     only: Sequence[str] = (),
     without: Sequence[str] = (),
 ) -> Finding:
-    """Return what changed between two states of a room, from T20 (or T30) alone; see `rtcal.find`.
-
-    Examples
-    --------
-    >>> import rtcal as rt
-    >>> room = rt.Room(name="box", volume=200, materials=["all"], areas=[220], alpha=[[0.1] * 2],
-    ...                sigma=[[0.05] * 2], centre_frequencies=[500, 1000])
-    >>> pairs = [("S1", "R1"), ("S1", "R2"), ("S2", "R1"), ("S2", "R2")]
-    >>> before, after = (
-    ...     rt.Measurement(centre_frequencies=[500, 1000], values={"t20": t}, pairs=pairs)
-    ...     for t in ([[1.5, 1.4], [1.4, 1.4], [1.5, 1.3], [1.6, 1.5]],
-    ...               [[1.1, 0.9], [1.2, 1.0], [1.1, 1.0], [1.0, 0.9]])
-    ... )
-    >>> finding = rt.find(room, after, before=before)
-    >>> print(finding.verdict, finding.family)
-    family added absorption
-    """
+    """Return what changed between two states of a room, from T20 (or T30) alone; see `rtcal.find`."""
     of_library = checked_effects(effects)
     if not adding(of_library):
         raise DataError(
