@@ -103,6 +103,8 @@ class Effect(ABC):
     formula_error: ClassVar[float] = 0.106
     """Standard deviation of the relative error of the change of each feature by itself: errors of the
     formula that no two features share. From the prototype, of half of a variance of 0.15²."""
+    takes_wall: ClassVar[bool] = False
+    """Whether its size is an area of wall that it takes."""
     largest_share: ClassVar[float] = 0.25
     """Largest share of all surfaces that the effect is believed to take."""
     stands_on: ClassVar[Sequence[str]] = ()
@@ -172,10 +174,6 @@ class Effect(ABC):
     def prior_odds(self, room: Room) -> float:
         """Return the prior odds of the effect in this room, against the others: `odds`."""
         return self.odds
-
-    def wall_area(self, parameters: Parameters) -> float:
-        """Return the area of wall in m² that the effect takes; 0 where it takes none."""
-        return 0.0
 
     def title(self, parameters: Parameters, room: Room) -> str:
         """Return the effect's name in a sentence: ``area of "plaster"``."""
@@ -267,6 +265,7 @@ class Absorber(AbsorbingObject):
 
     size: ClassVar[str] = "area"
     unit: ClassVar[str] = "m²"
+    takes_wall: ClassVar[bool] = True
     stands_on: ClassVar[Sequence[str]] = ("wall", "ceiling")
 
     @abstractmethod
@@ -276,10 +275,6 @@ class Absorber(AbsorbingObject):
     def limits(self, room: Room | None) -> Limits:
         """Return the limits of all parameters; the size is an area from 0 to that of all surfaces."""
         return {**super().limits(room), self.size: (0.0, all_surfaces(room))}
-
-    def wall_area(self, parameters: Parameters) -> float:
-        """Return the absorber's area."""
-        return float(parameters[self.size])
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
         """Return every one of `kinds` with its alpha."""
@@ -936,6 +931,7 @@ class CoupledRoom(Effect):
         "alpha": Parameter(within=(0.0, 0.999)),
     }
     removable: ClassVar[bool] = True
+    takes_wall: ClassVar[bool] = True
     size_error: ClassVar[float] = 0.4
     stands_on: ClassVar[Sequence[str]] = ("wall", "ceiling")
     not_in_simulator: ClassVar[str | None] = (
@@ -955,10 +951,6 @@ class CoupledRoom(Effect):
     def limits(self, room: Room | None) -> Limits:
         """Return an aperture in the surfaces, and the limits of the second room."""
         return {**super().limits(room), "aperture": (0.0, all_surfaces(room))}
-
-    def wall_area(self, parameters: Parameters) -> float:
-        """Return the aperture."""
-        return float(parameters["aperture"])
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room coupled to the other one."""

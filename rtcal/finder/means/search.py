@@ -530,8 +530,8 @@ def doubts(evidence: MeansEvidence, best: Candidate) -> tuple[Reason, ...]:
         if size is not None and size.end:
             other = "larger" if size.end == "least" else "smaller"
             found.append(Reason("size unbounded", {"effect": name, "size": size, "other": other}))
-        share = effect.wall_area(best.parameters) / problem.case.room.total_area
-        if share > (most := effect.largest_share):
+        share = best.parameters[effect.size] / problem.case.room.total_area
+        if effect.takes_wall and share > (most := effect.largest_share):
             found.append(Reason("too large", {"effect": name, "share": share, "most": most}))
     found.append(decided_below_schroeder(evidence, name))
     return tuple(doubt for doubt in found if doubt is not None)
