@@ -144,7 +144,7 @@ def box(case: Case) -> tuple[Room, Polyhedron, Array]:
         name="control",
         volume=float(np.prod(sides)),
         materials=[*"xyz"],
-        areas=[2 * y * z, 2 * x * z, 2 * x * y],
+        areas=2 * np.array([y * z, x * z, x * y]),
         alpha=np.full((3, room.n_bands), 0.1),
         sigma=np.zeros((3, room.n_bands)),
         air=room.air,
