@@ -518,6 +518,37 @@ class Surface:
             raise DataError(f'surface["{self.name}"].axis = "{self.axis}" is not "x", "y" or "z"')
 
 
+def with_patches(
+    surfaces: Sequence[Surface], patches: Iterable[tuple[str, str, float]]
+) -> list[Surface]:
+    """Return surfaces with pieces of other materials on them: (surface, material, area in m²).
+
+    A piece, such as a window, takes its area from its surface. Raises DataError for a surface that is
+    not there, and for pieces that are larger than theirs.
+
+    Examples
+    --------
+    >>> west = Surface("west", "plaster", 21.0, "x")
+    >>> [surface.area for surface in with_patches([west], [("west", "glass", 4.5)])]
+    [16.5, 4.5]
+    """
+    left = {surface.name: surface for surface in surfaces}
+    pieces: list[Surface] = []
+    for name, material, area in patches:
+        if name not in left:
+            raise DataError(f'"{name}" is no surface; there are {", ".join(left)}')
+        whole = left[name]
+        patch = Surface(f"{name}: {material}", material, area, whole.axis)
+        if not patch.area < whole.area:
+            raise DataError(
+                f'"{name}" has {whole.area:.6g} m² left, and {material} on it has {patch.area:g} m²; a '
+                "surface that is all of one material has that material"
+            )
+        left[name] = replace(whole, area=whole.area - patch.area)
+        pieces.append(patch)
+    return [*left.values(), *pieces]
+
+
 ARCHIVE = "archive"
 """Method in the record of a room whose coefficients come from an archive of other rooms."""
 CHANGED = "changed"
@@ -1077,17 +1108,21 @@ class Room:
             raise DataError(f"a room cannot be made so: {error}") from error
 
     @classmethod
-    def from_geometry(cls, geometry: Any, **stated: Any) -> Room:
+    def from_geometry(
+        cls, geometry: Any, patches: Iterable[tuple[str, str, float]] = (), **stated: Any
+    ) -> Room:
         """Return the room with the volume and surfaces of a `rtcal.simulators.Polyhedron`.
 
-        ``stated`` goes to `from_surfaces`. Raises DataError as that does.
+        ``patches`` are those of `with_patches`, and ``stated`` goes to `from_surfaces`. Raises
+        DataError as these do.
         """
         if not (hasattr(geometry, "volume") and hasattr(geometry, "surfaces")):
             raise DataError(
                 f"geometry = {checks.shown(geometry)} has no volume and surfaces, as a "
                 "rtcal.simulators.Polyhedron has"
             )
-        return cls.from_surfaces(volume=geometry.volume, surfaces=geometry.surfaces, **stated)
+        surfaces = with_patches(geometry.surfaces, patches)
+        return cls.from_surfaces(volume=geometry.volume, surfaces=surfaces, **stated)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the tables of the room's file as plain values, without empty ones.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,11 +15,35 @@ from rtcal.files.disk import make_folder, spare, write_all
 from rtcal.support import text
 from rtcal.support.errors import DataError
 
+if TYPE_CHECKING:
+    from rtcal.acoustics.measurement import Measurement
+    from rtcal.acoustics.room import Room
+
+
+_T = 'a value for each of ROOM\'s bands, "0.9 0.8", or for some, "500:0.9 1000:0.8"'
+
+
+def _measured(room: Room, path: str | None, **times: str | None) -> Measurement:
+    """Return the measurement of a file, or of an option; DataError for several of them."""
+    from rtcal.acoustics.measurement import Measurement
+
+    stated = {name: text for name, text in times.items() if text is not None}
+    if len(stated) + (path is not None) > 1:
+        raise DataError("several measurements: give one of MEASURED, --t20 and --t30")
+    if path is not None:
+        return console.read_measured(path)
+    for name, of in stated.items():
+        by_band = dict(sorted(console.spectrum(f"--{name}", of, room.centre_frequencies).items()))
+        return Measurement.from_values([*by_band], **{name: [*by_band.values()]})
+    raise click.MissingParameter(param_type="argument", param_hint="MEASURED (or --t20, --t30)")
+
 
 @click.command(short_help="Calibrate a room to measured reverberation times.")
 @console.takes(
     "ROOM",
-    "MEASURED",
+    "MEASURED?",
+    console.option("t20", None, f"T20 in s, without a file: {_T}."),
+    console.option("t30", None, f"T30 in s, without a file: {_T}."),
     "method",
     "equation",
     console.choice("solver", ("clarabel", "osqp"), "The solver of the QP.", default="clarabel"),
@@ -36,15 +60,26 @@ from rtcal.support.errors import DataError
     ),
 )
 def calibrate(
-    room: str, measured: str, modes: str | None, out: Path | None, equation: Any, **stated: Any
+    room: str,
+    measured: str | None,
+    t20: str | None,
+    t30: str | None,
+    modes: str | None,
+    out: Path | None,
+    equation: Any,
+    **stated: Any,
 ) -> None:
     """Calibrate ROOM (TOML) to MEASURED (CSV, xlsx) and print T, deviations and coefficients per band.
 
+    \b
     Example: rtcal calibrate room.toml t20.csv --out calibrated
+
+    \b
+    Example: rtcal calibrate room.toml --t20 "0.9 0.8 0.7 0.7 0.6 0.6"
 
     `rtcal report calibrated` makes a page of the results. The equation then has the measured T; for
     the T of your own program, `rtcal loop start --simulated` begins with what it gave.
-    """
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.changes import facing
     from rtcal.calibration import methods
     from rtcal.io import geometry_files
@@ -58,18 +93,18 @@ def calibrate(
             raise DataError(
                 "--modes has a method of its own: leave out --method, --solver, --unreachable"
             )
+        prior = console.read_room(room)
         with console.without_air_warning():
-            data = console.read_measured(measured)
-            by_modes = console.told_by_modes(console.read_room(room), modes, data, equation)
+            data = _measured(prior, measured, t20=t20, t30=t30)
+            by_modes = console.told_by_modes(prior, modes, data, equation)
         if out is not None:
             figures.write_folder(by_modes, out, {})
         console.tell(str(by_modes), by_modes.to_dict)
         return
     prior = console.read_room(room)
     with console.without_air_warning():
-        result = methods.calibrate(
-            prior, console.read_measured(measured), equation=equation, **stated
-        )
+        data = _measured(prior, measured, t20=t20, t30=t30)
+        result = methods.calibrate(prior, data, equation=equation, **stated)
     if prior.scene.mesh is not None:
         with suppress(DataError):  # told by the mesh's doubt
             result = replace(result, shares=facing(prior, geometry_files.read(prior)))

@@ -15,12 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from rtcal.acoustics.bands import span
 from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys
 from rtcal.acoustics.observables import MATCH, OBSERVABLES
 from rtcal.files import disk
 from rtcal.files.disk import json_text
 from rtcal.files.schema import TABLE, expecting
 from rtcal.io.table_columns import frequency_of
+from rtcal.io.text import numbers as numbers_of
 from rtcal.support.errors import DataError
 from rtcal.support.text import decimal_comma, fitted, printable, width
 
@@ -105,6 +107,35 @@ def numbers(option: str, stated: Sequence[str], form: str) -> dict[str, float]:
             raise DataError(f'{option}: "{name}={value}" is not {form}{decimal_comma(value)}')
         by_name[name] = number
     return by_name
+
+
+_LABEL = re.compile(r"[,;\s]*(?<![\d.])(\d+(?:\.\d+)?\s?(?:k\d*)?\s?(?:hz)?)\s*:", re.I | re.ASCII)
+
+
+def spectrum(
+    option: str, text: str, bands: Sequence[float], *, alone: bool = False
+) -> dict[float, float]:
+    """Return a value by band in Hz: "0.9 0.8" for each of ``bands``, or "500:0.9, 1000:0.8" for some.
+
+    A single number is every band's if it may stand ``alone``. Decimals may have commas. DataError for
+    another number of values, and for what is no band or no number.
+    """
+    before, *labelled = _LABEL.split(text.strip())
+    if not labelled:
+        try:
+            values = numbers_of(text, {len(bands), *([1] if alone else [])}, option)
+        except DataError as error:
+            raise DataError(
+                f'{error}; the room has {span(bands)}, and "500:0.8 1000:0.7" names the bands'
+            ) from error
+        return dict(zip(bands, values * (len(bands) // len(values)), strict=True))
+    found: dict[float, float] = {}
+    for label, value in zip(labelled[::2], labelled[1::2], strict=True):
+        band = frequency_of(label)
+        if before or band is None or band in found:
+            raise DataError(f'{option}: "{text}" is not BAND:VALUE for bands in Hz, each once')
+        (found[band],) = numbers_of(value, [1], f"{option}, {label}")
+    return found
 
 
 ARGUMENTS = (

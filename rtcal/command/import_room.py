@@ -21,6 +21,7 @@ from rtcal.support.speed import bar
 from rtcal.support.text import rounded, shortened
 
 if TYPE_CHECKING:
+    from rtcal.acoustics.air import Air
     from rtcal.acoustics.room import Room, Surface
     from rtcal.io.material_list import ListedMaterial, MaterialList
     from rtcal.io.mend import Mended
@@ -55,6 +56,24 @@ _MESH = (
     console.file("picture", "Picture (PNG) of the mesh to write."),
 )
 """Options of how a mesh is read and mended."""
+AIR = (
+    console.option(
+        "temperature", float, "Temperature of the air in °C (20 with --humidity alone)."
+    ),
+    console.option("humidity", float, "Relative humidity in % (50 with --temperature alone)."),
+)
+SIGMA = (
+    console.option("sigma-relative", float, "sigma as a share of alpha.", "relative", default=0.3),
+    console.option("sigma-minimum", float, "Smallest sigma.", "minimum", default=0.01),
+    console.flag("iso-12999-2", "Use at least the sigma between laboratories."),
+    console.option(
+        "in-situ-factor",
+        float,
+        "Factor on every sigma, such as 2 where specimens were mounted otherwise.",
+        default=1.0,
+    ),
+)
+"""Options of the sigma of materials that state none."""
 _ROOM = (
     console.option(
         "mesh",
@@ -80,25 +99,14 @@ _ROOM = (
     ),
     "as",
     "bands",
-    console.option(
-        "temperature", float, "Temperature of the air in °C (20 with --humidity alone)."
-    ),
-    console.option("humidity", float, "Relative humidity in % (50 with --temperature alone)."),
+    *AIR,
     console.option(
         "sigma",
         click.Path(),
         "Table of sigma (CSV): material,sigma or one column per band.",
         "sigma_table",
     ),
-    console.option("sigma-relative", float, "sigma as a share of alpha.", "relative", default=0.3),
-    console.option("sigma-minimum", float, "Smallest sigma.", "minimum", default=0.01),
-    console.flag("iso-12999-2", "Use at least the sigma between laboratories."),
-    console.option(
-        "in-situ-factor",
-        float,
-        "Factor on every sigma, such as 2 where specimens were mounted otherwise.",
-        default=1.0,
-    ),
+    *SIGMA,
     "scattering",
     console.file("out", "Room (TOML) to write.", required=True),
 )
@@ -165,7 +173,6 @@ def _imported(
 ) -> None:
     """Write a room of a program's materials; ``stated`` are how a mesh is read, and the sigma."""
     from rtcal import io
-    from rtcal.acoustics.air import Air
     from rtcal.acoustics.priors import SigmaRule
     from rtcal.datasets import catalogue
     from rtcal.io.material_list import read_sigma
@@ -197,8 +204,6 @@ def _imported(
     _require_all(listed, others, program, used, place)
     rule = SigmaRule(**stated)
     sigma = {} if sigma_table is None else read_sigma(sigma_table)
-    air = {"temperature": temperature, "humidity": humidity}
-    climate = {name: value for name, value in air.items() if value is not None}
     if unknown := [name for name in sigma if name not in used]:
         raise DataError(f'{sigma_table}: "{unknown[0]}" is no material of the room')
     room = listed.room(
@@ -210,7 +215,7 @@ def _imported(
         sigma=sigma,
         scattering=scattering,
         others=others,
-        air=Air(**{"temperature": 20, "humidity": 50} | climate) if climate else None,
+        air=stated_air(temperature, humidity),
     )
     of_mesh: list[str] = []
     if mesh is not None and model is not None:
@@ -220,16 +225,10 @@ def _imported(
     in_use = {listed.listed(name).name for name in used if name not in others}
     in_use |= {material.name for material in own.values()}
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
-    notes = [f"{rule}; from the file: {', '.join(sigma)}" if sigma else f"Assumed: {rule}"]
-    if room.air is None:
-        notes.append(
-            "No air is given, so alpha will include what the air absorbs: give --temperature and "
-            "--humidity."
-        )
-    else:
-        notes.append(f"air {room.air.temperature:g} °C, {room.air.humidity:g} % humidity")
+    of_sigma = f"{rule}; from the file: {', '.join(sigma)}" if sigma else f"Assumed: {rule}"
+    notes = [of_sigma, air_note(room)]
     scatter = {name: (others.get(name) or listed.listed(name)).scattering for name in used}
-    _tell(room, unused, notes + of_mesh, scatter)
+    print_room(room, unused, notes + of_mesh, scatter)
 
 
 def _add_import(program: str) -> None:
@@ -468,7 +467,26 @@ _PROPOSED = 12
 """Largest number of missing materials for which a message has proposals."""
 
 
-def _tell(room: Room, unused: list[str], notes: list[str], scattering: dict[str, Any]) -> None:
+def stated_air(temperature: float | None, humidity: float | None) -> Air | None:
+    """Return the air of the options; None without either."""
+    from rtcal.acoustics.air import Air
+
+    if temperature is None and humidity is None:
+        return None
+    return Air(20 if temperature is None else temperature, 50 if humidity is None else humidity)
+
+
+def air_note(room: Room) -> str:
+    """Return the note on the air of a room that was made of the options."""
+    if room.air is None:
+        return (
+            "No air is given, so alpha will include what the air absorbs: give --temperature and "
+            "--humidity."
+        )
+    return f"air {room.air.temperature:g} °C, {room.air.humidity:g} % humidity"
+
+
+def print_room(room: Room, unused: list[str], notes: list[str], scattering: dict[str, Any]) -> None:
     """Print the room, the assumptions beyond the list, and what was left out."""
     from rtcal.acoustics.bands import span
     from rtcal.acoustics.marks import of_input

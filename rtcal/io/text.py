@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from rtcal.support import checks
@@ -98,6 +98,32 @@ def number(token: str, place: str) -> float:
     if not abs(value) < 1e300:
         raise DataError(f'{place}: "{shown(token)}" is not a finite number')
     return value
+
+
+def numbers(text: str, counts: Collection[int], place: str) -> list[float]:
+    """Return the numbers of a line that a person wrote, with decimal points or decimal commas.
+
+    Blanks and semicolons separate them, and commas beside blanks. Commas alone separate numbers if one
+    of ``counts`` is then how many there are, and are decimal marks if twice a count is. Raises
+    DataError as `number`, and for another count.
+
+    Examples
+    --------
+    >>> numbers("9,7,3", [3], "sides"), numbers("0,9; 0,8", [2], "T"), numbers("0,9,0,8", [2], "T")
+    ([9.0, 7.0, 3.0], [0.9, 0.8], [0.9, 0.8])
+    """
+    cells = re.sub(r"\s*[;\s]\s*,?\s*|,\s+", ";", text.strip()).strip(";").split(";")
+    if len(cells) == 1 and "," in text:
+        single = cells[0].split(",")
+        if "." not in text and len(single) not in counts and len(single) / 2 in counts:
+            single = [".".join(pair) for pair in zip(single[::2], single[1::2], strict=True)]
+        cells = single if "." in text or len(single) > 2 or 2 in counts else cells
+    values = [number(cell.replace(",", ".", 1), place) for cell in cells]
+    if len(values) not in counts:
+        wanted = " or ".join(map(str, sorted(counts)))
+        n = f"{len(values)} number{'s' * (len(values) > 1)}"
+        raise DataError(f'{place}: "{shown(text)}" has {n}, and not {wanted}')
+    return values
 
 
 def unit_of(cell: str) -> str:

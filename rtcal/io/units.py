@@ -1,4 +1,4 @@
-"""Units of length in files of meshes, and doubts about the size of a room that a unit explains.
+"""Units of length in files of meshes and in sides of a box, and sizes that another unit explains.
 
 Sources: 3MF Consortium, "3D Manufacturing Format, Core Specification" 1.3, ST_Unit; Autodesk, "DXF
 Reference" 2018, header variable $INSUNITS; US survey foot: 1200/3937 m (NIST Handbook 44, Appendix C).
@@ -6,8 +6,11 @@ Reference" 2018, header variable $INSUNITS; US survey foot: 1200/3937 m (NIST Ha
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
+from rtcal.io.text import numbers, shown
+from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.text import rounded
 
@@ -50,6 +53,40 @@ OF_DXF: dict[int, float | None] = {
     24: 5280 * _SURVEY_FOOT,
 }
 """Lengths in m of DXF's units by the number in $INSUNITS; None where there is none."""
+
+_WRITTEN = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
+    "cm": 0.01,
+    "mm": 0.001,
+    **dict.fromkeys(("ft", "feet", "foot", "'"), 0.3048),
+    **dict.fromkeys(("in", "inch", "inches", '"'), 0.0254),
+}
+_UNIT = rf"(?<=[\d.,\s])({'|'.join(sorted(_WRITTEN, key=len, reverse=True))})(?![a-z])"
+_FEET_AND_INCHES = re.compile(
+    r"([\d.]+)\s*(?:'|ft|feet)\s*([\d.]+)\s*(?:\"|in|inch|inches)(?![a-z])"
+)
+
+
+def sides(text: str) -> tuple[float, float, float]:
+    r"""Return length, width and height in m as people write them; DataError for another text.
+
+    Examples
+    --------
+    >>> sides("9,7,3"), sides("7 x 8 x 3,75 m"), sides("10' x 20' x 8'6\"")
+    ((9.0, 7.0, 3.0), (7.0, 8.0, 3.75), (3.048, 6.096, 2.5908))
+    """
+    plain = re.sub("[\u2019\u2032]", "'", re.sub("[\u201d\u2033]", '"', text.strip().lower()))
+    plain = _FEET_AND_INCHES.sub(lambda m: f"{float(m[1]) + float(m[2]) / 12:.10g}'", plain)
+    units = {_WRITTEN[unit] for unit in re.findall(_UNIT, plain)}
+    if len(units) > 1:
+        raise DataError(f'"{shown(text)}" has sides in several units; write all in one')
+    bare = re.sub(r"\s*(?:[x×*]|by)\s*", ";", re.sub(_UNIT, " ", plain))
+    unit = units.pop() if units else 1.0
+    x, y, z = (
+        checks.positive("side", round(side * unit, 9), "m") for side in numbers(bare, [3], "sides")
+    )
+    return x, y, z
+
 
 VOLUME_LIMITS = (1e-3, 2e7)
 """Accepted volumes in m³, from a scale model of a litre. The largest building by volume, Boeing's in

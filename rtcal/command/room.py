@@ -1,0 +1,259 @@
+"""``rtcal room``: a box of named materials, by options or questions, to a room."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rtcal.command import console
+from rtcal.command.import_room import AIR, SIGMA, air_note, print_room, stated_air
+from rtcal.files.disk import spare
+from rtcal.io import units
+from rtcal.io.text import numbers
+from rtcal.support.errors import DataError
+
+if TYPE_CHECKING:
+    from rtcal.acoustics.room import Room
+    from rtcal.io.material_list import ListedMaterial
+
+_WALLS = ("west", "east", "south", "north")
+_WALL = "WALL=MATERIAL"
+_PIECE = "WALL=M2:MATERIAL"
+_STATED = "stated with the room"
+_OTHERS = 3
+"""Largest number of other entries of the catalogue that are named beside the one that was taken."""
+
+
+@click.command(short_help="A box without a file: its sides and materials to a room.")
+@console.takes(
+    console.option(
+        "dimensions", None, "Length (x), width (y), height (z): 9,7,3; 7x8x3.75; 30x20x10 ft."
+    ),
+    console.option(
+        "floor", None, 'Material of the floor: "carpet"; or alpha, "0.1 0.2 0.3 0.3 0.4 0.4".'
+    ),
+    console.option("ceiling", None, "Material of the ceiling."),
+    console.option("walls", None, "Material of the walls."),
+    console.several("wall", _WALL, "One wall's own: west (x = 0), east, south (y = 0), north."),
+    click.option(
+        "--window",
+        "--door",
+        "--piece",
+        "pieces",
+        multiple=True,
+        metavar=_PIECE,
+        help="A piece of a wall, the floor or the ceiling, in m²: west=4.5:glazing.",
+    ),
+    console.option("audience", click.IntRange(1), "Persons seated on the floor, one per m²."),
+    "bands",
+    *AIR,
+    *SIGMA,
+    console.option("name", None, "The room's name; by default that of --out."),
+    console.flag("ask", "Ask in the terminal for what is not given."),
+    console.file("out", "Room (TOML) to write."),
+)
+def room(ask: bool, bands: str | list[float] | None, **stated: Any) -> None:
+    """Make a room of the sides of a box and of materials by name.
+
+    Names are looked up in the catalogue (after Vorländer 2008). The entries that were taken are
+    printed.
+
+    \b
+    Example: rtcal room --dimensions 9,7,3 --floor carpet \\
+        --ceiling "acoustic tile" --walls plaster \\
+        --window west=4.5:glazing --temperature 20 --out room.toml
+
+    \b
+    Example: rtcal room --ask
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    from rtcal.acoustics.bands import octaves, third_octaves
+
+    if bands is None or isinstance(bands, str):
+        bands = [*(third_octaves(100, 5000) if bands == "third-octave" else octaves(125, 4000))]
+    materials = _Materials(bands)
+    own = console.texts("--wall", stated.pop("wall"), _WALL)
+    if unknown := [name for name in own if name not in _WALLS]:
+        raise DataError(f'--wall: "{unknown[0]}" is no wall; there are {", ".join(_WALLS)}')
+    four = len(own) == len(_WALLS)
+    if ask:
+        _ask(stated, materials, four)
+    needed = ("dimensions", "floor", "ceiling", *(() if four else ("walls",)), "out")
+    if missing := [f"--{name}" for name in needed if not stated[name]]:
+        raise DataError(f"{', '.join(missing)} missing: give them, or --ask to be asked")
+    spare([stated["out"]], [])
+    console.fit_ending("--out", stated["out"], ".toml")
+    made, notes = _made(materials, own, **stated)
+    made.save(stated["out"])
+    print_room(made, [], notes, {})
+
+
+def _made(
+    materials: _Materials,
+    own: dict[str, str],
+    dimensions: str,
+    floor: str,
+    ceiling: str,
+    walls: str | None,
+    pieces: tuple[str, ...],
+    audience: int | None,
+    temperature: float | None,
+    humidity: float | None,
+    name: str | None,
+    out: str,
+    **sigma: Any,
+) -> tuple[Room, list[str]]:
+    """Return the room, and the notes on what was taken and assumed."""
+    from rtcal.acoustics.priors import SigmaRule
+    from rtcal.acoustics.room import with_patches
+    from rtcal.io.material_list import MaterialList
+    from rtcal.io.text import Text
+    from rtcal.simulators.geometry import Polyhedron
+
+    size = _sides(dimensions)
+    of_box = {"floor": materials.add("floor", floor), "ceiling": materials.add("ceiling", ceiling)}
+    for wall in _WALLS:
+        of_box[wall] = materials.add(
+            *((wall, own[wall]) if wall in own else ("walls", walls or ""))
+        )
+    patches = [
+        (place, materials.add(f"piece of {place}", text), area)
+        for place, area, text in map(_piece, pieces)
+    ]
+    if audience is not None:
+        patches.append(("floor", materials.add("audience", "audience"), float(audience)))
+    geometry = Polyhedron.shoebox(size, of_box)
+    rule = SigmaRule(**sigma)
+    made = MaterialList(
+        path="the options", text=Text(""), materials=(*materials.listed.values(),)
+    ).room(
+        name=Path(out).stem if name is None else name,
+        volume=geometry.volume,
+        areas=with_patches(geometry.surfaces, patches),
+        centre_frequencies=materials.bands,
+        sigma_rule=rule,
+        air=stated_air(temperature, humidity),
+    )
+    doubt = units.size_doubt(made.volume, size, 1.0)
+    notes = [*filter(None, [doubt]), *materials.notes, f"Assumed: {rule}", air_note(made)]
+    return made.replace(dimensions=size), notes
+
+
+class _Materials:
+    """Materials of a room by their names in it: entries of the catalogue, or stated coefficients."""
+
+    def __init__(self, bands: list[float]) -> None:
+        self.bands = bands
+        self.notes: list[str] = []
+        self.listed: dict[str, ListedMaterial] = {}
+        self._names: dict[str, str] = {}
+
+    def add(self, place: str, text: str) -> str:
+        """Return the name of the material that is stated for a place: a text is always one material.
+
+        DataError for a name that is like none of the catalogue, and for wrong coefficients.
+        """
+        if text not in self._names:
+            numeric = re.fullmatch(r"[\d.,;:\skhz]*\d[\d.,;:\skhz]*", text, re.I)
+            added = (self._coefficients if numeric else self._of_catalogue)(place, text.strip())
+            self.listed[added.name] = added
+            self._names[text] = added.name
+        return self._names[text]
+
+    def _coefficients(self, place: str, text: str) -> ListedMaterial:
+        from rtcal.io.material_list import ListedMaterial
+
+        by_band = console.spectrum(place, text, self.bands, alone=True)
+        for f in self.bands:
+            alpha = by_band.get(f)
+            if alpha is None:
+                raise DataError(f"{place}: alpha at {f:g} Hz is missing")
+            if not 0 <= alpha <= 1:
+                percent = ": is it in percent?" if 2 < alpha <= 100 else ""
+                raise DataError(
+                    f"{place}: alpha = {alpha:g} at {f:g} Hz is not from 0 to 1{percent}"
+                )
+        alphas = tuple(by_band[f] for f in self.bands)
+        return ListedMaterial(place, 0, alphas, (*self.bands,), (), source=_STATED)
+
+    def _of_catalogue(self, place: str, name: str) -> ListedMaterial:
+        from rtcal.datasets import catalogue
+
+        entries = {m.name: m for m in catalogue.material_list().materials}
+        if name in entries:
+            return entries[name]
+        near = catalogue.similar(name, 1 + _OTHERS)
+        if not near:
+            raise DataError(
+                f'{place}: "{name}" is like no material of the catalogue; give another name, or alpha, '
+                '"0.1 0.2 0.3 0.3 0.4 0.4"'
+            )
+        others = f"; near it are {', '.join(near[1:])}" if near[1:] else ""
+        self.notes.append(f"{name} is taken as the catalogue's {near[0]}{others}")
+        return replace(entries[near[0]], name=name)
+
+
+def _sides(text: str) -> tuple[float, float, float]:
+    try:
+        return units.sides(text)
+    except DataError as error:
+        raise DataError(f"--dimensions {error}; a box is 9,7,3 or 30x20x10 ft") from error
+
+
+def _piece(text: str) -> tuple[str, float, str]:
+    """Return place, area in m² and material of a piece; DataError for another form."""
+    place, _, rest = text.partition("=")
+    area, _, material = rest.partition(":")
+    if not (place.strip() and area.strip() and material.strip()):
+        raise DataError(f'"{text}" is not {_PIECE}, such as west=4.5:glazing')
+    (square_metres,) = numbers(re.sub(r"\s*(m2|m²|sqm|qm)\s*$", "", area), [1], text)
+    return place.strip(), square_metres, material
+
+
+def _ask(stated: dict[str, Any], materials: _Materials, four_walls: bool) -> None:
+    """Put answers into the options that are not given; a wrong answer is asked for again."""
+    from rtcal.acoustics.air import Air
+
+    def answer(question: str, check: Callable[[str], Any], default: str | None = None) -> Any:
+        def checked(text: str) -> Any:
+            try:
+                return check(text)
+            except DataError as error:
+                raise click.UsageError(str(error)) from error
+
+        return click.prompt(question, default, value_proc=checked, err=True)
+
+    def material(place: str, text: str) -> str:
+        known = len(materials.notes)
+        materials.add(place, text)
+        for note in materials.notes[known:]:
+            click.echo(f"  {note}", err=True)
+        return text
+
+    def piece(text: str) -> str:
+        return material("piece", _piece(text)[2]) and text if text else ""
+
+    def climate(name: str, text: str) -> float:
+        return getattr(Air(**{name: numbers(text, [1], name)[0]}), name)
+
+    questions: tuple[tuple[str, str, Callable[[str], Any], str | None], ...] = (
+        ("dimensions", "Length, width, height", lambda text: _sides(text) and text, None),
+        ("floor", "Material of the floor", partial(material, "floor"), None),
+        ("ceiling", "Material of the ceiling", partial(material, "ceiling"), None),
+        ("walls", "Material of the walls", partial(material, "walls"), None),
+        ("temperature", "Temperature / °C", partial(climate, "temperature"), "20"),
+        ("humidity", "Relative humidity / %", partial(climate, "humidity"), "50"),
+        ("out", "File to write", lambda text: text, "room.toml"),
+    )
+    for name, question, check, default in questions:
+        if stated[name] is None and not (name == "walls" and four_walls):
+            stated[name] = answer(question, check, default)
+    while not stated["pieces"] or stated["pieces"][-1]:
+        added = answer(f"A window, a door ({_PIECE}), or nothing", piece, "")
+        stated["pieces"] = (*stated["pieces"], added)
+    stated["pieces"] = stated["pieces"][:-1]
