@@ -882,6 +882,7 @@ class CalibrationResult(Result):
             **({"inputs": table.inputs(room, self.measured_data)} if whole else {}),
             "stated_by": room.calibration and room.calibration.method,
         }
+        record["absorption_share"] = table.absorption_share(record)
         return {**record, "verdict": verdict(record)._asdict()}
 
     @cached_property

@@ -133,6 +133,9 @@ SIGNS = (
 )
 
 _BOUNDS = {"lower": "*", "upper": "*", "": " "}
+SHARE = "Share of absorption after calibration"
+_LEAST_SHARE = 0.5
+"""Share in % that is not printed as 0."""
 _SEEN = 0.05
 """Shift in standard deviations that is not printed as 0.0."""
 
@@ -168,6 +171,8 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
             detail=True,
         ),
         Table(labels, shift_rows(record), SHIFT, detail=True),
+        Note(_shares_in_words(record)),
+        Table(labels, share_rows(record), f"{SHARE} / %", detail=True),
         *map(Note, _made(record)),
     ]
 
@@ -197,6 +202,39 @@ def _made(record: Mapping[str, Any]) -> list[str]:
         f"{record['equation']}'s equation, {' and '.join(_parameters(record))} {matched}.",
         certificate(record),
     ]
+
+
+def absorption_share(record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the share of each material, further effects and the air in the absorption of each band.
+
+    The largest mean over the bands is first: what to change first. The shares of a band sum to 1.
+    """
+    parts = [(m["name"], m["area"] * numbers(m["alpha_after"])) for m in record["materials"]]
+    if any(added := record["added_absorption"]):
+        parts.append(("effects: " + ", ".join(record["effects"]), numbers(added)))
+    air, surfaces = numbers(record["air_share"]), np.sum([part for _, part in parts], axis=0)
+    of_surfaces = (1 - air) / np.where(surfaces > 0, surfaces, 1.0)
+    shares = [*((name, part * of_surfaces) for name, part in parts), ("air", air)]
+    shares.sort(key=lambda of: -np.nan_to_num(of[1]).mean())
+    return [{"name": name, "share": json_numbers(share)} for name, share in shares]
+
+
+def share_rows(record: Mapping[str, Any]) -> list[Row]:
+    """Return the shares of `absorption_share` in %, shaded."""
+    each = [(one["name"], numbers(one["share"])) for one in record["absorption_share"]]
+    return [Row(name, 100 * share, ".0f", np.nan_to_num(share)) for name, share in each]
+
+
+def _shares_in_words(record: Mapping[str, Any]) -> str:
+    """Return the mean and the range of each share over the bands, the largest first."""
+    said = []
+    for one in record["absorption_share"]:
+        share = 100 * numbers(one["share"])
+        known = share[np.isfinite(share)]
+        if len(known) and known.max() >= _LEAST_SHARE:
+            ends = dict.fromkeys([f"{known.min():.0f}", f"{known.max():.0f}"])
+            said.append(f"{one['name']} {known.mean():.0f} % ({' to '.join(ends)})")
+    return f"Share of absorption, mean of the bands (range): {', '.join(said)}."
 
 
 def _parameters(record: Mapping[str, Any]) -> list[str]:

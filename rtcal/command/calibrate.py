@@ -33,7 +33,9 @@ def _measured(room: Room, path: str | None, **times: str | None) -> Measurement:
     if path is not None:
         return console.read_measured(path)
     for name, of in stated.items():
-        by_band = dict(sorted(console.spectrum(f"--{name}", of, room.centre_frequencies).items()))
+        by_band = dict(
+            sorted(console.spectrum(f"--{name}", of, room.centre_frequencies.tolist()).items())
+        )
         return Measurement.from_values([*by_band], **{name: [*by_band.values()]})
     raise click.MissingParameter(param_type="argument", param_hint="MEASURED (or --t20, --t30)")
 

@@ -179,7 +179,14 @@ class _Materials:
                     f"{place}: alpha = {alpha:g} at {f:g} Hz is not from 0 to 1{percent}"
                 )
         alphas = tuple(by_band[f] for f in self.bands)
-        return ListedMaterial(place, 0, alphas, (*self.bands,), (), source=_STATED)
+        return ListedMaterial(
+            name=place,
+            line=0,
+            alpha=alphas,
+            centre_frequencies=(*self.bands,),
+            spans=(),
+            source=_STATED,
+        )
 
     def _of_catalogue(self, place: str, name: str) -> ListedMaterial:
         from rtcal.datasets import catalogue
@@ -239,7 +246,9 @@ def _ask(stated: dict[str, Any], materials: _Materials, four_walls: bool) -> Non
         return material("piece", _piece(text)[2]) and text if text else ""
 
     def climate(name: str, text: str) -> float:
-        return getattr(Air(**{name: numbers(text, [1], name)[0]}), name)
+        (value,) = numbers(text, [1], name)
+        Air(**{name: value})
+        return value
 
     questions: tuple[tuple[str, str, Callable[[str], Any], str | None], ...] = (
         ("dimensions", "Length, width, height", lambda text: _sides(text) and text, None),

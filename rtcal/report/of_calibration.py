@@ -133,7 +133,13 @@ def blocks(result: CalibrationResult) -> list[Any]:
             "By band",
             note=table.SIGNS,
         ),
-        _shares(result, rows),
+        Table(
+            bands.labels(room.centre_frequencies),
+            table.share_rows(record),
+            f"{table.SHARE} / %",
+            "Material",
+            most=range(len(record["absorption_share"]))[:MOST_MATERIALS],
+        ),
         Section("Pictures", "pictures"),
         SideBySide([[times], [alphas]], "pictures"),
         Section("What was assumed", "assumed"),
@@ -172,25 +178,6 @@ def _summary(result: CalibrationResult) -> list[str]:
         "little as their sigma allows, and now the model has the measured T in "
         + (f"all {count} bands{within}." if met == count else f"{met} of {count} bands{remains}."),
     ]
-
-
-def _shares(result: CalibrationResult, rows: list[int]) -> Table:
-    """Return the shares of materials (of which a page shows some), effects and air by band, in %."""
-    names = [*result.prior.materials]
-    parts = [*result.prior.areas[:, np.newaxis] * result.alpha]
-    if np.any(result.added_absorption):
-        names.append("effects: " + ", ".join(result.effects))
-        parts.append(result.added_absorption)
-    surfaces = np.sum(parts, axis=0)
-    of_surfaces = (1 - result.air_share) / np.where(surfaces > 0, surfaces, 1.0)
-    shares = [*(part * of_surfaces for part in parts), result.air_share]
-    return Table(
-        bands.labels(result.prior.centre_frequencies),
-        [Row(n, 100 * s, ".0f", s) for n, s in zip([*names, "air"], shares, strict=True)],
-        "Share of absorption by material after calibration / %",
-        "Material",
-        most=[*rows, *range(len(result.prior.materials), len(shares))],
-    )
 
 
 def assumed(result: CalibrationResult) -> list[str]:
