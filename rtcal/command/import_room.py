@@ -56,6 +56,9 @@ _MESH = (
     console.file("picture", "Picture (PNG) of the mesh to write."),
 )
 """Options of how a mesh is read and mended."""
+NAME = console.option(
+    "name", None, "The room's name; by default that of the list, the mesh or --out."
+)
 AIR = (
     console.option(
         "temperature", float, "Temperature of the air in °C (20 with --humidity alone)."
@@ -81,9 +84,7 @@ _ROOM = (
         "Mesh (OBJ, glTF, COLLADA, DXF, PLY, STL, 3MF, IFC), for areas and volume.",
     ),
     *_MESH,
-    console.option(
-        "name", None, "The room's name; by default that of the list, the mesh or --out."
-    ),
+    NAME,
     console.option("volume", float, "The room's volume in m³, without a mesh."),
     console.several(
         "area",

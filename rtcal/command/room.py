@@ -54,7 +54,7 @@ _OTHERS = 3
     "bands",
     *AIR,
     *SIGMA,
-    console.option("name", None, "The room's name; by default that of --out."),
+    NAME,
     console.flag("ask", "Ask in the terminal for what is not given."),
     console.file("out", "Room (TOML) to write."),
 )
