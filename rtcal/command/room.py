@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rtcal.command import console
-from rtcal.command.import_room import AIR, SIGMA, air_note, print_room, stated_air
+from rtcal.command.import_room import AIR, NAME, SIGMA, air_note, print_room, stated_air
 from rtcal.files.disk import spare
 from rtcal.io import units
 from rtcal.io.text import numbers
