@@ -13,6 +13,7 @@ import pytest
 from hypothesis import settings
 
 import rtcal as rt
+from rtcal.command.main import main
 from rtcal.finder import Finding
 from rtcal.finder.claim import Candidate
 
@@ -88,6 +89,13 @@ def also(*values: Any) -> list[Any]:
     """
     sets = (value if isinstance(value, tuple) else (value,) for value in values)
     return [pytest.param(*each, marks=pytest.mark.long) for each in sets]
+
+
+def run(*arguments: object) -> int:
+    """Run the command in this process and return its exit code."""
+    with pytest.raises(SystemExit) as end:
+        main([str(a) for a in arguments])
+    return int(end.value.code or 0)
 
 
 def random_room(

@@ -11,14 +11,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.files import _PURPOSES
-from rtcal.command.main import main
 from rtcal.datasets import examples
-
-
-def run(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main(arguments)
-    return int(stop.value.code or 0)
+from tests.conftest import run
 
 
 def run_line(line: str) -> None:

@@ -9,8 +9,7 @@ import pytest
 
 from rtcal.io import mesh
 from rtcal.support.errors import DataError
-from tests.conftest import also
-from tests.report.pages import run
+from tests.conftest import also, run
 
 pytest.importorskip("ifcopenshell", reason="needs the extra ifc")
 pytest.importorskip("shapely", reason="needs the extra ifc")

@@ -14,9 +14,8 @@ from rtcal.io import budget
 from rtcal.io import impulse_responses as ir
 from rtcal.io.impulse_responses import Floor, clipped_samples
 from rtcal.support.errors import DataError
-from tests.conftest import also
+from tests.conftest import also, run
 from tests.fuzz import wav
-from tests.test_io_commands import run
 
 pyfar = pytest.importorskip("pyfar")
 pytest.importorskip("pyrato")

@@ -10,16 +10,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.command.main import main
 from rtcal.io import geometry_files
 from tests import fuzz
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(a) for a in arguments])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
+from tests.conftest import run
 
 
 def test_a_catt_model_in_and_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

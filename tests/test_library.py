@@ -7,17 +7,10 @@ from pathlib import Path
 import pytest
 
 import rtcal as rt
-from rtcal.command.main import main
 from rtcal.io import library
 from rtcal.support.errors import DataError
+from tests.conftest import run
 from tests.corpus import NAMED
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(a) for a in arguments])
-    return int(end.value.code or 0)
-
 
 BAFFLE = (0.45, 0.9, 1.0)
 

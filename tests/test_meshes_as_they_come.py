@@ -13,22 +13,16 @@ import trimesh
 
 import rtcal as rt
 from benchmarks import defective_meshes
-from rtcal.command.main import main
 from rtcal.io import geometry_files, mend, mesh
 from rtcal.io.mend import volume_by_rays
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.errors import DataError
+from tests.conftest import run
 
 BOX = Polyhedron.shoebox((10, 7, 4), "plaster")
 V, S = 280.0, 276.0
 Drawn = list[tuple[str, Any]]
 HALVES = ((0, 1, 2), (0, 2, 3))
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([str(a) for a in arguments])
-    return int(end.value.code or 0)
 
 
 def walls(*without: str) -> Drawn:

@@ -20,7 +20,6 @@ from rtcal.finder.means import problem as bootstrap
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import (
     MeansEvidence,
-    distances,
     draw_null_features,
     observe,
     predict_hypotheses,
@@ -28,7 +27,6 @@ from rtcal.finder.means.problem import (
 )
 from rtcal.finder.model import predict
 from rtcal.finder.search import find
-from rtcal.report.finding_words import effects_of, size_of
 from rtcal.support.errors import DataError
 
 F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
@@ -167,33 +165,6 @@ def test_a_stated_climate_is_a_measurement() -> None:
         replace(damp, climate_uncertainty=(1.0, -1.0))
 
 
-def test_one_size_everywhere() -> None:
-    stated = room(0.05)
-    state_ = state(case_of(stated, stated), case_of(stated, stated).configurations[0])
-    opened = state_.covered(25.0, np.ones(6))
-    t20 = 6 * np.log(10) / opened.rate
-    values = dict.fromkeys(("t20", "edt", "t30"), t20[None])
-    real = rt.Measurement(
-        centre_frequencies=np.array(F),
-        values=values,
-        uncertainty={k: 0.01 * v for k, v in values.items()},
-    )
-    case = Case(room=stated, configurations=[Configuration(name="A", measured=real)])
-    finding = find(case, only=["opening"], controls=controls(case))
-    assert finding.can_be_added
-    assert finding.size is not None
-    (added,) = finding.apply().case.applied
-    assert added.parameters["area"] == finding.size.mean
-    assert added.size_interval == (finding.size.low, finding.size.high)
-    result = rt.finder.verify(finding)
-    assert result.corrected.sizes["opening"] == finding.size.mean
-    words = f"{finding.size.mean:.3g} m² (90 %: {finding.size.low:.3g} to {finding.size.high:.3g})"
-    for text in (size_of(finding, str(finding.best_effect)), effects_of(result.corrected)[0]):
-        assert words in text
-    assert f"{finding.size.mean:.3g} m²" in finding.apply().room.sources["opening"]
-    assert distances(case, case.configurations[0]).shape == (1,)
-
-
 def test_coefficients_off_together_given_an_effect_follow_bayes() -> None:
     stated, off = np.array([-3.0, -1.0, -2.0, -9.0]), np.array([-2.5, -4.0, -0.5, -9.0])
     weights, prior = np.array([1.0, 0.7, 0.3, 0.0]), 0.2
@@ -279,29 +250,6 @@ def test_what_a_changed_material_moves_is_uncertain_as_an_effect_is() -> None:
     edt = np.einsum("kk->k", more[1, 1, :, 1, 1])
     shape = features[1, 1] - features[0, 1]
     np.testing.assert_allclose(edt, (0.12 * moved) ** 2 + 2 * (0.106 * shape) ** 2)
-
-
-def test_null_rooms_take_few_errors_in_common_where_coefficients_are_well_known(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(  # no error of a coefficient's own
-        bootstrap, "draw_alpha", lambda case, rng, n: np.tile(case.room.alpha, (n, 1, 1, 1))
-    )
-
-    def spread(sigma: float) -> np.ndarray:
-        case = case_of(room(sigma), room(sigma))
-        observed, _ = observe(case)
-        exact = replace(observed, covariance=0 * observed.covariance)
-        applied = predict_hypotheses(case, []).applied
-        rng, errors = np.random.default_rng(1), [np.zeros((20, *observed.used.shape))]
-        values = draw_null_features(case, exact, applied, errors, rng, 500)
-        return np.asarray(values[:, np.nonzero(observed.used)[1] == 0].std(0))
-
-    handbook = spread(HANDBOOK_SIGMA)
-    assert spread(2 * HANDBOOK_SIGMA) == pytest.approx(handbook)
-    # The evidence allows for a fourth of them at half of the sigma.
-    assert (spread(HANDBOOK_SIGMA / 2) < handbook / 10).all()
-    assert (spread(HANDBOOK_SIGMA / 2) > handbook / 30).all()
 
 
 @pytest.mark.parametrize(

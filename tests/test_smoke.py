@@ -146,31 +146,3 @@ def command(folder, arguments: list[str], setting: str, **streams) -> subprocess
         check=False,
         **streams,
     )
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="a POSIX shell closes the output")
-@pytest.mark.parametrize(
-    ("shell", "codes"), [long(">&-", {5}), long("| head -1", {0}), long("| true", {0})]
-)
-def test_an_output_that_the_shell_closes(tmp_path, shell: str, codes: set[int]) -> None:
-    """The files are written first; what cannot be printed is said in one line."""
-    room, measured = rt.datasets.bras_cr2()
-    room.save(tmp_path / "room.toml")
-    measured.save(tmp_path / "measured.csv")
-    call = f"{sys.executable} -m rtcal calibrate room.toml measured.csv --out calibrated"
-    done = subprocess.run(
-        ["sh", "-c", f"{call} {shell}"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode in codes  # of a pipe: that of its last command
-    assert "Traceback" not in done.stderr
-    assert "Exception ignored" not in done.stderr
-    # Without matplotlib a line says that there is no figure.
-    said = [line for line in done.stderr.splitlines() if "no figure" not in line]
-    assert len(said) <= 1
-    assert (tmp_path / "calibrated" / "result.json").exists()
-    if shell == ">&-":
-        assert said == ["rtcal: cannot print: the standard output is closed"]

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rtcal.command.main import main
 from rtcal.io import mesh
 from rtcal.io.mend import MeshError
-from tests.conftest import also
+from tests.conftest import also, run
 
 Box = tuple[str, str, tuple[float, float, float], tuple[float, float, float]]
 SIDES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (1, 3, 7, 5), (3, 2, 6, 7), (2, 0, 4, 6))
@@ -35,13 +34,6 @@ THROUGH: list[Box] = [  # walls that reach through slab and roof
     (name, material, (*low[:2], -D), (*high[:2], H + D))
     for name, material, low, high in OVERLAPPING
 ]
-
-
-def run(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as end:
-        main(arguments)
-    assert isinstance(end.value.code, int)
-    return end.value.code
 
 
 def obj(path: Path, boxes: list[Box], *, triangles: bool = False, turned: bool = False) -> Path:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.test_io_commands import run
+from tests.conftest import run
 
 
 @pytest.mark.parametrize(

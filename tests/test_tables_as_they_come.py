@@ -14,17 +14,10 @@ import openpyxl
 import pytest
 
 import rtcal as rt
-from rtcal.command.main import main
 from rtcal.io import tables, workbook
 from rtcal.support.errors import DataError, MissingDependencyError
+from tests.conftest import run
 from tests.corpus import NAMED, book
-
-
-def run(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as end:
-        main(arguments)
-    return int(end.value.code or 0)
-
 
 ACROSS = [["Frequency (Hz)", "S1R1", "S1R2"], [125, 1.5, 1.6], [250, 1.4, 1.3]]
 ROWS = [["source", "receiver", "125", "250"], ["S1", "R1", 1.5, 1.4], [None, "R2", 1.6, 1.3]]

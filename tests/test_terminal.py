@@ -7,21 +7,13 @@ import time
 
 import pytest
 
-from rtcal.command.main import main
 from rtcal.support import speed
+from tests.conftest import run
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
 
 pytestmark = pytest.mark.usefixtures("runs_kept")
-COLUMNS = 60
-
-
-def run(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main(list(arguments))
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 def test_an_error_is_one_line_where_no_one_looks(monkeypatch, capsys) -> None:

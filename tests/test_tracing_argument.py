@@ -10,7 +10,6 @@ import pytest
 import rtcal as rt
 from rtcal.datasets.examples import example
 from rtcal.support.errors import DataError
-from tests.test_io_commands import run
 
 TRACING = {"n_paths": 300, "scattering": 0.3}
 
@@ -29,17 +28,6 @@ def scene(tmp_path: Path) -> tuple[rt.Room, rt.Measurement, rt.Measurement]:
     return room, of_pairs, rt.Measurement.from_values(room.centre_frequencies, t20=times[0])
 
 
-def test_it_is_taken_where_the_scene_is_traced(scene) -> None:
-    room, of_pairs, _ = scene
-    from rtcal.finder.search import case_of
-
-    for before in (None, of_pairs):
-        case = case_of(room, of_pairs, before=before, tracing=TRACING)
-        assert case.simulator.n_paths == 300
-    with pytest.raises(DataError, match="n_paths"):  # it reaches the simulator, which checks it
-        rt.find(room, of_pairs, tracing={"n_paths": -1})
-
-
 def test_it_is_refused_elsewhere_and_why_is_true(scene) -> None:
     room, of_pairs, mean = scene
     bare = room.replace(scene=type(room.scene)())
@@ -54,16 +42,3 @@ def test_it_is_refused_elsewhere_and_why_is_true(scene) -> None:
         rt.find(room, of_pairs, simulator.simulator, tracing=TRACING)
     with pytest.raises(DataError, match="tracing belong to a room; a case holds its own"):
         rt.find(simulator, tracing=TRACING)
-
-
-def test_the_command_names_its_own_option(scene, tmp_path: Path, capsys) -> None:
-    _, _, mean = scene
-    for name in ("before.csv", "after.csv"):
-        mean.save(str(tmp_path / name))
-    files = ("find", tmp_path / "room.toml", tmp_path / "after.csv")
-    for more in ((), ("--before", tmp_path / "before.csv")):
-        assert run(*files, *more, "--scattering", "0.3") == 2
-        said = capsys.readouterr().err
-        assert "--scattering" in said
-        assert "tracing" not in said
-        assert "states its sources and receivers" in said or "not of a search" in said

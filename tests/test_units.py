@@ -127,19 +127,3 @@ def test_agreement_in_spite_of_a_large_gap_is_said_to_confirm_nothing() -> None:
     assert reservation in unwrapped(rt.calibrate(vague, long))
     assert "agrees" not in unwrapped(rt.calibrate(vague, long))
     assert "does not confirm the model" not in unwrapped(rt.calibrate(vague, usual))
-
-
-def test_an_uncertain_time_that_contradicts_the_materials_is_marked_by_z_alone() -> None:
-    """ "The gap says nothing of the model" stood beside a gap of 588 JND."""
-    room, _ = rt.datasets.bras_cr2()
-    for time, expected in ((0.05, {"implausible"}), (1.5, {"uncertain"})):
-        t = np.full(6, 1.5)
-        t[4] = time
-        measured = rt.Measurement(
-            centre_frequencies=room.centre_frequencies,
-            values={"t20": t[np.newaxis]},
-            uncertainty={"t20": 0.08 * t[np.newaxis]},
-        )
-        marks = rt.calibrate(room, measured, unreachable="nearest").trust_marks
-        kinds = {m.kind for m in marks if m.frequency == 2000}
-        assert kinds & {"implausible", "uncertain"} == expected

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.command.main import main
 from rtcal.finder.finding import Finding
 from rtcal.finder.verification import Verification
+from tests.conftest import run
 from tests.test_where import RECEIVERS, SOURCES, measured, stated
 from tests.test_where_page import PLACE, finding_of, verification_of
 
@@ -22,13 +22,6 @@ pytest.importorskip("jinja2", reason="needs the extra report")
 
 FILES = ("room.toml", "pairs.csv")
 FOUND = "found.json"
-
-
-def run(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main(list(arguments))
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 def some() -> Finding:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 import rtcal as rt
-from rtcal.command.main import main
 
 EVIL = "<script>alert(1)</script> & \"double\" 'single' $x_1$ --> ]]>"
 
@@ -28,10 +26,3 @@ def evil_room() -> rt.Room:
 def no_figure(*_: object) -> str:
     """In place of a page's figure, where its drawing is not what is tested."""
     return "data:,"
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(a) for a in arguments])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code

@@ -14,7 +14,8 @@ from rtcal.report import (
     figures,
 )
 from rtcal.support.errors import MissingDependencyError
-from tests.report.pages import no_figure, run
+from tests.conftest import run
+from tests.report.pages import no_figure
 
 
 def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:

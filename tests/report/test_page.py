@@ -12,7 +12,8 @@ import pytest
 import rtcal as rt
 from rtcal.report import document, pages
 from rtcal.support.errors import DataError
-from tests.report.pages import no_figure, run
+from tests.conftest import run
+from tests.report.pages import no_figure
 
 
 @pytest.mark.long

@@ -56,6 +56,7 @@ def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None
     assert html == pages.page_of(folder)
 
 
+@pytest.mark.long
 def test_a_designs_page_compares_designs_of_other_probabilities(designed) -> None:
     found, _, html = designed
     html = re.sub(' data-of="[^"]*"', "", html)
