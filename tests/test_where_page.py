@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 import rtcal as rt
+from rtcal.files.disk import write_all
 from rtcal.finder import verification
 from rtcal.finder.claim import Candidate, Detection
 from rtcal.finder.finding import Finding
@@ -22,6 +23,7 @@ from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification
 from rtcal.loop.measured_pairs import ControlRuns
 from rtcal.report import of_finding, room_view, verification_words
+from rtcal.report.document import page_files
 from rtcal.report.room_view import ABOVE, into_picture
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
 
@@ -175,7 +177,7 @@ def test_the_page_begins_with_the_answer_and_the_three_bars(
     finding: Finding, tmp_path: Path
 ) -> None:
     result = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.99}, 1.0)
-    of_finding.write(finding, result, tmp_path, place=PLACE)
+    write_all(page_files(of_finding.page(finding, result, "", PLACE), result, tmp_path))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     body = page[page.index("<main>") :]
     assert body.index("The room absorbs more") < body.index("Unproven") < body.index("<img")
