@@ -565,15 +565,6 @@ def gap_against(name: str, gap: GapCheck) -> Reason | None:
     return None
 
 
-def below_schroeder(case: Case) -> Array:
-    """Return which bands lie below Schroeder's frequency, (n_configurations, n_bands)."""
-    out = []
-    for c in case.configurations:
-        limit = schroeder_limit(case, c.measured.reverberation_time)
-        out.append(case.room.centre_frequencies < limit)
-    return np.array(out)
-
-
 def schroeder_limit(case: Case, times: Array) -> float:
     """Return Schroeder's frequency in Hz for a configuration's T."""
     middle = mid_frequency_time(times, case.room.centre_frequencies)
@@ -584,7 +575,9 @@ def decided_below_schroeder(evidence: MeansEvidence, name: str) -> Reason | None
     """Return a doubt where the evidence for an effect comes from bands below Schroeder's frequency."""
     problem, nats = evidence.problem, evidence.nats(name)
     case, observed = problem.case, problem.observed
-    low = below_schroeder(case)
+    frequencies = case.room.centre_frequencies
+    limits = [schroeder_limit(case, c.measured.reverberation_time) for c in case.configurations]
+    low = frequencies < np.array(limits)[:, None]
     used = np.logical_and(observed.used, np.logical_not(low)[:, None, :])
     if not low.any() or (used == observed.used).all() or not used.any():
         return None
@@ -594,7 +587,7 @@ def decided_below_schroeder(evidence: MeansEvidence, name: str) -> Reason | None
     rest = evaluate(above, evidence.prior_off)[-1].nats(name)
     if rest >= 0.5 * nats or rest >= DISTINCT_NATS:
         return None
-    places = bands.labels(case.room.centre_frequencies[low.any(0)])
+    places = bands.labels(frequencies[low.any(0)])
     values = {"effect": name, "bands": places, "nats": nats, "without": rest}
     return Reason("below Schroeder", values)
 
