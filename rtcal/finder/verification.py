@@ -49,6 +49,7 @@ from rtcal.finder.finding import DATA, LEAST_PAIRS, Finding, feature_names
 from rtcal.finder.means.problem import (
     MeansProblem,
     ObservedFeatures,
+    covariance_of_run,
     evaluate,
     features_of,
     features_of_values,
@@ -78,6 +79,8 @@ _CONFIDENCE = 0.95
 """Of a gap over pairs that is said to shrink or to grow: one-sided, by Student's t."""
 _SURE = 1.645
 """Standard errors by which a gap of means must shrink: the same confidence, of a normal error."""
+_DRAWS = 256
+"""Draws of the noise of measurement and runs."""
 _PREDICTED = 1.0
 """Mean gap in JND at what was held out, up to which the corrected model of means predicts it."""
 _LEAST_NEW = 2
@@ -160,7 +163,8 @@ class Verification(Result):
     endured: float
     """The decrease of the gap in JND that supports the finding, and the increase that withdraws it."""
     predictive: float = float("nan")
-    """Of means, the nats by which what was held out is more probable with what was found."""
+    """Of means, the nats by which what was held out is more probable with what was found; NaN where the
+    program simulated it, so that nothing was predicted."""
     misses: tuple[Miss, ...] = ()
     """What the model with what was found was matched to, and misses."""
     halves: tuple[tuple[Pair, ...], ...] = ()
@@ -460,9 +464,11 @@ def _of_means(
     measured, stated = np.where(used, observed.features, np.nan), features_of(case) + bias
     for run in runs:
         measured = measured if run is None else np.where(np.isnan(run), np.nan, measured)
-    # Both runs are moved to the measured T, or neither is.
-    moved, differs = (None, None) if runs[1] is None else _moved(after, runs[1])
-    moved = moved if runs[0] is None else runs[1]
+    moved = runs[1]
+    if (
+        moved is not None and runs[0] is None
+    ):  # both runs are moved to the measured T, or neither is
+        moved = _moved(after, moved)
 
     def last(corrected: Recalibrated) -> Array:
         return corrected.features + bias if moved is None else moved
@@ -473,7 +479,10 @@ def _of_means(
 
     gaps, counted = gaps_of(after), np.zeros_like(used)
     parts = _parts_of(case, used, fitted)
-    errors, predictive, held_out = list[float](), 0.0, list[str]()
+    errors, nats, held_out = list[float](), list[float](), list[str]()
+    first = case.configurations[0].simulated
+    without = calibrated if first is None or calibrated is not None else first.simulated
+    compared = [of for of in (without, simulated) if of is not None]
     effects = [finding.effects[name]] if name in finding.effects else []
     problem = MeansProblem(case, observed, predict_hypotheses(case, effects), finding.discrepancy)
     for part in parts:
@@ -494,15 +503,19 @@ def _of_means(
         )
         gaps = np.where(part.counted, gaps_of(again), gaps)
         counted |= part.counted
-        check = gap_check(problem, found, held[used], differs)
-        errors += [check.uncertainty] * int(held.any(axis=2).sum())
-        predictive += check.predictive
+        if simulated is None:
+            check = gap_check(problem, found, held[used])
+            error = check.uncertainty
+            nats.append(check.predictive)
+        else:
+            error = _noise_of_gain(case, gaps[1:, 0], held[0], compared)
+        errors += [error] * int(held.any(axis=2).sum())
     made = of_means(
         finding,
         np.ascontiguousarray(gaps.swapaxes(1, 2)[:, np.newaxis]),
         np.asarray((counted & np.isfinite(measured)).any(axis=2)).T,
         float(np.mean(errors or [np.nan])),
-        predictive,
+        sum(nats) if simulated is None else np.nan,
         _misses_of_means(case, observed, last(after)),
         held_out or [part.words for part in parts],
         before=before,
@@ -522,14 +535,48 @@ def _of_means(
     )
 
 
-def _moved(corrected: Recalibrated, run: Array) -> tuple[Array, Array]:
-    """Return a second run's features, moved to the measured T, and what the model with them has less.
+def _moved(corrected: Recalibrated, run: Array) -> Array:
+    """Return a second run's features, moved to the measured T.
 
     Where the corrected model has the run's T, the run differs from it by an offset, which stays.
     """
     data = LogTimes.of(corrected.case, [0], exact=True)
     offset = run - replace(data, measured=run[:1, _T20]).calibrated().features
-    return data.calibrated().features + offset, offset
+    return data.calibrated().features + offset
+
+
+def _noise_of_gain(
+    case: Case, gaps: Array, held: NDArray[np.bool_], runs: Sequence[Measurement]
+) -> float:
+    """Return the standard error of the change of the gap between two runs, in JND.
+
+    The program simulated the correction, so that no model's error of a change counts: that of the
+    measurement is common to both gaps, and each run has its own noise.
+
+    Parameters
+    ----------
+    case : Case
+    gaps : array (2, n_features, n_bands)
+        Of the first configuration in JND, without and with the correction.
+    held : bool array (n_features, n_bands)
+        Which of them count.
+    runs : sequence of Measurement
+        Those with these gaps.
+    """
+    f, b = np.nonzero(held)
+    jnd = np.array([observable(name).jnd for name in FEATURES])[f]
+    bare = replace(case.configurations[0], simulated=None)
+    measured = observe(replace(case, configurations=[bare], program=""))[0]
+    blocks = map(covariance_of_run, runs)
+    of_runs = [np.where(b[:, None] == b, of[b[:, None], f[:, None], f], 0.0) for of in blocks]
+    rng, drawn = np.random.default_rng(0), list[Array]()
+    for covariance in (measured.only(held[None]).covariance, *of_runs):
+        drawn.append(rng.multivariate_normal(np.zeros(len(f)), covariance, _DRAWS) / jnd)
+    before, after = (
+        np.abs(gap[held] + of_run - drawn[0]).mean(1)
+        for gap, of_run in zip(gaps, drawn[1:], strict=True)
+    )
+    return float(np.std(after - before))
 
 
 def _lacking(case: Case, simulated: Sequence[Measurement]) -> tuple[str, ...]:

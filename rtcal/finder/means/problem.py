@@ -490,7 +490,7 @@ def observe(case: Case) -> tuple[ObservedFeatures, list[Reason]]:
     for c, configuration in enumerate(case.configurations):
         table[c], blocks[c] = _features(configuration, origins)
         if configuration.simulated is not None:
-            blocks[c] += _covariance_of_run(configuration.simulated.simulated)
+            blocks[c] += covariance_of_run(configuration.simulated.simulated)
         for b, f in enumerate(configuration.measured.centre_frequencies):
             where = {"configuration": configuration.name, "band": bands.label(f)}
             if blocks[c, b, 0, 0] > LARGEST_UNCERTAINTY**2:
@@ -581,7 +581,7 @@ def values_of_features(
     return Measurement.from_values(frequencies, **known)
 
 
-def _covariance_of_run(run: Measurement) -> Array:
+def covariance_of_run(run: Measurement) -> Array:
     """Return the covariance of a run's features as its table states it, (n_bands, 5, 5); 0 without."""
     block = np.zeros((len(run.centre_frequencies), 5, 5))
     for row, p in enumerate((_amount(run), "edt", "t30", *LEVELS)):

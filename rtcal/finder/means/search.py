@@ -651,15 +651,12 @@ def gap_check(
     problem: MeansProblem,
     candidate: Candidate,
     held: NDArray[np.bool_] | None = None,
-    simulated: Array | None = None,
 ) -> GapCheck:
     """Return the gap under "none" and with a candidate, whose effect is one of the problem's.
 
     ``held`` (n_used,) are the features that count, by default all that alpha cannot fit; the evidence
-    is of these, given the others. ``simulated``, of the size of all features, is what a program's run
-    with the candidate has more than the model; NaN without any.
+    is of these, given the others.
     """
-    more = 0.0 if simulated is None else np.nan_to_num(simulated).ravel()[problem.mask]
     problem, last = _with_candidate(problem, candidate)
     c, f, _ = problem.places
     fitted = (c == 0) & (f == 0)
@@ -676,7 +673,7 @@ def gap_check(
         gain = np.linalg.solve(
             _plus(against[np.ix_(fitted, fitted)]), alpha[np.ix_(fitted, held)]
         ).T
-        residual = problem.residual(row) - (0.0 if exact else more)
+        residual = problem.residual(row)
         gaps.append((residual[held] - gain @ residual[fitted]) / jnd)
         moves.append(np.concatenate([-gain, np.eye(int(held.sum()))], axis=1) / jnd[:, None])
         of_all, of_kept = (
