@@ -14,12 +14,15 @@ import rtcal as rt
 from rtcal.finder import Case, Configuration, recalibrate, verify
 from rtcal.finder.effects import IN_RUN, AppliedEffect, NonDiffuse, Opening
 from rtcal.finder.finding import Finding
+from rtcal.finder.means import engines
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.problem import features_of, observe
+from rtcal.finder.means.problem import estimate_discrepancy, features_of, observe
 from rtcal.finder.means.recalibration import plain
 from rtcal.finder.verification import residual_map
 from rtcal.report import figures, of_finding
 from rtcal.report.verification_words import sentence
+from rtcal.simulators import PathTracing, Polyhedron
+from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(6)
@@ -213,6 +216,113 @@ def test_a_field_less_diffuse_than_the_programs_is_no_error_of_the_room() -> Non
     assert str(finding).startswith("Nothing of the room is identified: what differs may be the")
     assert "nothing was detected" in str(finding.refusal)
     assert "`rtcal plan`" in str(finding.refusal)
+
+
+FIELD = np.array([0.4, -0.25, 0.08, -0.5, 0.3])[:, None] * np.ones(6)
+"""What a less diffuse field changes: T is longer, and the decay is bent."""
+
+
+def of_other_fields(sign: float = 1.0) -> list[ControlRooms]:
+    """Reference rooms of two engines, of which the second one has the less diffuse field."""
+    one, other = controls()
+    return [one, replace(other, errors=sign * (other.errors + FIELD))]
+
+
+def by_program(measured: np.ndarray, run: np.ndarray, sign: float = 1.0) -> Finding:
+    """Search features of which a geometrical program's run is given."""
+
+    def values(features: np.ndarray) -> dict[str, np.ndarray]:
+        t20, edt, t30, c80, g = features
+        t = np.exp(t20)
+        return {"t20": t, "edt": t * np.exp(edt), "t30": t * np.exp(t30), "c80": c80, "g": g}
+
+    simulated = rt.Run(hall(), rt.Measurement.from_values(F, **values(run)))
+    return rt.find(hall(), measurement(values(measured)), simulated=simulated, without=FEWER,
+                   program="geometrical", controls=of_other_fields(sign))  # fmt: skip
+
+
+def features_of_hall(*applied: AppliedEffect) -> np.ndarray:
+    whole = Configuration(name="a", measured=measurement(values_of(hall())))
+    return features_of(Case(room=hall(), configurations=[whole]), applied)[0]
+
+
+def test_room_and_program_are_exchangeable() -> None:
+    """Either may have the less diffuse field: the error has no sign, and its covariance is the same."""
+    run = features_of_hall()
+    same, turned = by_program(run, run), by_program(run, run, -1.0)
+    assert not same.discrepancy.bias.any()
+    np.testing.assert_allclose(same.discrepancy.covariance, turned.discrepancy.covariance)
+    assert same.score == pytest.approx(turned.score)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_absorber_is_found_beside_a_field_of_either_kind(sign: float) -> None:
+    """A program without it, and with another field than the room's: only the absorber is missing."""
+    run, opened = features_of_hall(), features_of_hall(AppliedEffect(Opening(), {"area": 250.0}))
+    assert by_program(run + sign * FIELD, run).verdict in ("none", "hint")
+    finding = by_program(opened + sign * FIELD, run)
+    assert finding.detected
+    assert finding.families["added absorption"] > 0.7
+
+
+def test_residuals_of_rooms_without_an_error_are_as_large_as_they_should_be() -> None:
+    """Chi-square is about its degrees of freedom, in rooms and programs of either field."""
+    rng, run, ratios = np.random.default_rng(2), features_of_hall(), []
+    case = by_program(run, run).case
+    learnt = estimate_discrepancy(case, of_other_fields())
+    size = len(learnt.bias)
+    for errors in of_other_fields():
+        for each in errors.errors.reshape(-1, size) * rng.choice([-1.0, 1.0], (40, 1)):
+            ratios.append(each @ np.linalg.solve(learnt.covariance, each) / size)
+    assert 0.5 < np.mean(ratios) < 1.1
+
+
+def test_what_positions_do_cancels_between_room_and_program(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def by_place(control: engines.ControlRoom, _number: int) -> engines.Simulation:
+        far = float(control.distances.mean())
+        return lambda alpha, _duration: far + alpha.sum(0) + np.zeros((5, 6))
+
+    monkeypatch.setattr(engines, "_path_tracing", by_place)
+    engine = engines.Engine("places", by_place, 1, 8, 1.0, ("random", "vector"))
+    room, values = hall(), values_of(hall())
+    run = rt.Run(room, rt.Measurement.from_values(F, **values))
+    of_run = Configuration(name="a", measured=measurement(values), simulated=run)
+    sure = room.replace(sigma=np.full_like(room.sigma, 1e-9))
+    case = Case(room=sure, configurations=[of_run], program="geometrical")
+    np.testing.assert_allclose(engine.run(case, 0).errors, 0, atol=1e-6)
+    alone = replace(case, configurations=[replace(of_run, simulated=None)], program="")
+    assert np.ptp(engine.run(alone, 0).errors, axis=0).min() > 0.1
+
+
+def test_a_large_patch_is_found_beside_a_run_of_the_same_simulator() -> None:
+    """The tracer is room and program: only the noise of its paths and the patch differ."""
+    alpha = np.full((2, 6), 0.12)
+    room = rt.Room(
+        name="box", volume=7 * 6 * 4.0, materials=["walls", "floor"], areas=[2 * 28 + 2 * 24 + 42, 42],
+        alpha=alpha, sigma=0.15 * alpha, centre_frequencies=F, air=rt.Air(20, 50),
+        dimensions=(7.0, 6.0, 4.0), band_correlation=0.7,
+    )  # fmt: skip
+    on = dict.fromkeys(SHOEBOX_WALLS, "walls") | {"floor": "floor"}
+    tracer = PathTracing(
+        room=room, geometry=Polyhedron.shoebox((7, 6, 4), on), sources={"S": (1.5, 1.2, 1.5)},
+        receivers={"R1": (5.5, 4.5, 1.2), "R2": (4.0, 2.0, 1.6), "R3": (2.0, 4.8, 1.3)},
+        n_paths=3000, n_batches=2, scattering=0.5, workers=1,
+    )  # fmt: skip
+    run, patch = tracer.simulate(alpha, seed=1), np.array(alpha)
+    patch[1] = np.array([0.15, 0.5, 0.85, 0.95, 0.95, 0.9])  # 50 mm of mineral wool
+    of = ("t20", "edt", "t30", "c80", "g")
+
+    def search(real: np.ndarray) -> Finding:
+        made = tracer.simulate(real, seed=2)
+        return rt.find(room, measurement({p: made.mean(p) for p in of}), program="geometrical",
+                       simulated=rt.Run(room, run), without=FEWER)  # fmt: skip
+
+    assert search(alpha).verdict in ("none", "hint")
+    found_patch = search(patch)
+    assert found_patch.detected
+    assert found_patch.families["added absorption"] > 0.9
 
 
 @pytest.fixture(scope="module")

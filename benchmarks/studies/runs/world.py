@@ -194,8 +194,10 @@ def row(f: Finding, world: World) -> dict[str, Any]:
     truth = HIDDEN[world.hidden][0] if world.hidden else ""
     claimed = f.family if f.verdict in ("named", "family") else None
     held = {f.effects[n].family if n in f.effects else n for n in f.names}
+    every = [f.detection, *f.detection.parts.values()]
     return {"verdict": f.verdict, "family": claimed, "best": f.best_effect, "score": f.score,
-            "threshold": f.threshold, "right": claimed in (truth, wide(truth)) if claimed else None,
+            "threshold": f.threshold, "over": max(d.score - d.threshold for d in every),
+            "right": claimed in (truth, wide(truth)) if claimed else None,
             "in_set": truth in held, "none": f.probabilities["none"]}  # fmt: skip
 
 
@@ -224,15 +226,24 @@ def count(rows: Sequence[dict[str, Any]]) -> None:
     def share(name: str, some: Sequence[Any]) -> None:
         print(f"{name:58} {sum(map(bool, some)):3d} of {len(some)}")
 
+    def group(r: Any) -> str:
+        if r["kind"] != "ordinary":
+            return "not ordinary"
+        return "image sources" if "images" in r["simulators"] else "ordinary, two tracers"
+
     found = ("named", "family", "ambiguous", "unknown")
     for side in ("with", "without"):
         print(f"-- {side} the run")
         nothing, some = ([r for r in rows if bool(r["hidden"]) == k] for k in (False, True))
         fails = [r for r in rows if r["kind"] != "ordinary"]
         share("flagged, nothing hidden", [r[side]["verdict"] in found for r in nothing])
-        for kind, of in (("Eyring holds", True), ("Eyring fails", False)):
-            those = [r for r in some if (r["kind"] == "ordinary") is of]
-            share(f"detected, {kind}", [r[side]["verdict"] in found for r in those])
+        for name in ("ordinary, two tracers", "image sources", "not ordinary"):
+            for of, those in (("flagged, nothing hidden", nothing), ("detected", some)):
+                flags = [r[side]["verdict"] in found for r in those if group(r) == name]
+                share(f"{of}, {name}", flags)
+        over = [np.array([r[side]["over"] for r in rs]) for rs in (some, nothing)]
+        greater = np.sign(np.subtract.outer(*over)) / 2 + 0.5
+        print(f"probability that a room with something exceeds by more: {greater.mean():.2f}")
         share("family right where claimed", [r[side]["right"] for r in rows if r[side]["family"]])
         share("truth in the set where ambiguous",
               [r[side]["in_set"] for r in some if r[side]["verdict"] == "ambiguous"])  # fmt: skip

@@ -45,6 +45,8 @@ a fifth shorter than by any equation.
 OF_PROGRAMS = (0.1, 0.9)
 """The same, of either model, where the model is a geometrical program's run: neither its scattering nor
 the room's is known, and a field less diffuse than the program's is no error of the room."""
+GUESSED = 2.0
+"""Factor within which a program's scattering is the room's: it is guessed from the walls' looks."""
 _RECEIVERS = 4
 _PATHS = 3000
 _IMAGES = 300_000
@@ -58,7 +60,7 @@ class ControlRooms:
     """The model's errors in the reference rooms of one engine.
 
     ``errors`` (n_controls, n_configurations, n_features, n_bands) are the engine's features minus the
-    model's for the same alpha; of a configuration with a run less those of another reference room.
+    model's for the same alpha; of a configuration with a run less those of the program there.
     """
 
     engine: str
@@ -270,8 +272,8 @@ class Engine:
     def run(self, case: Case, seed: int, progress: TaskProgress | None = None) -> ControlRooms:
         """Simulate the reference rooms of a case.
 
-        With a run, another setup at the run's coefficients is the program, a tracer that scatters. What
-        the equation errs by cancels then, and what two geometrical programs differ by is left.
+        With a run, a tracer at the run's coefficients and the same positions is the program. What the
+        equation errs by cancels then, and what two geometrical programs differ by is left.
         """
         rng = np.random.default_rng([seed, self.stream])
         places = _spread_evenly(rng, self.setups, 3 * (1 + _RECEIVERS))
@@ -279,7 +281,7 @@ class Engine:
         ranges = dict.fromkeys(SCATTERING, OF_PROGRAMS) if case.program else SCATTERING
         scattering = self._scattering(rng, ranges)
         room, geometry, share = box(case)
-        errors, programs = list[Array](), list[Array]()
+        errors = list[Array]()
         by_run = np.array([c.simulated is not None for c in case.configurations])
         of_runs = [
             case.room if c.simulated is None else c.simulated.room for c in case.configurations
@@ -287,6 +289,7 @@ class Engine:
         at_runs = np.array(
             [c.coefficients(r)[0] for c, r in zip(case.configurations, of_runs, strict=True)]
         )
+        programs = self._of_programs(rng, scattering)
         for number, (coefficient, model) in enumerate(scattering):
             source, receivers = _places(np.array(room.dimensions), places[number])
             control = ControlRoom(room, geometry, share, source, receivers, coefficient, model)
@@ -294,19 +297,14 @@ class Engine:
             duration = self.duration * float(control.time(case.room.alpha).max())
             made = control.errors(case, alphas[number], simulate, duration)
             if by_run.any():
-                if not self.models:
-                    low, high = ranges["random"]
-                    s = low + (high - low) * (number + 0.5) / self.setups
-                    simulate = _path_tracing(replace(control, scattering=s), number)
-                programs.append(control.errors(case, at_runs, simulate, duration))
+                coefficient, model = programs[number]
+                program = replace(control, scattering=coefficient, scattering_model=model)
+                tracing = _path_tracing(program, number)
+                made[by_run] -= program.errors(case, at_runs, tracing, duration)[by_run]
             errors.append(made)
             if progress is not None:
                 progress(self.name, number + 1, self.setups)
-        every = np.array(errors)
-        if by_run.any():
-            # The program is the next setup: it scatters otherwise, and has other positions.
-            every[:, by_run] -= np.roll(programs, -1, axis=0)[:, by_run]
-        return ControlRooms(self.name, every)
+        return ControlRooms(self.name, np.array(errors))
 
     def _scattering(
         self, rng: np.random.Generator, ranges: Mapping[ScatteringModel, tuple[float, float]]
@@ -322,6 +320,21 @@ class Engine:
             count[model] += 1
             out.append((low + (high - low) * part, model))
         return out
+
+    def _of_programs(
+        self, rng: np.random.Generator, scattering: Sequence[tuple[float, ScatteringModel]]
+    ) -> list[tuple[float, ScatteringModel]]:
+        """Return each program's coefficient, guessed from the room's, and the next room's model.
+
+        Beside a room that scatters nothing the coefficients are even over the range.
+        """
+        low, high = OF_PROGRAMS
+        even = (rng.permutation(self.setups) + 0.5) / self.setups
+        if not self.models:
+            return [(low + (high - low) * part, "random") for part in even]
+        guessed = np.array([s for s, _ in scattering]) * GUESSED ** (2 * even - 1)
+        models = [model for _, model in scattering]
+        return list(zip(np.minimum(guessed, high).tolist(), [*models[1:], models[0]], strict=True))
 
 
 def _spread_evenly(rng: np.random.Generator, n: int, dimensions: int) -> Array:

@@ -55,6 +55,7 @@ from rtcal.acoustics.measurement import MAX_POSITIONS, Measurement
 from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.finder.case import Case, Configuration
 from rtcal.finder.claim import (
+    FIELD,
     Key,
     Names,
     Reason,
@@ -703,10 +704,14 @@ def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelD
 
     The bias is the mean of `bias_estimates`. The covariance is the scatter within each engine plus the
     scatter between these estimates. A sample covariance of few rooms is shrunk towards its diagonal.
+
+    Room and geometrical program are exchangeable (`of_either`): the bias is 0, and an engine's mean is
+    an error of either sign, whose correlation over features and bands is kept. Reference rooms differ
+    from their programs by the simulator already, so that nothing is added for what one does not show.
     """
     n, k = len(case.configurations), case.room.n_bands
-    size = n * len(FEATURES) * k
-    estimates = bias_estimates(controls)
+    size, either = n * len(FEATURES) * k, of_either(case)
+    estimates = np.where(either, 0.0, bias_estimates(controls))
     bias = estimates.mean(axis=0)
     degrees = max(len(estimates) - 1, 1)
     rows = [((estimates - bias) / np.sqrt(degrees)).reshape(len(estimates), size)]
@@ -718,11 +723,22 @@ def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelD
     for name, uncertainty in COMMON_UNCERTAINTY.items():
         common = np.zeros((k, n, len(FEATURES), k))
         common[:, :, FEATURES.index(name)] = uncertainty * root[:, None]
-        rows.append(common.reshape(k, size))
+        rows.append(np.where(either, 0.0, common).reshape(k, size))
     factor = np.concatenate(rows).T * np.sqrt(INFLATION)
     full = factor @ factor.T
     shrunk = (1 - SHRINKAGE) * full + SHRINKAGE * np.diag(np.diag(full))
+    means = np.array([np.where(either, c.mean, 0.0).ravel() for c in controls])
+    shrunk += INFLATION * means.T @ means / len(controls)
     return ModelDiscrepancy(bias.ravel(), shrunk, tuple(c.engine for c in controls))
+
+
+def of_either(case: Case) -> NDArray[np.bool_]:
+    """Return where a geometrical program's run is compared with the room, (n_configurations, 1, 1).
+
+    Either may have the less diffuse field: the program's scattering is a guess.
+    """
+    by_run = [bool(case.program) and c.simulated is not None for c in case.configurations]
+    return np.array(by_run)[:, None, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -1111,10 +1127,14 @@ def null_scores(
 ) -> Array:
     """Return the `score` of rooms that lack nothing, (n_draws, n_steps), by `steps` of the data."""
     rng = np.random.default_rng([0, 3])
-    ends, scores = list(steps(case, observed.used))[:-1], []
+    ends, scores, either = list(steps(case, observed.used))[:-1], [], of_either(case)
     for fold in (0, 1):
         training = [_part(c, fold) for c in controls]
-        test = [c.errors for c in recentred([_part(c, 1 - fold) for c in controls])]
+        other = [_part(c, 1 - fold) for c in controls]
+        test = [
+            np.concatenate([np.where(either, sign * c.errors, r.errors) for sign in (1, -1)])
+            for c, r in zip(other, recentred(other), strict=True)
+        ]
         values = draw_null_features(case, observed, predicted.applied, test, rng, draws // 2)
         learnt = MeansProblem(case, observed, predicted, estimate_discrepancy(case, training))
         parts = evaluate(learnt, prior.off, values, ends)
@@ -1146,14 +1166,20 @@ def _part(controls: ControlRooms, fold: int) -> ControlRooms:
 def score(evidence: MeansEvidence, prior: Prior) -> Array:
     """Return the log evidence that something is missing, over "none", in nats.
 
-    It is that of every hypothesis but "none", weighted by its prior probability.
+    It is that of every hypothesis but "none", weighted by its prior probability. A geometrical
+    program's own field counts as nothing missing (`rtcal.finder.claim.of_program`).
     """
     table: Mapping[str, Array] = evidence.by_effect()
-    names = [k for k in table if k != NONE]
-    over = np.array([table[k] - table[NONE] for k in names])
-    log = np.array([prior.log_probability[k] for k in names])
-    log -= np.logaddexp.reduce(log)
-    return np.asarray(np.logaddexp.reduce((over.T + log).T))
+    program, effects = evidence.problem.case.program, evidence.problem.predicted.effects
+    nothing = [k for k in table if k == NONE or (program and family_of(k, effects) == FIELD)]
+
+    def of(names: Sequence[str]) -> Array:
+        log = np.array([prior.log_probability[k] for k in names])
+        log -= np.logaddexp.reduce(log)
+        every = np.array([table[k] for k in names])
+        return np.asarray(np.logaddexp.reduce((every.T + log).T))
+
+    return of([k for k in table if k not in nothing]) - of(nothing)
 
 
 def draw_null_features(
