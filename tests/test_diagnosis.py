@@ -12,6 +12,7 @@ import rtcal as rt
 from rtcal.finder import Diagnosis
 from rtcal.finder.means.recalibration import plain
 from rtcal.loop.positions import PositionsResult
+from rtcal.report.of_diagnosis import steps
 from tests.test_where_commands import run
 
 
@@ -30,6 +31,7 @@ def test_it_is_what_the_single_steps_give(named: Diagnosis, kept: Path) -> None:
     applied = finding.apply()
     assert named.corrected.room.to_dict() == applied.room.to_dict()
     assert verified.corrected is not None
+    assert [line.split()[1] for line in steps(named).splitlines()] == ["find", "verify", "apply"]
     assert np.array_equal(named.calibrated.alpha, verified.corrected.alpha)
     assert np.array_equal(named.room.alpha[: len(named.calibrated.alpha)], named.calibrated.alpha)
 
@@ -45,6 +47,10 @@ def test_where_nothing_is_missing_the_model_is_calibrated_as_given(kept: Path) -
     assert result.verification is None
     assert np.array_equal(result.calibrated.alpha, plain(case).alpha)
     assert "Nothing is added to the model." in str(result)
+    assert steps(result).splitlines() == [
+        "rtcal find room.toml measured.csv --out found",
+        "rtcal calibrate room.toml measured.csv --out calibrated",
+    ]
 
 
 @pytest.mark.usefixtures("runs_kept")

@@ -12,6 +12,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import Case, Configuration, recalibrate, verify
+from rtcal.finder.apply import DRAWN_LARGER
+from rtcal.finder.claim import Reason
 from rtcal.finder.effects import IN_RUN, AppliedEffect, NonDiffuse, Opening
 from rtcal.finder.finding import Finding
 from rtcal.finder.means import engines
@@ -23,6 +25,7 @@ from rtcal.report import figures, of_finding
 from rtcal.report.verification_words import sentence
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
+from rtcal.support.blocks import lines as lines_of
 from rtcal.support.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(6)
@@ -214,6 +217,9 @@ def test_a_field_less_diffuse_than_the_programs_is_no_error_of_the_room() -> Non
     finding = rt.find(case, controls=controls())
     assert finding.verdict == "hint"
     assert str(finding).startswith("Nothing of the room is identified: what differs may be the")
+    assert "Next: Simulate with half and with twice the scattering" in " ".join(
+        str(finding).split()
+    )
     assert "nothing was detected" in str(finding.refusal)
     assert "`rtcal plan`" in str(finding.refusal)
 
@@ -465,3 +471,15 @@ def test_instructions_are_in_the_terms_of_the_program(absorber: Finding, tmp_pat
     bare = replace(absorber.case.configurations[0], simulated=None)
     without = replace(absorber, case=replace(absorber.case, configurations=[bare]))
     assert tmp_path / "instructions.txt" not in of_finding.correct(without, tmp_path)[2]
+
+
+def test_what_is_drawn_larger_is_said_where_it_is_drawn(absorber: Finding) -> None:
+    made = absorber.apply()
+    drawn = Reason(DRAWN_LARGER, {"drawn": 11.0, "size": 10.0})
+    lost = Reason("surface unknown")
+    patch = replace(made, notes=(drawn, lost))
+    said = "\n".join(lines_of(of_finding.instructions(absorber, patch, made.room)))
+    said = " ".join(said.split())
+    assert said.index("2. Draw a surface") < said.index("has 11 m² in the mesh")
+    assert said.index("has 11 m² in the mesh") < said.index("3. A list of materials cannot hold")
+    assert said.count("11 m²") == 1

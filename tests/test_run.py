@@ -116,6 +116,13 @@ def test_laws_of_a_comparison(pairs: list[tuple[str, str]] | None) -> None:
         twice = rt.Measurement(centre_frequencies=F, values=times, pairs=one.pairs)
         doubled = rt.compare(box(), one, rt.Run(box(), twice))
         assert "T20 is 100 % too long in all bands" in doubled.sentence
+        said = " ".join(str(doubled).split())
+        assert (
+            "The program's T20 is 2.0 times the measured one in all bands: check the scale" in said
+        )
+        halved = rt.compare(box(), twice, rt.Run(box(), one))
+        assert "The measured T20 is 2.0 times the program's in all" in " ".join(str(halved).split())
+        assert not any("times the" in str(of) for of in (found, same))
         assert doubled.lacking == {"d50": "run", "c80": "run", "ts": "run"}
 
 

@@ -529,6 +529,8 @@ SPECTRUM_ERROR = 0.15
 HEADROOM = 0.9
 """Size over area of a patch of alpha = 1. It is drawn larger, so that a calibration can make it absorb
 more as well as less."""
+DRAWN_LARGER = "patch drawn larger"
+"""Code of the note of it."""
 _LEAST_SIGMA = 0.01
 _NOTED = 0.05
 """Share of a change that does not fit, from which on a note says so."""
@@ -562,7 +564,7 @@ def corrected_geometry(
         geometry = _with_material(case.geometry, name, faces)
     area = geometry.areas[name]
     if form == "patch" and not np.isclose(area, added.size, rtol=1e-3):
-        notes.append(Reason("patch drawn larger", {"drawn": area, "size": added.size}))
+        notes.append(Reason(DRAWN_LARGER, {"drawn": area, "size": added.size}))
     # The rest of what is larger than the size absorbs as the wall does.
     behind = _behind(room, case.geometry, geometry) / area
     below, share = behind @ room.alpha, min(added.size / area, 1.0)

@@ -476,8 +476,17 @@ def _weak(f: Finding) -> str:
     )
 
 
-def calibrate(f: Finding) -> str:
-    """Return that calibrating is the next step; "" unless nothing is missing and something differs."""
+def without_measuring(f: Finding) -> str:
+    """Return the next step that needs no measurement: to calibrate, or to simulate; "" for none.
+
+    Calibrating is advised where nothing is missing and something differs.
+    """
+    if any(reason.code == OWN_FIELD for reason in f.reasons):
+        return (
+            "Simulate with half and with twice the scattering coefficients and search with each run, "
+            "which shows what is missing whatever the program scatters. Draw a second room if there is "
+            "one."
+        )
     if f.verdict != NONE or not f.differs:
         return ""
     command = "fit" if f.kind == "positions" else "calibrate"
@@ -951,7 +960,7 @@ def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
     """
     table = candidates(f)
     last = [evidence(f), track_record(f), *(f"Note: {as_sentence(str(n))}" for n in f.notes)]
-    if step := calibrate(f) or f.advice:
+    if step := without_measuring(f) or f.advice:
         last.insert(0, f"Next: {step}")
     return [
         Note(" ".join(headline(f))),

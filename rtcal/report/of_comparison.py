@@ -24,6 +24,7 @@ from rtcal.support.types import Array
 
 _MOST = 3  # parameters of which the answer says where they disagree
 _STRONG = 5.0  # JND
+_MULTIPLE = 1.5  # ratio of T from which the same one in all bands is a mistake of what is stated
 _LEAST = 1e-6  # JND; equal values at all positions do not show their uncertainty
 _LACKING = {
     "run": "which the run lacks",
@@ -114,6 +115,31 @@ def _largest_pair(c: Comparison) -> list[str]:
         f"{number(float(each[p][i]), '+.1f')} JND or {number(z, '+.1f')} standard deviations on the "
         "average over the bands."
     ]
+
+
+def _multiple(c: Comparison) -> list[str]:
+    """Return that a run's T is a multiple of the measured one, the same in all bands; [] else.
+
+    Coefficients and programs err by other amounts from band to band.
+    """
+    run, measured = c.sides
+    for kind in REVERBERATION:
+        if c.of_equation or kind.key not in c.deviation:
+            continue
+        ratio = run.mean(kind.key) / measured.mean(kind.key)
+        ratio = ratio[np.isfinite(ratio)]
+        factor = float(np.exp(np.log(ratio).mean()))
+        alike = len(ratio) > 1 and ratio.max() <= (1 + kind.jnd) * ratio.min()
+        if alike and max(factor, 1 / factor) >= _MULTIPLE:
+            time = parameter_label(kind.key)
+            whose = ("The program's", "measured one")
+            if factor < 1:
+                factor, whose = 1 / factor, ("The measured", "program's")
+            return [
+                f"{whose[0]} {time} is {factor:.1f} times the {whose[1]} in all bands: check the scale "
+                "of the room, and which parameter each table holds."
+            ]
+    return []
 
 
 def _coefficients(c: Comparison) -> list[str]:
@@ -228,7 +254,8 @@ def _values(c: Comparison) -> Table:
 
 def blocks(c: Comparison) -> list[Block]:
     """Return what is printed: the answer, what explains it, the table, and what was left out."""
-    first = [sentence(c), *_largest_pair(c), *_coefficients(c), *_of_the_equation(c)]
+    said = (_multiple, _largest_pair, _coefficients, _of_the_equation)
+    first = [sentence(c), *(line for of in said for line in of(c))]
     detailed = [*_by_pair(c), _values(c)]
     return [*map(Note, first), _table(c), *detailed, *map(Note, _left_out(c))]
 

@@ -25,22 +25,24 @@ from rtcal.report.document import (
 )
 from rtcal.support.blocks import Block, Note
 
-_STEPS = (
-    "rtcal find {given} --out found",
-    "rtcal verify found",
-    "rtcal apply found --out corrected",
-    "rtcal fit corrected/room.toml {measured} --out fitted",
-)
-"""The commands that one diagnosis stands for; of means `apply` calibrates, too."""
 _MET = 0.05
 """Root mean square of T's deviation over its uncertainty up to which a model has the measured T."""
 
 
 def steps(result: Diagnosis) -> str:
-    """Return the commands that the diagnosis stands for, a line each."""
-    of = _STEPS if isinstance(result.calibrated, PositionsResult) else _STEPS[:3]
-    given = shlex.join(result.given)
-    return "\n".join(of).format(given=given, measured=shlex.quote(result.given[-1]))
+    """Return the commands that the diagnosis stands for, a line each; of means `apply` calibrates."""
+    given, fitted = shlex.join(result.given), shlex.join(result.given)
+    said = [f"rtcal find {given} --out found"]
+    if result.verification is not None:
+        said.append("rtcal verify found")
+    if result.corrected is not None:
+        said.append("rtcal apply found --out corrected")
+        fitted = f"corrected/room.toml {shlex.quote(result.given[-1])}"
+    if isinstance(result.calibrated, PositionsResult):
+        said.append(f"rtcal fit {fitted} --out fitted")
+    elif result.corrected is None and len(result.given) > 1:
+        said.append(f"rtcal calibrate {given} --out calibrated")
+    return "\n".join(said)
 
 
 def added(result: Diagnosis) -> str:

@@ -16,7 +16,7 @@ from rtcal.acoustics.observables import parameter_label
 from rtcal.acoustics.room import MAX_BYTES, Room
 from rtcal.acoustics.run import Run
 from rtcal.files.saved import NUMBERS
-from rtcal.finder.apply import Corrected
+from rtcal.finder.apply import DRAWN_LARGER, Corrected
 from rtcal.finder.evidence import NONE
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.recalibration import recalibrate
@@ -143,7 +143,7 @@ def to_do(
 ) -> list[str]:
     """Return what to do, a sentence each: the next measurement, and which coefficients to use."""
     steps = [] if finding.advice is None or finding.verdict == NONE else [str(finding.advice)]
-    steps += filter(None, [words.calibrate(finding)])
+    steps += filter(None, [words.without_measuring(finding)])
     if place is not None:
         at = ", ".join(f"{x:.1f}" for x in place.point)
         steps.append(
@@ -163,7 +163,11 @@ def to_do(
     if finding.can_be_added and finding.kind != "means":
         made = "the room after the change" if finding.kind == "states" else "the corrected model"
         steps.append(f"rtcal apply FOUND --out FOLDER writes {made}.")
-    if finding.kind == "means" and not finding.can_be_added and not words.calibrate(finding):
+    if (
+        finding.kind == "means"
+        and not finding.can_be_added
+        and not words.without_measuring(finding)
+    ):
         steps.append(
             "Do not use a calibration of this model: its coefficients make up for what is missing."
             if finding.verdict == "unknown"
@@ -443,6 +447,7 @@ def instructions(
         out.append(Note("1. In the list of materials, nothing changes."))
     if new:
         out += [Note(f"2. Draw a surface with a new material, {where}:"), Table(labels, new)]
+        out += [Note(as_sentence(str(note))) for note in made.notes if note.code == DRAWN_LARGER]
         if made.form == "patch":
             out.append(Note("There it replaces the material of the surface."))
         elif made.added is None:
@@ -455,7 +460,11 @@ def instructions(
             )
     else:
         out.append(Note("2. Nothing is to be drawn."))
-    lost = [Note(f"- {as_sentence(str(note))}", "  ") for note in made.notes]
+    lost = [
+        Note(f"- {as_sentence(str(note))}", "  ")
+        for note in made.notes
+        if note.code != DRAWN_LARGER
+    ]
     out += [Note("3. A list of materials cannot hold:"), *lost] if lost else []
     option = "" if effect is None else f' --effect "{effect}"'
     then = f"Simulate again, and then: rtcal verify FOUND{option} --simulated corrected_run.csv"
