@@ -25,6 +25,7 @@ from rtcal.support.types import Array
 _MOST = 3  # parameters of which the answer says where they disagree
 _STRONG = 5.0  # JND
 _MULTIPLE = 1.5  # ratio of T from which the same one in all bands is a mistake of what is stated
+_BANDS = 3  # that must show it: two may be alike by chance
 _LEAST = 1e-6  # JND; equal values at all positions do not show their uncertainty
 _LACKING = {
     "run": "which the run lacks",
@@ -129,7 +130,7 @@ def _multiple(c: Comparison) -> list[str]:
         ratio = run.mean(kind.key) / measured.mean(kind.key)
         ratio = ratio[np.isfinite(ratio)]
         factor = float(np.exp(np.log(ratio).mean()))
-        alike = len(ratio) > 1 and ratio.max() <= (1 + kind.jnd) * ratio.min()
+        alike = len(ratio) >= _BANDS and ratio.max() <= (1 + kind.jnd) * ratio.min()
         if alike and max(factor, 1 / factor) >= _MULTIPLE:
             time = parameter_label(kind.key)
             whose = ("The program's", "measured one")
