@@ -123,7 +123,11 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
         materials.append(_material_at(corners, boundaries))
     names = list(materials)
     for filling in (b for b in boundaries if b.is_filling):
-        polygons.append(_on_face(filling.corners, triangles))
+        # It is moved onto the plane of the nearest face that is parallel to it.
+        corners, normal = filling.corners, normal_of(filling.corners)
+        near = [t for t in triangles if _beside(corners, Polygon(t))]
+        away = min(((t[0] - corners.mean(axis=0)) @ normal for t in near), key=abs, default=0.0)
+        polygons.append(np.asarray(corners + normal * away))
         materials.append(filling.material)
         names.append(filling.material)
     notes = [f'space "{shown(chosen)}" of {len(spaces)}']
@@ -337,11 +341,3 @@ def _beside(corners: Array, plane: Polygon) -> bool:
     """Return whether a polygon is parallel to a face and near its plane."""
     parallel = abs(normal_of(corners) @ plane.normal) > 0.99
     return bool(parallel and plane.thickness(corners) < _NEAR)
-
-
-def _on_face(corners: Array, triangles: Array) -> Array:
-    """Return a polygon moved onto the plane of the nearest face that is parallel to it."""
-    normal = normal_of(corners)
-    near = [t for t in triangles if _beside(corners, Polygon(t))]
-    away = min(((t[0] - corners.mean(axis=0)) @ normal for t in near), key=abs, default=0.0)
-    return np.asarray(corners + normal * away)

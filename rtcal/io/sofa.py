@@ -19,6 +19,7 @@ import numpy as np
 
 from rtcal.acoustics.measurement import SAME_PLACE
 from rtcal.acoustics.room import Scene
+from rtcal.files.schema import toml_text
 from rtcal.io import budget
 from rtcal.support import checks, library
 from rtcal.support.errors import DataError
@@ -87,14 +88,7 @@ class Responses:
 
     def positions_text(self) -> str:
         """Return the positions as the tables of a room's file."""
-        rows = []
-        for table, points in (("sources", self.sources), ("receivers", self.receivers)):
-            rows += [
-                f"[{table}]",
-                *(f"{n} = {[float(x) for x in p]}" for n, p in points.items()),
-                "",
-            ]
-        return "\n".join(rows)
+        return toml_text({"sources": self.sources, "receivers": self.receivers})
 
 
 def recognises(path: str | os.PathLike[str]) -> bool:

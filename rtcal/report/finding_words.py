@@ -703,7 +703,12 @@ def cautions(f: Finding) -> list[str]:
 
 def details(f: Finding) -> list[str]:
     """Return sizes, sets, and what cannot be distinguished."""
-    return [*filter(None, _DETAILS[f.kind](f))]
+    if f.kind != "states":
+        of_kind = _details_of_means if f.kind == "means" else _details_at_positions
+        return [*filter(None, of_kind(f))]
+    some = [likely(f'"{n}"', p) for n, p in f.surfaces.items() if 1 - CLAIMED <= p < CLAIMED]
+    several = "several may have changed together"
+    return [f"Possibly changed as well: {listed(some)}; {several}."] if some else []
 
 
 def _details_of_means(f: Finding) -> list[str]:
@@ -772,21 +777,6 @@ def _details_at_positions(f: Finding) -> list[str]:
             "ruled out."
         )
     return said
-
-
-def _details_of_states(f: Finding) -> list[str]:
-    some = [(f'"{n}"', p) for n, p in f.surfaces.items() if 1 - CLAIMED <= p < CLAIMED]
-    if not some:
-        return []
-    places = listed([likely(*one) for one in some])
-    return [f"Possibly changed as well: {places}; several may have changed together."]
-
-
-_DETAILS = {
-    "means": _details_of_means,
-    "positions": _details_at_positions,
-    "states": _details_of_states,
-}
 
 
 def evidence(f: Finding) -> str:
