@@ -94,7 +94,7 @@ def test_the_backward_filter_keeps_a_short_decay() -> None:
     e = np.concatenate([decay(t, rate), np.zeros(n)])[:n]
     pulse = np.zeros(n)
     pulse[0] = 1
-    h2 = ir._filtered(pulse[::-1], rate, 125.0, 1)[::-1]
+    h2 = ir.filtered(pulse[::-1], rate, 125.0, 1)[::-1]
     size = 2 * n
     spectrum = np.fft.rfft(h2, size)
     forward = np.fft.irfft(spectrum * np.fft.rfft(e, size), size)[:n]

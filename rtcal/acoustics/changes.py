@@ -230,8 +230,8 @@ _ROUNDING = 1e-9
 """Relative difference below which an area is the whole area."""
 _TAKES: dict[str, dict[str, bool]] = {
     "cover": {"by": True, "area": False},
-    "add": {"area": True},
-    "remove": {"area": False},
+    "add": {"area": False, "number": False},
+    "remove": {"area": False, "number": False},
     "open": {"area": False},
     "air": {},
     "volume": {},
@@ -259,6 +259,9 @@ class Change:
         In m², of what is covered, removed or opened: all of it if not given. Of what is added, the
         surface that the sound reaches (both sides of a baffle), at most 10 times the room's; its
         relative error is that of the room's material, and 0 of a new one.
+    number : float
+        Of pieces that are added or removed, such as persons, in place of an area: no surface changes.
+        The alpha of a `Material` that is added is then the absorption area of one in m² (`Piece`).
     air : Air
         Another climate: temperature, humidity and pressure.
     volume : float
@@ -288,6 +291,7 @@ class Change:
     remove: str | None = None
     open: str | None = None
     area: Number | None = None
+    number: Number | None = None
     air: Air | None = None
     volume: Number | None = None
 
@@ -301,10 +305,14 @@ class Change:
             raise DataError(f"{self.kind} has {extra[0]}, which has no meaning there")
         if lacking := [key for key, needed in takes.items() if needed and key not in stated]:
             raise DataError(f"{self.kind} lacks {lacking[0]}")
+        if self.add is not None and self.area is None and self.number is None:
+            raise DataError("add lacks area, or of pieces the number")
+        if self.area is not None and self.number is not None:
+            raise DataError(f"{self.kind} has area and number; it has one of them")
         for key, value in stated.items():
             place = f"change: {key}"
-            if key in ("area", "volume"):
-                checks.positive(place, value, "m²" if key == "area" else "m³")
+            if unit := {"area": "m²", "volume": "m³", "number": "pieces"}.get(key):
+                checks.positive(place, value, unit)
             elif key == "air":
                 checks.instance(place, value, Air)
             elif key in ("add", "by") and not isinstance(value, Material | str):
@@ -333,22 +341,33 @@ class Change:
     def exchanged(self, room: Room) -> tuple[float, Material | None]:
         """Return the area of `surface` in m² that goes, and the material that comes with its area.
 
-        Raises DataError if the room has less of the surface, or for more than `MOST_ADDED`.
+        Of pieces it is their number. Raises DataError if the room has less of the surface, for more
+        than `MOST_ADDED`, and for an area of pieces or a number of a surface.
         """
-        taken, error = self.area or 0.0, 0.0
+        taken, error = self.area or self.number or 0.0, 0.0
+        stated = "area" if self.number is None else "number"
+        for name in filter(None, (self.surface, name_of(self.material))):
+            if name not in room.materials:
+                continue
+            if (name in room.pieces) != (stated == "number") and taken:
+                of = "a number of pieces" if name in room.pieces else "an area in m²"
+                raise DataError(f'{stated} = {taken:g}: "{name}" of the room has {of}')
+            if name in room.pieces and self.kind not in ("add", "remove"):
+                raise DataError(f'{self.kind}: "{name}" is no surface: it can be added and removed')
         if self.surface is not None:
             row = room.material_index(self.surface)
             has, error = float(room.areas[row]), float(room.area_sigma[row])
             if taken > has * (1 + _ROUNDING):
+                unit = " m²" if self.surface not in room.pieces else ""
                 raise DataError(
-                    f'area = {taken:g} m² is more than the {has:g} m² of "{self.surface}"'
+                    f'{stated} = {taken:g}{unit} is more than the {has:g}{unit} of "{self.surface}"'
                 )
             taken = has if self.area is None or taken > has * (1 - _ROUNDING) else taken
         if self.material is None:
             return taken, None
         new = _material(room, self.material)
         if self.surface is None:
-            if taken > (most := MOST_ADDED * room.total_area):
+            if self.number is None and taken > (most := MOST_ADDED * room.total_area):
                 raise DataError(
                     f"area = {taken:g} m² is more than {most:g} m², {MOST_ADDED:g} times the room's "
                     "surface"
@@ -383,7 +402,8 @@ class Change:
         left = [row for row in rows.values() if row.area]
         if not left:
             raise DataError("the room would have no surface")
-        return room.with_rows(left)
+        pieces = {*room.pieces, *([name_of(self.add)] if self.number and self.add else [])}
+        return room.with_rows(left, pieces=[row.name for row in left if row.name in pieces])
 
     def __str__(self) -> str:
         if self.air is not None:
@@ -391,6 +411,8 @@ class Change:
         if self.volume is not None:
             return f"volume of {self.volume:g} m³"
         amount = "all" if self.area is None else f"{self.area:g} m²"
+        if self.number is not None:
+            amount = f"{self.number:g}"
         by = "" if self.by is None else f' by "{name_of(self.by)}"'
         return f'{self.kind} {amount} of "{self.surface or name_of(self.material)}"{by}'
 
@@ -451,6 +473,8 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
     known = ~np.isnan(shares).any(axis=1)
     towards[known, :3] = shares[known]
     towards[~known, UNKNOWN] = 1.0
+    towards[~before.is_surface] = np.eye(len(DIRECTIONS))[FREE]
+    known |= ~before.is_surface
     if like is not None:
         if not before.surfaces and before.dimensions is None:
             # Names alone say less than the other state does.
@@ -585,11 +609,21 @@ class VariantTable(FileTable):
     cost: Number | None = None
 
 
+class NewPiece(FileTable):
+    """A `Piece` that is not in the room, without a number: its changes have one."""
+
+    name: str
+    area_per_piece: list[Number]
+    sigma: Number | list[Number]
+    source: str = ""
+
+
 class VariantsFile(FileTable):
     """A file of variants."""
 
     variant: list[VariantTable] = []
     material: list[NewMaterial] = []
+    object: list[NewPiece] = []
     target: TargetTable | None = None
 
 
@@ -633,6 +667,16 @@ def read_variants(
     """
     file = read(VariantsFile, toml_table(content))
     new = _new_materials(file.material, room, catalogue)
+    of_one = [Material(p.name, p.area_per_piece, p.sigma, source=p.source) for p in file.object]
+    refuse_repeats("the file's materials and objects", [*file.material, *file.object])
+    of_materials(of_one, room.centre_frequencies)
+    new |= {piece.name: piece for piece in of_one}
+    pieces = {piece.name for piece in of_one}
+    for change in (c for table in file.variant for c in table.change):
+        if name_of(change.add) in pieces and change.number is None:
+            raise DataError(
+                f'change: add = "{name_of(change.add)}" is an [[object]]: give its number'
+            )
     variants: list[Variant] = []
     for i, table in enumerate(file.variant, start=1):
         place = f"variant {i}" if table.name is None else f'variant "{table.name}"'
@@ -821,7 +865,7 @@ def facing(room: Room, geometry: Any = None) -> Array:
     surfaces += [
         Surface(name, name, float(area))
         for name, area in zip(room.materials, room.areas, strict=True)
-        if name not in stands
+        if name not in {*stands, *room.pieces}
     ]
     box = None
     if room.dimensions is not None:
@@ -842,7 +886,7 @@ def facing(room: Room, geometry: Any = None) -> Array:
 
 def enough_known(room: Room, shares: Array) -> bool:
     """Return whether the directions of most of the absorption are known; ``shares`` as of `facing`."""
-    unknown = np.isnan(shares).any(axis=1)
+    unknown = np.isnan(shares).any(axis=1) & room.is_surface
     absorbed = (room.areas[:, np.newaxis] * room.alpha).sum(axis=1)
     return bool((~unknown).any() and absorbed[unknown].sum() <= UNKNOWN_SHARE * absorbed.sum())
 

@@ -167,7 +167,9 @@ class MeanEquation(ReverberationEquation):
     def reverberation_time(self, room: Room) -> Array:
         """Return T in s, (n_bands,); infinite where nothing absorbs (Eqs. 1 to 3)."""
         checks.instance("room", room, Room)
-        mean = room.areas @ self.contribution(room.alpha) / room.total_area
+        walls = room.is_surface
+        mean = room.areas[walls] @ self.contribution(room.alpha[walls]) + room.area_of_pieces
+        mean = mean / room.total_area
         return self._time(room, room.total_area * self.exponent(mean))
 
 
@@ -485,7 +487,8 @@ class _AxisEquation(ReverberationEquation):
         """Return T in s, (n_bands,), of materials' areas along each axis in m², (n_materials, 3)."""
         areas = along.sum(axis=0)
         along, areas = along[:, areas > 0], areas[areas > 0, np.newaxis]
-        times = self._time(room, room.total_area * Eyring().exponent(along.T @ room.alpha / areas))
+        mean = along.T @ room.alpha / areas + room.area_of_pieces / room.total_area
+        times = self._time(room, room.total_area * Eyring().exponent(mean))
         return self.combined(areas / areas.sum(), times)
 
 

@@ -445,7 +445,7 @@ def likely_slips(room: Room) -> list[tuple[str, Room]]:
     if least <= room.total_area <= most:
         return []
     for factors in _SLIPS:
-        slips = [(i, f) for f in factors for i in range(room.n_materials)]
+        slips = [(i, f) for f in factors for i in np.flatnonzero(room.is_surface).tolist()]
         total = np.array([room.total_area + (f - 1) * room.areas[i] for i, f in slips])
         if room.dimensions is not None:
             off = np.abs(total / _surface_of_box(*room.dimensions) - 1)

@@ -44,7 +44,16 @@ from rtcal.support.errors import DataError
 from rtcal.support.text import first_of, shortened
 from rtcal.support.types import Array, read_only
 
-__all__ = ["AXES", "CalibrationRecord", "Directivity", "Material", "Room", "Scene", "Surface"]
+__all__ = [
+    "AXES",
+    "CalibrationRecord",
+    "Directivity",
+    "Material",
+    "Piece",
+    "Room",
+    "Scene",
+    "Surface",
+]
 __dir__ = __all__.copy
 
 _POINTS = ("sources", "receivers")
@@ -63,6 +72,7 @@ class GeometryTable(FileTable):
     mesh: str | None = None
     unit: Number = 1.0
     position_uncertainty: Number = POSITION
+    leaks: bool = False
     surfaces: dict[str, list[str]] = {}
 
 
@@ -96,6 +106,9 @@ class Scene:
         mesh's.
     position_uncertainty : float
         Root mean square error of the positions, in m.
+    leaks : bool
+        Whether the mesh may have small holes, as `rtcal import --leaks` writes; see
+        `rtcal.simulators.Polyhedron`.
     surfaces : mapping of str to sequence of str
         Names of each surface's faces, where coplanar faces of one material are not the surfaces.
 
@@ -117,6 +130,7 @@ class Scene:
     receivers: Mapping[str, Sequence[float]] = field(default_factory=dict)
     directivity: Mapping[str, StatedDirectivity] = field(default_factory=dict)
     position_uncertainty: float = POSITION
+    leaks: bool = False
     surfaces: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -134,6 +148,8 @@ class Scene:
                 raise DataError(f"{other} is empty, and {kind} is not; state both or neither")
         put("directivity", directivities(self.directivity, self.sources))
         put("position_uncertainty", checked_uncertainty(self.position_uncertainty))
+        if checks.flag("leaks", self.leaks) and self.mesh is None:
+            raise DataError("leaks = true is of a mesh, and no mesh is given")
         surfaces = {}
         for name, faces in checks.mapped("surfaces", self.surfaces).items():
             place = f'surfaces["{text_name("surfaces", name)}"]'
@@ -497,6 +513,52 @@ class Material:
 
 
 @dataclass(frozen=True)
+class Piece:
+    """Persons, seats or other objects of one kind, as an ``[[object]]`` of a room's file states them.
+
+    They absorb, and are no surface: the mean coefficient of a room is
+    (sum alpha_i S_i + sum n_j a_j) / S, where S is that of the surfaces alone (Kuttruff, Room
+    Acoustics, on absorption by people). Sabine's A is then that of EN 12354-6. In a calibration the
+    absorption area of one piece is an unknown like a coefficient, and a row of ``alpha``; the number
+    of pieces stands in place of an area. The pieces' share in S'alpha = b is thus linear.
+
+    Parameters
+    ----------
+    name : str
+    number : float
+        Above 0.
+    area_per_piece : sequence (n_bands,)
+        Equivalent absorption area of one in m² (ISO 354), 0 to `LARGEST_PIECE`.
+    sigma : float or sequence (n_bands,)
+        Standard deviation of each in m²; 0 for one that is exact.
+    source : str
+        Source of the values.
+    number_sigma : float
+        Relative standard deviation of the number.
+
+    Examples
+    --------
+    >>> wall = Material("wall", [0.05], [0.02], area=150)
+    >>> room = Room.from_surfaces(name="class", volume=120, centre_frequencies=[1000],
+    ...                           materials=[wall], objects=[Piece("persons", 20, [0.6], 0.1)])
+    >>> room.total_area, room.absorption_area.tolist()
+    (150.0, [19.5])
+    """
+
+    name: str
+    number: Number
+    area_per_piece: Sequence[Number]
+    sigma: PerBand
+    source: str = ""
+    number_sigma: Number = 0.0
+
+    def as_material(self, scattering: float | None = None) -> Material:
+        """Return the row that a room has for it."""
+        row = Material(self.name, self.area_per_piece, self.sigma, source=self.source)
+        return replace(row, scattering=scattering, area=self.number)
+
+
+@dataclass(frozen=True)
 class Surface:
     """One surface of a room: its material, its area in m² and the axis it stands across.
 
@@ -576,6 +638,8 @@ LEAST, LARGEST = 1e-9, 1e9
 """Of volumes in m³, the largest of areas in m², too. Nothing that is built comes near either."""
 LARGEST_LABORATORY_ALPHA = 2.0
 """ISO 354 gives up to some 1.3 for thick absorbers of 10 m² (edge effect); small objects give more."""
+LARGEST_PIECE = 10.0
+"""Largest absorption area of one piece in m². A person has some 1 m²; more is that of all pieces."""
 LEAST_SIGMA = 1e-150
 """Smallest sigma above 0: the square of a smaller one is 0 for a computer."""
 RELATIVE = ("volume_sigma", "common_area_sigma", "common_alpha_sigma")
@@ -654,6 +718,9 @@ class Room:
         Relative standard deviation that all coefficients have in common: tables off together.
     climate_sigma : (temperature, humidity)
         Standard deviations of the air's temperature in K and relative humidity in %.
+    pieces : sequence of str
+        Materials that are no surface but a `Piece`: ``areas`` has their number, ``alpha``, ``sigma``
+        and ``alpha_min`` the absorption area of one in m².
 
     Raises
     ------
@@ -694,6 +761,7 @@ class Room:
     climate_sigma: tuple[float, float] = (0.0, 0.0)
     above_one: InitVar[str] = "refuse"
     clipped: tuple[str, ...] = ()
+    pieces: tuple[str, ...] = ()
 
     def __post_init__(self, above_one: str) -> None:
         def put(**values: object) -> None:
@@ -718,6 +786,7 @@ class Room:
         for name, kind in (("air", Air), ("calibration", CalibrationRecord)):
             if getattr(self, name) is not None:
                 checks.instance(name, getattr(self, name), kind)
+        put(pieces=tuple(checks.listed("pieces", self.pieces)))
         self._check_names()
         for name in ("areas", "alpha", "sigma", "scattering", "alpha_min"):
             stated = getattr(self, name)
@@ -731,7 +800,8 @@ class Room:
             )
         if above_one == "clip":
             put(alpha=checks.shaped("alpha", self.alpha, self.n_materials, self.n_bands))
-            put(clipped=(*self.clipped, *self._clipped()), alpha=np.minimum(self.alpha, 1.0))
+            put(clipped=(*self.clipped, *self._clipped()))
+            put(alpha=np.minimum(self.alpha, self.most_alpha))
         for name in ("alpha", "sigma", "scattering", "alpha_min"):
             if getattr(self, name) is not None:
                 put(**{name: self._coefficients(name)})
@@ -774,25 +844,35 @@ class Room:
             )
         if alike := checks.look_alike(self.materials):
             raise DataError(f'materials has "{alike[0]}" and "{alike[1]}", {checks.LOOKS}')
+        for name in self.pieces:
+            self.material_index(name, "pieces: ")
+        if self.is_surface.sum() == 0:
+            raise DataError("every material is a piece; a room has at least one surface")
 
     def _clipped(self) -> list[str]:
         """Return the coefficients above 1; DataError for one above those that laboratories report."""
-        if (self.alpha > LARGEST_LABORATORY_ALPHA).any():
-            i, k = np.argwhere(self.alpha > LARGEST_LABORATORY_ALPHA)[0].tolist()
+        too_large = (self.alpha > LARGEST_LABORATORY_ALPHA) & (self.most_alpha == 1)
+        if too_large.any():
+            i, k = np.argwhere(too_large)[0].tolist()
             raise DataError(
                 f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g} looks like percent; "
                 f'above_one = "clip" takes values up to {LARGEST_LABORATORY_ALPHA:g}, as '
                 "laboratories report them"
             )
-        above = np.argwhere(self.alpha > 1).tolist()
+        above = np.argwhere(self.alpha > self.most_alpha).tolist()
         return [f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g}" for i, k in above]
 
     def _coefficients(self, name: str) -> Array:
         """Return values from 0 to 1, (n_materials, n_bands), or raise DataError naming one."""
         array = checks.shaped(name, getattr(self, name), self.n_materials, self.n_bands)
-        bad = ~np.isfinite(array) | (array < 0) | (array > 1)
+        bad = ~np.isfinite(array) | (array < 0) | (array > self.most_alpha)
         if bad.any():
             i, k = np.argwhere(bad)[0].tolist()
+            if not self.is_surface[i]:
+                raise DataError(
+                    f"{self.place(name, i, k)} = {array[i, k]:g} m² is not that of one piece, from 0 "
+                    f"to {LARGEST_PIECE:g} m²"
+                )
             rule = "in [0, 1]"
             if name == "sigma" and not array[i, k] > 0:
                 rule = "a finite value of 0 or more"
@@ -819,7 +899,11 @@ class Room:
             place = f'surface["{surface.name}"].material: '
             drawn[self.material_index(surface.material, place)] += surface.area
         for material, area, of in zip(self.materials, self.areas, drawn, strict=True):
-            if self.surfaces and not np.isclose(of, area, rtol=1e-9, atol=0):
+            if (
+                self.surfaces
+                and material not in self.pieces
+                and not np.isclose(of, area, rtol=1e-9, atol=0)
+            ):
                 raise DataError(
                     f'areas["{material}"] = {area:g} m², but its surfaces sum to {of:g} m²; change '
                     "both, or leave the surfaces out (surfaces=())"
@@ -862,7 +946,7 @@ class Room:
             }
             listed = [stated.get(i, 0.0) for i in range(self.n_materials)]
         elif not isinstance(listed, list | tuple):
-            listed = [listed] * self.n_materials
+            listed = [listed if on else 0.0 for on in self.is_surface]
         elif all(type(v) in (int, float) and v == 0 for v in listed):
             listed = [0.0] * self.n_materials  # also of a room that had other materials
         if len(listed) != self.n_materials:
@@ -899,7 +983,8 @@ class Room:
         rows = []
         for i, (name, area) in enumerate(zip(self.materials, self.areas, strict=True)):
             pairs = zip(self.alpha[i], self.sigma[i], strict=True)
-            cells = [f"{area:.4g}", *(f"{alpha:.3f} ± {sigma:.3f}" for alpha, sigma in pairs)]
+            unit = "" if name not in self.pieces else " pieces"
+            cells = [f"{area:.4g}{unit}", *(f"{alpha:.3f} ± {sigma:.3f}" for alpha, sigma in pairs)]
             rows.append(Row(name, cells, shade=[0.0, *self.alpha[i]]))
         columns = ["S / m²", *bands.labels(self.centre_frequencies)]
         return blocks.notebook(self._description, [Table(columns, rows, corner="α ± σ")])
@@ -927,14 +1012,39 @@ class Room:
         return len(self.centre_frequencies)
 
     @cached_property
+    def is_surface(self) -> NDArray[np.bool_]:
+        """Whether each material is one of surfaces, and no piece, (n_materials,)."""
+        return np.array([m not in self.pieces for m in self.materials])
+
+    @cached_property
     def total_area(self) -> float:
-        """S, the sum of the areas in m²."""
-        return float(np.sum(self.areas))
+        """S, the sum of the surfaces' areas in m²."""
+        return float(np.sum(self.areas[self.is_surface]))
 
     @property
     def absorption_area(self) -> Array:
-        """S'alpha, the surfaces' equivalent absorption area in m², (n_bands,)."""
+        """S'alpha, the equivalent absorption area of surfaces and pieces in m², (n_bands,)."""
         return np.asarray(self.areas @ self.alpha)
+
+    @property
+    def area_of_pieces(self) -> Array:
+        """Equivalent absorption area of the pieces in m², (n_bands,)."""
+        return np.asarray(self.areas[~self.is_surface] @ self.alpha[~self.is_surface])
+
+    @property
+    def without_pieces(self) -> Room:
+        """The room with its surfaces alone."""
+        if not self.pieces:
+            return self
+        return self.with_rows([self.material(m) for m in self.materials if m not in self.pieces])
+
+    def refuse_pieces(self, what: str) -> None:
+        """Raise DataError, which names ``what`` takes surfaces alone, if the room has pieces."""
+        if self.pieces:
+            raise DataError(
+                f'{what}: room "{self.name}" has the [[object]] "{self.pieces[0]}", which has no '
+                "surface; leave it out, or state a [[material]] with an area in its place"
+            )
 
     @cached_property
     def air_attenuation(self) -> Array:
@@ -1030,6 +1140,7 @@ class Room:
             "material_correlation": {
                 pair: r for pair, r in self.material_correlation.items() if names.issuperset(pair)
             },
+            "pieces": [name for name in self.pieces if name in names],
         }
         return self.replace(**(stated | changes))
 
@@ -1037,6 +1148,12 @@ class Room:
     def least_alpha(self) -> Array:
         """The lower bounds of alpha, (n_materials, n_bands)."""
         return np.zeros_like(self.alpha) if self.alpha_min is None else self.alpha_min
+
+    @property
+    def most_alpha(self) -> Array:
+        """The upper bounds of alpha, (n_materials, n_bands): 1, and `LARGEST_PIECE` of pieces."""
+        most = np.where(self.is_surface, 1.0, LARGEST_PIECE)
+        return np.broadcast_to(most[:, np.newaxis], (self.n_materials, self.n_bands))
 
     def material_rows(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the rows of materials, (n,); DataError as `material_index`."""
@@ -1059,6 +1176,7 @@ class Room:
         materials: Iterable[Material],
         centre_frequencies: Sequence[float] | Array,
         surfaces: Iterable[Surface] = (),
+        objects: Iterable[Piece] = (),
         prior: SigmaRule | None = None,
         **stated: Any,
     ) -> Room:
@@ -1100,8 +1218,24 @@ class Room:
             raise DataError(
                 f'scattering["{lacking[0]}"] is missing; state it for every material or for none'
             )
-        made = of_materials(used, frequencies, prior)
-        made |= {"areas": [np.sum(areas[m.name]) for m in used], "surfaces": drawn}
+        pieces = checks.listed("objects", objects)
+        for i, piece in enumerate(pieces):
+            checks.instance(f"objects[{i}]", piece, Piece)
+            checks.positive(f'object["{piece.name}"].number', piece.number)
+        refuse_repeats("material and object", [*listed, *pieces])
+        scattering = None if lacking else 0.0
+        rows = [*used, *(piece.as_material(scattering) for piece in pieces)]
+        made = of_materials(rows, frequencies, prior)
+        numbers = [piece.number for piece in pieces]
+        made |= {"areas": [*(np.sum(areas[m.name]) for m in used), *numbers], "surfaces": drawn}
+        made |= {"pieces": [piece.name for piece in pieces]}
+        errors = stated.pop("area_sigma", 0.0)
+        if pieces and not isinstance(errors, Mapping):
+            names = [m.name for m in used]
+            errors = dict(zip(names, np.broadcast_to(errors, len(names)).tolist(), strict=True))
+        if pieces:
+            errors = errors | {piece.name: piece.number_sigma for piece in pieces}
+        made |= {"area_sigma": errors}
         try:
             return cls(centre_frequencies=frequencies, **stated, **made)
         except TypeError as error:
@@ -1134,6 +1268,7 @@ class Room:
             {"name": name, "area": None, **asdict(self.material(name))}
             | ({"area": None} if name in covered else {})
             for name in self.materials
+            if name not in self.pieces
         ]
         tables = {
             "name": self.name,
@@ -1150,6 +1285,7 @@ class Room:
             "air": self.air and dict(sorted(asdict(self.air).items())),
             "calibration": self.calibration and asdict(self.calibration),
             "material": [{k: v for k, v in row.items() if v} for row in rows],
+            "object": [self._piece_table(name) for name in self.pieces],
             "correlation": [
                 {"materials": list(pair), "value": float(value)}
                 for pair, value in self.material_correlation.items()
@@ -1160,6 +1296,13 @@ class Room:
             ],
         }
         return {name: table for name, table in tables.items() if table}
+
+    def _piece_table(self, name: str) -> dict[str, Any]:
+        """Return an ``[[object]]`` of the room's file."""
+        m = self.material(name)
+        table = {"name": name, "number": m.area, "area_per_piece": m.alpha, "sigma": m.sigma}
+        more = {"number_sigma": m.area_sigma, "source": m.source}
+        return table | {k: v for k, v in more.items() if v}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], place: str = "") -> Room:
@@ -1196,6 +1339,7 @@ class Room:
                 for i, s in enumerate(file.surface, start=1)
             ],
             materials=file.material,
+            objects=file.object,
             prior=SigmaRule(**rule) if rule else None,
             scene=Scene.of(file),
             band_correlation=band_correlation,
@@ -1464,6 +1608,7 @@ class RoomFile(SceneTables, kw_only=True):
     common_alpha_sigma: Number = 0.0
     climate_sigma: tuple[Number, Number] = (0.0, 0.0)
     material: Annotated[list[Material], msgspec.Meta(max_length=500)] = []
+    object: Annotated[list[Piece], msgspec.Meta(max_length=500)] = []
     surface: Annotated[list[SurfaceTable], msgspec.Meta(max_length=5000)] = []
     correlation: Annotated[list[Correlation], msgspec.Meta(max_length=5000)] = []
     prior: PriorTable | None = None

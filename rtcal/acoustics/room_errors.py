@@ -225,11 +225,12 @@ def target_changes(equation: LinearEquation, room: Room, t: Array) -> Array:
         reach = asked * of_exponent
     of_climate_change = of_climate(room, lambda changed: equation.exponent_of_time(changed, t))
     sizes = np.concatenate([[room.volume_sigma, room.common_area_sigma], room.area_sigma, [1, 1]])
-    of_areas = room.areas[:, np.newaxis] * (room.alpha - (mean - reach))
+    walls = room.is_surface[:, np.newaxis]  # the number of pieces does not change S
+    of_areas = room.areas[:, np.newaxis] * (room.alpha - np.where(walls, mean - reach, 0.0))
     by_size = np.vstack(
         [
             -total * reach,
-            of_areas.sum(axis=0),
+            of_areas.sum(axis=0, where=walls),
             of_areas,
             *(total * of_exponent * change for change in of_climate_change),
         ]

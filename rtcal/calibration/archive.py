@@ -318,6 +318,7 @@ class Archive(Result):
             If no material or no band of the room is known, ``names`` has an unknown one, or the
             archive's rooms differ so far that they say nothing of the next.
         """
+        checks.instance("room", room, Room).refuse_pieces("an archive")
         known, moved, columns = self._places(room, names)
         if not known or not columns:
             what = "materials" if not known else "bands"
@@ -588,6 +589,8 @@ def learn(rooms: Sequence[Calibrated], names: Mapping[str, str] | None = None) -
     used = _counted(rooms)
     mapped = checks.mapped("names", {} if names is None else names)
     priors = [_room(result) for result in used]
+    for room in priors:
+        room.refuse_pieces("an archive")
     known = {m for room in priors for m in room.materials}
     if unknown := [name for name in mapped if name not in known]:
         raise DataError(

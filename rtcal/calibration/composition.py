@@ -181,7 +181,7 @@ class Composition:
             floors = np.array([floors[r].max(axis=0) for r in rows])
             areas = np.stack([areas[:, r].sum(axis=1) for r in rows], axis=1)
         mu, lower = alpha.ravel(), floors.ravel().copy()
-        upper = np.ones(mu.shape)
+        upper = room.most_alpha[layout.first].ravel()
         for box in self.boxes:
             where = layout.index(box.material, box.band)
             low, high = box.of(mu[where])

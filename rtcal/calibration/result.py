@@ -450,7 +450,9 @@ class JointResult(Result):
             return quantiles(layout, *self._separate)
         sigma = self.estimate_sigma
         of_all = (self.unbounded(sigma), sigma, self.numbers.lower)
-        points = normal_quantiles(*map(layout.expand, of_all))
+        unbounded, spread, lower = map(layout.expand, of_all)
+        upper = self.composition.configurations.union.most_alpha
+        points = normal_quantiles(unbounded, spread, lower, upper)
         free = layout.expand(sigma)[:, :, np.newaxis] > 0
         return np.where(free, points, self.alpha[:, :, np.newaxis])
 

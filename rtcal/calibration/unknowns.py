@@ -198,6 +198,7 @@ class Configurations:
             centre_frequencies=first.centre_frequencies,
             air=next((r.air for r in self.rooms if r.air is not None), None),
             alpha_min=np.array([np.max(rows, axis=0) for rows in of_rooms("least_alpha")]),
+            pieces=tuple({name: None for r in self.rooms for name in r.pieces}),
             band_correlation=first.band_correlation,
             material_correlation=self._pairs(),
             volume_sigma=first.volume_sigma,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,6 +47,14 @@ _OUT = console.file("out", "Measurement (CSV, xlsx) to write.")
         "In files of several channels: the one to read, or 'receivers' if each is a receiver.",
         metavar="N|receivers",
     ),
+    console.file(
+        "sweep", "Signal that was played: RESPONSES are recordings of it, and are deconvolved."
+    ),
+    console.flag(
+        "interrupted",
+        "RESPONSES are recordings of noise that is stopped, once or several times: T20, T30 and their "
+        "uncertainty.",
+    ),
     console.flag(
         "uncertainty",
         "Write the standard uncertainty of T20, T30, EDT, C50 and C80 too: per value that of one "
@@ -63,6 +72,8 @@ def measure(
     bands: str | list[float] | None,
     ranges: tuple[str, ...],
     channels: str | None,
+    sweep: str | None,
+    interrupted: bool,
     uncertainty: bool,
     repeats: bool,
     positions: str | None,
@@ -73,12 +84,20 @@ def measure(
     Says why values are missing.
 
     Example: rtcal measure *.wav --out t.csv
+
+    Example: rtcal measure recorded.wav --sweep played.wav --out t.csv
+
+    Example: rtcal measure stopped.wav --interrupted --out t.csv
     """
     from rtcal.acoustics.marks import in_measurement
-    from rtcal.io import impulse_responses, sofa
+    from rtcal.io import impulse_responses, recordings, sofa
     from rtcal.support.speed import bar
 
-    spare([path for path in (out, positions) if path is not None], responses)
+    if interrupted and (sweep is not None or uncertainty):
+        other = "--uncertainty: the spread of the stops is it" if sweep is None else "--sweep"
+        raise DataError(f"--interrupted does not go with {other}")
+    given = responses if sweep is None else (*responses, sweep)
+    spare([path for path in (out, positions) if path is not None], given)
     console.fit_ending("--out", out, *_TABLES)
     if positions is not None and len(responses) != 1:
         raise DataError("--positions is of one SOFA file: files name their positions alike")
@@ -87,7 +106,10 @@ def measure(
         console.errors_name_options("channels", "repeats"),
         bar(len(responses), "response", console.bar_wanted(), console.said()) as shown,
     ):
-        analysis = impulse_responses.read(
+        read = recordings.interrupted if interrupted else impulse_responses.read
+        if sweep is not None:
+            read = partial(recordings.from_sweep, sweep=sweep)
+        analysis = read(
             responses,
             bands="octave" if bands is None else bands,
             channels=int(channels) if channels and channels.isdecimal() else channels,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rtcal.io.material_list import ListedMaterial, MaterialList
     from rtcal.io.mend import Mended
     from rtcal.simulators.geometry import Polyhedron
+    from rtcal.simulators.path_tracing import Chords
 
 _LEAST_UNCERTAINTY = 1e-3
 """Relative uncertainty of V or of an area that a room states: no T is measured as exactly."""
@@ -51,6 +52,11 @@ _MESH = (
         "Take a mesh that cannot be closed as it is drawn: V by rays with its uncertainty, no mesh for "
         "tracers.",
         "as_drawn",
+    ),
+    console.flag(
+        "leaks",
+        "Take a mesh that cannot be closed with its holes, if a tracing loses at most 2 % of its "
+        "paths: V by rays with its uncertainty.",
     ),
     console.file("mended", "Mended mesh (OBJ) to write."),
     console.file("picture", "Picture (PNG) of the mesh to write."),
@@ -125,7 +131,12 @@ def import_room() -> None:
 @import_room.command(short_help="V, S and the defects of a mesh.")
 @console.takes(click.argument("mesh", type=click.Path()), *_MESH)
 def check(
-    mesh: str, as_drawn: bool, mended: str | None, picture: str | None, **options: Any
+    mesh: str,
+    as_drawn: bool,
+    leaks: bool,
+    mended: str | None,
+    picture: str | None,
+    **options: Any,
 ) -> None:
     """Print V, S and the defects of MESH (OBJ, glTF, COLLADA, DXF, PLY, STL, 3MF, IFC).
 
@@ -135,7 +146,7 @@ def check(
     """
     console.fit_ending("--mended", mended, ".obj")
     spare([path for path in (mended, picture) if path is not None], [mesh])
-    done = _read(mesh, as_drawn, picture, options)
+    done = _read(mesh, as_drawn, leaks, picture, options)
     if mended is not None:
         _closed(done).save(mended)
     notes = [console.as_options(note, ["unit"]) for note in done.notes]
@@ -155,6 +166,7 @@ def _imported(
     program: str,
     mesh: str | None,
     as_drawn: bool,
+    leaks: bool,
     mended: str | None,
     picture: str | None,
     name: str | None,
@@ -190,7 +202,7 @@ def _imported(
             if materials is None
             else getattr(io, program).read(materials, **of_library)
         )
-    model = None if mesh is None else _read(mesh, as_drawn, picture, options)
+    model = None if mesh is None else _read(mesh, as_drawn, leaks, picture, options)
     volume, surfaces = _volume_and_surfaces(model, as_drawn, volume, areas, listed.names)
     used = list(dict.fromkeys(surface.material for surface in surfaces))
     chosen = console.texts("--catalogue", in_catalogue, "NAME=ENTRY")
@@ -268,15 +280,18 @@ for _program in (*PROGRAMS, "library", "catalogue"):
     _add_import(_program)
 
 
-def _read(mesh: str, as_drawn: bool, picture: str | None, options: Any) -> Mended:
+def _read(mesh: str, as_drawn: bool, leaks: bool, picture: str | None, options: Any) -> Mended:
     """Return the room of a mesh, and draw it, with its open edges where it does not close.
 
-    With ``as_drawn`` a mesh that cannot be closed has V by rays and S as it is drawn. ``options`` are
-    those of `rtcal.io.mesh.room`.
+    With ``as_drawn`` a mesh that cannot be closed has V by rays and S as it is drawn; with ``leaks`` it
+    has its holes, too. ``options`` are those of `rtcal.io.mesh.room`.
     """
+    if as_drawn and leaks:
+        raise DataError("--open and --leaks are both given: a mesh is taken in one way")
     from rtcal.io import mesh as meshes
     from rtcal.io.mend import MeshError
     from rtcal.report import figures
+    from rtcal.simulators.path_tracing import MOST_LEAKED, by_chords
 
     with (
         console.errors_name_options("unit", "weld"),
@@ -291,8 +306,16 @@ def _read(mesh: str, as_drawn: bool, picture: str | None, options: Any) -> Mende
                 figures.save(figures.wireframe(drawn, error.edges), picture)
             if as_drawn and error.unclosed is not None:
                 return error.unclosed
+            chords = None if error.leaking is None else by_chords(error.leaking)
+            takes_paths = chords is not None and chords.lost_paths <= MOST_LEAKED
+            if leaks and error.unclosed is not None and chords is not None and takes_paths:
+                return _leaking(error.unclosed, error.leaking, chords)
             refused = str(error)
-            if error.unclosed is not None:
+            if leaks and chords is not None:
+                refused += f". --leaks: {chords}; at most {100 * MOST_LEAKED:g} % may"
+            elif takes_paths:
+                refused += f". {str(chords)[:1].upper()}{str(chords)[1:]}: --leaks takes it"
+            elif error.unclosed is not None:
                 v, u = error.unclosed.volume, error.unclosed.volume_uncertainty
                 refused += (
                     f". By rays V = {rounded(v, 4)} ± {rounded(u, 2)} m³: `rtcal import` takes it with "
@@ -305,6 +328,17 @@ def _read(mesh: str, as_drawn: bool, picture: str | None, options: Any) -> Mende
     if picture is not None:
         figures.save(figures.wireframe(_closed(done)), picture)
     return done
+
+
+def _leaking(drawn: Mended, geometry: Polyhedron | None, chords: Chords) -> Mended:
+    """Return the room of a mesh with its holes, with V by rays."""
+    return replace(
+        drawn,
+        geometry=geometry,
+        volume=chords.volume,
+        volume_uncertainty=chords.volume_uncertainty,
+        notes=(f"not closed, and taken with its holes: {chords}", *drawn.notes),
+    )
 
 
 def _closed(model: Mended) -> Polyhedron:
@@ -352,9 +386,9 @@ def _with_scene(
     from rtcal.acoustics.room import Scene
 
     if mended is None:
-        as_it_is = all(d.kind == "gap" for d in model.defects)
         if model.geometry is None:
             return room
+        as_it_is = all(d.kind == "gap" for d in model.defects) and not model.geometry.leaks
         if as_it_is and Path(mesh).suffix.lower() == ".obj":
             return room.replace(scene=Scene(mesh=mesh, unit=1.0 if unit is None else unit))
         beside = Path(out).with_suffix(".obj")
@@ -364,7 +398,7 @@ def _with_scene(
     geometry = _closed(model)
     spare([mended], [mesh])
     geometry.save(mended)
-    return room.replace(scene=Scene(mesh=mended, unit=1.0))
+    return room.replace(scene=Scene(mesh=mended, unit=1.0, leaks=geometry.leaks))
 
 
 def _with_uncertainty(room: Room, model: Mended) -> tuple[Room, list[str]]:
@@ -374,7 +408,8 @@ def _with_uncertainty(room: Room, model: Mended) -> tuple[Room, list[str]]:
     if model.volume_uncertainty > _LEAST_UNCERTAINTY * room.volume:
         sigma = float(f"{model.volume_uncertainty / room.volume:.2g}")
         room = room.replace(volume_sigma=sigma)
-        drawn = "drawn: its faces do not close" if model.geometry is None else "mended"
+        is_open = model.geometry is None or model.geometry.leaks
+        drawn = "drawn: its faces do not close" if is_open else "mended"
         notes.append(f"V is known to {100 * sigma:.2g} % (volume_sigma), by what was {drawn}")
     unsure = model.area_uncertainty
     of_room = zip(room.materials, room.areas.tolist(), strict=True)

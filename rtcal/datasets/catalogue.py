@@ -3,6 +3,8 @@
 Its values (after M. Vorländer, Auralization, 2008, Appendix) are under the MIT licence of
 pyroomacoustics. They are handbook values, which need a realistic sigma. ``material_names.toml`` has
 what people call them, and how their specimens are mounted.
+
+Pieces, such as persons and chairs, are a table here (`piece`).
 """
 
 from __future__ import annotations
@@ -20,14 +22,14 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.priors import SigmaRule, sigma_iso_12999_2
-from rtcal.acoustics.room import Material
+from rtcal.acoustics.room import Material, Piece
 from rtcal.io import pyroomacoustics
 from rtcal.io.material_list import MaterialList
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
-__all__ = ["material", "names", "similar"]
+__all__ = ["material", "names", "piece", "similar"]
 __dir__ = __all__.copy
 
 _TABLE = "pyroomacoustics"
@@ -107,6 +109,69 @@ def material(
         alpha=alpha.tolist(),
         sigma=(SigmaRule(in_situ_factor=in_situ_factor).in_situ_factor * sigma).tolist(),
         source=entries[name].source,
+    )
+
+
+_EN = "EN 12354-6:2003, Annex C"
+_KUTTRUFF = "Kuttruff, Room Acoustics (2009), equivalent absorption area of persons"
+PIECES: dict[str, tuple[str, list[float], list[float]]] = {
+    "wooden chair": (_EN, [0.02, 0.02, 0.03, 0.04, 0.04, 0.04], []),
+    "upholstered chair": (_EN, [0.10, 0.20, 0.25, 0.30, 0.35, 0.35], []),
+    "person in a group": (
+        f"{_EN}, one per 6 m², middle of typical minimum and maximum",
+        [0.05, 0.10, 0.20, 0.35, 0.50, 0.65],
+        [0.12, 0.45, 0.80, 0.90, 0.95, 1.00],
+    ),
+    "person standing": (_KUTTRUFF, [0.12, 0.24, 0.59, 0.98, 1.13, 1.12], []),
+    "person standing in a heavy coat": (_KUTTRUFF, [0.17, 0.41, 0.91, 1.30, 1.43, 1.47], []),
+    "musician with instrument": (_KUTTRUFF, [0.60, 0.95, 1.06, 1.08, 1.08, 1.08], []),
+}
+"""Source, and area per piece in m² at 125 to 4000 Hz, of some its least and largest. The values were
+written down without the sources at hand: they are approximate, as each piece's ``source`` says."""
+_OF_A_PIECE = 0.3
+"""Relative standard deviation of an area per piece of which no range is known, a judgement."""
+
+
+def piece(name: str, number: float, centre_frequencies: Sequence[float] | Array) -> Piece:
+    """Return pieces of the catalogue with a sigma.
+
+    sigma is 30 % of the value, at least 0.01 m²; of a range between typical values, that of an even
+    distribution.
+
+    Parameters
+    ----------
+    name : str
+        One of `PIECES`.
+    number : float
+    centre_frequencies : sequence (n_bands,)
+        Octaves from 125 to 4000 Hz.
+
+    Raises
+    ------
+    DataError
+        For an unknown name or a band that the catalogue lacks.
+
+    Examples
+    --------
+    >>> piece("upholstered chair", 40, [500, 1000]).area_per_piece
+    [0.25, 0.3]
+    """
+    if name not in PIECES:
+        raise DataError(f'"{name}" is not among the pieces: {", ".join(PIECES)}')
+    source, low, high = PIECES[name]
+    f, octaves = bands.as_bands(centre_frequencies), [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
+    if other := next((each for each in f.tolist() if each not in octaves), None):
+        raise DataError(f'"{name}" has no value at {bands.label(other)}; it has 125 to 4000 Hz')
+    rows = [octaves.index(each) for each in f.tolist()]
+    ends = np.array([low, high or low])[:, rows]
+    mean = ends.mean(axis=0)
+    sigma = np.ptp(ends, axis=0) / np.sqrt(12) if high else np.maximum(_OF_A_PIECE * mean, 0.01)
+    return Piece(
+        name=name,
+        number=number,
+        area_per_piece=mean.round(4).tolist(),
+        sigma=sigma.round(4).tolist(),
+        source=f"{source}; approximate",
     )
 
 

@@ -447,7 +447,7 @@ class Case:
     neither is the room's error."""
 
     def __post_init__(self) -> None:
-        checks.instance("room", self.room, Room)
+        checks.instance("room", self.room, Room).refuse_pieces("a case")
         mean_equation(self.equation)
         for name, kind in (("configurations", Configuration), ("applied", AppliedEffect)):
             every = checks.listed(name, getattr(self, name))
@@ -925,7 +925,7 @@ class StatesCase:
 
     def __post_init__(self) -> None:
         put = partial(object.__setattr__, self)
-        checks.instance("room", self.room, Room)
+        checks.instance("room", self.room, Room).refuse_pieces("a case")
         checks.instance("before", self.before, Measurement).refuse_large_uncertainty()
         checks.instance("after", self.after, Measurement).refuse_large_uncertainty()
         checks.instance("equation", self.equation, LinearEquation)

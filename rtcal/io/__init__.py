@@ -4,7 +4,8 @@
 `library` reads product data, `mesh` a room's mesh as it comes, `obj` one that closes, `tables` measured
 values, `sofa` responses with their positions, `balloon` what a loudspeaker radiates. `geometry_files`
 makes a path tracing of a room that states its scene. `impulse_responses` turns sound and SOFA files
-into a `Measurement` and needs ``rtcal[measurement]``. Each module is imported at its first use.
+into a `Measurement`, `recordings` those of a sweep or of noise that is stopped; both need
+``rtcal[measurement]``. Each module is imported at its first use.
 """
 
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from rtcal.io import library as library
     from rtcal.io import mesh as mesh
     from rtcal.io import obj as obj
+    from rtcal.io import recordings as recordings
     from rtcal.io import sofa as sofa
     from rtcal.io import tables as tables
     from rtcal.io.material_list import bras as bras

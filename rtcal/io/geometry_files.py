@@ -30,7 +30,7 @@ def read(room: Room) -> Polyhedron:
     """
     checks.instance("room", room, Room)
     if room.scene.mesh is not None:
-        geometry = obj.read(room.scene.mesh, unit=room.scene.unit)
+        geometry = obj.read(room.scene.mesh, unit=room.scene.unit, leaks=room.scene.leaks)
         for face, material in zip(geometry.names, geometry.materials, strict=True):
             try:
                 room.material_index(material)

@@ -120,11 +120,25 @@ def read(
         For a file that cannot be read, and for several channels without ``channels``;
         the message names file and rule.
     """
+    doubts = list[str]()
+    responses = responses_of(path, channels, repeats, doubts)
+    return analysed(responses, bands, ranges_of(minimum_range), progress, doubts)
+
+
+def responses_of(
+    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    channels: int | str | None,
+    repeats: bool,
+    doubts: list[str],
+) -> dict[tuple[str, str], Response]:
+    """Return what files hold by source and receiver, as `read` names them; DataError as that.
+
+    Doubts about the files are added to ``doubts``.
+    """
     paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
     if not paths:
         raise DataError("no file of an impulse response is given")
-    responses: dict[tuple[str, str], _Response] = {}
-    doubts = list[str]()
+    responses: dict[tuple[str, str], Response] = {}
     for file in paths:
         of_sofa = sofa.recognises(file)
         for source, receiver, every in _of_sofa(file) if of_sofa else _of_sound(file, doubts):
@@ -139,10 +153,10 @@ def read(
                 name = next(n for n in names if (source, n) not in responses)
                 several = channels == "receivers" or of_sofa
                 place = os.fspath(file) + (f", {source}, {name}" if several else "")
-                responses[source, name] = _Response(place, response.load, response.sampling_rate)
+                responses[source, name] = Response(place, response.load, response.sampling_rate)
     if repeats:
         require_repeats(places_of([*responses]), os.fspath(paths[0]))
-    return _analysis(responses, bands, _ranges(minimum_range), progress, doubts)
+    return responses
 
 
 class Floor(Enum):
@@ -153,6 +167,7 @@ class Floor(Enum):
     END = "It is {} dB at the end of the response, where noise begins or the decay is cut off."
     FLAT = "The decay begins less than 10 dB above the end of the response (noise, or a cut decay)."
     SHORT = "The response is silent or shorter than 50 ms."
+    UNSTEADY = "The sound before its stop is no steady noise in this band."
     LATE = (
         "The energy arrives late, as in a recording of a sweep, of interrupted noise or of two sounds: "
         "it is no decay."
@@ -262,7 +277,7 @@ def _opened(path: str) -> Iterator[Any]:
         raise DataError(f"{path}: {error.strerror or error}") from error
 
 
-class _Response(NamedTuple):
+class Response(NamedTuple):
     """A response of a ``place``: ``load`` returns its samples, (n_samples,), at the rate in Hz.
 
     It is loaded where it is needed, so that one at a time is in memory.
@@ -275,7 +290,7 @@ class _Response(NamedTuple):
 
 def _of_sound(
     path: str | os.PathLike[str], doubts: list[str]
-) -> Iterator[tuple[str, str, list[_Response]]]:
+) -> Iterator[tuple[str, str, list[Response]]]:
     """Yield source, receiver and channels of a sound file, named by its name.
 
     A lossy coding and an end that is missing are added to ``doubts``. Raises DataError for a file that
@@ -303,7 +318,7 @@ def _of_sound(
     stem = Path(place).stem
     source, receiver = position_in(stem) or ("S1", stem)
     loads = [partial(_samples, place, n, channel) for channel in range(n_channels)]
-    yield source, receiver, [_Response(place, load, float(rate)) for load in loads]
+    yield source, receiver, [Response(place, load, float(rate)) for load in loads]
 
 
 def _samples(path: str, n: int, channel: int) -> Array:
@@ -319,17 +334,17 @@ def _samples(path: str, n: int, channel: int) -> Array:
     return samples
 
 
-def _of_sofa(path: str | os.PathLike[str]) -> Iterator[tuple[str, str, list[_Response]]]:
+def _of_sofa(path: str | os.PathLike[str]) -> Iterator[tuple[str, str, list[Response]]]:
     """Yield source, receiver and channels of each measurement in a SOFA file."""
     file, place = sofa.read(path), os.fspath(path)
     for (source, receiver), samples in zip(file.pairs, file.samples, strict=True):
         loads = [partial(np.asarray, channel, dtype=float) for channel in samples]
-        yield source, receiver, [_Response(place, load, file.sampling_rate) for load in loads]
+        yield source, receiver, [Response(place, load, file.sampling_rate) for load in loads]
 
 
 def _chosen(
-    every: Sequence[_Response], receiver: str, channels: int | str | None, place: str
-) -> list[tuple[str, _Response]]:
+    every: Sequence[Response], receiver: str, channels: int | str | None, place: str
+) -> list[tuple[str, Response]]:
     """Return the receivers' names and responses of those channels of a measurement that are read."""
     n_channels = len(every)
     if channels == "receivers" and n_channels > 1:
@@ -378,8 +393,8 @@ def analyse(
     MissingDependencyError
         If pyfar or pyrato is not installed.
     """
-    _libraries()
-    needed = _ranges(minimum_range)
+    libraries()
+    needed = ranges_of(minimum_range)
     signals = dict(signals) if isinstance(signals, Mapping) else {("S1", "R1"): signals}
     if not signals:
         raise DataError("no impulse response is given")
@@ -390,26 +405,26 @@ def analyse(
         if len(shape) != 2 or shape[0] != 1:
             raise DataError(f"signals: {pair} has shape {shape}; one channel is needed")
     responses = {
-        pair: _Response(
+        pair: Response(
             f"impulse response {'/'.join(pair)}",
             partial(np.asarray, signal.time[0], dtype=float),
             float(signal.sampling_rate),
         )
         for pair, signal in signals.items()
     }
-    return _analysis(responses, bands, needed, progress)
+    return analysed(responses, bands, needed, progress)
 
 
-def _analysis(
-    responses: Mapping[tuple[str, str], _Response],
+def analysed(
+    responses: Mapping[tuple[str, str], Response],
     bands: str | Sequence[float],
     needed: dict[str, float],
     progress: Callable[[], None] | None,
     doubts: Sequence[str] = (),
 ) -> Analysis:
     """Return the parameters of responses; ``doubts`` are notes on their files."""
-    _libraries()
-    centres, fractions = _centres(bands, min(r.sampling_rate for r in responses.values()))
+    libraries()
+    centres, fractions = centres_of(bands, min(r.sampling_rate for r in responses.values()))
     found: list[list[OfEnergy]] = []
     of_files: dict[str, list[str]] = {_BARE: [], _LATE: [], _CLIPPED: [], _SILENT: []}
     for response in responses.values():
@@ -429,18 +444,33 @@ def _analysis(
         found.append(of_bands)
         if progress is not None:
             progress()
-    values = {
-        p: np.array([[of_band.values.get(p, np.nan) for of_band in row] for row in found])
-        for p in MINIMUM_RANGE
-    }
-    measurement = Measurement(centre_frequencies=centres, pairs=tuple(responses), values=values)
     placed = places_of([*responses])
     notes = [*note_of_repeats(placed), *doubts]
     notes += [note.format(first_of(some, MOST_NAMED)) for note, some in of_files.items() if some]
+    return assembled([*responses], found, centres, needed, notes)
+
+
+def assembled(
+    pairs: Sequence[tuple[str, str]],
+    found: Sequence[Sequence[OfEnergy]],
+    centres: Array,
+    needed: Mapping[str, float],
+    notes: list[str],
+) -> Analysis:
+    """Return the parameters ``needed`` of pairs, of which repeats are averaged, with further notes.
+
+    ``found`` (n_pairs, n_bands) are those of each.
+    """
+    fractions = 1 if _bands.bandwidth_factor(centres) > 0.5 else 3
+    values = {
+        p: np.array([[of_band.values.get(p, np.nan) for of_band in row] for row in found])
+        for p in needed
+    }
+    measurement = Measurement(centre_frequencies=centres, pairs=tuple(pairs), values=values)
     times = np.full((len(found), len(centres)), np.inf)
-    for p in reversed(of_kind(DecaySlope)):  # the first replaces the others
+    for p in reversed([p for p in of_kind(DecaySlope) if p in values]):  # the first replaces others
         times = np.where(np.isfinite(values[p]), values[p], times)
-    for centre, product in zip(centres, (_bandwidth(centres, fractions) * times).T, strict=True):
+    for centre, product in zip(centres, (bandwidth_of(centres, fractions) * times).T, strict=True):
         if (short := product[product < LEAST_BT]).size:
             count = "" if len(found) == 1 else f" in {short.size} of {len(found)} pairs"
             notes.append(
@@ -452,7 +482,7 @@ def _analysis(
         for band in bent_decays(measurement)
     ]
     least: dict[tuple[str, str], list[OfEnergy]] = {}  # of repeats, that which reaches least deep
-    for place_of, row in zip(placed, found, strict=True):
+    for place_of, row in zip(places_of(pairs), found, strict=True):
         others = least.get(place_of, row)
         least[place_of] = [
             min(both, key=lambda x: x.ratio) for both in zip(others, row, strict=True)
@@ -501,7 +531,7 @@ _LARGEST = 1e150
 """Largest sample whose square is finite, with a margin for sums."""
 
 
-def _prepared(response: _Response) -> tuple[Array, int, float, int]:
+def _prepared(response: Response) -> tuple[Array, int, float, int]:
     """Return the samples with a peak of 1, the onset, the silence in s and the clipped samples.
 
     Digital silence at the end, a run of equal samples, is left out. It is no noise, and would
@@ -555,7 +585,7 @@ def clipped_samples(time: Array) -> int:
     return count
 
 
-def _bandwidth(centre: Any, fractions: int) -> Any:
+def bandwidth_of(centre: Any, fractions: int) -> Any:
     return centre * (2 ** (0.5 / fractions) - 2 ** (-0.5 / fractions))
 
 
@@ -577,8 +607,8 @@ def _of_band(
     time: Array, onset: int, rate: float, centre: float, fractions: int, needed: Mapping[str, float]
 ) -> OfEnergy:
     """Return the parameters of a response, (n_samples,), in one band."""
-    bandwidth = _bandwidth(centre, fractions)
-    energy = _filtered(time, rate, centre, fractions)
+    bandwidth = bandwidth_of(centre, fractions)
+    energy = filtered(time, rate, centre, fractions)
     lead = min(onset, int(4 / bandwidth * rate))
     before = float(energy[onset - lead : onset].sum())
     # At the end, where it starts, the filter has not risen yet.
@@ -801,7 +831,7 @@ def _line(energy: Array, rate: float, centre: float | None) -> tuple[float, floa
 
     Where it crosses the noise and its T, both in samples, and the noise, energy per sample.
     """
-    pyfar, pyrato = _libraries()
+    pyfar, pyrato = libraries()
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         try:
@@ -833,11 +863,11 @@ def _energy_ratios(curve: Array, rate: float) -> dict[str, float]:
     }
 
 
-def _filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:
+def filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:
     """Square of the response in one band, filtered backwards in time."""
     from scipy.signal import sosfilt
 
-    pyfar, _ = _libraries()
+    pyfar, _ = libraries()
     band = pyfar.dsp.filter.fractional_octave_bands(
         None,
         fractions,
@@ -850,7 +880,7 @@ def _filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:
     return np.asarray(np.square(filtered, out=filtered))
 
 
-def _centres(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
+def centres_of(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
     """Return the centre frequencies, (n_bands,), and 1 for octaves or 3 for thirds of an octave."""
     named = {"octave": _bands.octaves(63, 8000), "third-octave": _bands.third_octaves(50, 10000)}
     if isinstance(bands, str) and bands not in named:
@@ -871,7 +901,7 @@ def _centres(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
     return stated, fractions
 
 
-def _ranges(minimum_range: Mapping[str, float] | None) -> dict[str, float]:
+def ranges_of(minimum_range: Mapping[str, float] | None) -> dict[str, float]:
     chosen = dict(MINIMUM_RANGE)
     stated = {} if minimum_range is None else minimum_range
     for name, value in checks.mapped("minimum_range", stated).items():
@@ -886,7 +916,7 @@ def _ranges(minimum_range: Mapping[str, float] | None) -> dict[str, float]:
     return chosen
 
 
-def _libraries() -> tuple[Any, Any]:
+def libraries() -> tuple[Any, Any]:
     """Return pyfar and pyrato; MissingDependencyError if one of them is missing."""
     needed = "impulse responses need pyfar and pyrato: pip install 'rtcal[measurement]'"
     return library(needed, "pyfar"), library(needed, "pyrato")

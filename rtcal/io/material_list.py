@@ -589,7 +589,8 @@ class Format:
         DataError
             For a material that the file lacks, and for a file that cannot be read or written.
         """
-        checks.instance("room", room, Room)
+        whole = checks.instance("room", room, Room)
+        room = whole.without_pieces
         checks.choice("missing_bands", missing_bands, ("refuse", "nearest"))
         entries = checks.text_by_name("entries", entries)
         equation = Eyring() if equation is None else equation
@@ -628,7 +629,12 @@ class Format:
             rounded = tuple(m.with_decimals(decimals) for m in listed.materials)
             listed = replace(listed, materials=rounded)
         content, as_read, lacking = listed.with_room(room)
-        notes += _without_measured_time(room, equation)
+        notes += _without_measured_time(whole, equation)
+        if whole.pieces:
+            notes.append(
+                f"The list has surfaces alone, and T is without {', '.join(whole.pieces)}: draw what "
+                "stands for them in the program"
+            )
         time = equation.reverberation_time(room)
         between = room.centre_frequencies, as_read.centre_frequencies
         rule = bands.rule(*between, "alpha")
@@ -650,7 +656,7 @@ class Format:
             reverberation_time_as_read=time_as_read,
             bands_not_written=tuple(map(float, bands.unused(*between))),
             notes=tuple(notes),
-            lost=_lost(room, lacking),
+            lost=(*_lost(room, lacking), *(["[[object]]"] if whole.pieces else [])),
         )
 
 

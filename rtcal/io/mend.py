@@ -32,6 +32,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -192,13 +193,15 @@ class MeshError(DataError):
     """A mesh that is refused.
 
     ``reason`` is why, ``defects`` are all that were found, ``edges`` (n, 2, 3) are where it is open, in
-    m. ``unclosed`` is the room as it is drawn, if there is a shell.
+    m. ``unclosed`` is the room as it is drawn, if there is a shell, and ``leaking`` its geometry with
+    the holes, if its faces are plane.
     """
 
     reason = ""
     defects: tuple[Defect, ...] = ()
     edges: Array = np.zeros((0, 2, 3))
     unclosed: Mended | None = None
+    leaking: Polyhedron | None = None
 
 
 def combined(parts: Iterable[tuple[str, float]]) -> dict[str, float]:
@@ -894,6 +897,12 @@ def as_drawn(shell: FaceSet, others: Sequence[FaceSet], error: MeshError) -> Mes
     volume, u = volume_by_rays([p for part in (shell, *crossed) for p in part.polygons])
     size, notes = tuple(np.ptp(shell.points, axis=0).tolist()), shell.mend.drawn.notes
     error.unclosed = Mended(None, volume, u, areas, size, error.defects, notes)
+    named = [(p.materials, p.polygons) for p in (shell, *crossed)]
+    faces = [
+        (f"{m} {i}", m, q) for part in named for i, (m, q) in enumerate(zip(*part, strict=True), 1)
+    ]
+    with suppress(DataError):  # that the faces bound nothing is in the message
+        error.leaking = Polyhedron.from_polygons(faces, leaks=True)
     return error
 
 

@@ -44,22 +44,31 @@ _IGNORED = frozenset(
 """Texture, normals, curves, material libraries and smoothing."""
 
 
-def read(path: str | os.PathLike[str], *, unit: float = 1.0) -> Polyhedron:
+def read(path: str | os.PathLike[str], *, unit: float = 1.0, leaks: bool = False) -> Polyhedron:
     """Return a room; DataError names file, line and rule, or the edge at which the walls do not close.
 
-    ``unit`` is the length of the file's unit in m: 0.001 for a model in mm.
+    ``unit`` is the length of the file's unit in m: 0.001 for a model in mm. ``leaks`` says that the
+    walls may have small holes, as of `Polyhedron`.
     """
-    return parse(read_bytes(path, MAX_TEXT), os.fspath(path), unit=unit)
+    return parse(read_bytes(path, MAX_TEXT), os.fspath(path), unit=unit, leaks=leaks)
 
 
-def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyhedron:
+def parse(
+    content: bytes, path: str = "OBJ file", *, unit: float = 1.0, leaks: bool = False
+) -> Polyhedron:
     """Return the room of a file's content; see `read`."""
     unit = checks.positive("unit", unit, "m")
     vertices, polygons, materials, names, line = drawn(content, path, unit, "", MAX_FACES)
     if not polygons:
         raise DataError(f"{path}, line {line}: there is no face; a room has at least 4")
     try:
-        room = Polyhedron(vertices=vertices, faces=polygons, materials=materials, names=names)  # type: ignore[arg-type]
+        room = Polyhedron(
+            vertices=vertices,  # type: ignore[arg-type]
+            faces=polygons,
+            materials=materials,
+            names=names,
+            leaks=leaks,
+        )
     except DataError as error:
         raise DataError(
             f"{path}: {error}; `rtcal import check {path}` lists all defects, and mends what it can"

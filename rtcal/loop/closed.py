@@ -309,6 +309,7 @@ class Loop(Result):
 
     def __post_init__(self) -> None:
         checks.choice("rule", self.rule, RULES)
+        self.prior.refuse_pieces("a loop with a simulation program")
         preset(self.method)
         if self.decimals is not None and checks.whole("decimals", self.decimals, 1) > MAX_DECIMALS:
             raise DataError(f"decimals = {self.decimals} is more than {MAX_DECIMALS}")

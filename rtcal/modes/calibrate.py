@@ -93,7 +93,7 @@ def calibrate_modes(
     MissingDependencyError
         If the room is no box and scikit-fem is not installed (``rtcal[modes]``).
     """
-    checks.instance("room", room, Room)
+    checks.instance("room", room, Room).refuse_pieces("a calibration to modes")
     if isinstance(modes, Responses):
         modes = modes_in(room, modes, geometry)
     checks.instance("modes", modes, MeasuredModes)

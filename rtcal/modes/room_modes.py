@@ -739,6 +739,8 @@ class RoomPoles:
         Errors as `rtcal.calibrate_modes`.
         """
         geometry = geometry_files.read(room) if geometry is None else geometry
+        if geometry.leaks:
+            raise DataError("the modes of a room need a closed mesh, and this one leaks")
         check_walls(geometry, room)
         if doubt := area_doubt(geometry, room):
             raise DataError(doubt)

@@ -123,7 +123,7 @@ class KnownRoom:
             equation=equation,
             materials=tuple(room.materials),
             alpha=room.alpha,
-            quantiles=normal_quantiles(room.alpha, sigma, room.least_alpha),
+            quantiles=normal_quantiles(room.alpha, sigma, room.least_alpha, room.most_alpha),
             correlation=correlation,
             time=equation.time(room, room.absorption_area),
             measured=np.zeros(room.n_bands, dtype=bool),
@@ -143,11 +143,11 @@ def correlation_of(covariance: Array) -> tuple[Array, Array]:
     return sigma.T, correlation
 
 
-def normal_quantiles(centre: Array, sigma: Array, lower: Array) -> Array:
-    """Return the quantiles at `NORMAL` of normal densities cut to ``lower`` to 1, (..., n_levels)."""
+def normal_quantiles(centre: Array, sigma: Array, lower: Array, upper: Array) -> Array:
+    """Return the quantiles at `NORMAL` of normal densities cut to their bounds, (..., n_levels)."""
     scale = np.where(sigma > 0, sigma, 1.0)[..., np.newaxis]
     middle = centre[..., np.newaxis]
-    low, high = (lower[..., np.newaxis] - middle) / scale, (1 - middle) / scale
+    low, high = ((end[..., np.newaxis] - middle) / scale for end in (lower, upper))
     shape = (*centre.shape, len(NORMAL))
     least, most, levels = (np.broadcast_to(each, shape) for each in (low, high, ndtr(NORMAL)))
     cut = middle + scale * truncated_normal(least, most, levels)
@@ -255,6 +255,15 @@ class TimeChange:
         return out
 
     @cached_property
+    def is_surface(self) -> Flags:
+        """Whether each material has surfaces, and is no piece, (n_materials,)."""
+        pieces = {
+            *self.after.pieces,
+            *(name for room in _rooms(self.known) for name in room.pieces),
+        }
+        return np.array([name not in pieces for name in self.materials])
+
+    @cached_property
     def exchanged(self) -> Array:
         """Area in m² of each material that the other state lacks, (2, n_materials)."""
         whole = self.areas.sum(axis=2)
@@ -279,7 +288,8 @@ class TimeChange:
             return before
         names, rows = self.materials[len(known.materials) :], self._new
         errors = _area_errors([*_rooms(known), room], names, self.assumptions)
-        quantiles = normal_quantiles(room.alpha[rows], room.sigma[rows], room.least_alpha[rows])
+        bounds = room.least_alpha[rows], room.most_alpha[rows]
+        quantiles = normal_quantiles(room.alpha[rows], room.sigma[rows], *bounds)
         alpha, factor = _draws(
             names, room.alpha[rows], quantiles, errors, self.assumptions, np.eye(len(rows)), DRAWS
         )
@@ -399,7 +409,7 @@ class TimeChange:
         """Return ln T by the equation, and the air's absorption area in m², (n_bands, n_draws) each."""
         room, equation, first = self._both[state].room, self.known.equation, self._both[0].room
         areas = self.areas[state].sum(axis=1)
-        total = areas.sum()
+        total = areas[self.is_surface].sum()
         size = max(first.volume_sigma, room.volume_sigma) or self.assumptions.volume
         grown = np.exp(size * unknowns.volume)
         volume = first.volume + (room.volume - first.volume) * grown
@@ -456,27 +466,28 @@ class TimeChange:
         What stands free absorbs as if it were spread over all walls. What has no known direction is
         spread where a cube would have its area.
         """
-        areas = self.areas[state]
+        areas, walls = self.areas[state], self.is_surface
         axes = areas[:, :3].sum(axis=0)
-        lacking = np.maximum(areas.sum() / 3 - axes, 1e-9)
+        lacking = np.maximum(areas[walls].sum() / 3 - axes, 1e-9)
         axes = axes + areas[:, UNKNOWN].sum() * lacking / lacking.sum()
         spread = areas[:, :3] + np.outer(areas[:, UNKNOWN], lacking / lacking.sum())
         spread = spread + np.outer(areas[:, FREE], axes / axes.sum())
-        return spread.sum(axis=0), np.einsum("na,knd->kad", spread, absorption)
+        return spread[walls].sum(axis=0), np.einsum("na,knd->kad", spread, absorption)
 
     def _on_one_axis(self, state: int, absorption: Array) -> tuple[Array, Array]:
         """Return the same of two axes, the first with all that is exchanged and has no direction."""
-        areas = self.areas[state].sum(axis=1)
+        areas, walls = self.areas[state].sum(axis=1), self.is_surface
         whole = self.areas.sum(axis=2)
         share = self.areas[:, :, UNKNOWN].max(axis=0) / whole.max(axis=0)
         exchanged = self.exchanged * share
-        total, most = areas.sum(), exchanged.sum(axis=1).max()
+        total, most = areas[walls].sum(), exchanged.sum(axis=1).max()
         first = min(max(2 * most, total / 3), max(_MOST_OF_AXIS * total, most))
         here = exchanged[state]
         rest = areas - here
-        left = (first - here.sum()) / rest.sum() if rest.sum() > 0 else 0.0
+        of_walls = rest[walls].sum()
+        left = (first - here.sum()) / of_walls if of_walls > 0 else 0.0
         spread = np.stack([here + left * rest, (1 - left) * rest], axis=1)
-        return spread.sum(axis=0), np.einsum("na,knd->kad", spread, absorption)
+        return spread[walls].sum(axis=0), np.einsum("na,knd->kad", spread, absorption)
 
 
 @functools.lru_cache(16)

@@ -51,6 +51,9 @@ class Polyhedron:
         Name of each face's material.
     names : sequence of str (n_faces,), optional
         Name of each face, by default "face 1", "face 2", ...
+    leaks : bool
+        Whether the walls may have small holes. `rtcal.simulators.path_tracing.by_chords` says how much
+        of the surface they are; the volume lacks what they cut off.
 
     Attributes
     ----------
@@ -83,6 +86,7 @@ class Polyhedron:
     faces: Sequence[Sequence[int]]
     materials: Sequence[str]
     names: Sequence[str] = ()
+    leaks: bool = False
     face_areas: Array = field(init=False)
     normals: Array = field(init=False)
     triangles: Array = field(init=False)
@@ -111,7 +115,8 @@ class Polyhedron:
                     f"{len(self.faces)} faces"
                 )
         faces = [self._face(i, index) for i in range(len(self.faces))]
-        faces = _turned_outward(vertices, faces, self.names)
+        checks.flag("leaks", self.leaks)
+        faces = _turned_outward(vertices, faces, self.names, self.leaks)
         put("faces", tuple(faces))
         areas = vector_areas(vertices, faces)
         put("face_areas", np.linalg.norm(areas, axis=1))
@@ -178,7 +183,9 @@ class Polyhedron:
         )
 
     @classmethod
-    def from_polygons(cls, polygons: Iterable[tuple[str, str, Any]]) -> Polyhedron:
+    def from_polygons(
+        cls, polygons: Iterable[tuple[str, str, Any]], *, leaks: bool = False
+    ) -> Polyhedron:
         """Return the polyhedron of faces (name, material, points), with points (n, 3) in m."""
         polygons = checks.listed("polygons", polygons)
         if any(len(checks.listed("polygons", polygon)) != 3 for polygon in polygons):
@@ -190,6 +197,7 @@ class Polyhedron:
             faces=[range(a, b) for a, b in pairwise(starts)],
             materials=[material for _, material, _ in polygons],
             names=[name for name, _, _ in polygons],
+            leaks=leaks,
         )
 
     @property
@@ -313,15 +321,17 @@ def _volume(vertices: Array, faces: Sequence[Sequence[int]], areas: Array) -> fl
 
 
 def _turned_outward(
-    vertices: Array, faces: list[tuple[int, ...]], names: Sequence[str]
+    vertices: Array, faces: list[tuple[int, ...]], names: Sequence[str], leaks: bool
 ) -> list[tuple[int, ...]]:
-    """Return the faces with normals out of the room's air; DataError if they do not close."""
+    """Return the faces with normals out of the room's air; DataError if they do not close or leak."""
     if not faces:
         raise DataError("there is no face; a room has at least 4")
     owners = edge_owners(vertices, faces)
     neighbours: list[list[tuple[int, bool]]] = [[] for _ in faces]
     for (a, b), sides in owners.items():
-        if len(sides) % 2:  # four faces meet in an edge of a wall that is an object's edge too
+        if (
+            len(sides) % 2 and not leaks
+        ):  # four faces meet in an edge of a wall that is an object's edge too
             raise DataError(
                 f"the walls do not close: the edge from {_place(vertices[a])} to "
                 f'{_place(vertices[b])} of "{names[sides[0][0]]}" belongs to {len(sides)} '
@@ -336,7 +346,8 @@ def _turned_outward(
     areas = vector_areas(vertices, faces)
     volumes = []
     for shell in shells:
-        if np.linalg.norm(areas[shell].sum(axis=0)) > 1e-3 * np.abs(areas[shell]).sum():
+        open_area = np.linalg.norm(areas[shell].sum(axis=0))
+        if open_area > 1e-3 * np.abs(areas[shell]).sum() and not leaks:
             raise DataError(
                 f'the walls do not close: "{names[shell[0]]}" and the faces joined to it bound no '
                 "volume"

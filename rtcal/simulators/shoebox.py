@@ -164,7 +164,8 @@ def box_of(room: Room) -> Polyhedron:
 
     Raises DataError for a room without dimensions, and for a wall of which no surface has the name.
     """
-    if (sides := checks.instance("room", room, Room).dimensions) is None:
+    checks.instance("room", room, Room).refuse_pieces("a simulation of the shoebox")
+    if (sides := room.dimensions) is None:
         raise DataError(f'room "{room.name}" states no dimensions; a shoebox needs them')
     if room.n_materials == 1:
         return Polyhedron.shoebox(sides, room.materials[0])

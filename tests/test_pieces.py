@@ -1,0 +1,244 @@
+"""Persons and chairs: absorption without a surface, in every equation, calibration and file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.acoustics.changes import Change, read_variants
+from rtcal.acoustics.room import LARGEST_PIECE, Material, Piece, Room
+from rtcal.calibration.archive import learn
+from rtcal.datasets import catalogue
+from rtcal.simulators import PathTracing, Polyhedron
+from rtcal.support.errors import DataError
+from tests.test_io_commands import run
+
+F = [500.0, 1000.0]
+PERSONS = Piece("persons", 30, [0.5, 1.2], [0.1, 0.2], "a table", 0.05)
+WALLS = (
+    Material("floor", [0.1, 0.15], [0.05, 0.05], area=63),
+    Material("rest", [0.05, 0.06], [0.02, 0.02], area=159),
+)
+
+
+def room(*objects: Piece, **stated: object) -> Room:
+    return Room.from_surfaces(
+        name="class", volume=189, centre_frequencies=F, materials=WALLS, objects=objects, **stated
+    )
+
+
+def test_pieces_are_in_a_and_not_in_s() -> None:
+    with_them, without = room(PERSONS), room()
+    assert with_them.total_area == without.total_area == 222
+    added = 30 * np.array([0.5, 1.2])
+    assert with_them.absorption_area == pytest.approx(without.absorption_area + added)
+    constant = 24 * np.log(10) / with_them.speed_of_sound * 189
+    area = np.array([63 * 0.1 + 159 * 0.05, 63 * 0.15 + 159 * 0.06]) + added
+    mean = area / 222
+    assert rt.Sabine().reverberation_time(with_them) == pytest.approx(constant / area)
+    eyring = constant / (-222 * np.log(1 - mean))
+    assert rt.Eyring().reverberation_time(with_them) == pytest.approx(eyring)
+    walls = -(63 * np.log(1 - np.array([0.1, 0.15])) + 159 * np.log(1 - np.array([0.05, 0.06])))
+    millington = constant / (walls + added)
+    assert rt.Millington().reverberation_time(with_them) == pytest.approx(millington)
+
+
+def test_a_box_with_even_walls_has_eyrings_t_by_axes() -> None:
+    wall = Material("wall", [0.1, 0.1], [0.02, 0.02])
+    sides = [("a", "x", 21), ("b", "y", 27), ("c", "z", 63)]
+    surfaces = [rt.Surface(name, "wall", 2 * area, axis) for name, axis, area in sides]
+    even = Room.from_surfaces(
+        name="box",
+        volume=189,
+        centre_frequencies=F,
+        materials=[wall],
+        surfaces=surfaces,
+        objects=[PERSONS],
+    )
+    for equation in (rt.Fitzroy(), rt.ArauPuchades()):
+        expected = rt.Eyring().reverberation_time(even)
+        assert equation.reverberation_time(even) == pytest.approx(expected)
+
+
+def test_calibration_moves_them_as_the_closed_form_says() -> None:
+    """mu - D S sigma² (Bellows & Katz 2025) with the number of pieces as their S; nothing is active."""
+    prior = room(replace(PERSONS, number_sigma=0.0))
+    result = rt.calibrate(prior, [0.75, 0.5])
+    target = rt.Eyring().target(prior, np.array([0.75, 0.5]))
+    weight = (prior.areas[:, np.newaxis] * prior.sigma**2).T
+    excess = (prior.absorption_area - target) / np.sum(prior.areas * weight, axis=1)
+    expected = prior.alpha - excess * weight.T
+    assert result.alpha == pytest.approx(expected, abs=1e-12)
+    assert rt.Eyring().reverberation_time(result.room) == pytest.approx([0.75, 0.5])
+    assert result.room.pieces == ("persons",)
+    assert result.alpha[2, 1] > 1  # as no coefficient may be
+    low, high = result.interval
+    assert ((low[2] < expected[2]) & (expected[2] < high[2])).all()
+
+
+def test_pieces_stop_at_zero() -> None:
+    few = room(Piece("chairs", 200, [0.02, 0.02], [0.05, 0.05]))
+    at = rt.calibrate(few, [2.2, 2.0])
+    assert at.alpha[2] == pytest.approx([0, 0], abs=1e-12)
+    assert "chairs" in str(at)
+
+
+def test_an_uncertain_number_widens_t() -> None:
+    exact = room(Piece("persons", 30, [0.5, 1.2], [0, 0]))
+    unsure = room(Piece("persons", 30, [0.5, 1.2], [0, 0], number_sigma=0.2))
+    changes = [
+        rt.acoustics.room_errors.target_changes(rt.Eyring(), r, np.array([1.0, 0.5]))
+        for r in (exact, unsure)
+    ]
+    assert not changes[0].any()
+    # 20 % of 30 persons, and no more surface.
+    assert changes[1][2 + 2] == pytest.approx(0.2 * 30 * np.array([0.5, 1.2]))
+
+
+def test_files_go_round(tmp_path: Path) -> None:
+    whole = room(PERSONS, area_sigma={"floor": 0.1})
+    path = str(tmp_path / "room.toml")
+    whole.save(path)
+    again = Room.from_file(path)
+    assert again.to_text() == whole.to_text()
+    assert again.pieces == ("persons",)
+    assert again.area_sigma.tolist() == [0.1, 0, 0.05]
+    assert "[[object]]" in whole.to_text()
+    assert again.in_bands(F[1:]).pieces == ("persons",)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"number": 0}, r'object\["persons"\].number = 0'),
+        (
+            {"area_per_piece": [0.5, 36.0]},
+            r'alpha\["persons", 1000 Hz\] = 36 m² is not that of one',
+        ),
+        ({"area_per_piece": [0.5, -1.0]}, "is not that of one piece, from 0 to 10 m²"),
+        ({"area_per_piece": [0.5]}, "1 value"),
+        ({"name": "floor"}, 'material and object has "floor" twice'),
+        ({"sigma": -0.1}, "is not that of one piece"),
+        ({"number_sigma": 30}, "is it in percent"),
+    ],
+)
+def test_bad_pieces_are_refused(change: dict[str, object], words: str) -> None:
+    stated = {"name": "persons", "number": 30, "area_per_piece": [0.5, 1.2], "sigma": [0.1, 0.2]}
+    data = room().to_dict() | {"object": [stated | change]}
+    with pytest.raises(DataError, match=words):
+        Room.from_dict(data)
+    with pytest.raises(DataError, match="every material is a piece"):
+        room(PERSONS).replace(pieces=["persons", "floor", "rest"])
+
+
+def test_nobody_is_a_room_without_them() -> None:
+    whole = room(PERSONS)
+    assert whole.without_pieces.to_text() == room().to_text()
+    taken = Change(remove="persons", number=30).apply(whole)
+    assert taken.to_text() == room().to_text()
+    assert Change(add=whole.material("persons"), number=30).apply(room()).alpha.tolist() == (
+        whole.alpha.tolist()
+    )
+    assert str(Change(remove="persons", number=10)) == 'remove 10 of "persons"'
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (Change(remove="persons", area=10), '"persons" of the room has a number of pieces'),
+        (Change(remove="floor", number=10), '"floor" of the room has an area'),
+        (Change(remove="persons", number=31), 'number = 31 is more than the 30 of "persons"'),
+        (Change(cover="persons", by="floor"), "is no surface: it can be added and removed"),
+        (Change(open="persons"), "is no surface"),
+    ],
+)
+def test_changes_that_pieces_do_not_allow(change: Change, words: str) -> None:
+    with pytest.raises(DataError, match=words):
+        change.apply(room(PERSONS))
+    with pytest.raises(DataError, match="add lacks area, or of pieces the number"):
+        Change(add="persons")
+
+
+VARIANTS = """
+[[object]]
+name = "audience"
+area_per_piece = [0.5, 0.9]
+sigma = [0.1, 0.2]
+[[variant]]
+name = "full"
+[[variant.change]]
+add = "audience"
+number = 40
+[[variant]]
+name = "without"
+[[variant.change]]
+remove = "persons"
+"""
+
+
+def test_predictions_add_and_take_pieces() -> None:
+    whole = room(PERSONS)
+    (full, without), _ = read_variants(VARIANTS, whole)
+    result = rt.calibrate(whole, [1.0, 0.6])
+    for variant, number in ((full, 40 * np.array([0.5, 0.9])), (without, -30 * result.alpha[2])):
+        prediction = result.predict(list(variant.changes))
+        area = result.room.absorption_area + number
+        times = rt.Eyring().time(result.room, area)
+        assert prediction.by_equation["Eyring"] == pytest.approx(times, rel=1e-9)
+        assert prediction.after.total_area == 222
+    with pytest.raises(DataError, match=r'add = "audience" is an \[\[object\]\]: give its number'):
+        read_variants(VARIANTS.replace("number = 40", "area = 40"), whole)
+
+
+def test_what_holds_no_pieces_says_so(tmp_path: Path) -> None:
+    whole = room(PERSONS)
+    box = Polyhedron.shoebox((9, 7, 3), "floor")
+    at = {"sources": {"S1": (1, 1, 1)}, "receivers": {"R1": (5, 5, 1)}}
+    with pytest.raises(
+        DataError, match=r'a tracing: room "class" has the \[\[object\]\] "persons"'
+    ):
+        PathTracing(geometry=box, room=whole, scattering=0.5, **at)
+    measured = rt.Measurement.from_values(F, t20=[1.0, 0.6])
+    with pytest.raises(DataError, match="a case: "):
+        rt.find(whole, measured)
+    with pytest.raises(DataError, match="an archive: "):
+        learn([rt.calibrate(whole.replace(name=n), [1.0, 0.6]) for n in "ab"])
+    for program in (rt.io.catt, rt.io.odeon):
+        report = program.write(whole, tmp_path / "list", missing_bands="nearest")
+        assert "[[object]]" in report.lost
+        assert any("T is without persons" in note for note in report.notes)
+        names = [m.name.split()[-1] for m in program.read(tmp_path / "list").materials]
+        assert names == ["floor", "rest"]
+        (tmp_path / "list").unlink()
+
+
+def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    room(PERSONS).save(str(tmp_path / "room.toml"))
+    rt.Measurement.from_values(F, t20=[1.0, 0.6]).save(str(tmp_path / "t.csv"))
+    (tmp_path / "variants.toml").write_text(VARIANTS)
+    path, t = tmp_path / "room.toml", tmp_path / "t.csv"
+    assert run("calibrate", path, t, "--out", tmp_path / "out") == 0
+    assert "persons" in capsys.readouterr().out
+    assert Room.from_file(str(tmp_path / "out" / "room.toml")).pieces == ("persons",)
+    assert run("predict", path, t, "--change", tmp_path / "variants.toml") == 0
+    assert "full" in capsys.readouterr().out
+
+
+def test_the_catalogue_has_pieces_with_a_source() -> None:
+    for name in catalogue.PIECES:
+        piece = catalogue.piece(name, 12, [125, 4000])
+        assert 0 < min(piece.area_per_piece) <= max(piece.area_per_piece) < LARGEST_PIECE
+        assert min(piece.sigma) > 0
+        assert "approximate" in piece.source
+        assert room().replace(name="x") is not None
+    group = catalogue.piece("person in a group", 5, [1000])
+    assert group.area_per_piece == [0.625]
+    assert group.sigma == pytest.approx([0.55 / np.sqrt(12)], abs=1e-4)
+    with pytest.raises(DataError, match="is not among the pieces"):
+        catalogue.piece("sofa", 1, [1000])
+    with pytest.raises(DataError, match="8000 Hz"):
+        catalogue.piece("wooden chair", 1, [8000])

@@ -1,0 +1,274 @@
+"""Recorded sweeps and interrupted noise: known decays come back, and what is neither is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.io import impulse_responses as ir
+from rtcal.io import recordings
+from rtcal.support.errors import DataError
+from tests.conftest import also
+from tests.test_io_commands import run
+
+pytest.importorskip("pyfar")
+pytest.importorskip("pyrato")
+soundfile = pytest.importorskip("soundfile")
+
+BANDS = [250, 500, 1000, 2000]
+
+
+def sweep(rate: int, seconds: float = 3.0, low: float = 60.0) -> np.ndarray:
+    """An exponential sweep up to 0.45 of the rate, faded in and out."""
+    time, ratio = np.arange(int(seconds * rate)) / rate, np.log(0.45 * rate / low)
+    fade = np.minimum(1, np.minimum(time, time[::-1]) * 50)
+    return 0.5 * fade * np.sin(2 * np.pi * low * seconds / ratio * np.exp(time / seconds * ratio))
+
+
+def response(t: float, rate: int, rng: np.random.Generator, late: float = 0.0) -> np.ndarray:
+    """A direct sound and noise that decays by 60 dB in t; ``late``, of that energy, in 4 t."""
+    time = np.arange(int(1.3 * (t if not late else 4 * t) * rate)) / rate
+    energy = 10 ** (-6 * time / t) + late * 10 ** (-6 * time / (4 * t))
+    return np.concatenate([[10.0], rng.standard_normal(len(time)) * np.sqrt(energy)])
+
+
+def recorded(played: np.ndarray, h: np.ndarray, rate: int, lead: float = 0.2) -> np.ndarray:
+    n = len(played) + len(h)
+    sound = np.fft.irfft(np.fft.rfft(played, 2 * n) * np.fft.rfft(h, 2 * n), 2 * n)[:n]
+    sound = np.concatenate([np.zeros(int(lead * rate)), sound])
+    rng = np.random.default_rng(99)
+    return 0.7 * sound / np.abs(sound).max() + 1e-5 * rng.standard_normal(len(sound))
+
+
+def written(path: Path, samples: np.ndarray, rate: int) -> Path:
+    soundfile.write(path, samples, rate, subtype="PCM_24")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("rate", "t"), [(16000, 0.5), (44100, 1.2), *also((48000, 0.4), (8000, 3))]
+)
+def test_a_recorded_sweep_gives_the_parameters_of_the_response(
+    tmp_path: Path, rate: int, t: float
+) -> None:
+    played, h = sweep(rate), response(t, rate, np.random.default_rng(1))
+    files = [
+        written(tmp_path / name, samples, rate)
+        for name, samples in {
+            "played.wav": np.concatenate([played, np.zeros(rate)]),
+            "S1-R1.wav": recorded(played, h, rate),
+            "S1-R2.wav": np.concatenate([np.zeros(rate // 5), 0.2 * h / np.abs(h).max()]),
+        }.items()
+    ]
+    found = recordings.from_sweep(files[1], files[0], bands=BANDS[:3]).measurement.values
+    direct = ir.read(files[2], bands=BANDS[:3]).measurement.values
+    for parameter in ("t20", "t30", "edt"):
+        assert found[parameter] == pytest.approx(direct[parameter], rel=0.01)
+    assert found["c80"] == pytest.approx(direct["c80"], abs=0.15)
+    scatter = 4 * 0.88 / np.sqrt(0.71 * np.array(BANDS[:3]) * t)
+    assert (np.abs(found["t20"][0] / t - 1) < scatter).all()
+
+
+def test_a_double_slope_that_a_sweep_measures_is_noted(tmp_path: Path) -> None:
+    rate, played = 16000, sweep(16000)
+    h = response(0.4, rate, np.random.default_rng(2), late=0.01)
+    of = written(tmp_path / "r.wav", recorded(played, h, rate), rate)
+    notes = recordings.from_sweep(of, written(tmp_path / "s.wav", played, rate), bands=[1000, 2000])
+    assert any("the decay is bent" in note for note in notes.notes)
+
+
+def test_bands_are_those_that_the_sweep_excites(tmp_path: Path) -> None:
+    rate, played = 16000, sweep(16000, low=300)
+    of = recorded(played, response(0.5, rate, np.random.default_rng(3)), rate)
+    files = written(tmp_path / "r.wav", of, rate), written(tmp_path / "s.wav", played, rate)
+    found = recordings.from_sweep(*files).measurement
+    assert found.centre_frequencies.tolist() == [500, 1000, 2000, 4000]
+    with pytest.raises(
+        DataError, match=r"s\.wav: the sweep has no energy in all of the band at 250"
+    ):
+        recordings.from_sweep(*files, bands=[250, 500])
+
+
+def faults() -> dict[str, tuple[np.ndarray, str]]:
+    """Recordings that hold no response, by kind, and what is said."""
+    rate, rng = 16000, np.random.default_rng(4)
+    played = sweep(rate)
+    good = recorded(played, response(0.5, rate, rng), rate)
+    return {
+        "silence": (np.zeros(5 * rate), "r.wav: silent"),
+        "the sweep": (np.concatenate([0.3 * played, np.zeros(rate)]), "it is the sweep itself"),
+        "noise": (0.1 * rng.standard_normal(6 * rate), "the sweep is not found in it"),
+        "another sweep": (
+            recorded(sweep(rate, 4.0, 200), response(0.5, rate, rng), rate),
+            "not found",
+        ),
+        "begin lost": (good[int(0.7 * rate) :], "before the start: the recording began after"),
+        "end lost": (good[: int(3.21 * rate)], "s after the sweep's last sound"),
+        "short": (good[: 2 * rate], "a recording ends after the decay of the sweep's end"),
+    }
+
+
+@pytest.mark.parametrize("kind", faults())
+def test_what_holds_no_response_is_refused(tmp_path: Path, kind: str) -> None:
+    samples, words = faults()[kind]
+    if kind == "begin lost":
+        samples = np.concatenate([samples, np.zeros(16000)])
+    played = written(tmp_path / "s.wav", sweep(16000), 16000)
+    with pytest.raises(DataError, match=words):
+        recordings.from_sweep(written(tmp_path / "r.wav", samples, 16000), played, bands=BANDS)
+
+
+def test_exchanged_files_and_other_rates_are_refused(tmp_path: Path) -> None:
+    rate, played = 16000, np.concatenate([sweep(16000), np.zeros(4 * 16000)])
+    of = recorded(sweep(rate), response(0.5, rate, np.random.default_rng(5)), rate)
+    r, s = written(tmp_path / "r.wav", of, rate), written(tmp_path / "s.wav", played, rate)
+    with pytest.raises(DataError, match=r"s\.wav: .*exchanged"):
+        recordings.from_sweep(s, r, bands=BANDS)
+    other = written(tmp_path / "other.wav", of, 2 * rate)
+    with pytest.raises(DataError, match=r"rate of 32000 Hz, but that of the sweep .* is 16000 Hz"):
+        recordings.from_sweep(other, s, bands=BANDS)
+    with pytest.raises(DataError, match=r"receiver r is given twice"):
+        recordings.from_sweep([r, r], s, bands=BANDS)
+    with pytest.raises(DataError, match=r"silent.*; it is the sweep that was played"):
+        recordings.from_sweep(r, written(tmp_path / "0.wav", 0 * played, rate), bands=BANDS)
+
+
+@pytest.mark.parametrize(
+    ("gain", "note"), [(3.0, "clipped recording: "), (0.002, "below full scale")]
+)
+def test_a_wrong_gain_is_noted(tmp_path: Path, gain: float, note: str) -> None:
+    rate, played = 16000, sweep(16000)
+    of = recorded(played, response(0.5, rate, np.random.default_rng(6)), rate)
+    r = written(tmp_path / "r.wav", np.clip(gain * of, -1, 1), rate)
+    notes = recordings.from_sweep(r, written(tmp_path / "s.wav", played, rate), bands=BANDS).notes
+    assert sum(note in each for each in notes) == 1
+
+
+def stopped(
+    t: float,
+    rate: int,
+    rng: np.random.Generator,
+    n: int = 3,
+    noise: float = 1e-3,
+    late: float = 0.0,
+) -> np.ndarray:
+    """Noise through a response, on for 1.5 s and off for 1.5 T or 1 s, n times, with noise."""
+    h = response(t, rate, rng, late)
+    on, off = int(1.5 * rate), int(max(1.5 * (4 * t if late else t), 1.0) * rate)
+    source = np.tile(np.concatenate([np.ones(on), np.zeros(off)]), n)
+    source *= rng.standard_normal(len(source))
+    size = 2 ** int(np.ceil(np.log2(len(source) + len(h))))
+    sound = np.fft.irfft(np.fft.rfft(source, size) * np.fft.rfft(h, size), size)[: len(source)]
+    sound /= 5 * sound[: on + off].std()
+    return sound + 0.2 * noise * rng.standard_normal(len(sound))
+
+
+@pytest.mark.parametrize(
+    ("rate", "t"), [(16000, 0.5), (44100, 1.0), *also((48000, 0.3), (8000, 2.5))]
+)
+def test_stops_of_noise_give_t_within_their_uncertainty(
+    tmp_path: Path, rate: int, t: float
+) -> None:
+    rng = np.random.default_rng(7)
+    path = written(tmp_path / "S1-R1.wav", stopped(t, rate, rng, n=6), rate)
+    analysis = recordings.interrupted(path, bands=BANDS)
+    measured = analysis.measurement
+    assert {*measured.values} == {"t20", "t30"}
+    for parameter, factor in (("t20", 0.88), ("t30", 0.55)):
+        value, u = measured.values[parameter][0], measured.uncertainty[parameter][0]
+        # ISO 3382-2:2008, Eqs. 4 and 5; the response's own noise is the same in every stop.
+        scatter = factor * np.sqrt((1 + 1.9 / 6) / (0.71 * np.array(BANDS) * t))
+        assert (np.abs(value / t - 1) < 4 * scatter).all()
+        assert (u > 0).all()
+        assert (u < 4 * scatter * t).all()
+    assert analysis.notes[0] == "stops per position: 6"
+
+
+def test_the_uncertainty_of_stops_is_their_scatter() -> None:
+    """Of 40 averages of three stops, the spread is what each of them states in the mean."""
+    rate, t, rng = 4000, 0.5, np.random.default_rng(8)
+    values, stated = [], []
+    for _ in range(40):
+        time = np.arange(int(0.9 * rate)) / rate - 0.3
+        energy = np.where(time < 0, 1.0, 10 ** (-6 * np.maximum(time, 0) / t))
+        # Noise of 4 Hz bandwidth per sample pair: independent samples, chi-square of one freedom.
+        curves = [energy * rng.standard_normal(len(time)) ** 2 for _ in range(3)]
+        needed = {"t20": 35.0}
+        values.append(recordings._of_stops(curves, rate, needed).values["t20"])
+        each = [recordings._of_stops([c], rate, needed).values for c in curves]
+        stated.append(recordings._spread(each, needed)[0])
+    assert np.mean(values) == pytest.approx(t, rel=0.01)
+    assert np.std(values, ddof=1) == pytest.approx(np.sqrt(np.mean(np.square(stated))), rel=0.35)
+
+
+def test_stops_of_several_files_are_averaged_at_their_position(tmp_path: Path) -> None:
+    rate, rng = 16000, np.random.default_rng(9)
+    names = ("S1-R1", "S1-R1#2", "S1-R2")
+    files = [written(tmp_path / f"{n}.wav", stopped(0.6, rate, rng, n=2), rate) for n in names]
+    analysis = recordings.interrupted(files, bands=[1000], repeats=True)
+    assert analysis.measurement.pairs == (("S1", "R1"), ("S1", "R2"))
+    assert analysis.notes[0].startswith("stops per position: 2 to 4; ISO 3382-2 asks for")
+    one = recordings.interrupted(files[2], bands=[1000])
+    assert one.measurement.values["t20"][0] == analysis.measurement.values["t20"][1]
+    alone = written(tmp_path / "one.wav", stopped(0.6, rate, rng, n=1), rate)
+    u = recordings.interrupted(alone, bands=[1000]).measurement.uncertainty["t20"]
+    assert np.isnan(u).all()
+
+
+def test_a_double_slope_of_stopped_noise_is_noted(tmp_path: Path) -> None:
+    samples = stopped(0.4, 16000, np.random.default_rng(10), n=6, noise=1e-4, late=0.01)
+    path = written(tmp_path / "r.wav", samples, 16000)
+    assert any("bent" in note for note in recordings.interrupted(path, bands=[1000, 2000]).notes)
+
+
+def test_a_high_noise_takes_t30_and_then_t20(tmp_path: Path) -> None:
+    for noise, missing in ((1e-2, {"t30"}), (0.05, {"t20", "t30"})):
+        samples = stopped(0.6, 16000, np.random.default_rng(11), noise=noise)
+        path = written(tmp_path / "r.wav", samples, 16000)
+        analysis = recordings.interrupted(path, bands=[1000])
+        values = analysis.measurement.values
+        assert {p for p, v in values.items() if np.isnan(v).all()} == missing
+        # Filtered, white noise has another share of a band than noise through the room.
+        assert analysis.impulse_to_noise_ratio[0, 0] == pytest.approx(-20 * np.log10(noise), abs=3)
+
+
+@pytest.mark.parametrize("kind", ["silence", "steady", "response", "short"])
+def test_what_is_no_stopped_noise_is_refused(tmp_path: Path, kind: str) -> None:
+    rate, rng = 16000, np.random.default_rng(12)
+    samples = {
+        "silence": np.zeros(3 * rate),
+        "steady": 0.1 * rng.standard_normal(3 * rate),
+        "response": 0.2 * response(1.0, rate, rng),
+        "short": 0.1 * rng.standard_normal(100),
+    }[kind]
+    with pytest.raises(DataError, match=r"r\.wav: no stop is found"):
+        recordings.interrupted(written(tmp_path / "r.wav", samples, rate), bands=[1000])
+
+
+def test_a_sweep_is_no_steady_noise(tmp_path: Path) -> None:
+    rate = 16000
+    of = recorded(sweep(rate), response(0.5, rate, np.random.default_rng(13)), rate)
+    analysis = recordings.interrupted(written(tmp_path / "r.wav", of, rate), bands=[500, 1000])
+    assert np.isnan(analysis.measurement.values["t20"]).all()
+    assert "no steady noise" in str(analysis)
+
+
+def test_commands(tmp_path: Path, capsys) -> None:
+    rate, rng = 16000, np.random.default_rng(14)
+    played = sweep(rate)
+    r = written(tmp_path / "S1-R1.wav", recorded(played, response(0.5, rate, rng), rate), rate)
+    s = written(tmp_path / "s.wav", played, rate)
+    n = written(tmp_path / "S1-R2.wav", stopped(0.5, rate, rng), rate)
+    out, of_noise = tmp_path / "t.csv", tmp_path / "n.csv"
+    assert run("measure", r, "--sweep", s, "--bands", "500,1000", "--out", out) == 0
+    assert "C80 / dB" in capsys.readouterr().out
+    assert rt.Measurement.from_file(str(out)).values["t20"].shape == (1, 2)
+    assert run("measure", n, "--interrupted", "--bands", "500,1000", "--out", of_noise) == 0
+    assert (rt.Measurement.from_file(str(of_noise)).uncertainty["t20"] > 0).all()
+    capsys.readouterr()
+    for wrong in (("--sweep", s, "--interrupted"), ("--interrupted", "--uncertainty")):
+        assert run("measure", n, *wrong) != 0
+        assert "--interrupted does not go with" in capsys.readouterr().err
