@@ -165,7 +165,7 @@ def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     out = ("--out", tmp_path / "room.toml")
     assert run(*command, *out) == 2
     message = capsys.readouterr().err
-    assert '- "brick wall" is like brick_wall_rough' in message
+    assert '- "brick wall" is like smooth_brickwork_flush_pointing: ' in message
     assert 'or an entry of the catalogue: --catalogue "brick wall=ENTRY"' in message
     assert not (tmp_path / "room.toml").exists()
     assert run(*command, "--catalogue", "brick wall=brick_wall_rough", *out) == 0
@@ -178,7 +178,7 @@ def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     assert run(*command, "--catalogue", "brick wall=none_such", *out) == 2
     assert '"none_such" is no material of the catalogue' in capsys.readouterr().err
     assert run(*command, "--catalogue", "brick wall=brick", *out) == 2
-    assert "it is like facing_brick: " in capsys.readouterr().err
+    assert "it is like smooth_brickwork_flush_pointing: " in capsys.readouterr().err
     program = ("import", "catalogue", "--volume", 60, "--area", "material=90", *out)
     assert run(*program) == 2
     assert '--catalogue "material=carpet" names the entries' in capsys.readouterr().err
