@@ -428,7 +428,7 @@ def predicted() -> dict[str, Any]:
         }
     ends = [0.5] * 6, [1.0] * 6
     variants = [p.Variant(n, c) for n, c in changes.items() if n in ("cover", "add")]
-    side = p.compare(known["mle"], variants, target=p.Target(*ends))
+    side = p.predict_variants(known["mle"], variants, target=p.Target(*ends))
     out["compared"] = {v.name: v.probability(*ends) for v in side.predictions}
     return out
 
