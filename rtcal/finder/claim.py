@@ -202,10 +202,10 @@ def conclude(
     identified by their own names (`Effect.alone`) are ``by_family_alone``. Of doubts about the most
     probable effect, ``reasons``, `LEAVES` has what they leave. Where data are ``weak`` (`too_weak`),
     nothing but a name or a family is more than a hint. Where that is the field of a program
-    (`of_program`), nothing is, and a field that is likelier than nothing is said in any case.
+    (`of_program`), nothing is, and a field that is likelier than all else is said in any case.
     """
     own = weak is not None and weak.code == OWN_FIELD
-    if weak is not None and own and (detected is None or families[FIELD] > families[NONE]):
+    if weak is not None and own and (detected is None or next(iter(families)) == FIELD):
         return Claim(verdict="hint", reasons=(weak, *reasons))
     if detected is not None:
         return Claim(verdict=detected, reasons=tuple(reasons))
