@@ -165,7 +165,7 @@ def of_finding(finding: Any, gaps: bool) -> dict[str, Any]:
                 if np.isfinite(gaps := seen.sizes[-2:, 0, q, p]).all()
             },
             "alpha": seen.corrected.alpha,
-            "plain alpha": seen.plain.alpha,
+            "plain alpha": seen.uncorrected.alpha,
         }
     return row
 

@@ -203,7 +203,7 @@ def test_configurations_are_learned_as_one_room(
     assert [lesson.room for lesson in archive.lessons] == ["A", "B", "C"]
     assert archive.lessons[0].degrees_of_freedom == 2 * full.n_bands
     assert (len(archive.measured), archive.seen.tolist()) == (4, [3] * 5)
-    with pytest.raises(DataError, match="archive that has learned from these data"):
+    with pytest.raises(DataError, match="archive that contains these data"):
         rt.calibrate(archive.apply(bare), times[1])
     for i, result in enumerate((joint, *rooms[1:])):
         result.save(tmp_path / str(i))
@@ -323,10 +323,10 @@ def test_the_command_reads_a_folder_and_writes_a_room(
 
 def test_bad_input_is_named(rooms: list[rt.calibration.CalibrationResult]) -> None:
     for stated, message in (
-        (([rooms[0]],), "rooms: 1; an archive has"),
+        (([rooms[0]],), "1 calibrated rooms are given; an archive"),
         (([rooms[0], rooms[0]],), 'room "A" occurs twice'),
         (([rooms[0], "B"],), r"rooms\[1\]"),
-        ((rooms, {"roof": "plaster"}), '"roof" is a material of no room'),
+        ((rooms, {"roof": "plaster"}), '"roof" is not a material of any room'),
         ((rooms, {"floor": "plaster"}), 'two of its materials are "plaster"'),
     ):
         with pytest.raises(DataError, match=message):

@@ -147,5 +147,5 @@ def test_incomplete_octaves_are_refused() -> None:
 
 
 def test_bad_values_are_named() -> None:
-    with pytest.raises(rt.errors.DataError, match="last axis has 3 bands"):
+    with pytest.raises(rt.errors.DataError, match="last axis must have 3 values"):
         absorption([0.1, 0.2], [400, 500, 630], [500])

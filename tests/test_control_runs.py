@@ -137,7 +137,7 @@ def test_groups_of_paths_have_the_mean_of_all_and_their_noise():
     energy = (10 ** (groups / 10)).mean(axis=0)
     np.testing.assert_allclose(10 * np.log10(energy), every, rtol=0, atol=1e-6)
     assert groups.std(axis=0).min() > 0
-    with pytest.raises(DataError, match="number = 5 does not divide n_batches = 16"):
+    with pytest.raises(DataError, match="number = 5 must divide n_batches = 16"):
         tracer.observe_in_groups(hall.room.alpha, 5)
 
 

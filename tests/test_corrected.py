@@ -182,7 +182,7 @@ def test_a_geometry_without_what_the_finding_changed_is_refused(changed: str) ->
     effect, said = {  # both are those of a box that is 3.6 m high
         "volume": (
             AppliedEffect("volume", {"ratio": 1.2}),
-            "volume: the finding has 126 m³, the simulator's geometry 105 m³; draw it anew",
+            "volume: the finding has 126 m³, the simulator's geometry 105 m³; draw the geometry again",
         ),
         "area": (
             AppliedEffect("area", {"material": float(walls), "ratio": 121.4 / 107}),

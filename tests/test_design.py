@@ -181,28 +181,31 @@ def test_what_can_be_had_is_said_where_nothing_will_do() -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: design(known(), TREATMENTS, TARGET, 0.7), "0.7 is not from 0.8 to 0.99"),
+        (lambda: design(known(), TREATMENTS, TARGET, 0.7), "0.7 must be from 0.8 to 0.99"),
         (lambda: design(known(), [], TARGET), "at least one"),
         (
             lambda: design(known(), [TREATMENTS[0], replace(TREATMENTS[0], cost=1)], TARGET),
             'treatments has "ceiling" twice',
         ),
         (lambda: design(known(), TREATMENTS, Target([0.4], [0.8])), "1 bands"),
-        (lambda: Treatment("x", PANEL, 4, cost=1, unit=5), "more than largest"),
+        (lambda: Treatment("x", PANEL, 4, cost=1, unit=5), "larger than largest"),
         (lambda: Treatment("x", PANEL, 4, cost=-1), "cost = -1"),
-        (lambda: Target([0.8], [0.4]), "not below"),
-        (lambda: Target([np.nan], [np.nan]), "no band has a range"),
-        (lambda: Target([0.4], [100.5]), "high = 100.5 s is not above 0 and at most 100 s"),
+        (lambda: Target([0.8], [0.4]), "must be below"),
+        (lambda: Target([np.nan], [np.nan]), "every low and high is missing"),
+        (
+            lambda: Target([0.4], [100.5]),
+            "high = 100.5 s; T of a room must be above 0 and at most 100 s",
+        ),
         (
             lambda: design(known(), [Treatment("x", PANEL, 2201, cost=1)], TARGET),
-            'treatment "x": largest: area = 2201 m² is more than 2200 m²',
+            'treatment "x": largest: area = 2201 m² is too large: at most 2200 m²',
         ),
         (lambda: din_18041("A3", 6000, BANDS), "from 30 to 5000"),
-        (lambda: din_18041("B1", 100, BANDS), "not one of A1"),
-        (lambda: ansi_s12_60(600, BANDS), "above 566"),
+        (lambda: din_18041("B1", 100, BANDS), "must be one of A1"),
+        (lambda: ansi_s12_60(600, BANDS), "up to 566"),
         (
             lambda: design(known(), [Treatment("x", PANEL, 4, cost=1, covers="roof")], TARGET),
-            '"roof" is no material',
+            '"roof" is not a material',
         ),
     ],
 )

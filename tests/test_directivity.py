@@ -100,7 +100,9 @@ def test_where_the_directivity_is_unknown_reverberation_times_alone_count():
     unknown = tracer(directivity={"S1": "unknown"})
     assert unknown.trusted(["t20", "edt", "c80", "ts", "level"]) == ("t20",)
     assert tracer().trusted(["edt", "c80"]) == ("edt", "c80")
-    with pytest.raises(DataError, match="depends on the directivity of a source, which is unknown"):
+    with pytest.raises(
+        DataError, match="depends on the directivity of a source that is given as unknown"
+    ):
         unknown.trusted(["edt", "sti"])
 
 
@@ -235,17 +237,20 @@ def test_a_room_file_names_a_balloon_and_the_simulator_reads_it(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (("<CLF1>", "<CLF3>"), "begins with '<CLF3>'; CLF's text begins with <CLF1> or <CLF2>"),
+        (("<CLF1>", "<CLF3>"), "begins with '<CLF3>'; CLF text must begin with <CLF1> or <CLF2>"),
         (("<CLF1>", "<CF1>\0"), "CF1, CF2 and GLL are closed formats"),
         (("<VERSION>\t1", "<RADIATION>\t<halfsphere>"), "<RADIATION> is 'halfsphere'"),
         (("<VERSION>\t1", "<BALLOON-SYMMETRY>\t<vertical>"), "<BALLOON-SYMMETRY> is 'vertical'"),
         (("<VERSION>\t1", "<BALLOON-SYMMETRY>\t<full>"), "36 arcs; a balloon of the symmetry full"),
-        (("<BAND>\t1000", "<BAND>\t2000"), "no band in the octave of 1000 Hz; it has 2000 Hz"),
-        (("-3.000", "<nodata>"), '"<nodata>" is not a finite number'),
+        (
+            ("<BAND>\t1000", "<BAND>\t2000"),
+            "no band in the octave of 1000 Hz; its bands are 2000 Hz",
+        ),
+        (("-3.000", "<nodata>"), '"<nodata>" must be a finite number'),
         (("-3.000", "-3000"), "-3000 is beyond 300"),
-        (("-3.000\t", ""), "18 levels; an arc has 19, one every 10 degrees"),
-        (("\n0.000", "\n-2.0"), "the arcs differ by 2.0 dB on the axis, where they meet"),
-        (("\n0.000", "\n-90"), "the file's axis is not where it radiates"),
+        (("-3.000\t", ""), "18 levels; an arc must have 19, one every 10 degrees"),
+        (("\n0.000", "\n-2.0"), "the arcs differ by 2.0 dB on the axis, where they must be equal"),
+        (("\n0.000", "\n-90"), "the source does not radiate along the file's axis"),
     ],
 )
 def test_clf_s_text_that_says_too_little_is_refused(tmp_path, change, said):

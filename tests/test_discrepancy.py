@@ -349,11 +349,13 @@ def test_an_opening_is_found_added_and_its_alpha_left_alone() -> None:
     assert finding.size.low < 25 < finding.size.high
     seen = verify(finding)
     # The truth is the prior's alpha: plain calibration is off, the corrected one hardly.
-    plain_off = np.abs(seen.plain.alpha - ALPHA).max()
+    plain_off = np.abs(seen.uncorrected.alpha - ALPHA).max()
     assert plain_off > 0.05
     assert np.abs(seen.corrected.alpha - ALPHA).max() < 0.25 * plain_off
     np.testing.assert_allclose(
-        np.exp(seen.plain.features[0, 0]), case.configurations[0].measured.mean("t20"), rtol=1e-6
+        np.exp(seen.uncorrected.features[0, 0]),
+        case.configurations[0].measured.mean("t20"),
+        rtol=1e-6,
     )
     nothing = find(
         case_with(6 * np.log(10) / made(air=case.room.air_attenuation).rate),
@@ -520,8 +522,8 @@ def test_bands_without_a_trustworthy_t_are_dropped_and_named() -> None:
     observed, notes = observe(worse)
     assert not observed.used[0, :, :2].any()
     assert observed.used[0, 0, 2:].all()
-    assert any("125 Hz dropped: no T20" in str(n) for n in notes)
-    assert any("250 Hz dropped: T is known to 50 %" in str(n) for n in notes)
+    assert any("125 Hz left out: it has neither T20" in str(n) for n in notes)
+    assert any("250 Hz left out: the uncertainty of T is 50 %" in str(n) for n in notes)
 
 
 def test_a_case_too_large_is_refused_before_the_work() -> None:

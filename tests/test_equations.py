@@ -190,7 +190,7 @@ def test_kuttruff_inverts_its_lower_branch_and_refuses_t_below_its_minimum() -> 
     shortest = equation.time(room, np.array([peak * room.total_area]))
     found = equation.absorption_area(room, shortest * 1.0000001)
     assert found[0] / room.total_area == pytest.approx(peak, abs=1e-3)
-    message = r"is too short in Kuttruff's equation: T from .* would do"
+    message = r"is too short in Kuttruff's equation, which can give T from"
     with pytest.raises(rt.errors.InfeasibleError, match=message):
         equation.absorption_area(room, shortest * 0.999)
     with pytest.raises(rt.errors.InfeasibleError, match="beyond reach"):
@@ -215,7 +215,7 @@ def test_axes_are_asked_for() -> None:
         with pytest.raises(rt.errors.ModelError, match='"s0" has none'):
             equation.reverberation_time(TWO)
         flat = room_of(100, [(60, 0.3, "x"), (40, 0.6, "z")])
-        with pytest.raises(rt.errors.ModelError, match='no surface stands across the axis "y"'):
+        with pytest.raises(rt.errors.ModelError, match='needs a surface with axis = "y"'):
             equation.reverberation_time(flat)
         bare = rt.Room(
             name="bare",

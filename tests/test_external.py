@@ -163,5 +163,5 @@ def test_a_simulator_cannot_change_the_coefficients_of_its_caller(cr2):
 def test_a_seed_is_a_whole_number(cr2, seed):
     room, _ = cr2
     for simulator in (external(room, lambda alpha, seed: alpha[0] + 1), Scaling(room)):
-        with pytest.raises(DataError, match=r"seed = .* is not a whole number of at least 0"):
+        with pytest.raises(DataError, match=r"seed = .* must be a whole number of at least 0"):
             base.run(simulator, room.alpha, seed=seed)

@@ -43,7 +43,7 @@ def require_whole_or_refused(folder: Path) -> bool:
     now = faults.snapshot(folder)
     assert all(now[name] in (BEFORE.get(name), AFTER[name]) for name in now)
     if said := faults.refused(folder):
-        assert "is new, since `the call that wrote it` was interrupted" in said
+        assert "is new, because `the call that wrote it` was interrupted" in said
         return True
     assert now in (BEFORE, AFTER)
     return False

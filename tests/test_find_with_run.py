@@ -183,8 +183,8 @@ def test_a_case_file_names_the_run_and_its_coefficients(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("volume", "program", "message"),
     [
-        (4000.0, "wave", "program = 'wave' is not \"geometrical\""),
-        (None, "geometrical", "simulated is missing"),
+        (4000.0, "wave", "program = 'wave' must be \"geometrical\""),
+        (None, "geometrical", "add it as simulated"),
         (4100.0, "", "volume = 4100 m³"),
     ],
 )
@@ -351,16 +351,19 @@ def test_three_models_are_compared_with_and_without_a_second_run(absorber: Findi
     assert again.models == ("as simulated", "calibrated", "corrected")
     assert again.runs == ("as simulated",)
     assert again.verdict == "not tested"  # the opening moves C80 and G by T alone
-    alone = "alone leaves 0.02 JND there, so that no second run can shrink it"
+    alone = "leaves only 0.02 JND there, so a second run cannot reduce it"
     assert alone in sentence(seen)
-    assert "Not tested at C80 and G: calibrating alone leaves 0.00 JND" in sentence(again)
+    assert (
+        "Not tested at C80 and G: a calibration without the effect leaves only 0.00 JND"
+        in sentence(again)
+    )
     np.testing.assert_allclose(again.by_seed[1], seen.by_seed[1], atol=0.1)  # but for the bias
     assert again.after == pytest.approx(0.0, abs=1e-4)
     np.testing.assert_allclose(residual_map(again), 0, atol=0.1)
     both = verify(absorber, simulated=first.measured, calibrated=first.simulated.simulated)
     assert both.runs == both.models
     assert both.before == pytest.approx(float(again.by_seed[0, 0]))
-    assert "are runs of the program as they are" in str(both)
+    assert "are unchanged runs of the program" in str(both)
     drawn = figures.bars(again)
     assert [t.get_text() for t in drawn.axes[0].get_xticklabels()] == [*again.models]
 
@@ -448,14 +451,21 @@ def test_what_a_second_run_lacks_is_said(absorber: Finding) -> None:
 
     lacking = verify(absorber, simulated=run("t20", "edt"))
     assert lacking.verdict == "not tested"
-    assert "a second run lacks what the finding was not fitted to (C80 and G)" in sentence(lacking)
-    assert "T30, C80 and G left out, which a second run lacks." in lacking.notes
-    assert "lacks what" not in sentence(verify(absorber, simulated=run("t20", "c80")))
-    with pytest.raises(DataError, match="simulated has no T20, which was measured; it has EDT"):
+    assert "the second run does not have the data that the finding was not fitted to" in sentence(
+        lacking
+    )
+    assert (
+        "T30, C80 and G left out, because the second run does not have all of them."
+        in lacking.notes
+    )
+    assert "does not have the data" not in sentence(verify(absorber, simulated=run("t20", "c80")))
+    with pytest.raises(
+        DataError, match="simulated has no T20, which was measured; it has only EDT"
+    ):
         verify(absorber, simulated=run("edt", "c80"))
     first = absorber.case.configurations[0].simulated
     assert first is not None
-    with pytest.raises(DataError, match="the corrected run is the first run"):
+    with pytest.raises(DataError, match="this is the first simulation again"):
         verify(absorber, simulated=first.simulated)
 
 
@@ -467,7 +477,7 @@ def test_instructions_are_in_the_terms_of_the_program(absorber: Finding, tmp_pat
     assert re.search(r"^opening, 3\d\d m² +0\.6", text, re.M)
     old = next(line for line in text.splitlines() if line.startswith("walls, old"))
     assert [float(v) for v in old.split()[2:]] == [0.05] * 6
-    assert "means over positions do not show where" in " ".join(text.split())
+    assert "means over positions do not show the place" in " ".join(text.split())
     bare = replace(absorber.case.configurations[0], simulated=None)
     without = replace(absorber, case=replace(absorber.case, configurations=[bare]))
     assert tmp_path / "instructions.txt" not in of_finding.correct(without, tmp_path)[2]

@@ -94,7 +94,7 @@ def test_nothing_is_written_over_what_was_read(
     (tmp_path / "case.toml").write_text(text)
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     name, *options = [str(tmp_path / x) if "." in x or x == "out" else x for x in command]
-    with pytest.raises(rt.errors.DataError, match="would be written over"):
+    with pytest.raises(rt.errors.DataError, match="would overwrite"):
         run(name, str(tmp_path / "case.toml"), *options)
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
 
@@ -157,7 +157,7 @@ def with_gap(
         predictive,
         misses,
         [*gaps],
-        before=seen.plain,
+        before=seen.uncorrected,
         after=seen.corrected,
     )
 
@@ -232,10 +232,10 @@ def test_what_the_finding_was_fitted_to_tests_nothing(folder: Path) -> None:
 
 def test_a_plan_needs_no_measurement(folder: Path) -> None:
     text = run("plan", str(folder / "plan.toml"))
-    assert "What each may be taken for" in text
+    assert "Effects that could be confused with each effect" in text
     assert any(
         x.startswith("  ") and "furniture" in x.split() for x in text.splitlines()
     )  # not cut
     assert "999.0" not in text
-    with pytest.raises(rt.errors.DataError, match="can only be planned"):
+    with pytest.raises(rt.errors.DataError, match="or use `rtcal plan`"):
         run("find", str(folder / "plan.toml"))

@@ -120,9 +120,9 @@ def test_walls_that_do_not_close_name_the_edge():
     [
         ({"faces": [(0, 1, 99)] * 6}, 'face "west" has vertex 99'),
         ({"faces": [(0, 1, 1)] * 6}, "2 distinct vertices"),
-        ({"materials": ["a"]}, "materials has 1 values; there are 6 faces"),
+        ({"materials": ["a"]}, "materials has 1 values; give one for each of the 6 faces"),
         ({"vertices": [[0, 0]]}, "shape"),
-        ({"vertices": [[0, 0, np.nan]] * 8}, "not finite"),
+        ({"vertices": [[0, 0, np.nan]] * 8}, "must be finite"),
         ({"vertices": "walls"}, "vertices"),
         ({"faces": [], "names": [], "materials": []}, "there is no face"),
     ],

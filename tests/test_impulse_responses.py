@@ -376,10 +376,10 @@ def test_repeats_are_averaged_or_refused(tmp_path: Path, capsys) -> None:
     both = [tmp_path / "S1-R1.wav", tmp_path / "take2" / "S1-R1.wav"]
     assert len(ir.read(both, bands=[1000], repeats=True).measurement.pairs) == 1
     apart = [tmp_path / "S1-R1.wav", tmp_path / "S1-R2.wav"]
-    with pytest.raises(DataError, match="repeats=True changes nothing, since every source"):
+    with pytest.raises(DataError, match="repeats=True has no effect, because every source"):
         ir.read(apart, bands=[1000], repeats=True)
     assert run("measure", *apart, "--repeats") == 2
-    assert "--repeats changes nothing" in " ".join(capsys.readouterr().err.split())
+    assert "--repeats has no effect" in " ".join(capsys.readouterr().err.split())
 
 
 def test_channels_are_no_receivers_unless_stated(tmp_path: Path) -> None:

@@ -92,7 +92,7 @@ def test_no_command_writes_over_what_it_reads(tmp_path: Path, monkeypatch, capsy
         (*loop, "--state", "same", "--out", "same"),
     ):
         assert run(*arguments) == 2
-        assert "would be written over" in capsys.readouterr().err
+        assert "would overwrite" in capsys.readouterr().err
     assert run("calibrate", "room.toml", "measured.csv", "--out", "") == 2
     assert "--out is empty" in capsys.readouterr().err
     assert {p: p.read_bytes() for p in tmp_path.iterdir()} == before
@@ -153,7 +153,7 @@ def test_import_takes_sigma_air_bands_and_scattering(tmp_path: Path, capsys) -> 
         )
         == 2
     )
-    assert '"glass" is no material of the room' in capsys.readouterr().err
+    assert '"glass" is not a material of the room' in capsys.readouterr().err
 
 
 def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
@@ -176,12 +176,12 @@ def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     assert "Vorländer 2008" in room.sources["brick wall"]
     assert "brick wall: pyroomacoustics" in shown
     assert run(*command, "--catalogue", "brick wall=none_such", *out) == 2
-    assert '"none_such" is no material of the catalogue' in capsys.readouterr().err
+    assert '"none_such" is not a material of the catalogue' in capsys.readouterr().err
     assert run(*command, "--catalogue", "brick wall=brick", *out) == 2
     assert "it is like smooth_brickwork_flush_pointing: " in capsys.readouterr().err
     program = ("import", "catalogue", "--volume", 60, "--area", "material=90", *out)
     assert run(*program) == 2
-    assert '--catalogue "material=carpet" names the entries' in capsys.readouterr().err
+    assert '--catalogue "material=carpet" lists the entries' in capsys.readouterr().err
 
 
 def test_a_mesh_alone_takes_its_materials_from_the_catalogue(tmp_path: Path, capsys) -> None:
@@ -191,8 +191,8 @@ def test_a_mesh_alone_takes_its_materials_from_the_catalogue(tmp_path: Path, cap
     command = ("import", "catalogue", "--mesh", mesh, "--out", out)
     assert run(*command) == 2
     said = capsys.readouterr().err
-    assert '"wood" is like ' in said
-    assert 'State --catalogue "wood=ENTRY" --catalogue "brick=ENTRY"' in " ".join(said.split())
+    assert '"wood" is similar to ' in said
+    assert 'Give --catalogue "wood=ENTRY" --catalogue "brick=ENTRY"' in " ".join(said.split())
     chosen = ("--catalogue", "wood=wood_16mm", "--catalogue", "brick=brickwork")
     assert run(*command, *chosen) == 0
     room = rt.Room.from_file(str(out))

@@ -146,7 +146,9 @@ def test_another_room_of_a_problem_has_its_bands() -> None:
     room, measured = rt.datasets.bras_cr2()
     problem = rt.Calibration(rt.terms.PriorDeviation()).build(room)
     other = room.replace(centre_frequencies=[100, 200, 400, 800, 1600, 3150])
-    with pytest.raises(rt.errors.DataError, match="other bands than the one built with: 100 Hz"):
+    with pytest.raises(
+        rt.errors.DataError, match="other bands than the problem was built with: 100 Hz"
+    ):
         problem.solve(measured, other)
 
 

@@ -150,10 +150,10 @@ def test_wrong_numbers_are_refused(changes, said):
 
 def test_numbers_that_do_not_belong_are_refused():
     problem = rt.Calibration(terms.PriorDeviation() + TERM, []).build(ROOM)
-    with pytest.raises(DataError, match="observed lacks"):
+    with pytest.raises(DataError, match="observed has no numbers for"):
         problem.solve([1.0, 1.0])
     other = terms.LinearObservations("other")
-    with pytest.raises(DataError, match="no term of the objective"):
+    with pytest.raises(DataError, match="not a term of the objective"):
         problem.solve(None, observed={other: draw(0)})
     with pytest.raises(DataError, match="columns"):
         narrow = terms.Observed(matrix=np.ones((2, 3)), values=[1, 2], covariance=np.eye(2))

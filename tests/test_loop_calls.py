@@ -69,7 +69,7 @@ def test_one_call_suffices_for_a_deterministic_simulator_only(cr2):
     result = rt.calibrate_simulator(simulator(program), room, measured, max_simulations=1)
     assert result.simulations == len(program.calls) == 1
     assert set(result.status) == {"not converging"}
-    with pytest.raises(DataError, match="max_simulations = 1 is not a whole number of at least 2"):
+    with pytest.raises(DataError, match="max_simulations = 1 must be a whole number of at least 2"):
         rt.calibrate_simulator(
             simulator(program, deterministic=False), room, measured, max_simulations=1
         )

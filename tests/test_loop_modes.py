@@ -47,7 +47,7 @@ def test_a_simulator_that_is_off_moves_the_bands_above_alone(told, tmp_path):
     assert not [m for m in result.trust_marks if m.kind == "below_schroeder"]
     assert "room modes stand in place of what was measured there." in " ".join(str(result).split())
     back(result, tmp_path)
-    assert "room modes stand there in place of T" in page_of(tmp_path)
+    assert "room modes are used instead of T" in page_of(tmp_path)
 
 
 def test_too_few_modes_keep_the_mark():

@@ -32,7 +32,7 @@ def test_a_mesh_in_another_unit_is_refused() -> None:
         obj.parse(content)
     assert obj.parse(content, unit=0.001).volume == pytest.approx(60, rel=1e-12)
     with pytest.raises(
-        DataError, match=r"V = 2e-09 m³ is not from 0.001 .* 2 m³ in m \(unit = 1\)"
+        DataError, match=r"V = 2e-09 m³ must be from 0.001 .* 2 m³ in m \(unit = 1\)"
     ):
         obj.parse(fuzz.OBJ[0], unit=0.001)
 

@@ -153,25 +153,29 @@ def test_what_is_drawn_twice_as_a_whole_is_taken_once(triangles: bool) -> None:
 
 
 REFUSED: dict[str, tuple[Drawn, dict[str, float], str]] = {
-    "no face": ([], {}, "there is no face"),
-    "a sheet": ([("x", np.eye(3))], {}, "no faces enclose a volume"),
+    "no face": ([], {}, "the mesh has no face"),
+    "a sheet": ([("x", np.eye(3))], {}, "the faces do not enclose a volume"),
     "slivers": (
         [("x", np.eye(3) * 1e-3)],
         {},
-        r"weld distance of 10 mm: as read, the mesh is 1\.7 mm across\. State a larger --unit",
+        r"weld distance of 10 mm: as read, the mesh is 1\.7 mm across\. Give a larger --unit",
     ),
-    "not finite": ([("x", np.full((3, 3), np.nan))], {}, "a corner is not finite"),
-    "a weld below 0": (walls(), {"weld": -1}, r"weld = -1 m is not finite and 0 or more"),
-    "no largest hole": (walls(), {"largest_hole": np.nan}, "largest_hole = nan m² is not finite"),
+    "not finite": (
+        [("x", np.full((3, 3), np.nan))],
+        {},
+        "a corner has a coordinate that is not finite",
+    ),
+    "a weld below 0": (walls(), {"weld": -1}, r"weld = -1 m must be finite and 0 or more"),
+    "no largest hole": (walls(), {"largest_hole": np.nan}, "largest_hole = nan m² must be finite"),
     "two rooms": (
         PLASTER + block((10, 0, 0), (20, 7, 4)),
         {},
-        "two closed rooms have a wall in common",
+        "two closed rooms of .* share a wall",
     ),
     "a screen through the room": (
         PLASTER + SCREEN,
         {},
-        "if they divide the room, leave the other side out",
+        "delete that wall if they are one room",
     ),
     "walls that are no shell beside a desk": (
         [("plaster", p[:3]) for _, p in PLASTER] + block((6, 2, 0), (8, 4, 1), "desk"),
@@ -181,13 +185,13 @@ REFUSED: dict[str, tuple[Drawn, dict[str, float], str]] = {
     "no ceiling": (
         walls("ceiling"),
         {},
-        r"hole of 70 m² at .* up to 2\.06 m² are closed\. In your program, close the hole with a face"
-        r".*or state --hole 70\.7",
+        r"hole of 70 m² at .* up to 2\.06 m² are closed automatically\. In your program, close the"
+        r" hole with a face.*or use --hole 70\.7",
     ),
     "two walls missing": (
         walls("west", "east"),
         {},
-        r"hole of 28 m² at .*; hole of 28 m² at .*; holes up to",
+        r"hole of 28 m² at .*; hole of 28 m² at .*; only holes up to",
     ),
 }
 
@@ -461,7 +465,10 @@ def test_dxf(tmp_path: Path, kind: str) -> None:
     done = mesh.room(path)
     assert done.volume == pytest.approx(V, rel=1e-9)
     assert done.areas == pytest.approx({"plaster": S}, rel=1e-9)
-    assert done.notes == ("the file's unit is 0.001 m", "no faces, left out: 1 LINE")
+    assert done.notes == (
+        "the file's unit is 0.001 m",
+        "left out, because they are not faces: 1 LINE",
+    )
     assert mesh.room(path, unit=0.01).volume == pytest.approx(1000 * V, rel=1e-9)
 
 
@@ -488,9 +495,9 @@ HEAD = b"0\nSECTION\n2\nENTITIES\n"
     ("name", "content", "rule"),
     [
         ("a.skp", b"", r"SketchUp's own format; export COLLADA"),
-        ("a.xyz", b"", r'"\.xyz" is no format of a mesh; read are \.obj, \.dxf'),
+        ("a.xyz", b"", r'"\.xyz" is not a mesh format; rtcal reads \.obj, \.dxf'),
         ("a.glb", b"glTF broken", r"a\.glb: cannot be read as glb"),
-        ("a.stl", b"", r"a\.stl: cannot be read as stl|there is no face"),
+        ("a.stl", b"", r"a\.stl: cannot be read as stl|the mesh has no face"),
         (
             "a.ply",
             b"ply\nformat binary_big_endian 1.0\nelement vertex 9\nend_header\nAB",
@@ -559,14 +566,14 @@ def test_a_mesh_that_cannot_be_closed_is_taken_as_drawn_with_an_uncertain_volume
     path = obj([("brick", p) for _, p in walls("east")], tmp_path / "open.obj")
     picture, out = tmp_path / "p.png", tmp_path / "room.toml"
     said = said_by(capsys, "check", path, "--picture", picture, code=2)
-    assert "By rays V = 2" in said
+    assert "Estimated with rays, the volume is 2" in said
     assert "Written" in said
     assert picture.stat().st_size > 1000
     said = said_by(capsys, "check", path, "--open", "--picture", picture)
-    assert " by rays, S = " in said
+    assert " estimated with rays, S = " in said
     assert "hole: " not in said.partition("defects:")[0]
     to = ("--open", "--mended", tmp_path / "m.obj")
-    assert "the mesh was not closed" in said_by(capsys, "check", path, *to, code=2)
+    assert "takes the mesh as it is" in said_by(capsys, "check", path, *to, code=2)
     given = ("catalogue", "--mesh", path, "--out", out, "--catalogue", "brick=brick_wall_rough")
     said_by(capsys, *given, code=2)
     assert not out.exists()
@@ -576,4 +583,4 @@ def test_a_mesh_that_cannot_be_closed_is_taken_as_drawn_with_an_uncertain_volume
     assert abs(room.volume / V - 1) < 2 * room.volume_sigma
     assert room.areas.sum() == pytest.approx(S - 28)
     assert room.scene.mesh is None
-    assert "leave --open or --mended out" in said_by(capsys, *given, *to, code=2)
+    assert "leave one of them out" in said_by(capsys, *given, *to, code=2)

@@ -264,14 +264,14 @@ def test_a_contradiction_is_explained_by_the_smallest_relaxation() -> None:
         rt.Calibration(PRIOR, constraints).build(room).solve(t)
     # 40 m² of a alone, but T allows 30: 10 m² are 0.1 of all 100 m², 0.2 of a's 50 m².
     assert str(error.value) == (
-        "the constraints contradict each other. The smallest relaxation that removes it: exact "
-        "match of T at 1000 Hz (m² of absorption) has to be 10 higher"
+        "the constraints contradict each other. The smallest relaxation that removes the "
+        "contradiction: exact match of T at 1000 Hz (m² of absorption) has to be 10 higher"
     )
     with pytest.raises(rt.errors.InfeasibleError) as error:
         rt.Calibration(PRIOR, [terms.MatchWithin(1), constraints[1]]).build(room).solve(t)
     # 1 JND: T may be 5 % shorter, so that Eyring's exponent 0.3567 is 0.3754 and S'alpha 31.30 m².
     assert str(error.value).endswith(
-        "it: match of T within 1 JND at 1000 Hz (m² of absorption) has to be 8.698 higher"
+        "contradiction: match of T within 1 JND at 1000 Hz (m² of absorption) has to be 8.698 higher"
     )
     both = rt.Room(
         name="two bands",
@@ -285,7 +285,7 @@ def test_a_contradiction_is_explained_by_the_smallest_relaxation() -> None:
     with pytest.raises(rt.errors.InfeasibleError) as error:
         rt.Calibration(PRIOR, constraints).build(both).solve([t[0], t[0]])
     assert str(error.value).endswith(
-        "it: exact match of T at 500 Hz (m² of absorption) has to be 10 higher; "
+        "contradiction: exact match of T at 500 Hz (m² of absorption) has to be 10 higher; "
         "exact match of T at 1000 Hz (m² of absorption) has to be 10 higher"
     )
     with pytest.raises(

@@ -52,9 +52,9 @@ def crooked():
 
 def test_too_many_modes_of_a_mesh():
     large = replace(slanted(), vertices=2 * slanted().vertices)
-    with pytest.raises(DataError, match="modes up to 250 Hz, and at most 600 are calculated"):
+    with pytest.raises(DataError, match="modes up to 250 Hz, but at most 600 are calculated"):
         modes_of(large, 250)
-    with pytest.raises(DataError, match="or is it in mm"):
+    with pytest.raises(DataError, match="or check whether the room is in mm"):
         modes_of(Polyhedron.shoebox((5200, 4100, 2600), "plaster"), 100)
 
 

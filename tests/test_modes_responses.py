@@ -131,8 +131,8 @@ def test_what_the_rooms_modes_do_not_explain(wrong):
     ("change", "words"),
     [
         (lambda s: {"responses": s[:1], "pairs": PAIRS[:1]}, "has 1 pair"),
-        (lambda s: {"pairs": [*PAIRS[:3], ("S", "R9")]}, "S to R9 has no place"),
-        (lambda s: {"pairs": [*PAIRS[:3], PAIRS[1]]}, "S to R1 stands there twice"),
+        (lambda s: {"pairs": [*PAIRS[:3], ("S", "R9")]}, "S to R9 has no position"),
+        (lambda s: {"pairs": [*PAIRS[:3], PAIRS[1]]}, "S to R1 occurs twice"),
         (lambda s: {"room": None}, "room = None"),
         (
             lambda s: {
@@ -151,7 +151,7 @@ def test_what_the_rooms_modes_do_not_explain(wrong):
         (lambda s: {"rate": -1.0}, "rate"),
         (
             lambda s: {"responses": np.random.default_rng(0).standard_normal(s.shape)},
-            "no decay of 15 dB",
+            "do not decay by 15 dB",
         ),
     ],
 )

@@ -86,7 +86,7 @@ def test_a_new_equation_is_kept_in_a_saved_loop(
     loop.save(str(tmp_path / "loop.json"))
     assert Loop.load(str(tmp_path / "loop.json")).equation == quadratic()
     monkeypatch.delitem(sys.modules, "quadratic_equation")
-    with pytest.raises(DataError, match="module of your own is to be imported first"):
+    with pytest.raises(DataError, match="import the module first if the class is your own"):
         Loop.load(str(tmp_path / "loop.json"))
 
 

@@ -170,11 +170,11 @@ def test_an_observable_from_outside_is_a_header_by_its_label(registry):
 @pytest.mark.parametrize(
     ("attributes", "message"),
     [
-        ({"key": "t20"}, 'observable "t20": T20 has this key'),
-        ({"teams": (0.05,) * 8}, "teams has 8 values; it has one for each of 125, 250, 500, 1000"),
+        ({"key": "t20"}, 'observable "t20": T20 already has this key'),
+        ({"teams": (0.05,) * 8}, "teams has 8 values; give one for each of 125, 250, 500, 1000"),
         (
             {"gradient": lambda self, *decay: -observable("d50").gradient(*decay)},
-            r"gradient at \d\S* s = .*; differences of value give",
+            r"gradient at \d\S* s = .*; finite differences of its value give",
         ),
         ({"gradient": lambda self, energy, *_: np.nan * energy}, "gradient at .* = nan;"),
     ],

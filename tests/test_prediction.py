@@ -283,7 +283,7 @@ def test_an_acoustic_ceiling_is_within_the_interval(scattering: float, named: bo
         assert "by Arau-Puchades'" in text
         assert (made.by_equation["Arau-Puchades"] > 1.2 * made.by_equation["Eyring"]).all()
     else:
-        assert "does not say which way the surfaces face that change" in text
+        assert "does not give the axes of the surfaces that change" in text
     assert made.is_placed == named
 
 
@@ -375,7 +375,7 @@ def test_probability_agrees_with_the_interval_and_falls_over_all_bands(result) -
 
 
 def test_a_later_change_may_cover_what_an_earlier_one_of_the_file_brought_in(result) -> None:
-    """It was refused: "panel" is no material of the room."""
+    """It was refused: "panel" is not a material of the room."""
     chain = """
     [[material]]
     name = "panel"
@@ -390,7 +390,7 @@ def test_a_later_change_may_cover_what_an_earlier_one_of_the_file_brought_in(res
     first, then = 'cover = "walls"\nby = "panel"\narea = 6', 'cover = "panel"\nby = "walls"'
     ((variant,), _) = read_variants(chain.format(first, then), result.room)
     same(result.predict([]), result.predict(variant.changes))
-    with pytest.raises(DataError, match='cover = "panel" is no material'):
+    with pytest.raises(DataError, match='cover = "panel" is not a known material'):
         read_variants(chain.format(then, first), result.room)
 
 

@@ -137,7 +137,7 @@ def test_correlations_reach_the_calibration() -> None:
     together = rt.calibrate(room.replace(band_correlation=0.8), t)
     assert np.all(alone.shift[:, 1] == 0)
     np.testing.assert_allclose(together.shift[:, 1], 0.8 * together.shift[:, 0], rtol=1e-9)
-    with pytest.raises(rt.errors.ModelError, match='"robust" treats every coefficient apart'):
+    with pytest.raises(rt.errors.ModelError, match='"robust" treats every coefficient on its own'):
         rt.calibrate(room.replace(band_correlation=0.8), [0.5, 0.5], method="robust")
 
 

@@ -179,7 +179,7 @@ def test_an_answer_that_fails_the_certificate_is_not_returned(cr2, monkeypatch) 
     from rtcal.calibration import qp
 
     monkeypatch.setattr(qp, "polish", lambda *_: None)
-    with pytest.raises(rt.errors.SolverError, match="does not pass: primal residual"):
+    with pytest.raises(rt.errors.SolverError, match="fails the optimality check: primal residual"):
         rt.calibrate(*cr2, solver="osqp", settings={"max_iter": 3, "polishing": False})
 
 

@@ -62,7 +62,9 @@ def test_lse_leaves_alone_what_is_known_exactly() -> None:
 
 
 def test_a_prior_below_its_own_floor_is_refused() -> None:
-    with pytest.raises(DataError, match=r'alpha\["a", 1000 Hz\] = 0.05 is below its own alpha_min'):
+    with pytest.raises(
+        DataError, match=r'alpha\["a", 1000 Hz\] = 0.05 is below its lower bound alpha_min'
+    ):
         room(alpha=[[0.1, 0.05], [0.3, 0.2]], alpha_min=[[0.1, 0.1], [0.1, 0.1]])
 
 
@@ -80,14 +82,14 @@ def test_a_t_too_short_to_be_told_is_unreachable(t: float) -> None:
     ("changes", "message"),
     [
         ({"standard_deviation": {"t20": [0.1, 0.1]}}, "needs the numbers of sources and receivers"),
-        ({"n_sources": 0, "n_receivers": 1}, "sources = 0 is not a whole number above 0"),
-        ({"pairs": [("S", "R")], "n_sources": 2}, "belong to a summary"),
-        ({"pairs": [("S", "R", "x")]}, r"a pair is \(source, receiver\)"),
-        ({"pairs": [("#S", "R")]}, "# begins a note"),
-        ({"pairs": [("S\n", "R")]}, "a name has no control characters"),
+        ({"n_sources": 0, "n_receivers": 1}, "sources = 0 must be a whole number above 0"),
+        ({"pairs": [("S", "R")], "n_sources": 2}, "are allowed only in a summary"),
+        ({"pairs": [("S", "R", "x")]}, r"give each pair as \(source, receiver\)"),
+        ({"pairs": [("#S", "R")]}, "which begins a comment"),
+        ({"pairs": [("S\n", "R")]}, "a name must not have control characters"),
         ({"values": {"t20": [["a", "b"]]}}, r"values\[t20\]"),
-        ({"values": [1]}, "not a mapping"),
-        ({"uncertainty": {"c80": [[1, 1]]}}, r"uncertainty\[c80\] has no values beside it"),
+        ({"values": [1]}, "must be a mapping"),
+        ({"uncertainty": {"c80": [[1, 1]]}}, r"uncertainty\[c80\] has no values\[c80\]"),
     ],
 )
 def test_measurement(changes: dict, message: str) -> None:
@@ -133,22 +135,22 @@ PRIOR = rt.terms.PriorDeviation()
 
 
 HARD_TO_SEE = [
-    (lambda: rt.exact.solve(HIDDEN, *SMALL[1:]), "mu is a masked array with hidden entries"),
-    (lambda: room(areas=HIDDEN), "areas is a masked array with hidden entries"),
-    (lambda: rt.calibrate(room(), HIDDEN), "measured is a masked array with hidden entries"),
-    (lambda: study(workers=1.5), "workers = 1.5 is not a whole number of at least 1"),
-    (lambda: study(executor=5), "executor = 5 is not a concurrent.futures.Executor"),
+    (lambda: rt.exact.solve(HIDDEN, *SMALL[1:]), "mu is a masked array with masked entries"),
+    (lambda: room(areas=HIDDEN), "areas is a masked array with masked entries"),
+    (lambda: rt.calibrate(room(), HIDDEN), "measured is a masked array with masked entries"),
+    (lambda: study(workers=1.5), "workers = 1.5 must be a whole number of at least 1"),
+    (lambda: study(executor=5), "executor = 5 must be a concurrent.futures.Executor"),
     (lambda: rt.terms.PriorDeviation(material_correlation={"a": 1}), "'a' is not a pair of mat"),
-    (lambda: rt.terms.AddedAbsorption("x", ["a"], 1), r'AddedAbsorption\("x"\): gain is not'),
+    (lambda: rt.terms.AddedAbsorption("x", ["a"], 1), r'AddedAbsorption\("x"\): gain must be'),
     (
         lambda: rt.terms.GroupAbsorption("floor", 1),
-        "GroupAbsorption: materials = 'floor' is not a list",
+        "GroupAbsorption: materials = 'floor' must be a list",
     ),
-    (lambda: distribution(solved(), 1), "n_samples = 1 is not a whole number of at least 2"),
-    (lambda: rt.Eyring().absorption_area(room(), "a"), "T is not an array of real numbers"),
+    (lambda: distribution(solved(), 1), "n_samples = 1 must be a whole number of at least 2"),
+    (lambda: rt.Eyring().absorption_area(room(), "a"), "T must be an array of real numbers"),
     (
         lambda: rt.calibrate(room(), [0.8, 0.7], settings={5: 1}),
-        "settings = {5: 1} is not a mapping",
+        "settings = {5: 1} must be a mapping",
     ),
 ]
 

@@ -143,12 +143,12 @@ def test_a_field_that_came_later_has_its_default() -> None:
 
 
 OTHER_FILES = [
-    (NUMBERS, "{}", "no saved result"),
-    (NUMBERS, "[", "not JSON"),
-    (NUMBERS, "[1]", "not a JSON object"),
+    (NUMBERS, "{}", "not a result that rtcal saved"),
+    (NUMBERS, "[", "not valid JSON"),
+    (NUMBERS, "[1]", "must hold one JSON object"),
     (NUMBERS, '{"rtcal": "finding 1", "object": {"sha256": "0"}}', "finding 1.*calculate"),
     (NUMBERS, '{"rtcal": "x", "object": {"version": "0.0.7", "objects": []}}', "0.0.7.*calculate"),
-    ("x.json", "[" * 100_000, "not JSON"),
+    ("x.json", "[" * 100_000, "the JSON cannot be read"),
     (
         "a.csv",
         "f,T20\n500,1\n",

@@ -85,7 +85,9 @@ def test_what_is_no_room_is_refused_by_name(tmp_path: Path, convention: str) -> 
     path = tmp_path / "a.sofa"
     made = sofar.Sofa(convention)
     sofar.write_sofa(str(path), made)
-    with pytest.raises(DataError, match=f"convention {convention} is no response in a room; read"):
+    with pytest.raises(
+        DataError, match=f"convention {convention} is not a response in a room; rtcal read"
+    ):
         impulse_responses.read(path)
 
 
@@ -94,11 +96,11 @@ def test_bad_files(tmp_path: Path) -> None:
     broken.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(200))
     with pytest.raises(DataError, match=r"broken\.sofa: cannot be read as SOFA"):
         sofa.read(broken)
-    with pytest.raises(DataError, match="byte 0: not a SOFA"):
+    with pytest.raises(DataError, match="byte 0: is not a SOFA"):
         sofa.read(tmp_path / "none.sofa")
     free = tmp_path / "free.sofa"
     sofar.write_sofa(str(free), sofar.Sofa("GeneralFIR"))
-    with pytest.raises(DataError, match="GeneralFIR in the free field is no response in a room"):
+    with pytest.raises(DataError, match="GeneralFIR in the free field is not a response in a room"):
         sofa.read(free)
 
 
@@ -185,14 +187,19 @@ def test_a_balloon_that_says_too_little_is_refused(tmp_path: Path) -> None:
     path = balloon(tmp_path / "b.sofa")
     with pytest.raises(DataError, match="no frequency in the octave of 4000 Hz"):
         balloons.read(path, [1000, 4000], (1, 0, 0))
-    with pytest.raises(DataError, match="SingleRoomSRIR is no directivity; read are FreeField"):
+    with pytest.raises(
+        DataError, match="SingleRoomSRIR is not a directivity; rtcal reads FreeField"
+    ):
         balloons.read(file(tmp_path / "r.sofa"), [1000], (1, 0, 0))
     behind = balloon(tmp_path / "c.sofa", SourceView=[[0.0, -1.0, 0.0]])
-    with pytest.raises(DataError, match="the file's axis is not where it radiates"):
+    with pytest.raises(DataError, match="the source does not radiate along the file's axis"):
         balloons.read(behind, [1000], (1, 0, 0))
     half = balloon(tmp_path / "h.sofa", lowest=0)
     with pytest.raises(DataError, match="leave a gap of 90 degrees"):
         balloons.read(half, [1000], (1, 0, 0))
     along = balloon(tmp_path / "u.sofa", SourceUp=[[0.0, -2.0, 0.0]])
-    with pytest.raises(DataError, match="SourceUp is along SourceView"):
+    with pytest.raises(
+        DataError,
+        match="SourceUp is parallel to SourceView; it must point to the top of the source",
+    ):
         balloons.read(along, [1000], (1, 0, 0))

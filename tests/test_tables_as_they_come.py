@@ -49,11 +49,11 @@ def dated(made: Any) -> None:
         ({"T20": ROWS}, merged, "t20", [[1.5, 1.4], [1.6, 1.3]]),
         ({"T20": ACROSS, "old": ACROSS}, hidden, "t20", [[1.5, 1.4], [1.6, 1.3]]),
         ({"D50": [["f", "S1R1"], [500, 0.556]]}, in_percent, "d50", [[0.556]]),
-        ({"T20": ACROSS}, formula, 'sheet "T20", cell B2: a formula without its stored', None),
+        ({"T20": ACROSS}, formula, 'sheet "T20", cell B2: the value of this formula', None),
         (
             {"T20": ACROSS},
             dated,
-            'sheet "T20", line 2: "2026-05-01 .* .Excel.s date.. is not',
+            'sheet "T20", line 2: "2026-05-01 .* .Excel.s date.. must be',
             None,
         ),
     ],
@@ -132,7 +132,7 @@ def test_without_openpyxl_the_extra_is_named(monkeypatch) -> None:
 def test_repeats_are_proposed_and_read_by_their_usual_names(names: tuple[str, str]) -> None:
     rows = [["Hz", "S1R1", *names], [500, 1.5, 1.2, 1.4], [1000, 1.3, 1.0, 1.2]]
     content = book({"T20": rows})
-    with pytest.raises(DataError, match="repeats of one place, state repeats=True"):
+    with pytest.raises(DataError, match="repeats at one position, use repeats=True"):
         tables.parse(content, "room.xlsx")
     read = tables.parse(content, "room.xlsx", repeats=True).measurement
     of_place = dict(zip(read.pairs, read.values["t20"], strict=True))

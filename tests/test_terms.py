@@ -295,7 +295,7 @@ REFUSED: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: terms.AddedAbsorption("x", [1, 1], 0.0), DataError, "sigma"),
     (lambda: terms.AtMost("a", "a"), DataError, '"a"'),
     (lambda: terms.AtMost("a", 5), DataError, "AtMost: material"),
-    (lambda: terms.GroupAbsorption(["a"]), DataError, "one of them"),
+    (lambda: terms.GroupAbsorption(["a"]), DataError, "least or most or both"),
     (lambda: terms.GroupAbsorption(["a"], least=3, most=2), DataError, "least"),
     (lambda: terms.Shared("a"), DataError, "two"),
     (lambda: terms.Bounds(0.6, 0.5), DataError, "Bounds"),
@@ -305,7 +305,7 @@ REFUSED: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: P() + 5, ModelError, "5"),
     (lambda: P() + terms.BandSmoothness, ModelError, r"BandSmoothness\(\)"),
     (lambda: rt.Calibration(P(), [terms.ExactMatch]), ModelError, r"ExactMatch\(\)"),
-    (lambda: rt.Calibration(P(), [terms.SoftMatch()]), ModelError, "no constraint"),
+    (lambda: rt.Calibration(P(), [terms.SoftMatch()]), ModelError, "neither a constraint"),
     (lambda: rt.Calibration(P() + terms.HuberDeviation()), ModelError, "2 prior"),
     (lambda: rt.Calibration(0 * P() + terms.SoftMatch()), ModelError, "weight 0"),
     (lambda: rt.Calibration(P() + P()), ModelError, "2 prior"),
@@ -343,15 +343,15 @@ BUILT: list[tuple[Any, list[Any], type[Exception], str]] = [
     (P(), [terms.AtMost("m0", "m1", band=0)], DataError, "band = 0"),
     (P(), [terms.Shared("m2", "m3"), terms.GroupAbsorption(["m2"], most=5)], ModelError, '"m3"'),
     (P() + not_dpp, [], ModelError, "not DPP"),
-    (P() + (lambda m: cp.norm(m.deviation[0])), [], ModelError, "no QP"),
+    (P() + (lambda m: cp.norm(m.deviation[0])), [], ModelError, "not a quadratic program"),
     (P() + (lambda m: -cp.sum_squares(m.deviation)), [], ModelError, "not convex"),
-    (P() + (lambda m: m.deviation), [], ModelError, "no objective term"),
-    (P(), [two], ModelError, "no constraint"),
+    (P() + (lambda m: m.deviation), [], ModelError, "must return one number"),
+    (P(), [two], ModelError, "must return"),
     (
         P() + terms.AddedAbsorption("x", GAIN, 1.0) + terms.AddedAbsorption("x", [1.0] * 4, 1.0),
         [],
         ModelError,
-        "one name",
+        "the same name",
     ),
 ]
 
@@ -375,7 +375,7 @@ def test_numbers_that_do_not_fit_are_refused_when_solved() -> None:
     room = random_room(np.random.default_rng(0), N, K)
     t = true_times(np.random.default_rng(0), room, EYRING)
     for objective, constraints, error, place in (
-        (P(), [SHARE], DataError, "have one prior"),
+        (P(), [SHARE], DataError, "have the same prior"),
         (P() + terms.SoftMatch(), [], DataError, r"u_T\[63 Hz\] is unknown or 0"),
         (P() + terms.SoftMatch(1e-9), [], DataError, r"u_T\[63 Hz\] is below"),
         (P() + terms.AddedAbsorption("x", [1, 1], 1.0), [], ModelError, "shape"),

@@ -171,14 +171,14 @@ def test_the_direct_sound_of_both_is_the_inverse_square_law():
         ({"sources": {"S1": (50, 1, 1)}}, 'source "S1" = .* is outside the room'),
         ({"receivers": {"R": (1, 1)}}, 'receiver "R" has shape'),
         ({"receivers": {}}, "no receiver"),
-        ({"scattering": 1.5}, r"scattering\[.*\] = 1.5 is not in"),
+        ({"scattering": 1.5}, r"scattering\[.*\] = 1.5 must be from"),
         ({"scattering": np.zeros((2, 2))}, "scattering"),
         ({"room": HALL.room.replace(scattering=None)}, "no scattering coefficients"),
         ({"n_batches": 1}, "at least two batches"),
         ({"bin_width": -1.0}, "bin_width"),
         ({"bin_width": 10.0}, "bin_width = 10 s is more than 0.01 s"),
         ({"radius": 0.0}, "radius"),
-        ({"geometry": Polyhedron.shoebox((9, 11, 4), "velvet")}, '"velvet" is no material'),
+        ({"geometry": Polyhedron.shoebox((9, 11, 4), "velvet")}, '"velvet" is not a material'),
     ],
 )
 def test_bad_input(make, options, message):

@@ -38,7 +38,7 @@ def test_it_is_refused_elsewhere_and_why_is_true(scene) -> None:
             with pytest.raises(DataError, match=needs) as refused:
                 rt.find(stated, measured, before=before, tracing=TRACING)
             assert ("before and after" in str(refused.value)) == (before is not None)
-    with pytest.raises(DataError, match=r"^tracing is not used beside a simulator"):
+    with pytest.raises(DataError, match=r"^tracing is not used when a simulator is given"):
         rt.find(room, of_pairs, simulator.simulator, tracing=TRACING)
-    with pytest.raises(DataError, match="tracing belong to a room; a case holds its own"):
+    with pytest.raises(DataError, match="tracing are arguments for a room"):
         rt.find(simulator, tracing=TRACING)

@@ -227,14 +227,14 @@ def test_a_common_factor_alone_has_an_interval() -> None:
 @pytest.mark.parametrize(
     ("stated", "message"),
     [
-        ({"volume_sigma": 5}, "volume_sigma = 5 is not .* percent"),
+        ({"volume_sigma": 5}, "volume_sigma = 5 must be .* percent"),
         ({"volume_sigma": np.nan}, "volume_sigma = nan"),
         ({"common_alpha_sigma": "much"}, "common_alpha_sigma"),
         ({"area_sigma": [0.1, 0.1]}, "area_sigma has 2 values"),
         ({"area_sigma": {"roof": 0.1}}, 'area_sigma\\["roof"\\]'),
         ({"area_sigma": {"door": "1.5"}}, 'such as "1.5 m²"'),
-        ({"area_sigma": {"door": "15 m²"}}, "below the area, which is 15 m²"),
-        ({"area_sigma": 3}, 'area_sigma\\["floor"\\] = 3 is not .* percent'),
+        ({"area_sigma": {"door": "15 m²"}}, "below the area of 15 m²"),
+        ({"area_sigma": 3}, 'area_sigma\\["floor"\\] = 3 must be .* percent'),
         ({"climate_sigma": (1,)}, "climate_sigma has 1 values"),
         ({"climate_sigma": (1, 5), "air": None}, "no air"),
     ],

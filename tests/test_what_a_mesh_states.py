@@ -65,7 +65,7 @@ def test_units_of_dxf_are_those_of_the_reference(code: int, length: float) -> No
 def test_a_unit_that_dxf_does_not_have_is_refused(code: int, tmp_path: Path) -> None:
     path = tmp_path / "room.dxf"
     path.write_text(dxf(code, 1.0))
-    with pytest.raises(DataError, match=rf"line 8: \$INSUNITS = {code} is no unit of DXF"):
+    with pytest.raises(DataError, match=rf"line 8: \$INSUNITS = {code} is not a unit of DXF"):
         mesh.room(path)
     require_box(mesh.room(path, unit=1.0))
 

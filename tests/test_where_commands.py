@@ -99,11 +99,14 @@ def test_nothing_found_is_said_and_nothing_is_written(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--place", "7,1"), '--place "7,1" is not X,Y,Z in m'),
-        (("--place", "a,b,c"), '--place "a,b,c" is not X,Y,Z in m'),
-        (("--place", "6,2,0", "--form", "material"), "at is the middle of a patch"),
+        (("--place", "7,1"), '--place "7,1" must have the form X,Y,Z in m'),
+        (("--place", "a,b,c"), '--place "a,b,c" must have the form X,Y,Z in m'),
+        (("--place", "6,2,0", "--form", "material"), "at is the centre of a patch"),
         (("--form", "hole"), "'hole' is not one of"),
-        (("--out", "pairs.csv"), "--out pairs.csv is a file; it is a folder: --out pairs"),
+        (
+            ("--out", "pairs.csv"),
+            "--out pairs.csv is a file, but results are written to a folder: --out pairs",
+        ),
     ],
 )
 def test_a_wrong_option_is_refused(

@@ -24,7 +24,7 @@ class Air:
     Parameters
     ----------
     temperature : float
-        °C, from -20 to 50 (the range of ISO 9613-1).
+        Temperature in °C, from -20 to 50 (the range of ISO 9613-1).
     humidity : float
         Relative humidity in %, above 1 and up to 100.
     pressure : float
@@ -62,16 +62,16 @@ class Air:
         )
         for name, holds, unit, rule in rules:
             if not holds:  # every comparison with NaN is false, so NaN is refused too
-                raise DataError(f"air.{name} = {getattr(self, name):g} {unit} is not {rule}")
+                raise DataError(f"air.{name} = {getattr(self, name):g} {unit} must be {rule}")
         if self.humidity <= 1:  # no room is so dry
             raise DataError(
-                f"air.humidity = {self.humidity:g} % looks like a fraction; {100 * self.humidity:g} % "
-                f"is humidity = {100 * self.humidity:g}"
+                f"air.humidity = {self.humidity:g} % looks like a fraction; write humidity = "
+                f"{100 * self.humidity:g} for {100 * self.humidity:g} %"
             )
 
     @property
     def speed_of_sound(self) -> float:
-        """c = 331.3 sqrt(1 + t / 273.15) in m/s, t the temperature in °C."""
+        """Speed of sound c = 331.3 sqrt(1 + t / 273.15) in m/s, t the temperature in °C."""
         return float(331.3 * np.sqrt(1 + self.temperature / 273.15))
 
     def attenuation(self, frequencies: Iterable[float]) -> Array:

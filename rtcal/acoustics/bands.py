@@ -139,7 +139,9 @@ def span(frequencies: Sequence[float] | Array) -> str:
     """
     frequencies = checks.array("frequencies", frequencies)
     if frequencies.ndim != 1 or not frequencies.size:
-        raise DataError(f"frequencies = {checks.shown(frequencies)} is not a list of numbers")
+        raise DataError(
+            f"frequencies = {checks.shown(frequencies)} must be a list of numbers in Hz"
+        )
     first, last = (f"{f:g}" for f in (frequencies[0], frequencies[-1]))
     if len(frequencies) == 1:
         return f"1 band, {last} Hz"
@@ -178,25 +180,25 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
     try:
         stated = [float(v) for v in frequencies]
     except (TypeError, ValueError, OverflowError) as error:
-        raise DataError(f"{place}: {error}; a band is a number in Hz") from error
+        raise DataError(f"{place}: {error}; give each band as a number in Hz") from error
     f = np.array([nominal(v) if v > 0 else v for v in stated])
     if f.ndim != 1 or f.size == 0:
-        raise DataError(f"{place} is empty; at least one band is needed")
+        raise DataError(f"{place} is empty; give at least one band")
     for value in f:
         if not (np.isfinite(value) and value > 0):
             raise DataError(
-                f"{place} has {value:g} Hz; a centre frequency is finite and above 0 Hz"
+                f"{place} has {value:g} Hz; a centre frequency must be finite and above 0 Hz"
             )
     if f.max() < _LOWEST:
         raise DataError(
-            f"{place} = {', '.join(f'{v:g}' for v in stated[:8])} looks like kHz; a centre frequency "
-            f"is in Hz, and at least one is {_LOWEST:g} Hz or more"
+            f"{place} = {', '.join(f'{v:g}' for v in stated[:8])} looks like kHz; give centre "
+            f"frequencies in Hz, at least one of them {_LOWEST:g} Hz or more"
         )
     for i, (below, above) in enumerate(itertools.pairwise(f)):
         if above <= below:
             raise DataError(
-                f"{place} has {label(stated[i + 1])} after {label(stated[i])}; bands must increase, "
-                "each once (within 1.5 % they are the same nominal band)"
+                f"{place} has {label(stated[i + 1])} after {label(stated[i])}; centre "
+                "frequencies must increase, and two within 1.5 % count as the same band"
             )
     centres = np.array(THIRD_OCTAVES)
     for i, value in enumerate(
@@ -207,8 +209,8 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
         narrow = (near[1:] / near[:-1]).min(initial=np.inf) < _NARROW
         if value != nearest and abs(value / nearest - 1) <= _MISTYPED and not narrow:
             raise DataError(
-                f"{place} has {label(float(value))}, which is no nominal band (ISO 266); the nearest "
-                f"is {label(float(nearest))}"
+                f"{place} has {label(float(value))}, which is not a nominal band (ISO 266); the "
+                f"nearest is {label(float(nearest))}"
             )
     return f
 
@@ -331,8 +333,9 @@ class Conversion:
             lacking = [f for f in part if f not in place]
             if lacking and not missing:
                 raise DataError(
-                    f"the band {label(frequency)} cannot be had: it needs {hertz(part)}, and "
-                    f"{hertz(lacking)} {'are' if lacking[1:] else 'is'} missing in {hertz(self.old)}"
+                    f"the band {label(frequency)} cannot be made from {hertz(self.old)}: it "
+                    f"needs {hertz(part)}, and {hertz(lacking)} {'are' if lacking[1:] else 'is'} "
+                    "missing"
                 )
         self._index = np.array([[place.get(f, -1) for f in part] for part in parts])
 
@@ -340,7 +343,8 @@ class Conversion:
         """Return the old bands' values that make up each new band, (..., n_wanted, 1 or 3)."""
         if values.ndim == 0 or values.shape[-1] != len(self.old):
             raise DataError(
-                f"values has shape {values.shape}; its last axis has {len(self.old)} bands"
+                f"values has shape {values.shape}; its last axis must have {len(self.old)} "
+                "values, one per band"
             )
         return np.where(self._index < 0, np.nan, values[..., self._index])
 

@@ -95,20 +95,22 @@ class Target:
     def __post_init__(self) -> None:
         low, high = checks.array("low", self.low), checks.array("high", self.high)
         if low.shape != high.shape or low.ndim != 1:
-            raise DataError(f"low has shape {low.shape} and high {high.shape}; both are (n_bands,)")
+            raise DataError(
+                f"low has shape {low.shape} and high {high.shape}; both must be (n_bands,)"
+            )
         for name, ends in (("low", low), ("high", high)):
             if (bad := (ends <= 0) | (ends > LONGEST)).any():
                 raise DataError(
-                    f"{name} = {ends[np.argmax(bad)]:g} s is not above 0 and at most {LONGEST:g} s, as "
-                    "the T of a room is"
+                    f"{name} = {ends[np.argmax(bad)]:g} s; T of a room must be above 0 and at "
+                    f"most {LONGEST:g} s"
                 )
         if (bad := low >= high).any():
             k = int(np.argmax(bad))
-            raise DataError(f"low = {low[k]:g} s is not below high = {high[k]:g} s")
+            raise DataError(f"low = {low[k]:g} s must be below high = {high[k]:g} s")
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
         if not self.bounded.any():
-            raise DataError("no band has a range: every low and high is missing")
+            raise DataError("target: every low and high is missing; give both in at least one band")
 
     @property
     def bounded(self) -> NDArray[np.bool_]:
@@ -152,7 +154,7 @@ def din_18041(group: str, volume: float, centre_frequencies: Sequence[float] | A
     [0.36 0.44 0.36] [0.8  0.66 0.66]
     """
     if group not in DIN_18041:
-        raise DataError(f'group = "{group}" is not one of {", ".join(DIN_18041)}')
+        raise DataError(f'group = "{group}" must be one of {", ".join(DIN_18041)}')
     use, slope, offset, least, most = DIN_18041[group]
     checks.between("volume", volume, least, most, "m³", f", for which DIN 18041 states {group}")
     t = slope * np.log10(volume) + offset
@@ -180,7 +182,9 @@ def ansi_s12_60(volume: float, centre_frequencies: Sequence[float] | Array) -> T
             f = bands.as_bands(centre_frequencies)
             high = np.where(np.isin(f, _ANSI_BANDS), t, np.nan)
             return Target(np.full(len(f), np.nan), high, _ANSI_SOURCE.format(t))
-    raise DataError(f"volume = {volume:g} m³ is above 566 m³, up to which ANSI S12.60 states T")
+    raise DataError(
+        f"volume = {volume:g} m³ is too large: ANSI S12.60 gives a T only for rooms up to 566 m³"
+    )
 
 
 class TargetTable(FileTable):
@@ -202,18 +206,24 @@ def target_of(table: TargetTable, volume: float, frequencies: Array) -> Target:
     stated = [key for key, end in ends.items() if end is not None]
     if table.standard is not None and stated:
         raise DataError(
-            f'target: standard = "{table.standard}" and {stated[0]} are both given; a target has one'
+            f'target: standard = "{table.standard}" and {stated[0]} are both given; give '
+            "only one of them"
         )
     if table.standard == "DIN 18041":
         return din_18041(table.group or "", volume, frequencies)
     if table.group is not None:
-        raise DataError(f'target: group = "{table.group}" is of DIN 18041, which it does not state')
+        raise DataError(
+            f'target: group = "{table.group}" belongs to DIN 18041: add standard = "DIN 18041", '
+            "or leave group out"
+        )
     if table.standard is not None:
         return ansi_s12_60(volume, frequencies)
     n = len(frequencies)
     for key, end in ends.items():
         if isinstance(end, list) and len(end) != n:
-            raise DataError(f"target.{key} has {len(end)} values; the room has {n} bands")
+            raise DataError(
+                f"target.{key} has {len(end)} values; give one for each of the room's {n} bands"
+            )
     low, high = (np.full(n, np.nan if end is None else end) for end in ends.values())
     return Target(low, high)
 
@@ -241,7 +251,7 @@ _TAKES: dict[str, dict[str, bool]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """A change of a room, which states one of cover, add, remove, open, air and volume.
+    """A change of a room: exactly one of cover, add, remove, open, air and volume.
 
     Parameters
     ----------
@@ -299,10 +309,14 @@ class Change:
         stated = {key: value for key, value in vars(self).items() if value is not None}
         kinds = [kind for kind in _TAKES if kind in stated]
         if len(kinds) != 1:
-            raise DataError(f"a change has {len(kinds)} of {', '.join(_TAKES)}; it is one of them")
+            raise DataError(
+                f"a change must have exactly one of {', '.join(_TAKES)}; this one has {len(kinds)}"
+            )
         takes = _TAKES[self.kind]
         if extra := [key for key in stated if key not in (self.kind, *takes)]:
-            raise DataError(f"{self.kind} has {extra[0]}, which has no meaning there")
+            raise DataError(
+                f'a change of the kind "{self.kind}" does not use {extra[0]}: leave it out'
+            )
         if lacking := [key for key, needed in takes.items() if needed and key not in stated]:
             raise DataError(f"{self.kind} lacks {lacking[0]}")
         if self.add is not None and self.area is None and self.number is None:
@@ -316,30 +330,32 @@ class Change:
             elif key == "air":
                 checks.instance(place, value, Air)
             elif key in ("add", "by") and not isinstance(value, Material | str):
-                raise DataError(f"{place} = {checks.shown(value)} is no Material, nor one's name")
+                raise DataError(
+                    f"{place} = {checks.shown(value)} is neither a Material nor the name of one"
+                )
             elif key in ("cover", "remove", "open"):
                 checks.text(place, value)
 
     @property
     def kind(self) -> str:
-        """Which of cover, add, remove, open, air and volume it states."""
+        """Kind of the change: cover, add, remove, open, air or volume."""
         return next(kind for kind in _TAKES if getattr(self, kind) is not None)
 
     @property
     def surface(self) -> str | None:
-        """The room's material of which something goes; None if nothing does."""
+        """The room's material that loses area; None if none does."""
         going = (self.cover, self.remove, self.open)
         return next((name for name in going if name is not None), None)
 
     @property
     def material(self) -> Material | str | None:
-        """The material that comes in; None if none does."""
+        """The material that is added; None if none is."""
         if self.open is not None:
             return OPENING
         return self.add if self.by is None else self.by
 
     def exchanged(self, room: Room) -> tuple[float, Material | None]:
-        """Return the area of `surface` in m² that goes, and the material that comes with its area.
+        """Return the area of `surface` in m² that is removed, and the added material with its area.
 
         Of pieces it is their number. Raises DataError if the room has less of the surface, for more
         than `MOST_ADDED`, and for an area of pieces or a number of a surface.
@@ -369,8 +385,8 @@ class Change:
         if self.surface is None:
             if self.number is None and taken > (most := MOST_ADDED * room.total_area):
                 raise DataError(
-                    f"area = {taken:g} m² is more than {most:g} m², {MOST_ADDED:g} times the room's "
-                    "surface"
+                    f"area = {taken:g} m² is too large: at most {most:g} m², {MOST_ADDED:g} "
+                    "times the room's surface, can be added"
                 )
             errors = dict(zip(room.materials, room.area_sigma.tolist(), strict=True))
             error = errors.get(new.name, 0.0)
@@ -487,7 +503,7 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
     room = before.replace(surfaces=(), scene=Scene(), dimensions=None, calibration=None)
     for change in changes:
         if not isinstance(change, Change):
-            raise DataError(f"change = {checks.shown(change)} is not a rtcal Change")
+            raise DataError(f"change = {checks.shown(change)} is not an rtcal.prediction.Change")
         again = change.material if change.open is None else None
         if isinstance(again, str) and again in {*before.materials} - {*room.materials}:
             # None of it is left, as where two materials are exchanged: it is still known.
@@ -565,7 +581,8 @@ def _material(room: Room, material: Material | str) -> Material:
         for name in ("alpha", "sigma"):
             if not np.array_equal(getattr(room, name)[row], stated[name][0]):
                 raise DataError(
-                    f'{name} of "{material.name}" is not that of the room\'s material of this name'
+                    f'{name} of "{material.name}" differs from the room\'s material of the '
+                    "same name: use another name, or the room's values"
                 )
     return material
 
@@ -588,12 +605,17 @@ class NewMaterial(FileTable):
         place = f'material "{self.name}"'
         if self.catalogue is None:
             if self.alpha is None:
-                raise DataError(f"{place}: lacks alpha")
+                raise DataError(f"{place}: alpha is missing; give one coefficient per band")
             return Material(self.name, self.alpha, self.sigma, source=self.source)
         if catalogue is None:
-            raise DataError(f'{place}: no catalogue to look "{self.catalogue}" up in')
+            raise DataError(
+                f'{place}: "{self.catalogue}" cannot be looked up, because no catalogue is loaded'
+            )
         if both := [key for key in ("alpha", "sigma") if getattr(self, key) is not None]:
-            raise DataError(f"{place}: catalogue and {both[0]} are both given; a material has one")
+            raise DataError(
+                f"{place}: catalogue and {both[0]} are both given; a material takes only one of "
+                "them"
+            )
         try:
             found = catalogue(self.catalogue, room.centre_frequencies)
         except DataError as error:
@@ -638,7 +660,7 @@ class TreatmentsFile(FileTable):
 
 @dataclass(frozen=True)
 class Variant:
-    """A named list of changes, and what it costs, in any currency.
+    """A named list of changes and their cost, in any currency.
 
     Examples
     --------
@@ -652,7 +674,7 @@ class Variant:
 
     def __post_init__(self) -> None:
         if self.cost is not None and not 0 <= checks.number("cost", self.cost) < np.inf:
-            raise DataError(f"cost = {self.cost:g} is not finite and 0 or more")
+            raise DataError(f"cost = {self.cost:g} must be finite and 0 or more")
 
 
 def read_variants(
@@ -689,7 +711,7 @@ def read_variants(
         except DataError as error:
             raise DataError(f"{place}: {error}") from error
     if not variants:
-        raise DataError("no [[variant]]; the file has at least one")
+        raise DataError("the file has no [[variant]]; it must have at least one")
     refuse_repeats("variants", variants)
     if file.target is None:
         return tuple(variants), None
@@ -710,8 +732,9 @@ def _named(key: str, material: Any, room: Room, new: Mapping[str, Material]) -> 
     """Return what a file names: its own material, or the name of the room's; DataError for neither."""
     if isinstance(material, str) and material not in (*room.materials, *new, OPENING):
         raise DataError(
-            f'{key} = "{material}" is no material; the room has {", ".join(room.materials)}; '
-            f"the file has {', '.join(new) or 'none'}"
+            f'{key} = "{material}" is not a known material. Materials of the room: '
+            f"{', '.join(room.materials)}; of the file: "
+            f"{', '.join(new) or 'none'}"
         )
     return new.get(name_of(material), material)
 
@@ -784,16 +807,18 @@ class Treatment:
             return
         if checks.positive(f"{place}unit", self.unit, "m²") > self.largest:
             raise DataError(
-                f"{place}unit = {self.unit:g} m² is more than largest = {self.largest:g} m²"
+                f"{place}unit = {self.unit:g} m², the area of one panel, is larger than "
+                f"largest = {self.largest:g} m²"
             )
         if self.largest > MOST_PANELS * self.unit:
             raise DataError(
-                f"{place}unit = {self.unit:g} m² allows more than {MOST_PANELS} panels in largest = "
-                f"{self.largest:g} m²; left out, any area may be had"
+                f"{place}unit = {self.unit:g} m² would make more than {MOST_PANELS} panels in "
+                f"largest = {self.largest:g} m²; give a larger unit, or leave it out to allow "
+                "any area"
             )
 
     def change(self, area: float) -> Change:
-        """Return the change that puts so many m² of it into the room."""
+        """Return the change that puts an area of the material in m² into the room."""
         if self.covers is None:
             return Change(add=self.material, area=area)
         return Change(cover=self.covers, by=self.material, area=area)
@@ -824,7 +849,7 @@ def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treat
     for treatment in listed:
         checks.instance("treatment", treatment, Treatment)
     if not listed:
-        raise DataError("treatments is empty; there is at least one")
+        raise DataError("treatments is empty; give at least one")
     refuse_repeats("treatments", listed)
     for treatment in listed:
         try:

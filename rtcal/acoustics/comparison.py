@@ -247,7 +247,7 @@ def compare(
     *,
     equation: LinearEquation | None = None,
 ) -> Comparison:
-    """Compare what a program gave with what was measured, by parameter, band and pair.
+    """Compare a program's values with the measurement, by parameter, band and pair.
 
     Parameters
     ----------
@@ -282,7 +282,10 @@ def compare(
     if run is None:
         times = equation.reverberation_time(checks.instance("room", room, Room))
         if not np.isfinite(times).any():
-            raise DataError(f"{equation.name}'s T is infinite in every band: nothing absorbs")
+            raise DataError(
+                f"{equation.name}'s T is infinite in every band, because every coefficient is 0 "
+                "and there is no air: give coefficients above 0"
+            )
         each = {o.key: np.where(np.isfinite(times), times, np.nan) for o in REVERBERATION}
         run = Run(room, Measurement.from_values(room.centre_frequencies, **each))
     else:

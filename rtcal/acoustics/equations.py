@@ -59,7 +59,7 @@ class ReverberationEquation(ABC):
     def __post_init__(self) -> None:
         c = self.speed_of_sound
         if c is not None and not 0 < checks.number("speed_of_sound", c) < np.inf:
-            raise DataError(f"speed_of_sound = {c:g} m/s is not finite and above 0")
+            raise DataError(f"speed_of_sound = {c:g} m/s must be finite and above 0")
 
     @abstractmethod
     def reverberation_time(self, room: Room) -> Array:
@@ -239,11 +239,14 @@ class LinearEquation(MeanEquation):
         checks.instance("room", room, Room)
         t = checks.array("T", t)
         if t.shape != (room.n_bands,):
-            raise DataError(f"T has shape {t.shape}; the room's bands ask for ({room.n_bands},)")
+            raise DataError(
+                f"T has shape {t.shape}; it must be ({room.n_bands},), one value per band of the "
+                "room"
+            )
         for frequency, value in zip(room.centre_frequencies, t, strict=True):
             if np.isinf(value) or value <= 0:
                 raise DataError(
-                    f"T[{bands.label(frequency)}] = {value:g} s is not finite and above 0"
+                    f"T[{bands.label(frequency)}] = {value:g} s must be finite and above 0"
                 )
         b = self.target(room, t)
         longest = self.time(room, np.zeros(room.n_bands))
@@ -255,7 +258,8 @@ class LinearEquation(MeanEquation):
             why = "longer than the air alone allows" if t[i] > longest[i] else "too short"
             raise InfeasibleError(
                 f"T[{bands.label(room.centre_frequencies[i])}] = {t[i]:.4g} s is {why} in "
-                f"{self.name}'s equation: T from {shortest[i]:.4g} to {longest[i]:.4g} s would do"
+                f"{self.name}'s equation, which can give T from {shortest[i]:.4g} to "
+                f"{longest[i]:.4g} s within the bounds"
             )
         return b
 
@@ -272,7 +276,9 @@ def mean_equation(key: str, place: str = "equation") -> MeanEquation:
     """
     equation = EQUATIONS.get(key) if isinstance(key, str) else None
     if equation is None or not issubclass(equation, MeanEquation):
-        raise DataError(f"{place} = {key!r} is not one of {', '.join(equation_keys(MeanEquation))}")
+        raise DataError(
+            f"{place} = {key!r} must be one of {', '.join(equation_keys(MeanEquation))}"
+        )
     return equation()
 
 
@@ -422,7 +428,7 @@ class Kuttruff(LinearEquation):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0 < checks.number("path_variance", self.path_variance) <= 1:
-            raise DataError(f"path_variance = {self.path_variance:g} is not above 0 and at most 1")
+            raise DataError(f"path_variance = {self.path_variance:g} must be above 0 and at most 1")
 
     @property
     def largest_mean(self) -> float:
@@ -480,7 +486,10 @@ class _AxisEquation(ReverberationEquation):
             along[room.material_index(surface.material), AXES.index(surface.axis)] += surface.area
         if (empty := along.sum(axis=0) == 0).any():
             missing = AXES[int(np.argmax(empty))]
-            raise ModelError(f'{self.name}: no surface stands across the axis "{missing}"')
+            raise ModelError(
+                f'{self.name}\'s equation needs a surface with axis = "{missing}", and the room '
+                "has none"
+            )
         return self.by_axes(room, along)
 
     def by_axes(self, room: Room, along: Array) -> Array:

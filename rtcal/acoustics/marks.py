@@ -113,7 +113,7 @@ def agreement(p_value: float | None, p_together: float | None = None) -> Agreeme
 def plausibility(
     difference: Array, covariance: Array, bound_active: bool, together: Array | None = None
 ) -> Plausibility:
-    """Return z per band and Q over bands.
+    """Return how well T agrees with the input: z per band, and Q over all bands.
 
     Parameters
     ----------
@@ -141,11 +141,13 @@ def plausibility(
     n = difference.size
     if difference.shape != (n,) or covariance.shape != (n, n):
         raise DataError(
-            f"difference has shape {difference.shape} and covariance {covariance.shape}; they are "
-            "(n_bands,) and (n_bands, n_bands)"
+            f"difference has shape {difference.shape} and covariance {covariance.shape}; they "
+            "must be (n_bands,) and (n_bands, n_bands)"
         )
     if not np.isfinite(covariance).all():
-        raise DataError("covariance has a value that is not finite: is a sigma far too large?")
+        raise DataError(
+            "covariance has a value that is not finite; check whether a sigma is far too large"
+        )
     spread = np.sqrt(np.diag(covariance))
     used = np.isfinite(difference) & (spread > 0)
     z = np.full(n, np.nan)

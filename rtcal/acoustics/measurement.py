@@ -91,7 +91,10 @@ def names_of_repeats(receiver: str) -> Iterator[str]:
     yield receiver
     for n in range(2, MOST_REPEATS + 1):
         yield f"{receiver}#{n}"
-    raise DataError(f'receiver "{receiver}" has more than {MOST_REPEATS} repeats')
+    raise DataError(
+        f'receiver "{receiver}" has more than {MOST_REPEATS} repeats, the largest number that is '
+        "read"
+    )
 
 
 def places_of(pairs: Sequence[Pair]) -> list[Pair]:
@@ -105,8 +108,8 @@ def places_of(pairs: Sequence[Pair]) -> list[Pair]:
         if alike := checks.look_alike(names):
             other, name = alike
             raise DataError(
-                f'pairs has the {kind} "{other}" and the {kind} "{name}", {checks.LOOKS}; repeats at '
-                f'one place are "{other}" and "{other}#2"'
+                f'pairs has the {kind} "{other}" and the {kind} "{name}", {checks.LOOKS}; if '
+                f'they are repeats at one position, name them "{other}" and "{other}#2"'
             )
     return placed
 
@@ -142,8 +145,8 @@ def require_repeats(placed: Sequence[Pair], place: str) -> None:
     """Raise DataError for stated repeats where every place, (n_pairs,), is there once."""
     if len({*placed}) == len(placed):
         raise DataError(
-            f"{place}: repeats=True changes nothing, since every source and receiver is there once; "
-            "leave it out, or name a repeat after its place: S1-R1#2 repeats S1-R1"
+            f"{place}: repeats=True has no effect, because every source and receiver occurs "
+            "once; leave it out, or name a repeat by its position: S1-R1#2 repeats S1-R1"
         )
 
 
@@ -215,7 +218,7 @@ class Measurement:
             tables = checks.mapped(f"measurement {name}", getattr(self, name))
             put(name, {p: self._checked(name, p, table) for p, table in tables.items()})
         if not self.values:
-            raise DataError("measurement: no values; at least one parameter is needed")
+            raise DataError("measurement: values is empty; give at least one parameter")
         for name, value in self._averaged(places_of(self.pairs)).items():
             put(name, value)
         self._check_summary()
@@ -263,7 +266,7 @@ class Measurement:
         for i, (kind, of_kind) in enumerate(stated.items()):
             for name in of_kind:
                 if name not in {pair[i] for pair in self.pairs}:
-                    raise DataError(f'{kind} has "{name}", which the measurement lacks')
+                    raise DataError(f'{kind} has "{name}", which is not in the measurement')
         of_source, of_receiver = stated.values()
         placed = [(of_source.get(s, s), of_receiver.get(r, r)) for s, r in self.pairs]
         return replace(self, **self._averaged(placed))
@@ -272,36 +275,46 @@ class Measurement:
         checked_pairs = []
         for pair in checks.listed("pairs", self.pairs):
             if len(checks.listed("pairs has a pair that", pair)) != 2:
-                raise DataError(f"pairs has {pair!r}; a pair is (source, receiver)")
+                raise DataError(f"pairs has {pair!r}; give each pair as (source, receiver)")
             source, receiver = (text_name("pairs", name) for name in pair)
             if source.startswith("#"):
-                raise DataError(f'pairs has "{source}"; # begins a note in a file')
+                raise DataError(
+                    f'pairs has "{source}"; a name must not contain #, which begins a comment in '
+                    "a file"
+                )
             checked_pairs.append((source, receiver))
         if repeated := next((p for p in checked_pairs if checked_pairs.count(p) > 1), None):
             again = f"{repeated[1]}#2"
-            raise DataError(f'pairs has {repeated} twice; a repeat at one place is named "{again}"')
+            raise DataError(
+                f'pairs has {repeated} twice; name a repeat at the same position "{again}"'
+            )
         return tuple(checked_pairs)
 
     def _check_summary(self) -> None:
         counts = {"sources": self.n_sources, "receivers": self.n_receivers}
         for name, count in counts.items():
             if count is not None and (not isinstance(count, int) or count < 1):
-                raise DataError(f"measurement: {name} = {count!r} is not a whole number above 0")
+                raise DataError(f"measurement: {name} = {count!r} must be a whole number above 0")
         stated = bool(self.standard_deviation) or any(c is not None for c in counts.values())
         if stated and not self.is_summary:
             raise DataError(
-                "measurement: a standard deviation over pairs, and numbers of sources and receivers, "
-                f'belong to a summary (source and receiver "{SUMMARY}"), not beside single pairs'
+                "measurement: a standard deviation over pairs, and numbers of sources and "
+                f'receivers, are allowed only in a summary (source and receiver "{SUMMARY}"), '
+                "not with single pairs"
             )
         if self.standard_deviation and None in counts.values():
             raise DataError(
                 "measurement: a standard deviation over pairs needs the numbers of sources and "
-                "receivers, without which the uncertainty of the mean is unknown"
+                "receivers (n_sources, n_receivers), from which the uncertainty of the mean "
+                "follows"
             )
         for name in ("uncertainty", "common_uncertainty", "standard_deviation"):
             for parameter in getattr(self, name):
                 if parameter not in self.values:
-                    raise DataError(f"measurement {name}[{parameter}] has no values beside it")
+                    raise DataError(
+                        f"measurement {name}[{parameter}] has no values[{parameter}] that it "
+                        "could belong to"
+                    )
 
     def _checked(self, name: str, parameter: str, value: Any) -> Array:
         kind, n_bands = observable(parameter), len(self.centre_frequencies)
@@ -316,7 +329,7 @@ class Measurement:
             where = tuple(int(i) for i in np.argwhere(bad)[0])
             band = bands.label(self.centre_frequencies[where[-1]])
             raise DataError(
-                f"measurement {name}[{parameter}, {band}] = {array[where]:g} is not {rule}"
+                f"measurement {name}[{parameter}, {band}] = {array[where]:g} must be {rule}"
             )
         return array
 
@@ -352,9 +365,9 @@ class Measurement:
                     row = 0 if name == "common_uncertainty" else pair
                     raise DataError(
                         f"measurement {name}[{parameter}, "
-                        f"{bands.label(self.centre_frequencies[band])}] = {stated[row, band]:g}"
-                        f"{f' {kind.unit}'.rstrip()} is larger than the value, or than its whole "
-                        "range: is it in percent?"
+                        f"{bands.label(self.centre_frequencies[band])}] = "
+                        f"{stated[row, band]:g}{f' {kind.unit}'.rstrip()} is larger than the "
+                        "value itself or than its whole range: check whether it is in percent"
                     )
 
     @property
@@ -415,9 +428,8 @@ class Measurement:
                 down = max(0.0, -float(cut_off_db(energy)[pair, band]))
                 raise TooShortError(
                     f"the decay from {where} is too short to hold {TARGET.label}: "
-                    f"{energy.shape[-1] * bin_width:.3g} s end {down:.0f} dB down, "
-                    f"{MARGIN_DB - TARGET.lower:.0f} dB are needed. The room is more reverberant "
-                    "than the decay is long: simulate longer"
+                    f"{energy.shape[-1] * bin_width:.3g} s end {down:.0f} dB down, but "
+                    f"{MARGIN_DB - TARGET.lower:.0f} dB are needed: simulate a longer decay"
                 )
             error = DataError(
                 f"the decay from {where} has no {TARGET.label}: too little is reflected"
@@ -523,7 +535,7 @@ class Measurement:
         return spread, effective, count.astype(float)
 
     def select(self, pairs: Iterable[tuple[str, str]]) -> Measurement:
-        """Return the measurement at these pairs alone, in their order.
+        """Return the measurement at only these pairs, in their order.
 
         Raises DataError for a pair that the measurement lacks, and without any.
 
@@ -536,9 +548,9 @@ class Measurement:
         """
         wanted = checks.pairs("pairs", pairs)
         if not wanted:
-            raise DataError("pairs is empty; a measurement has at least one")
+            raise DataError("pairs is empty; a measurement must have at least one pair")
         if lacking := [pair for pair in wanted if pair not in self.pairs]:
-            raise DataError(f"pairs has {' to '.join(lacking[0])}, which the measurement lacks")
+            raise DataError(f"pairs has {' to '.join(lacking[0])}, which is not in the measurement")
         rows = [self.pairs.index(pair) for pair in wanted]
         values, uncertainty = (
             {p: table[rows] for p, table in tables.items()}
@@ -635,7 +647,9 @@ class Measurement:
             try:
                 rows = _rows_of(read_text(path, MAX_BYTES))
             except DataError as error:
-                raise DataError(f"{error}; `rtcal table {path}` reads other tables") from error
+                raise DataError(
+                    f"{error}; `rtcal table {path}` reads tables in other layouts"
+                ) from error
         try:
             return cls(**of_single_values(rows))
         except DataError as error:
@@ -718,8 +732,8 @@ def _rows_of(text: str) -> dict[Place, dict[str, float]]:
             if key in rows:
                 cure = f"repeats at one place are {key[1]} and {key[1]}#2"
                 raise DataError(
-                    f"{parameter_label(key[2])} of {key[0]}, {key[1]} at {bands.label(key[3])} is "
-                    f"given twice; {'leave one mean out' if SUMMARY in key else cure}"
+                    f"{parameter_label(key[2])} of {key[0]}, {key[1]} at {bands.label(key[3])} "
+                    f"is given twice; {'delete one of the means' if SUMMARY in key else cure}"
                 )
         except csv.Error as error:
             raise DataError(
@@ -729,7 +743,7 @@ def _rows_of(text: str) -> dict[Place, dict[str, float]]:
             raise DataError(f"line {number}: {error}") from error
         rows[key] = numbers
     if not header:
-        raise DataError(f"no rows; the first must name the columns {', '.join(_COLUMNS)}")
+        raise DataError(f"no rows; the first row must name the columns {', '.join(_COLUMNS)}")
     if not rows:
         raise DataError("no row with a value below the header")
     return rows
@@ -745,7 +759,7 @@ def _header(header: list[str], line: str) -> list[str]:
         why = [f', since columns are separated by {n} and not by ","' for n in other.values()]
         raise DataError(f'column "{missing[0]}" is missing{"".join(why[:1])}')
     if unknown := [column for column in header if column not in allowed]:
-        raise DataError(f'column "{unknown[0]}" is not one of {", ".join(allowed)}')
+        raise DataError(f'column "{unknown[0]}" is not known; columns may be {", ".join(allowed)}')
     return header
 
 
@@ -756,12 +770,12 @@ def _row(cell: Mapping[str, str]) -> tuple[Place, dict[str, float]]:
         raise DataError(f'parameter "{cell["parameter"]}" is unknown; known: {allowed}')
     band = _number(cell, "band")
     if not band > 0:
-        raise DataError(f'band = "{cell["band"]}" is not a frequency above 0 Hz')
+        raise DataError(f'band = "{cell["band"]}" must be a frequency above 0 Hz')
     numbers = {c: _number(cell, c) for c in ("value", *_OPTIONAL_COLUMNS) if c in cell}
     OBSERVABLES[parameter].refuse(cell["parameter"], numbers["value"])
     for column in _OPTIONAL_COLUMNS:
         if numbers.get(column, 0.0) < 0:
-            raise DataError(f"{column} = {numbers[column]:g} is below 0")
+            raise DataError(f"{column} = {numbers[column]:g} must be 0 or more")
     return (cell["source"], cell["receiver"], parameter, bands.nominal(band)), numbers
 
 
@@ -770,9 +784,9 @@ def _number(cell: Mapping[str, str], column: str) -> float:
     if not text:
         return float("nan")
     if text.lower().lstrip("+-") in ("inf", "infinity", "nan"):
-        raise DataError(f'{column} = "{text}" is not finite; leave it empty')
+        raise DataError(f'{column} = "{text}" is not finite; leave a missing value empty')
     if not _NUMBER.fullmatch(text) or not np.isfinite(float(text)):
-        raise DataError(f'{column} = "{text[:40]}" is not a number{decimal_comma(text)}')
+        raise DataError(f'{column} = "{text[:40]}" must be a number{decimal_comma(text)}')
     return float(text)
 
 
@@ -787,12 +801,15 @@ def of_single_values(
     pairs = {pair: i for i, pair in enumerate(dict.fromkeys(key[:2] for key in rows))}
     parameters = list(dict.fromkeys(key[2] for key in rows))
     if (SUMMARY, SUMMARY) in pairs and len(pairs) > 1:
-        raise DataError(f'summary rows (source and receiver "{SUMMARY}") stand beside single pairs')
+        raise DataError(
+            f'the file has summary rows (source and receiver "{SUMMARY}") and single pairs; keep '
+            "only one kind"
+        )
     shape = (len(pairs), len(frequencies))
     if shape[0] * shape[1] * len(parameters) > MAX_CELLS:
         raise DataError(
-            f"{shape[0]} pairs, {shape[1]} bands and {len(parameters)} parameters are more than "
-            f"{MAX_CELLS} values"
+            f"{shape[0]} pairs, {shape[1]} bands and {len(parameters)} parameters make more than "
+            f"{MAX_CELLS} values, the largest number that is read"
         )
     tables: dict[str, dict[str, Array]] = {c: {} for c in ("value", *_OPTIONAL_COLUMNS)}
     for (source, receiver, parameter, band), numbers in rows.items():
@@ -804,10 +821,10 @@ def of_single_values(
     for name in ("sources", "receivers"):
         stated = {n for table in tables[name].values() for n in table[np.isfinite(table)].tolist()}
         if len(stated) > 1:
-            raise DataError(f"column {name} has several values; all rows must be over the same")
+            raise DataError(f"column {name} has several values; it must be the same in all rows")
         for count in stated:
             if count != int(count) or count < 1:
-                raise DataError(f"column {name} = {count:g} is not a whole number above 0")
+                raise DataError(f"column {name} = {count:g} must be a whole number above 0")
         counts[f"n_{name}"] = int(stated.pop()) if stated else None
     of_bands: dict[str, dict[str, Array]] = {}
     for name in ("common_uncertainty", "standard_deviation"):
@@ -816,8 +833,8 @@ def of_single_values(
             if (differing := np.fmin.reduce(table) < of_bands[name][p]).any():
                 label = bands.label(list(frequencies)[int(np.argmax(differing))])
                 raise DataError(
-                    f"{name} of {parameter_label(p)} at {label} has several values; all pairs of a "
-                    "band share one"
+                    f"{name} of {parameter_label(p)} at {label} has several values; all pairs "
+                    "must have the same in a band"
                 )
     return {
         "centre_frequencies": np.array(list(frequencies)),

@@ -104,17 +104,17 @@ class Observable(ABC):
 
     @abstractmethod
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return d observed / d energy of each bin, (..., n_bins), in 1 or dB over the energy's unit.
+        """Return the derivative of the observed quantity by each bin's energy, (..., n_bins).
 
         ``level`` is the decay curve in dB, `decay_curve_db`.
         """
 
     @abstractmethod
     def rate(self, observed: Array) -> Array:
-        """Return what is linear in the absorption, in any unit; it rises with what is observed."""
+        """Return a quantity that is linear in the absorption and rises with the observed one."""
 
     def linear(self, observed: Array, stated: Array) -> Array:
-        """Return how far what is observed is from what is stated, linear in the absorption.
+        """Return the deviation of observed from given values, in a quantity linear in the absorption.
 
         0 at ``stated``; a relative change of the absorption near it, up to the sign.
         """
@@ -122,36 +122,36 @@ class Observable(ABC):
         return np.asarray((self.rate(observed) - at) / np.abs(at))
 
     def linear_slope(self, observed: Array, stated: Array) -> Array:
-        """Return the derivative of `linear` by what is observed, by differences of `_STEP`."""
+        """Return the derivative of `linear` by the observed quantity, from differences of `_STEP`."""
         step = _STEP * np.maximum(np.abs(observed), 0.1)
         rise = self.rate(observed + step) - self.rate(observed - step)
         return np.asarray(rise / (2 * step * np.abs(self.rate(stated))))
 
     def too_short(self, energy: Array) -> NDArray[np.bool_]:
-        """Return whether energy decays (..., n_bins) are cut off too early to hold it, (...)."""
+        """Return whether energy decays (..., n_bins) are too short for the parameter, (...)."""
         return np.zeros(np.shape(energy)[:-1], dtype=bool)
 
     def key_in(self, values: Container[str]) -> str:
-        """Return under which key a table has it: its own, or else its stand-in's."""
+        """Return the key of the parameter in a table: its own, or else that of its stand-in."""
         return self.key if self.stand_in is None or self.key in values else self.stand_in
 
     def observed(self, values: Array) -> Array:
-        """Return what is observed, of values in the unit; NaN where there is no logarithm."""
+        """Return the observed quantity, such as ln T, of values; NaN without a logarithm."""
         if not self.logarithmic:
             return values
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(np.log(values))
 
     def natural(self, observed: Array) -> Array:
-        """Return values in the unit, of what is observed."""
+        """Return values in the unit from the observed quantity; the inverse of `observed`."""
         return np.asarray(np.exp(observed)) if self.logarithmic else observed
 
     def of_observed(self, uncertainty: Array, values: Array) -> Array:
-        """Return the uncertainty of what is observed, of that of the values."""
+        """Return the uncertainty of the observed quantity from that of the values."""
         return np.asarray(uncertainty / values) if self.logarithmic else uncertainty
 
     def of_value(self, uncertainty: Array, values: Array) -> Array:
-        """Return the uncertainty of the values, of that of what is observed."""
+        """Return the uncertainty of the values from that of the observed quantity."""
         return np.asarray(uncertainty * values) if self.logarithmic else uncertainty
 
     def jnd_of(self, values: Array) -> Array | float:
@@ -163,11 +163,11 @@ class Observable(ABC):
         return np.full(np.shape(values), np.nan)
 
     def between_teams(self, frequencies: Array) -> Array:
-        """Return the standard deviation between teams as observed, (n_bands,)."""
+        """Return the reproducibility standard deviation of the observed quantity, (n_bands,)."""
         return np.asarray(np.interp(np.log(frequencies), np.log(OCTAVES), self.teams))
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
-        """Return the standard deviation as observed of one response, whose field is noise.
+        """Return the standard deviation of the observed quantity in one response, whose field is noise.
 
         In a band of bandwidth B the energy of a bin of width w has the relative variance 1 / (B w).
         ``frequencies`` (n_bands,) are in Hz, ``times`` (..., n_bands) decay times of an exponential
@@ -186,16 +186,16 @@ class Observable(ABC):
         return out
 
     def overall(self, values: Array, frequencies: Array) -> Array:
-        """Return the one number of all bands, (...), of values (..., n_bands); NaN if it has none."""
+        """Return the single-number value (...) of values (..., n_bands); NaN if there is none."""
         return np.full(np.shape(values)[:-1], np.nan)
 
     def variance_of_mean(self, frequencies: Array, mean: Array, positions: Array) -> Array:
-        """Return the variance of a mean over ``positions`` that theory expects; NaN without one."""
+        """Return the theoretical variance of a mean over ``positions``; NaN without a theory."""
         return np.full(np.shape(mean), np.nan)
 
     @property
     def rule(self) -> str:
-        """The values that are accepted, in words.
+        """Words for the values that are accepted.
 
         Examples
         --------
@@ -206,13 +206,13 @@ class Observable(ABC):
         return f"from {self.limits[0]:g} to {self.limits[1]:g}{unit}: {self.doubt}"
 
     def broken(self, values: Array) -> NDArray[np.bool_]:
-        """Return where values are none that a `Measurement` takes, rounding included."""
+        """Return which values a `Measurement` does not accept, allowing for rounding."""
         least, most = self.simulated or self.limits
         with np.errstate(invalid="ignore"):
             return np.asarray((values < least) | (values > most * (1 + 1e-9)))
 
     def largest_uncertainty(self, values: Array) -> Array:
-        """Return the largest uncertainty that says anything: of a level, the range of its limits."""
+        """Return the largest meaningful uncertainty; of a level, the range of its limits."""
         least, most = self.limits
         return np.full(np.shape(values), most - least)
 
@@ -221,7 +221,7 @@ class Observable(ABC):
         least, most = self.limits
         if not (np.isnan(value) or least <= value <= most * (1 + 1e-9)):
             unit = f" {self.unit}".rstrip()
-            raise DataError(f"{place} = {value:g}{unit} is not {self.rule}")
+            raise DataError(f"{place} = {value:g}{unit} must be {self.rule}")
 
 
 OBSERVABLES: dict[str, Observable] = {}
@@ -243,11 +243,14 @@ def register(kind: type[O]) -> type[O]:
     place = f'observable "{new.key}"'
     old = type(OBSERVABLES.get(new.key, new))
     if (old.__module__, old.__qualname__) != (kind.__module__, kind.__qualname__):
-        raise DataError(f"{place}: {old.__qualname__} has this key; each observable has its own")
+        raise DataError(
+            f"{place}: {old.__qualname__} already has this key; give each observable a key of "
+            "its own"
+        )
     if len(new.teams) != len(OCTAVES):
         octaves = ", ".join(f"{f:g}" for f in OCTAVES)
         raise DataError(
-            f"{place}: teams has {len(new.teams)} values; it has one for each of {octaves} Hz"
+            f"{place}: teams has {len(new.teams)} values; give one for each of {octaves} Hz"
         )
     if kind.__module__ != __name__:  # tests check the package's own
         check_gradient(new)
@@ -275,13 +278,14 @@ def check_gradient(observable: Observable) -> None:
     k = int(np.argmax(np.abs(stated - found)))
     if not abs(stated[k] - found[k]) <= 0.01 * np.abs(found).max():
         raise DataError(
-            f'observable "{observable.key}": gradient at {width * k:g} s = {stated[k] / energy[k]:g}; '
-            f"differences of value give {found[k] / energy[k]:g}"
+            f'observable "{observable.key}": gradient at {width * k:g} s = '
+            f"{stated[k] / energy[k]:g}; finite differences of its value give "
+            f"{found[k] / energy[k]:g}"
         )
 
 
 def observable(key: str) -> Observable:
-    """Return an observable by its key; DataError for a name that is none.
+    """Return an observable by its key; DataError for an unknown key.
 
     Examples
     --------
@@ -905,13 +909,11 @@ def checked_decay(energy: Array, bin_width: float = 1.0) -> Array:
     energy = checks.array("energy", energy)
     if energy.ndim == 0 or energy.shape[-1] == 0:
         raise DataError(
-            f"energy has shape {energy.shape}; it needs at least one bin, on its last axis"
+            f"energy has shape {energy.shape}; its last axis must have at least one bin"
         )
     if (bad := ~np.isfinite(energy) | (energy < 0)).any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise DataError(
-            f"energy{list(where)} = {energy[where]:g} is not a finite value of 0 or more"
-        )
+        raise DataError(f"energy{list(where)} = {energy[where]:g} must be finite and 0 or more")
     return energy
 
 

@@ -88,22 +88,23 @@ def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array)
         wanted = [float(frequency)] if thirds else bands.thirds_of(float(frequency))
         if any(w not in _ISO_12999_2 for w in wanted):
             raise DataError(
-                f"ISO 12999-2 tabulates third-octaves from 63 to 5000 Hz (octaves from 125 to "
-                f"4000 Hz), not {bands.label(frequency)}"
+                f"ISO 12999-2 gives no uncertainty at {bands.label(frequency)}, only in "
+                "one-third octaves from 63 to 5000 Hz and octaves from 125 to 4000 Hz"
             )
         constants.append(np.mean([_ISO_12999_2[w] for w in wanted], axis=0))
     m, n = np.array(constants).T
     coefficients = _coefficients(alpha)
     if coefficients.ndim == 0 or coefficients.shape[-1] not in (1, len(f)):
         raise DataError(
-            f"ISO 12999-2: alpha has shape {coefficients.shape}; its last axis has {len(f)} bands"
+            f"ISO 12999-2: alpha has shape {coefficients.shape}; its last axis must have "
+            f"{len(f)} values, one per band"
         )
     return np.asarray(m * coefficients + n)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SigmaRule:
-    """A rule for the sigma of materials that state none.
+    """A rule for the sigma of materials that have none.
 
     sigma = in_situ_factor * max(relative * alpha, minimum), or with ``iso_12999_2`` the maximum also of
     ISO 12999-2's sigma_R. The factor is for another specimen, mounting, age or paint.
@@ -130,7 +131,9 @@ class SigmaRule:
             percent = ": is it in percent?" if 1 < value <= 100 else ""
             checks.between(f"sigma: {name}", value, 0, 1, why=percent)
         if not 1 <= checks.number("in_situ_factor", self.in_situ_factor) < np.inf:
-            raise DataError(f"in_situ_factor = {self.in_situ_factor:g} is not finite and 1 or more")
+            raise DataError(
+                f"in_situ_factor = {self.in_situ_factor:g} must be finite and 1 or more"
+            )
 
     def sigma(self, alpha: Array, centre_frequencies: Array) -> Array:
         """Return sigma, (n_bands,); DataError for an alpha that is not from 0 to 2."""
@@ -150,5 +153,5 @@ def _coefficients(alpha: Array) -> Array:
     """Return checked alpha; laboratories report values above 1 (ISO 354: edges absorb too)."""
     array = checks.array("alpha", alpha)
     if (bad := ~((array >= 0) & (array <= 2))).any():
-        raise DataError(f"alpha has {array[bad][0]:g}, which is not from 0 to 2")
+        raise DataError(f"alpha has {array[bad][0]:g}, but a coefficient must be from 0 to 2")
     return array

@@ -41,7 +41,7 @@ from rtcal.support import blocks, checks
 from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import short_name, text_name
 from rtcal.support.errors import DataError
-from rtcal.support.text import first_of, shortened
+from rtcal.support.text import first_of, shortened, with_uncertainty
 from rtcal.support.types import Array, read_only
 
 __all__ = [
@@ -90,7 +90,7 @@ class SceneTables(FileTable):
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """Where a room's walls, sources and receivers are. It names files and reads none.
+    """Positions of a room's walls, sources and receivers; it names files and does not read them.
 
     Parameters
     ----------
@@ -138,14 +138,17 @@ class Scene:
         if self.mesh is not None:
             put("mesh", os.fspath(checks.path("mesh", self.mesh)))
             if not str(self.mesh).strip():
-                raise DataError(f"mesh = {self.mesh!r} is not the name of a mesh's file")
+                raise DataError(f"mesh = {self.mesh!r} must be the name of a mesh file")
         put("unit", checks.positive("unit", self.unit, "m"))
         if self.mesh is None and self.unit != 1:
-            raise DataError(f"unit = {self.unit:g} is that of a mesh, and no mesh is given")
+            raise DataError(
+                f"unit = {self.unit:g} is the unit of a mesh, but no mesh is given; give mesh, "
+                "or leave unit out"
+            )
         for kind, other in (_POINTS, _POINTS[::-1]):
             put(kind, _points(kind, getattr(self, kind)))
             if getattr(self, kind) and not getattr(self, other):
-                raise DataError(f"{other} is empty, and {kind} is not; state both or neither")
+                raise DataError(f"{other} is empty, but {kind} is not; give both or neither")
         put("directivity", directivities(self.directivity, self.sources))
         put("position_uncertainty", checked_uncertainty(self.position_uncertainty))
         if checks.flag("leaks", self.leaks) and self.mesh is None:
@@ -165,7 +168,7 @@ class Scene:
         return self._with_files(lambda path: str(Path(folder) / path))
 
     def seen_from(self, folder: str | os.PathLike[str]) -> Scene:
-        """Return the scene as a file in this folder states it; the inverse of `within`."""
+        """Return the scene with paths relative to this folder; the inverse of `within`."""
 
         def relative(path: str) -> str:
             try:
@@ -188,7 +191,7 @@ class Scene:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return its tables as plain values, without empty ones."""
+        """Return the scene's tables as plain values, without empty ones."""
         stated = {name: getattr(self, name) for name in GeometryTable.__struct_fields__}
         stated["surfaces"] = {name: list(faces) for name, faces in self.surfaces.items()}
         unstated = msgspec.structs.asdict(GeometryTable())
@@ -215,8 +218,8 @@ def checked_uncertainty(position_uncertainty: float) -> float:
     uncertainty = checks.positive("position_uncertainty", position_uncertainty, "m")
     if uncertainty > MOST_OFF:
         raise DataError(
-            f"position_uncertainty = {uncertainty:g} m is above {MOST_OFF:g} m: such a position says "
-            "nothing"
+            f"position_uncertainty = {uncertainty:g} m is too large: at most {MOST_OFF:g} m is "
+            "allowed"
         )
     return uncertainty
 
@@ -224,13 +227,13 @@ def checked_uncertainty(position_uncertainty: float) -> float:
 def _points(kind: str, stated: Mapping[str, Sequence[float]]) -> dict[str, Point]:
     points = checks.mapped(kind, stated)
     if len(points) > MAX_POINTS:
-        raise DataError(f"{len(points)} {kind}; a room has at most {MAX_POINTS}")
+        raise DataError(f"{len(points)} {kind}; a room may have at most {MAX_POINTS}")
     made: dict[str, Point] = {}
     for name, point in points.items():
         place = f'{kind}["{text_name(kind, name)}"]'
         coordinates = checks.array(place, point)
         if coordinates.shape != (3,) or not abs(coordinates).max() < float("inf"):
-            raise DataError(f"{place} = {checks.shown(point)} is not three finite numbers in m")
+            raise DataError(f"{place} = {checks.shown(point)} must be three finite numbers in m")
         x, y, z = coordinates.tolist()
         made[name] = (x, y, z)
     return made
@@ -300,7 +303,7 @@ class Directivity:
         stated = sum(each is not None for each in (self.index, self.gains, self.file))
         if stated != 1:
             raise DataError(
-                f"index: a directivity states {stated} of index, gains and file; it has one of them"
+                f"a directivity must have exactly one of index, gains and file; this one has {stated}"
             )
         object.__setattr__(self, "aim", direction("aim", self.aim))
         object.__setattr__(self, "up", direction("up", self.up))
@@ -312,14 +315,16 @@ class Directivity:
             self._axes()
             return
         if self.up != UPWARDS:
-            raise DataError("up is of a balloon, and an index has none")
+            raise DataError(
+                "up belongs to a directivity with gains or a file; leave it out with index"
+            )
         index = np.atleast_1d(checks.array("index", self.index))
         if index.ndim != 1 or not index.size:
-            raise DataError(f"index has shape {index.shape}; it is one value, or one per band")
+            raise DataError(f"index has shape {index.shape}; give one value, or one per band")
         wrong = np.flatnonzero(~((index >= 0) & (index <= LARGEST_INDEX)))
         if wrong.size:
             raise DataError(
-                f"index[{wrong[0]}] = {index[wrong[0]]:g} dB is not from 0 to {LARGEST_INDEX:g} dB"
+                f"index[{wrong[0]}] = {index[wrong[0]]:g} dB must be from 0 to {LARGEST_INDEX:g} dB"
             )
         object.__setattr__(self, "index", read_only(index))
 
@@ -331,7 +336,7 @@ class Directivity:
 
     @property
     def pattern(self) -> Array:
-        """The numbers of each band, (n_numbers, n_bands): bands with equal ones radiate alike."""
+        """Numbers that describe each band, (n_numbers, n_bands); equal numbers radiate alike."""
         if self.file is not None:
             return np.zeros((0, 1))
         if self.gains is None:
@@ -340,11 +345,11 @@ class Directivity:
 
     @property
     def n_bands(self) -> int:
-        """Number of its bands; 1 for an index that is one value."""
+        """Number of bands; 1 for an index that is one value."""
         return int(self.pattern.shape[1])
 
     def gain(self, directions: ArrayLike) -> Array:
-        """Return the energy in each direction over an omnidirectional source's, (n, n_bands).
+        """Return the energy in each direction relative to an omnidirectional source, (n, n_bands).
 
         ``directions`` (n, 3) have any length; n_bands is 1 for an index that is one value.
         """
@@ -364,7 +369,8 @@ class Directivity:
         above = up - (up @ along) * along
         if np.linalg.norm(above) < _PARALLEL:
             raise DataError(
-                f"up = {checks.shown(self.up)} is along aim; it is what is above the axis"
+                f"up = {checks.shown(self.up)} is parallel to aim; give another direction, "
+                "which is at the top when the source looks along aim"
             )
         above = above / np.linalg.norm(above)
         return np.array([along, above, np.cross(above, along)])
@@ -382,11 +388,14 @@ class Directivity:
         return np.asarray(np.moveaxis((1 - down) * first + down * second, 0, -1))
 
     def for_bands(self, n_bands: int, place: str) -> Directivity:
-        """Return it for each of ``n_bands``; DataError if it has another number."""
+        """Return the directivity for ``n_bands``; DataError if it has another number of bands."""
         number = self.n_bands
         if number != n_bands and (number != 1 or self.gains is not None):
             name = "index" if self.gains is None else "gains"
-            raise DataError(f"{place}.{name} has {number} values; the room has {n_bands} bands")
+            raise DataError(
+                f"{place}.{name} has {number} values; give one for each of the room's {n_bands} "
+                "bands"
+            )
         if number == n_bands:
             return self
         return replace(self, index=np.broadcast_to(self.index, n_bands))
@@ -411,7 +420,7 @@ def direction(name: str, stated: Any) -> tuple[float, float, float]:
     """Return a direction of any length; DataError for anything else."""
     values = checks.array(name, stated)
     if values.shape != (3,) or not np.isfinite(values).all() or not np.linalg.norm(values) > 0:
-        raise DataError(f"{name} = {checks.shown(stated)} is not a direction (x, y, z)")
+        raise DataError(f"{name} = {checks.shown(stated)} must be a direction (x, y, z)")
     x, y, z = values.tolist()
     return x, y, z
 
@@ -425,13 +434,13 @@ def _balloon(gains: Any) -> Array:
         or any(not least <= n <= _MOST for n, least in zip(table.shape[1:], _LEAST, strict=True))
     ):
         raise DataError(
-            f"gains has shape {table.shape}; it is (n_bands, n_theta, n_phi), with at least "
+            f"gains has shape {table.shape}; it must be (n_bands, n_theta, n_phi), with at least "
             f"{_LEAST[0]} and {_LEAST[1]} angles and at most {_MOST}"
         )
     wrong = np.argwhere(~(np.isfinite(table) & (table >= 0)))
     if len(wrong):
         place = ", ".join(str(n) for n in wrong[0].tolist())
-        raise DataError(f"gains[{place}] = {table[tuple(wrong[0])]:g} is not a number of 0 or more")
+        raise DataError(f"gains[{place}] = {table[tuple(wrong[0])]:g} must be 0 or more")
     # The mean over the sphere of what is linear between the angles from the axis: integrals of
     # sin theta / 2 over the hat functions.
     step = np.pi / (table.shape[1] - 1)
@@ -439,7 +448,9 @@ def _balloon(gains: Any) -> Array:
     weights[[0, -1]] = (step - np.sin(step)) / (2 * step)
     mean = weights @ table.mean(axis=2).T
     if not (mean > 0).all():
-        raise DataError(f"gains[{int(np.argmin(mean))}] is 0 in all directions")
+        raise DataError(
+            f"gains[{int(np.argmin(mean))}] is 0 in all directions; at least one must be above 0"
+        )
     # What was made 1 stays as it is, bit by bit.
     return np.asarray(np.where(np.abs(mean - 1) < 1e-12, 1.0, 1 / mean)[:, None, None] * table)
 
@@ -459,7 +470,7 @@ def directivities(
         if name not in sources:
             known = ", ".join(sources) or "none"
             raise DataError(
-                f"{place} is of a source that the room does not have; its sources are: {known}"
+                f"{place}: the room has no source of this name; its sources are: {known}"
             )
         if not isinstance(of, Directivity) and of != UNKNOWN:
             raise DataError(f'{place} = {checks.shown(of)} is not a Directivity or "{UNKNOWN}"')
@@ -480,7 +491,7 @@ PerBand = Number | Sequence[Number]
 
 @dataclass(frozen=True)
 class Material:
-    """A material and its prior, as a ``[[material]]`` of a room's file states it.
+    """A material and its prior, as in a ``[[material]]`` of a room's file.
 
     Parameters
     ----------
@@ -560,7 +571,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Surface:
-    """One surface of a room: its material, its area in m² and the axis it stands across.
+    """One surface of a room: its material, its area in m² and the axis perpendicular to it.
 
     ``axis`` is ``"x"``, ``"y"`` or ``"z"``: the direction of its normal. Only equations that treat
     the axes apart (Fitzroy, Arau-Puchades) need it.
@@ -577,7 +588,7 @@ class Surface:
         area = checks.positive(f'surface["{self.name}"].area', self.area, "m²")
         object.__setattr__(self, "area", area)
         if self.axis is not None and (not isinstance(self.axis, str) or self.axis not in AXES):
-            raise DataError(f'surface["{self.name}"].axis = "{self.axis}" is not "x", "y" or "z"')
+            raise DataError(f'surface["{self.name}"].axis = "{self.axis}" must be "x", "y" or "z"')
 
 
 def with_patches(
@@ -650,7 +661,7 @@ def _relative(place: str, value: object) -> float:
     stated = checks.number(place, value)
     if not 0 <= stated < 1:
         percent = ": is it in percent?" if 1 <= stated <= 100 else ""
-        raise DataError(f"{place} = {stated:g} is not a relative value from 0 to below 1{percent}")
+        raise DataError(f"{place} = {stated:g} must be a relative value from 0 to below 1{percent}")
     return stated
 
 
@@ -770,7 +781,7 @@ class Room:
 
         checks.choice("above_one", above_one, ("refuse", "clip"))
         if isinstance(self.materials, str):
-            raise DataError(f'materials = "{self.materials}" is one text, not a sequence of names')
+            raise DataError(f'materials = "{self.materials}" must be a list of names, not one text')
         put(
             name=text_name("name", self.name),
             author=short_name("author", self.author),
@@ -795,8 +806,8 @@ class Room:
         if (bad := ~((self.areas > 0) & (self.areas <= LARGEST))).any():
             i = int(np.argmax(bad))
             raise DataError(
-                f'areas["{self.materials[i]}"] = {self.areas[i]:g} m² is not an area above 0 and at '
-                f"most {LARGEST:g}"
+                f'areas["{self.materials[i]}"] = {self.areas[i]:g} m² must be above 0 and at '
+                f"most {LARGEST:g} m²"
             )
         if above_one == "clip":
             put(alpha=checks.shaped("alpha", self.alpha, self.n_materials, self.n_bands))
@@ -808,13 +819,16 @@ class Room:
         if self.alpha_min is not None and (low := self.alpha_min > self.alpha).any():
             i, k = np.argwhere(low)[0].tolist()
             raise DataError(
-                f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g} is below its own "
+                f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g} is below its lower bound "
                 f"alpha_min = {self.alpha_min[i, k]:g}"
             )
         if self.dimensions is not None:
             stated = checks.listed("dimensions", self.dimensions)
             if len(stated) != 3:
-                raise DataError(f"dimensions has {len(stated)} values; a shoebox has 3")
+                raise DataError(
+                    f"dimensions has {len(stated)} values; a shoebox needs 3 (length, width, "
+                    "height)"
+                )
             put(dimensions=tuple(checks.positive("dimensions", side, "m") for side in stated))
         checks.choice("scattering_model", self.scattering_model, ("random", "vector"))
         checks.instance("scene", self.scene, Scene)
@@ -824,23 +838,26 @@ class Room:
         put(area_sigma=self._area_errors())
         climate = checks.listed("climate_sigma", self.climate_sigma)
         if len(climate) != 2:
-            raise DataError(f"climate_sigma has {len(climate)} values; it has K and % of humidity")
+            raise DataError(
+                f"climate_sigma has {len(climate)} values; give two: K of temperature and % of "
+                "humidity"
+            )
         ends = zip(climate, ((20, "K"), (50, "%")), strict=True)
         put(climate_sigma=tuple(checks.between("climate_sigma", v, 0, *of) for v, of in ends))
         if self.air is None and any(self.climate_sigma):
-            raise DataError("climate_sigma is given, but no air that it belongs to")
+            raise DataError("climate_sigma is given, but the room has no air; give air, too")
 
     def _check_names(self) -> None:
         """Raise DataError for no material, and for names that are blank, given twice or look alike."""
         if not self.materials:
-            raise DataError("materials is empty; a room has at least one material")
+            raise DataError("materials is empty; a room must have at least one material")
         if blank := [m for m in self.materials if not m.strip()]:
             raise DataError(f"materials has {blank[0]!r}; a name must not be blank")
         if len({*self.materials}) < self.n_materials:
             twice = min(m for m in self.materials if self.materials.count(m) > 1)
             raise DataError(
-                f'materials has "{twice}" twice; a material is one row (Room.from_surfaces sums its '
-                "surfaces)"
+                f'materials has "{twice}" twice; give each material once, with its total area '
+                "(Room.from_surfaces sums the surfaces of a material)"
             )
         if alike := checks.look_alike(self.materials):
             raise DataError(f'materials has "{alike[0]}" and "{alike[1]}", {checks.LOOKS}')
@@ -855,9 +872,9 @@ class Room:
         if too_large.any():
             i, k = np.argwhere(too_large)[0].tolist()
             raise DataError(
-                f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g} looks like percent; "
-                f'above_one = "clip" takes values up to {LARGEST_LABORATORY_ALPHA:g}, as '
-                "laboratories report them"
+                f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g} looks like percent; write "
+                f"0.5 for 50 %. Laboratory values above 1, up to {LARGEST_LABORATORY_ALPHA:g}, "
+                'are read with above_one = "clip"'
             )
         above = np.argwhere(self.alpha > self.most_alpha).tolist()
         return [f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g}" for i, k in above]
@@ -882,12 +899,12 @@ class Room:
                 rule += ": is it in percent?"
             elif name == "alpha":
                 rule += above_one_hint(array[i, k])
-            raise DataError(f"{self.place(name, i, k)} = {array[i, k]:g} is not {rule}")
+            raise DataError(f"{self.place(name, i, k)} = {array[i, k]:g} must be {rule}")
         if name == "sigma" and (bad := (array > 0) & (array < LEAST_SIGMA)).any():
             i, k = np.argwhere(bad)[0].tolist()
             raise DataError(
-                f"{self.place(name, i, k)} = {array[i, k]:g} is too small for any solver: give 0 for a "
-                f"coefficient that is known exactly, or {LEAST_SIGMA:g} or more"
+                f"{self.place(name, i, k)} = {array[i, k]:g} is too small to solve for: give "
+                f"{LEAST_SIGMA:g} or more, or 0 for a coefficient that is known exactly"
             )
         return array
 
@@ -905,31 +922,36 @@ class Room:
                 and not np.isclose(of, area, rtol=1e-9, atol=0)
             ):
                 raise DataError(
-                    f'areas["{material}"] = {area:g} m², but its surfaces sum to {of:g} m²; change '
-                    "both, or leave the surfaces out (surfaces=())"
+                    f'areas["{material}"] = {area:g} m², but its surfaces sum to {of:g} m²; make '
+                    "them equal, or leave the surfaces out (surfaces=())"
                 )
 
     def _check_correlation(self) -> None:
         """Raise DataError unless the prior correlations of bands and materials are possible ones."""
         if not 0 <= checks.number("band_correlation", self.band_correlation) < 1:
             raise DataError(
-                f"band_correlation = {self.band_correlation:g} is not from 0 to below 1"
+                f"band_correlation = {self.band_correlation:g} must be from 0 to below 1"
             )
         between: dict[tuple[int, int], float] = {}
         for pair, value in self.material_correlation.items():
             if not isinstance(pair, tuple) or len(pair) != 2:
-                raise DataError(f"material_correlation: {pair!r} is not a pair of materials")
+                raise DataError(
+                    f"material_correlation has {pair!r}; give each key as a pair of materials"
+                )
             place = f'material_correlation["{pair[0]}", "{pair[1]}"]'
             i, j = (self.material_index(name, f"{place}: ") for name in pair)
             if i == j or not -1 < checks.number(place, value) < 1:
                 raise DataError(
-                    f"{place} = {value:g} is not a value between -1 and 1 for two materials"
+                    f"{place} = {value:g} must be between -1 and 1, for two different materials"
                 )
             between[i, j] = between[j, i] = value
         named = sorted({i for i, _ in between})
         matrix = np.array([[between.get((i, j), float(i == j)) for j in named] for i in named])
         if named and np.linalg.eigvalsh(matrix)[0] <= 0:
-            raise DataError("material_correlation is not positive definite: the values contradict")
+            raise DataError(
+                "material_correlation is not positive definite: its values contradict each "
+                "other; make the correlations smaller"
+            )
 
     def _area_errors(self) -> Array:
         """Return the relative standard deviation of each area, (n_materials,), however it is stated.
@@ -951,7 +973,8 @@ class Room:
             listed = [0.0] * self.n_materials  # also of a room that had other materials
         if len(listed) != self.n_materials:
             raise DataError(
-                f"area_sigma has {len(listed)} values; there are {self.n_materials} materials"
+                f"area_sigma has {len(listed)} values; give one for each of the "
+                f"{self.n_materials} materials"
             )
         values = []
         for name, value, area in zip(self.materials, listed, self.areas.tolist(), strict=True):
@@ -965,12 +988,13 @@ class Room:
                 square_metres = float(stated_in)
             if rest.strip() or "m²" not in value or np.isnan(square_metres):
                 raise DataError(
-                    f'{place} = "{value[:40]}" is no number with the unit m² (written with ²), such as '
-                    '"1.5 m²"; a share of the area is a number without quotes, such as 0.1'
+                    f'{place} = "{value[:40]}" must be a number with the unit m² (written with '
+                    '²), such as "1.5 m²", or a share of the area as a number without quotes, '
+                    "such as 0.1"
                 )
             if not 0 <= square_metres < area:
                 raise DataError(
-                    f'{place} = "{value[:40]}" is not from 0 to below the area, which is {area:g} m²'
+                    f'{place} = "{value[:40]}" must be from 0 to below the area of {area:g} m²'
                 )
             values.append(square_metres / area)
         return read_only(np.array(values))
@@ -1048,14 +1072,14 @@ class Room:
 
     @cached_property
     def air_attenuation(self) -> Array:
-        """m in 1/m at the nominal centre frequencies, (n_bands,); 0 where no air is stated."""
+        """Energy attenuation of the air m in 1/m, (n_bands,); 0 in a room without air."""
         if self.air is None:
             return read_only(np.zeros(self.n_bands))
         return read_only(self.air.attenuation(self.centre_frequencies))
 
     @cached_property
     def is_uncertain(self) -> bool:
-        """Whether the room states an uncertainty of its volume, areas or climate."""
+        """Whether the room has an uncertainty of its volume, areas or climate."""
         stated = (self.volume_sigma, self.common_area_sigma, *self.climate_sigma)
         return any(stated) or bool(self.area_sigma.any())
 
@@ -1070,7 +1094,7 @@ class Room:
 
     @cached_property
     def speed_of_sound(self) -> float:
-        """c in m/s of the stated air; of air at 20 °C if none is stated."""
+        """Speed of sound in m/s in the room's air; that at 20 °C in a room without air."""
         return (self.air or Air()).speed_of_sound
 
     def with_air(self, air: Air | None) -> Room:
@@ -1101,7 +1125,9 @@ class Room:
         """Return the row of the material ``name``; DataError, after ``place``, if the room has none."""
         if name not in self.materials:
             known = ", ".join(self.materials)
-            raise DataError(f'{place}"{name}" is no material of room "{self.name}"; it has {known}')
+            raise DataError(
+                f'{place}"{name}" is not a material of room "{self.name}", which has {known}'
+            )
         return self.materials.index(name)
 
     def material(self, name: str) -> Material:
@@ -1167,7 +1193,7 @@ class Room:
         try:
             return replace(self, **changes)
         except TypeError as error:
-            raise DataError(f"a room cannot be changed so: {error}") from error
+            raise DataError(f"this change of the room is not possible: {error}") from error
 
     @classmethod
     def from_surfaces(
@@ -1208,7 +1234,10 @@ class Room:
             if m.area is None:
                 continue
             if areas[m.name]:
-                raise DataError(f'area["{m.name}"] is given, and its surfaces too; give one')
+                raise DataError(
+                    f'area["{m.name}"] and surfaces of this material are both given; give only '
+                    "one of them"
+                )
             areas[m.name].append(checks.positive(f'material["{m.name}"].area', m.area, "m²"))
             if drawn:
                 drawn.append(Surface(m.name, m.name, m.area))
@@ -1216,7 +1245,7 @@ class Room:
         lacking = [m.name for m in used if m.scattering is None]
         if lacking and len(lacking) < len(used):
             raise DataError(
-                f'scattering["{lacking[0]}"] is missing; state it for every material or for none'
+                f'scattering["{lacking[0]}"] is missing; give scattering for every material or for none'
             )
         pieces = checks.listed("objects", objects)
         for i, piece in enumerate(pieces):
@@ -1239,7 +1268,7 @@ class Room:
         try:
             return cls(centre_frequencies=frequencies, **stated, **made)
         except TypeError as error:
-            raise DataError(f"a room cannot be made so: {error}") from error
+            raise DataError(f"a room cannot be made from these values: {error}") from error
 
     @classmethod
     def from_geometry(
@@ -1252,8 +1281,8 @@ class Room:
         """
         if not (hasattr(geometry, "volume") and hasattr(geometry, "surfaces")):
             raise DataError(
-                f"geometry = {checks.shown(geometry)} has no volume and surfaces, as a "
-                "rtcal.simulators.Polyhedron has"
+                f"geometry = {checks.shown(geometry)} has no volume and surfaces; give an "
+                "rtcal.simulators.Polyhedron"
             )
         surfaces = with_patches(geometry.surfaces, patches)
         return cls.from_surfaces(volume=geometry.volume, surfaces=surfaces, **stated)
@@ -1313,8 +1342,8 @@ class Room:
         """
         if isinstance(data, Mapping) and data and {*data} <= {*SceneTables.__struct_fields__}:
             raise DataError(
-                f"{' and '.join(data)} are tables of the room's file: copy them to the end of "
-                "room.toml"
+                f"{' and '.join(data)} belong to the room's file: copy these tables to the end "
+                "of room.toml"
             )
         return cls.of_table(read(RoomFile, data, place))
 
@@ -1325,7 +1354,10 @@ class Room:
         refuse_repeats("material", file.material)
         for m in file.material:
             if m.area is None and m.name not in covered:
-                raise DataError(f'area["{m.name}"] is missing, and no [[surface]] has it')
+                raise DataError(
+                    f'area["{m.name}"] is missing, and no [[surface]] has this material; give '
+                    "one of them"
+                )
         of_all = file.area_sigma
         area_sigma = of_all if isinstance(of_all, dict) else {m.name: of_all for m in file.material}
         rule = {} if file.prior is None else msgspec.structs.asdict(file.prior)
@@ -1363,7 +1395,7 @@ class Room:
             raise DataError(f"{place}: {error}") from error
 
     def to_text(self, folder: str | os.PathLike[str] | None = None) -> str:
-        """Return the text of its TOML file; reading it gives the same numbers.
+        """Return the text of the room's TOML file; reading it gives the same numbers.
 
         The scene's mesh is named as seen from ``folder``, if that is given.
         """
@@ -1391,16 +1423,17 @@ def of_materials(
         if name == "sigma" and stated is None:
             if prior is None:
                 raise DataError(
-                    f'material "{material.name}" states no sigma, and the file has no [prior] to '
-                    "derive it from; if in doubt, write [prior] with relative = 0.3 and minimum = 0.01"
+                    f'material "{material.name}" has no sigma, and the file has no [prior] from '
+                    "which it could follow; add one of them. If in doubt, write [prior] with "
+                    "relative = 0.3 and minimum = 0.01"
                 )
             # The rules take up to 2; the room refuses or cuts what lies above 1.
             return prior.sigma(np.clip(row(material, "alpha"), 0, 2), frequencies)
         values = checks.array(f'{name}["{material.name}"]', np.nan if stated is None else stated)
         if values.shape != (len(frequencies),) and (values.ndim or name == "alpha"):
             raise DataError(
-                f'material "{material.name}": {name} has {values.size} values; the room has '
-                f"{len(frequencies)} bands"
+                f'material "{material.name}": {name} has {values.size} values; give one for each '
+                f"of the room's {len(frequencies)} bands"
             )
         return np.broadcast_to(values, len(frequencies))
 
@@ -1424,14 +1457,14 @@ def in_order(place: str, value: Any, materials: Sequence[str]) -> Any:
     """
     if hasattr(value, "to_numpy"):
         raise DataError(
-            f"{place} is a table with labels, which are not read: give a mapping by material, or the "
-            "values (to_numpy) in the room's order"
+            f"{place} is a table with labels, which rtcal does not use: give a mapping from "
+            "material to value, or plain values (to_numpy) in the order of the room"
         )
     if not isinstance(value, Mapping):
         return value
     if {*value} != {*materials}:
         stated, needed = (shortened(", ".join(map(str, each)), 60) for each in (value, materials))
-        raise DataError(f"{place}: keys are {stated}; the room has {needed}")
+        raise DataError(f"{place} has the keys {stated}; they must be {needed}")
     return [value[name] for name in materials]
 
 
@@ -1534,13 +1567,13 @@ def refuse_repeated_data(room: Room, *names: str) -> None:
     what = first_of([_value_in_words(name.partition(":")[0], label) for label in shared], 3)
     if room.calibration is not None and room.calibration.method == ARCHIVE:
         raise DataError(
-            f'room "{room.name}" has the coefficients of an archive that has learned from these '
-            f"data ({what}); calibrating to them would count them twice. Leave their room out of the "
-            "archive"
+            f'the coefficients of room "{room.name}" come from an archive that contains these '
+            f"data ({what}); calibrating to them again would count them twice. Learn the archive "
+            "without this room"
         )
     raise DataError(
-        f'room "{room.name}" was already calibrated on these data ({what}); doing so again would '
-        "count them twice. Take the room as it was before, or other data"
+        f'room "{room.name}" was already calibrated on these data ({what}); calibrating to them '
+        "again would count them twice. Use the room as it was before, or other data"
     )
 
 
@@ -1619,4 +1652,4 @@ def refuse_repeats(place: str, named: Sequence[Any]) -> None:
     """Raise DataError if two of what has a ``name`` have the same."""
     names = [each.name for each in named]
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise DataError(f'{place} has "{twice}" twice; each has a name of its own')
+        raise DataError(f'{place} has "{twice}" twice; give each a name of its own')

@@ -91,7 +91,7 @@ class Assumptions:
         for each in fields(self):
             checks.between(each.name, getattr(self, each.name), 0, 1)
         if self.band_correlation == 1:
-            raise DataError("band_correlation = 1 is not below 1")
+            raise DataError("band_correlation = 1 must be below 1")
 
 
 HANDBOOK_SIGMA = 0.3

@@ -25,7 +25,7 @@ Lacking = Literal["run", "measurement", "reference"]
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What a simulation program gave at a room's coefficients.
+    """Values that a simulation program gave for a room with certain coefficients.
 
     Parameters
     ----------
@@ -77,26 +77,27 @@ class Run:
         own, of = self.room, f'the run is of room "{self.room.name}", which has'
         if own.materials != room.materials:
             raise DataError(
-                f"{of} the materials {', '.join(own.materials)}; asked for are "
+                f"{of} the materials {', '.join(own.materials)}; it must have "
                 f"{', '.join(room.materials)}, in this order"
             )
         each = own.centre_frequencies, room.centre_frequencies
         if not np.array_equal(*each):
-            raise DataError(f"{of} the bands {hertz(each[0])}; asked for are {hertz(each[1])}")
+            raise DataError(f"{of} the bands {hertz(each[0])}; it must have {hertz(each[1])}")
         numbers = [
             (f'area["{m}"]', *areas, "m²")
             for m, *areas in zip(own.materials, own.areas, room.areas, strict=True)
         ]
         for name, mine, asked, unit in [*numbers, ("volume", own.volume, room.volume, "m³")]:
             if not np.isclose(mine, asked, rtol=1e-6, atol=0):
-                raise DataError(f"{of} {name} = {mine:.6g} {unit}; asked for is {asked:.6g} {unit}")
+                raise DataError(f"{of} {name} = {mine:.6g} {unit}; it must have {asked:.6g} {unit}")
         if own.air != room.air:
-            raise DataError(f"{of} {own.air or 'no air'}; asked for is {room.air or 'no air'}")
+            raise DataError(f"{of} {own.air or 'no air'}; it must have {room.air or 'no air'}")
 
     def lacking(self, measured: Measurement) -> dict[str, Lacking]:
-        """Return the parameters that are not compared, each with who lacks it.
+        """Return the parameters that cannot be compared, each with the side that does not have it.
 
-        T20 is compared with T20, and T30 with T30. A relative level lacks its ``"reference"``.
+        T20 is compared only with T20, and T30 with T30. A relative level cannot be compared without its
+        ``"reference"``.
         """
         there = (m.in_bands(self.room.centre_frequencies) for m in (self.simulated, measured))
         run, stated = (
@@ -116,7 +117,7 @@ class Run:
         )
 
     def beside(self, measured: Measurement) -> tuple[Measurement, Measurement]:
-        """Return run and measurement with what both have, in the room's bands.
+        """Return run and measurement with their common parameters and pairs, in the room's bands.
 
         Both have the same parameters. Where pairs of a source and a receiver are common, both have
         these pairs alone, and a value is NaN where the other lacks it, so that means are over the same

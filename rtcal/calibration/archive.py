@@ -282,10 +282,10 @@ class Archive(Result):
     """Names of the measured T that it has learned from, as a `CalibrationRecord` keeps them."""
 
     def material(self, name: str) -> Material:
-        """Return one entry with its sigma and its source; DataError if the archive lacks it."""
+        """Return one entry with its sigma and its source; DataError if it is not in the archive."""
         if name not in self.materials:
             raise DataError(
-                f'"{name}" is no material of the archive; it has {", ".join(self.materials)}'
+                f'"{name}" is not a material of the archive, which has {", ".join(self.materials)}'
             )
         i = self.materials.index(name)
         return Material(
@@ -296,7 +296,7 @@ class Archive(Result):
         )
 
     def apply(self, room: Room, names: Mapping[str, str] | None = None) -> Room:
-        """Return a room with the library's alpha and sigma where the archive knows the material.
+        """Return a room whose materials have the archive's alpha and sigma, if the archive has them.
 
         A material that it does not know keeps its table times the factor by which all tables are off
         together, unless the table is exact or made by an archive. Other bands stay, and a material
@@ -322,12 +322,12 @@ class Archive(Result):
         known, moved, columns = self._places(room, names)
         if not known or not columns:
             what = "materials" if not known else "bands"
-            raise DataError(f'the archive knows none of the {what} of room "{room.name}"')
+            raise DataError(f'the archive contains none of the {what} of room "{room.name}"')
         if not self.room_sigma < 1:
             raise DataError(
-                f"room_sigma = {self.room_sigma:.3g}: the archive's rooms differ from each other by a "
-                "factor whose standard deviation is not below 1, so they say nothing of the next; look "
-                "at those with a small p"
+                f"room_sigma = {self.room_sigma:.3g} must be below 1: the archive's rooms differ "
+                "from each other so much that they cannot predict another one. Check the rooms "
+                "with a small p"
             )
         own, entry = np.ix_([*known], [*columns]), np.ix_([*known.values()], [*columns.values()])
         alpha, sigma = room.alpha.copy(), room.sigma.copy()
@@ -366,7 +366,7 @@ class Archive(Result):
         )
 
     def left_as_stated(self, room: Room, names: Mapping[str, str] | None = None) -> tuple[str, ...]:
-        """Return in sentences what `apply` takes from the room's own tables: materials, and bands.
+        """Return sentences on the materials and bands that `apply` leaves at the room's own values.
 
         DataError if ``names`` has an unknown one.
         """
@@ -400,7 +400,8 @@ class Archive(Result):
         for own, entry in mapped.items():
             if own not in room.materials or entry not in self.materials:
                 raise DataError(
-                    f'names: "{own}" = "{entry}": no material of the room, or none known'
+                    f'names: "{own}" = "{entry}" must pair a material of the room with one '
+                    "of the archive"
                 )
         found = [
             (k, bands.index(self.centre_frequencies, float(f)))
@@ -550,11 +551,11 @@ def _data(result: Calibrated, places: Sequence[int], n: int, columns: Sequence[i
 def learn(rooms: Sequence[Calibrated], names: Mapping[str, str] | None = None) -> Archive:
     """Learn from calibrated rooms what the materials that they share absorb.
 
-    alpha of material i in room r is the material's mean, an error of the room's own and a factor of the
-    room, the same in all states of the room; see `rtcal.calibration.archive`. How far a material
-    differs between rooms, how far the tables are off, alone and together, follow by marginal
-    likelihood; the means by one linear step, cut to 0 to 1 after it. Only the rooms' input priors and
-    measured T count, not how they were calibrated. Nothing leaves the machine.
+    The model of alpha of a material in a room has three parts: the material's mean, a deviation in this
+    room, and a factor of the room; see `rtcal.calibration.archive`. Marginal likelihood gives how much
+    a material differs between rooms, and the separate and the common errors of the tables. The means
+    follow in one linear step and are then limited to 0 to 1. Only the rooms' input priors and measured
+    T count, not how they were calibrated. Nothing leaves the machine.
 
     Parameters
     ----------
@@ -594,7 +595,8 @@ def learn(rooms: Sequence[Calibrated], names: Mapping[str, str] | None = None) -
     known = {m for room in priors for m in room.materials}
     if unknown := [name for name in mapped if name not in known]:
         raise DataError(
-            f'names: "{unknown[0]}" is a material of no room; there are {", ".join(sorted(known)[:20])}'
+            f'names: "{unknown[0]}" is not a material of any room; the rooms have '
+            f"{', '.join(sorted(known)[:20])}"
         )
     places = {
         f: [bands.index(room.centre_frequencies, f) for room in priors]
@@ -674,14 +676,16 @@ def _counted(rooms: Sequence[Calibrated]) -> Sequence[Calibrated]:
     listed = checks.listed("rooms", rooms)
     for i, room in enumerate(listed):
         if not isinstance(room, Calibrated):
-            raise DataError(f"rooms[{i}] = {checks.shown(room)} is no result of rtcal.calibrate")
+            raise DataError(f"rooms[{i}] = {checks.shown(room)} is not a result of rtcal.calibrate")
     names = [_room(result).name for result in listed]
     if repeated := [n for i, n in enumerate(names) if n in names[:i]]:
-        raise DataError(f'room "{repeated[0]}" occurs twice; its T would count twice')
+        raise DataError(
+            f'room "{repeated[0]}" occurs twice; leave one out, because its T would count twice'
+        )
     if not 2 <= len(listed) <= _MOST:
         raise DataError(
-            f"calibrated rooms: {len(listed)}; an archive has from 2 to {_MOST}, each the result of a "
-            "calibration"
+            f"{len(listed)} calibrated rooms are given; an archive needs 2 to {_MOST}, each the "
+            "result of a calibration"
         )
     return listed
 
@@ -702,7 +706,7 @@ def _named(
         stated = [str(names.get(m, m)) for m in room.materials]
         if repeated := [m for i, m in enumerate(stated) if m in stated[:i]]:
             raise DataError(
-                f'room "{room.name}": two of its materials are "{repeated[0]}"; merge them there'
+                f'room "{room.name}": two of its materials are "{repeated[0]}"; merge them in that room'
             )
         row = []
         for i, name in enumerate(stated):
@@ -807,10 +811,13 @@ def read_folder(folder: str | os.PathLike[str]) -> list[Calibrated]:
     are left out.
     """
     if not checks.path("folder", folder).is_dir():
-        raise DataError(f"{folder}: no such folder")
+        raise DataError(f"{folder}: this folder does not exist")
     files = sorted(Path(folder).rglob(NUMBERS))
     if not files:
-        raise DataError(f"folder {folder} has no {NUMBERS}; rtcal calibrate --out writes one")
+        raise DataError(
+            f"folder {folder} has no {NUMBERS}; `rtcal calibrate ROOM MEASURED --out {folder}` "
+            "writes it"
+        )
     kept = []
     for file in files:
         result = load(file)
@@ -818,8 +825,8 @@ def read_folder(folder: str | os.PathLike[str]) -> list[Calibrated]:
             kept.append(result)
         if len(kept) > _MOST:
             raise DataError(
-                f"folder {folder} has more than {_MOST} calibrations: name a smaller one"
+                f"folder {folder} has more than {_MOST} calibrations: name a folder with fewer"
             )
     if not kept:
-        raise DataError(f"folder {folder} has results, but no calibration among them")
+        raise DataError(f"folder {folder} has results, but none of them is a calibration")
     return kept

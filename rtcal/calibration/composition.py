@@ -231,10 +231,12 @@ class Composition:
         terms = self.observations
         for term, given in checks.mapped("observed", observed).items():
             if term not in terms:
-                raise DataError(f"observed has {term!r}, which is no term of the objective")
+                raise DataError(f"observed has {term!r}, which is not a term of the objective")
             checks.instance(f"observed[{term!r}]", given, Observed)
         if missing := [t for t in terms if t not in observed]:
-            raise DataError(f"observed lacks {missing[0]!r}: it needs its numbers to be solved")
+            raise DataError(
+                f"observed has no numbers for {missing[0]!r}, which is in the objective: give them"
+            )
         return {term: observed[term].over(self.layout, mu, sigma) for term in terms}
 
     def _check_shared(self, room: Room) -> None:
@@ -247,7 +249,7 @@ class Composition:
                     raise DataError(
                         f"{room.place(name, material, k)} = {values[material, k]:g}, but "
                         f"{room.place(name, first, k)} = {values[first, k]:g}; materials that "
-                        "share their coefficients have one prior"
+                        "share their coefficients must have the same prior"
                     )
 
     def _check_box(

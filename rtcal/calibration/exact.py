@@ -112,7 +112,9 @@ def solve(
     vectors = [checks.array(name, x) for name, x in given.items()]
     scalars = [checks.array("target", target), checks.array("uncertainty", uncertainty)]
     if any(x.ndim == 0 for x in vectors[:3]):
-        raise DataError("mu, sigma and areas need at least one axis, the coefficients: (..., n)")
+        raise DataError(
+            "mu, sigma and areas need at least one axis, which holds the coefficients: (..., n)"
+        )
     try:
         (n,) = np.broadcast_shapes(*(x.shape[-1:] for x in vectors))
         batch = np.broadcast_shapes(*(x.shape[:-1] for x in vectors), *(x.shape for x in scalars))
@@ -194,17 +196,20 @@ def multiplier(mu: Array, sigma: Array, areas: Array, target: Array | float) -> 
     mu, areas, target = _checked(mu, areas, target)
     sigma = _finite("sigma", sigma)
     if sigma.shape != mu.shape:
-        raise DataError(f"sigma has shape {sigma.shape}; mu has {mu.shape}")
+        raise DataError(f"sigma has shape {sigma.shape}; it must be {mu.shape}, as mu")
     if (sigma < 0).any():
-        raise DataError(f"sigma has {sigma.min():g}, which is not 0 or more")
+        raise DataError(f"sigma has {sigma.min():g}, but must be 0 or more")
     spread = areas**2 @ sigma**2
     if np.any(spread == 0):
-        raise DataError("all sigma of a band are 0; no coefficient there can move")
+        raise DataError(
+            "all sigma of a band are 0, so no coefficient of this band can change; give at least "
+            "one above 0"
+        )
     return np.asarray((areas @ mu - target) / spread)
 
 
 def scaling(mu: Array, areas: Array, target: Array | float) -> Array:
-    """Return all coefficients scaled alike, alpha = mu b / S'mu (Bellows & Katz 2025, Eqs. 36, 37).
+    """Return the coefficients times one factor, alpha = mu b / S'mu (Bellows & Katz 2025, Eqs. 36, 37).
 
     Raises
     ------
@@ -219,7 +224,10 @@ def scaling(mu: Array, areas: Array, target: Array | float) -> Array:
     mu, areas, target = _checked(mu, areas, target)
     absorption_area = areas @ mu
     if np.any(absorption_area == 0):
-        raise DataError("S'mu = 0: scaling cannot reach any target from there")
+        raise DataError(
+            "S'mu = 0: the input absorption is 0, which no factor can scale to a target; give a "
+            "coefficient above 0"
+        )
     return np.asarray(mu * (target / absorption_area))
 
 
@@ -232,7 +240,7 @@ def _checked(mu: Array, areas: Array, target: Array | float) -> tuple[Array, Arr
             "(n_materials,) and a scalar target, or (n_materials, n_bands) and (n_bands,)"
         )
     if (areas <= 0).any():
-        raise DataError(f"areas has {areas.min():g} m², which is not above 0")
+        raise DataError(f"areas has {areas.min():g} m², but must be above 0")
     return mu, areas, target
 
 

@@ -114,8 +114,8 @@ def restrict_to_reach(
         if lost.any():
             row = int(np.flatnonzero(lost.ravel())[0])
             raise InfeasibleError(
-                f"T[{numbers.layout.band_label(row)}] = {times.ravel()[row]:.4g} s is "
-                "too short for any absorption"
+                f"T[{numbers.layout.band_label(row)}] = {times.ravel()[row]:.4g} s is shorter "
+                "than full absorption gives"
             )
         return numbers, none_held, ()
     asked = np.isfinite(times)
@@ -243,7 +243,8 @@ def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
         return
     by = found.x[A.shape[1] :]
     raise InfeasibleError(
-        "the constraints contradict each other. The smallest relaxation that removes it: "
+        "the constraints contradict each other. The smallest relaxation that removes the "
+        "contradiction: "
         + "; ".join(
             text.format(by[i] * abs(give))
             for i, (_, give, text) in enumerate(relaxed)

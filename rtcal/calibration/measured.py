@@ -111,27 +111,27 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         if not np.isfinite(time).any():
             parameters = ", ".join(parameter_label(p) for p in measured.values)
             raise DataError(
-                f"the measurement has no T20 or T30 in any band of the room, but {parameters}: "
-                "evaluate T20, which no other parameter replaces"
+                f"the measurement has {parameters} but no T20 or T30 in any band of the room: "
+                "add T20, which no other parameter can replace"
             )
         parameter = there.reverberation_parameter
         return MeasuredTimes(frequencies, time, uncertainty, parameter, measured)
     try:
         times = checks.array("measured", measured).copy()
     except DataError as error:
-        raise DataError(f"measured is not a list of T in s: {error}") from error
+        raise DataError(f"measured must be a list of T in s: {error}") from error
     if times.shape != (room.n_bands,):
         raise DataError(
-            f"measured T has shape {times.shape}; the room has {room.n_bands} bands, so that it must "
-            f"be ({room.n_bands},)"
+            f"measured T has shape {times.shape}; it must be ({room.n_bands},), one value per "
+            "band of the room"
         )
     if (bad := np.isinf(times) | (times <= 0)).any():
         k = int(np.argmax(bad))
         raise DataError(
-            f"T[{bands.label(frequencies[k])}] = {times[k]:g} s is not finite and above 0"
+            f"T[{bands.label(frequencies[k])}] = {times[k]:g} s must be finite and above 0"
         )
     if not np.isfinite(times).any():
-        raise DataError("measured T is missing in every band; there is nothing to calibrate to")
+        raise DataError("measured T is missing in every band; give it in at least one")
     parameter = tuple(TARGET.key if finite else "" for finite in np.isfinite(times))
     return MeasuredTimes(frequencies, times, np.full(times.shape, np.nan), parameter)
 

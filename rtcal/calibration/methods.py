@@ -83,8 +83,8 @@ def preset(method: str, room: Room | None = None) -> Calibration:
     correlated = bool(room.band_correlation or room.material_correlation)
     if method == "robust" and (correlated or room.common_alpha_sigma):
         raise ModelError(
-            'method "robust" treats every coefficient apart, but the room states correlations '
-            "or a common_alpha_sigma"
+            'method "robust" treats every coefficient on its own, but the room has correlations '
+            "or a common_alpha_sigma: use another method, or leave them out of the room"
         )
     pairs = tuple(room.material_correlation.items())
     common, uncertain = room.common_alpha_sigma > 0, room.is_uncertain
@@ -197,7 +197,7 @@ def calibrate(
     if not isinstance(room, Configurations):
         checks.instance("room", room, Room)
     if measured is None:
-        raise DataError("measured = None: there is no T to calibrate to")
+        raise DataError("measured = None must be the measured T: a list of s, or a Measurement")
     calibration = preset(method, room if isinstance(room, Room) else room.union)
     return calibration.build(room, equation).solve(
         measured,

@@ -70,7 +70,7 @@ class Posterior:
         """
         checks.number("probability", probability)
         if not 0 < probability < 1:
-            raise DataError(f"probability = {probability:g} is not between 0 and 1")
+            raise DataError(f"probability = {probability:g} must be between 0 and 1")
         z = ndtri(probability)
         return np.apply_along_axis(lambda x: np.interp(z, NORMAL, x), -1, self.points)
 
@@ -84,7 +84,7 @@ class Posterior:
         """
         checks.number("level", level)
         if not 0 < level < 1:
-            raise DataError(f"level = {level:g} is not between 0 and 1")
+            raise DataError(f"level = {level:g} must be between 0 and 1")
         return intervals(self.alpha, self.points, level)
 
     @property
@@ -363,7 +363,9 @@ def _parts(density: Density) -> list[_Part]:
     """The parts of a density that nothing couples."""
     free = np.flatnonzero(density.scale > 0)
     if len(free) > _LARGEST:
-        raise ModelError(f"{len(free)} unknowns are too many to sample; at most {_LARGEST}")
+        raise ModelError(
+            f"{len(free)} unknowns are too many to sample; at most {_LARGEST} are possible"
+        )
     scale, point = density.scale[free], density.point[free]
     curvature = _dense(density.curvature)[np.ix_(free, free)] * np.outer(scale, scale)
     matrix = _dense(density.matrix)
@@ -531,7 +533,10 @@ def _drawn(parts: Sequence[_Part], even: Sequence[Array]) -> list[tuple[Array, A
     drawn = []
     for part, own, log in zip(parts, values, logs, strict=True):
         if not np.isfinite(log).any():
-            raise SolverError("no point inside the constraints was found to sample from")
+            raise SolverError(
+                "no point inside the constraints was found from which sampling could start; "
+                "check that the constraints leave some room"
+            )
         drawn.append((own, _as_stated(log, own, part)))
     return drawn
 

@@ -100,39 +100,42 @@ class Calibration:
         priors = [t for t in terms if getattr(t, "is_prior", False)]
         if len(priors) != 1:
             raise ModelError(
-                f"the objective has {len(priors)} prior deviations; it needs one: without it the "
-                "answer is not unique"
+                f"the objective has {len(priors)} prior deviations; it must have exactly one, "
+                "which makes the answer unique"
             )
         soft = sum(isinstance(t, SoftMatch) for t in terms)
         if constraints is None:
             constraints = () if soft else (ExactMatch(),)
         if not np.iterable(constraints):
-            raise ModelError(f"constraints = {constraints!r} is not a list of constraints")
+            raise ModelError(f"constraints = {constraints!r} must be a list of constraints")
         constraints = tuple(constraints)
         for constraint in constraints:
             if isinstance(constraint, type):
                 name = constraint.__name__
-                raise ModelError(f"{name} is a class and no term: write {name}()")
+                raise ModelError(f"{name} is a class, not a term: write {name}()")
             narrows = isinstance(constraint, Bounds | Shared)
             if not (narrows or callable(constraint)) or isinstance(constraint, Term | Objective):
                 raise ModelError(
-                    f"{constraint!r} is no constraint of rtcal.terms, and no function of a "
+                    f"{constraint!r} is neither a constraint of rtcal.terms nor a function of an "
                     "rtcal.terms.Model that returns one"
                 )
         for place, parts in (("objective", terms), ("constraints", constraints)):
             for i, term in enumerate(parts):
                 if any(term == other for other in parts[:i]):
-                    raise ModelError(f"{place}: {term!r} stands there twice; give it once")
+                    raise ModelError(f"{place}: {term!r} is given twice; give it once")
         if soft > 1:
-            raise ModelError("the objective has two soft matches; T has one uncertainty per band")
+            raise ModelError(
+                "the objective has two soft matches; give only one, because T has one "
+                "uncertainty per band"
+            )
         further = [t.name for t in terms if isinstance(t, AddedAbsorption)]
         if len(set(further)) < len(further):
-            raise ModelError(f"two further unknowns have one name: {', '.join(further)}")
+            raise ModelError(f"two further unknowns have the same name: {', '.join(further)}")
         for term, weight in zip(terms, objective.weights, strict=True):
             if weight == 0 and (term is priors[0] or isinstance(term, AddedAbsorption)):
                 raise ModelError(
-                    f"{term!r} has weight 0; without it the answer is not unique. Leave the term out "
-                    "instead"
+                    f"{term!r} has weight 0; give a weight above 0, because without this term "
+                    "the answer is not unique"
                 )
         object.__setattr__(self, "objective", objective)
         object.__setattr__(self, "constraints", constraints)
@@ -166,12 +169,12 @@ class Calibration:
             If a room states no air.
         """
         if not isinstance(room, Room | Configurations):
-            raise DataError(f"room = {room!r} is not a rtcal.Room, nor Configurations of one")
+            raise DataError(f"room = {room!r} must be an rtcal.Room or Configurations of one")
         equation = _EYRING if equation is None else equation
         if not isinstance(equation, LinearEquation):
             if not isinstance(equation, Equation) or isinstance(equation, type):
                 raise ModelError(
-                    f"equation = {equation!r} is not an equation such as rtcal.Eyring()"
+                    f"equation = {equation!r} must be an equation such as rtcal.Eyring()"
                 )
             raise ModelError(
                 f"{equation.name} is not a function of the mean absorption coefficient, so it gives "
@@ -247,13 +250,13 @@ class CalibrationProblem(Composition, Generic[R]):
             If no answer passes the certificate.
         """
         if not (isinstance(solver, str) and solver in qp.SETTINGS):
-            raise ModelError(f'solver = {solver!r} is not "clarabel" or "osqp"')
+            raise ModelError(f'solver = {solver!r} must be "clarabel" or "osqp"')
         checks.choice("unreachable", unreachable, ("raise", "nearest"))
         checks.flag("warm_start", warm_start)
         if settings is not None and not (
             isinstance(settings, Mapping) and all(isinstance(key, str) for key in settings)
         ):
-            raise ModelError(f"settings = {settings!r} is not a mapping of name to value")
+            raise ModelError(f"settings = {settings!r} must be a mapping from name to value")
         problem, alone = self._for(room), isinstance(self.room, Room)
         rooms = problem.configurations
         times = measured_times(rooms, [measured] if alone else measured)
@@ -282,9 +285,9 @@ class CalibrationProblem(Composition, Generic[R]):
             else:
                 feasibility.explain(problem, numbers, program)
                 raise SolverError(
-                    f'solver "{solver}" says {raw.status}, but its answer does not pass: primal '
-                    f"residual {certificate.primal_residual:.1e}, dual residual "
-                    f"{certificate.dual_residual:.1e}, gap {certificate.duality_gap:.1e}"
+                    f'solver "{solver}" returned {raw.status}, but its answer fails the '
+                    f"optimality check: primal residual {certificate.primal_residual:.1e}, dual "
+                    f"residual {certificate.dual_residual:.1e}, gap {certificate.duality_gap:.1e}"
                 )
         except InfeasibleError as error:
             said: list[str] = [
@@ -322,15 +325,18 @@ class CalibrationProblem(Composition, Generic[R]):
         asked = replace(self, room=room)
         old, new = self.configurations.rooms, asked.configurations.rooms
         if len(old) != len(new):
-            raise DataError(f"{len(new)} configurations; the problem was built with {len(old)}")
+            raise DataError(
+                f"{len(new)} configurations are given; the problem was built with {len(old)}"
+            )
         for before, after in zip(old, new, strict=True):
             if after.materials != before.materials:
                 raise DataError(
-                    f"room has materials {after.materials}; built with {before.materials}"
+                    f"room has the materials {after.materials}; the problem was built with "
+                    f"{before.materials}"
                 )
             if not np.array_equal(after.centre_frequencies, before.centre_frequencies):
                 has = ", ".join(bands.labels(after.centre_frequencies))
-                raise DataError(f"room has other bands than the one built with: {has}")
+                raise DataError(f"room has other bands than the problem was built with: {has}")
         vars(asked)["compiled"] = self.compiled
         return asked
 
@@ -341,13 +347,13 @@ def measured_times(
     """Return one measurement per configuration, each in its room's bands."""
     if isinstance(measured, str | Measurement) or not np.iterable(measured):
         raise DataError(
-            f"measured = {measured!r} is not a list of measurements, one per configuration"
+            f"measured = {measured!r} must be a list of measurements, one per configuration"
         )
     measured = list(measured)
     if len(measured) != len(configurations.rooms):
         raise DataError(
-            f"{len(measured)} measurements for {len(configurations.rooms)} configurations; each "
-            "needs one"
+            f"{len(measured)} measurements for {len(configurations.rooms)} configurations; give "
+            "one for each"
         )
     return [
         no_times(r) if t is None else times_in_room(r, t)

@@ -102,7 +102,8 @@ class CompiledProblem:
         data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
         if data["dims"].soc or data["dims"].exp or data["dims"].psd or data["dims"].p3d:
             raise ModelError(
-                "the composed problem is no QP: a term is neither linear nor quadratic"
+                "the composed problem is not a quadratic program: a term is neither linear "
+                "nor quadratic"
             )
         self._program = program = data["param_prob"]
         self.size, n = program.x.size, len(data["b"])  # variables v, rows of A
@@ -181,8 +182,8 @@ def _stated(term: AnyTerm, m: Model, kind: Any) -> list[Any]:
     minimised = kind is cp.Expression
     whole = all(isinstance(part, kind) for part in parts)
     if not whole or (minimised and [part.size for part in parts] != [1]):
-        wanted = "objective term, an expression of one number" if minimised else "constraint"
-        raise ModelError(f"{term!r} is no {wanted}: it returns {stated!r}")
+        wanted = "one number as an expression of cvxpy" if minimised else "a constraint"
+        raise ModelError(f"{term!r} must return {wanted}, but returns {stated!r}")
     return parts
 
 
@@ -321,7 +322,10 @@ class System:
             symmetric = {"SymmetricMode": True, "DiagPivotThresh": 0.1}
             self._factors = splu(self._matrix, permc_spec="MMD_AT_PLUS_A", options=symmetric)
         except RuntimeError as error:
-            raise SolverError("the optimality conditions are singular") from error
+            raise SolverError(
+                "the optimality conditions are singular: the terms leave a coefficient "
+                "undetermined; add a prior or a bound for it"
+            ) from error
 
     def solve(self, force: Array, limit: Array, refine: bool = True) -> tuple[Array, Array]:
         """Return dv (size, ...) and dy (n_rows, ...), 0 for what is not free or not active.
@@ -536,7 +540,9 @@ def solve(
             x, z, status, iterations = _osqp(*given, first)
     except (TypeError, ValueError, AttributeError, KeyError, OverflowError) as error:
         stated = ", ".join(f"{key}={value!r}" for key, value in given[-1].items())
-        raise ModelError(f'solver "{solver}" refuses the settings {stated}: {error}') from error
+        raise ModelError(
+            f'solver "{solver}" does not accept the settings {stated}: {error}'
+        ) from error
     seconds = time.perf_counter() - began
     if x is None or z is None or not (np.isfinite(x).all() and np.isfinite(z).all()):
         raise SolverError(f'solver "{solver}" returned no values; its status is {status}')

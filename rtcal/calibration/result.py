@@ -206,8 +206,8 @@ class JointResult(Result):
         prior, numbers, layout = self.composition.prior, self.numbers, self.composition.layout
         if not self.has_density:
             raise ModelError(
-                f"{prior!r} is no log-density of what is known of alpha: it has no posterior. Use "
-                'method "soft" or "mle"'
+                f"{prior!r} is not the log-density of a prior of alpha, so there is no "
+                'posterior. Calibrate with method "soft" or "mle"'
             )
         if not measured:
             missing = np.full_like(numbers.target, np.nan)
@@ -505,7 +505,7 @@ class JointResult(Result):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CalibrationResult(Result):
-    """A calibrated room, with the calibration's certificate, plausibility and trust marks.
+    """A calibrated room, with certificate, plausibility and cautions of the calibration.
 
     Of several configurations, it is the result of one; see `JointResult`.
 
@@ -562,7 +562,7 @@ class CalibrationResult(Result):
 
     @property
     def target(self) -> Array:
-        """b in m², (n_bands,), NaN where missing."""
+        """Absorption area b that the measured T requires, in m², (n_bands,); NaN without T."""
         return np.asarray(self.joint.numbers.target[self.configuration])
 
     @property
@@ -586,7 +586,7 @@ class CalibrationResult(Result):
 
     @cached_property
     def active(self) -> Active:
-        """-1 at the lower bound, 1 at the upper, 0 free, (n_materials, n_bands)."""
+        """State of coefficients, (n_materials, n_bands): -1 at lower bound, 1 at upper, 0 free."""
         return read_only_view(self.joint.active[self._rows])
 
     @cached_property
@@ -647,22 +647,22 @@ class CalibrationResult(Result):
 
     @property
     def gap_before(self) -> Array:
-        """(T of the prior - measured) in JND of 5 %, signed, (n_bands,)."""
+        """Deviation T of the prior - T measured, in JND of 5 %, signed, (n_bands,)."""
         return gap_jnd(self.reverberation_time_before, self.measured)
 
     @property
     def gap_after(self) -> Array:
-        """(T calibrated - measured) in JND of 5 %, signed, (n_bands,)."""
+        """Deviation T calibrated - T measured, in JND of 5 %, signed, (n_bands,)."""
         return gap_jnd(self.reverberation_time_after, self.measured)
 
     @property
     def shift(self) -> Array:
-        """alpha - mu, (n_materials, n_bands)."""
+        """Shift of each coefficient by the calibration, alpha - mu, (n_materials, n_bands)."""
         return self.alpha - self.prior.alpha
 
     @property
     def shift_in_sigmas(self) -> Array:
-        """(alpha - mu) / sigma, (n_materials, n_bands); 0 where sigma = 0."""
+        """Shift (alpha - mu) / sigma of each coefficient, (n_materials, n_bands); 0 where sigma = 0."""
         sigma = self.prior.sigma
         return np.divide(self.shift, sigma, out=np.zeros_like(sigma), where=sigma > 0)
 
@@ -758,7 +758,7 @@ class CalibrationResult(Result):
 
     @cached_property
     def known(self) -> KnownRoom:
-        """What is known of the room before it is changed, for `rtcal.prediction`.
+        """The room before a change, as `rtcal.prediction` takes it.
 
         ModelError if the calibration has further unknowns or observations, which a prediction does not
         know of, or if its equation gives no T for the calibrated room.
@@ -766,8 +766,9 @@ class CalibrationResult(Result):
         joint, room = self.joint, self.prior
         if joint.effects or joint.composition.observations:
             raise ModelError(
-                "a prediction knows of T alone: calibrate without effects and other observations, such "
-                "as the corrected room of `rtcal apply`"
+                "a prediction uses T only, but this calibration has effects or other "
+                "observations: calibrate without them, for example the corrected room of `rtcal "
+                "apply`"
             )
         time = where_valid(self.equation.time, room, room.areas @ self.alpha)
         if not np.isfinite(time).all():
@@ -803,7 +804,7 @@ class CalibrationResult(Result):
         name: str = "",
         assumptions: Assumptions | None = None,
     ) -> Prediction:
-        """Predict T after a change of this room: T of the calibrated room times what the change does.
+        """Predict T after a change of this room: T calibrated times the ratio that the change gives.
 
         See `rtcal.prediction.predict`. Of several configurations all measured T count.
 

@@ -132,6 +132,16 @@ SIGNS = (
     "measured T needs minus that of the input, in standard deviations."
 )
 
+_NAMES_OF_METHODS = {
+    "mle": "maximum likelihood (mle)",
+    "lse": "least squares (lse)",
+    "soft": "soft match of T (soft)",
+    "smooth": "soft match of T with smooth shifts (smooth)",
+    "robust": "soft match of T with outliers (robust)",
+    "joint": "soft match of T in several configurations (joint)",
+    "composed": "calibration composed in Python",
+}
+"""Methods in print, with the names that --method takes."""
 _BOUNDS = {"lower": "*", "upper": "*", "": " "}
 SHARE = "Share of absorption after calibration"
 _LEAST_SHARE = 0.5
@@ -197,8 +207,9 @@ def _made(record: Mapping[str, Any]) -> list[str]:
         air = f"air {record['air']['temperature']:g} °C, {record['air']['humidity']:g} % humidity"
     area = sum(material["area"] for material in record["materials"])
     matched = "matched" if record["matches_measured_time"] else "NOT matched"
+    method = _NAMES_OF_METHODS.get(record["method"], record["method"])
     return [
-        f"{record['room']}: {record['volume']:g} m³, {area:g} m², {air}; method {record['method']}, "
+        f"{record['room']}: {record['volume']:g} m³, {area:g} m², {air}; {method}, "
         f"{record['equation']}'s equation, {' and '.join(_parameters(record))} {matched}.",
         certificate(record),
     ]
@@ -289,11 +300,11 @@ def remarks(record: Mapping[str, Any]) -> list[str]:
     said += filter(None, [measured["caution"]])
     if measured["bands_not_in_room"]:
         ignored = ", ".join(bands.labels(measured["bands_not_in_room"]))
-        said.append(f"left out: {ignored} (measured, but no band of the room)")
+        said.append(f"left out: {ignored} (measured, but not a band of the room)")
     if beyond := _bands_beyond_equation(record):
         said.append(
-            f"no T of the input at {', '.join(beyond)}: {record['equation']}'s equation does not hold "
-            "for coefficients as large as these"
+            f"T of the input cannot be calculated at {', '.join(beyond)}: {record['equation']}'s "
+            "equation does not hold for coefficients as large as these"
         )
     return said
 
@@ -321,7 +332,7 @@ def _bands_beyond_equation(record: Mapping[str, Any]) -> list[str]:
 
 
 LARGE_GAP = 3.0
-"""Deviation before calibration, in JND, that anyone hears; a sigma that allows it confirms nothing."""
+"""Deviation before calibration in JND that is audible; a sigma that allows it means nothing."""
 _AGAINST = "The measurement contradicts the input coefficients"
 _ALIKE = "The measurement agrees with the input coefficients only if all of them err the same way"
 _SOMETHING = (

@@ -207,7 +207,10 @@ class _Summand:
 
     def __rmul__(self, factor: float) -> Objective:
         if not 0 <= checks.number("weight", factor) < np.inf:
-            raise DataError(f"a weight of {factor:g} is not finite and 0 or more: not convex")
+            raise DataError(
+                f"a weight of {factor:g} must be finite and 0 or more, because the problem is "
+                "not convex otherwise"
+            )
         one = as_objective(self)
         return Objective(one.terms, tuple(float(factor) * w for w in one.weights))
 
@@ -250,10 +253,10 @@ def as_objective(term: Any) -> Objective:
     if isinstance(term, Objective):
         return term
     if isinstance(term, type):
-        raise ModelError(f"{term.__name__} is a class and no term: write {term.__name__}()")
+        raise ModelError(f"{term.__name__} is a class, not a term: write {term.__name__}()")
     if callable(term):
         return Objective((term,), (1.0,))
-    raise ModelError(f"{term!r} is not an objective term, a function of rtcal.terms.Model")
+    raise ModelError(f"{term!r} is not an objective term: give a function of an rtcal.terms.Model")
 
 
 @dataclass(frozen=True)
@@ -300,7 +303,9 @@ class PriorDeviation(Term):
         if self.sigma is not None:
             checks.positive("PriorDeviation: sigma", self.sigma)
         if not 0 <= checks.number("band_correlation", self.band_correlation) < 1:
-            raise ModelError(f"band_correlation {self.band_correlation:g} is not in [0, 1)")
+            raise ModelError(
+                f"band_correlation {self.band_correlation:g} must be from 0 to below 1"
+            )
         pairs = self.material_correlation
         if not isinstance(pairs, tuple):
             # Kept as a tuple: a term is hashable, so that its compiled problem is found again.
@@ -348,7 +353,10 @@ def _correlation(term: PriorDeviation, layout: Layout) -> tuple[Any, Any, float]
     for (a, b), r in term.material_correlation:
         i, j = (layout.index(name)[0] // layout.n_bands for name in (a, b))
         if i == j:
-            raise ModelError(f'material_correlation: "{a}" and "{b}" are one unknown')
+            raise ModelError(
+                f'material_correlation: "{a}" and "{b}" share their coefficients, so they cannot '
+                "have a correlation; leave this pair out"
+            )
         parts[0][i, j] = parts[0][j, i] = r
     parts.append(bands.correlation(np.array(layout.centre_frequencies), term.band_correlation))
     try:
@@ -441,8 +449,8 @@ class MatchWithin(ExactMatch):
     def __post_init__(self) -> None:
         if not 0 < checks.number("MatchWithin: jnd", self.jnd) < 1 / TARGET.jnd:
             raise DataError(
-                f"MatchWithin: jnd = {self.jnd:g} is not above 0 and below 20; without a tolerance "
-                "it is ExactMatch()"
+                f"MatchWithin: jnd = {self.jnd:g} must be above 0 and below 20; for no tolerance "
+                "use ExactMatch()"
             )
 
     def __call__(self, m: Model) -> list[Any]:
@@ -475,7 +483,7 @@ class MatchWithin(ExactMatch):
 
 @dataclass(frozen=True)
 class SoftMatch(Term):
-    """½ sum ((S'alpha - b) / u_b)²: match T as far as its own uncertainty deserves.
+    """½ sum ((S'alpha - b) / u_b)²: match T within its uncertainty u_b.
 
     u_b = |db/dT| u_T. docs/modelling.md compares it with other terms.
 
@@ -519,7 +527,7 @@ class SoftMatch(Term):
         checks.flag("SoftMatch: room", self.room)
         if u is not None and not 0 < checks.number("SoftMatch: relative", u) <= 1:
             percent = ": is it in percent?" if 1 < u <= 100 else ""
-            raise DataError(f"SoftMatch: relative = {u:g} is not above 0 and at most 1{percent}")
+            raise DataError(f"SoftMatch: relative = {u:g} must be above 0 and at most 1{percent}")
 
     def __call__(self, m: Model) -> Any:
         """½ |(S'alpha - b) / u_b|²; with ``room`` ½ |W (S'alpha - b)|², W'W = C⁻¹."""
@@ -611,7 +619,7 @@ class BandSmoothness(Term):
     def __call__(self, m: Model) -> Any:
         """½ |differences|²; coefficients with sigma = 0 stand apart."""
         if m.layout.n_bands < 2:
-            raise ModelError("BandSmoothness needs two bands or more")
+            raise ModelError("BandSmoothness needs a room with two bands or more")
         octaves = np.diff(np.log2(np.array(m.layout.centre_frequencies)))
 
         def steep(numbers: Numbers) -> Array:
@@ -656,7 +664,7 @@ class AddedAbsorption(Term):
             raise DataError(f"{own}: mean = {self.mean:g} is not finite")
         gain = checks.array(f"{own}: gain", self.gain)
         if gain.ndim not in (1, 2) or not np.isfinite(gain).all():
-            raise DataError(f"{own}: gain is not finite numbers by band")
+            raise DataError(f"{own}: gain must be one finite number per band")
         frozen: Any = tuple(map(tuple, np.atleast_2d(gain).tolist()))
         object.__setattr__(self, "gain", frozen)
 
@@ -669,8 +677,8 @@ class AddedAbsorption(Term):
         gain = np.array(self.gain)
         if gain.shape[1] != n_bands or gain.shape[0] not in (1, n_configurations):
             raise ModelError(
-                f'AddedAbsorption("{self.name}"): gain has shape {gain.shape}; there are '
-                f"{n_configurations} configurations and {n_bands} bands"
+                f'AddedAbsorption("{self.name}"): gain has shape {gain.shape}; it must be '
+                f"({n_configurations}, {n_bands}): configurations and bands"
             )
         return np.broadcast_to(gain, (n_configurations, n_bands))
 
@@ -701,7 +709,7 @@ class Bounds:
         stated = [end for end in (self.lower, self.upper) if end is not None]
         ends = [0.0, *(checks.number(name, end) for end in stated), 1.0]
         if not all(ends[i] <= ends[i + 1] for i in range(len(ends) - 1)):
-            raise DataError(f"{name}: 0 <= lower <= upper <= 1 is not so of {stated}")
+            raise DataError(f"{name}: {stated} must satisfy 0 <= lower <= upper <= 1")
 
     def of(self, mu: Array) -> Any:
         """Return both bounds of coefficients whose prior means are ``mu``."""
@@ -741,7 +749,7 @@ class Shared:
 
     def __init__(self, *materials: str) -> None:
         if len(set(checks.texts("Shared: material", materials))) < 2:
-            raise DataError("Shared needs two different materials or more")
+            raise DataError("Shared needs at least two different materials")
         object.__setattr__(self, "materials", materials)
 
 
@@ -766,7 +774,9 @@ class AtMost:
     def __post_init__(self) -> None:
         checks.texts("AtMost: material", (self.lesser, self.greater))
         if self.lesser == self.greater:
-            raise DataError(f'AtMost: "{self.lesser}" stands on both sides')
+            raise DataError(
+                f'AtMost: "{self.lesser}" is on both sides; name two different materials'
+            )
 
     def __call__(self, m: Model) -> list[Any]:
         """One inequality per band."""
@@ -815,8 +825,9 @@ class GroupAbsorption:
         ordered = given == sorted(given) and np.isfinite(given).all()
         if not (materials and given and ordered and given[0] >= 0):
             raise DataError(
-                f"GroupAbsorption: materials = {materials}, least = {self.least}, most = {self.most} "
-                "m²; it needs a material, and 0 <= least <= most, one of them at least"
+                f"GroupAbsorption: materials = {materials}, least = {self.least}, most = "
+                f"{self.most} m²; give at least one material, and least or most or both with 0 "
+                "<= least <= most"
             )
 
     def __call__(self, m: Model) -> list[Any]:
@@ -826,7 +837,8 @@ class GroupAbsorption:
         for name, row in zip(layout.materials, layout.alpha_rows, strict=True):
             if row in members and name not in self.materials:
                 raise ModelError(
-                    f'GroupAbsorption: "{name}" shares its coefficients with a member; name it too'
+                    f'GroupAbsorption: "{name}" shares its coefficients with a material of '
+                    "the group; add it to the group"
                 )
         area = m.group_area(members, 0)[self._bands(layout)]
         if self.least == self.most:

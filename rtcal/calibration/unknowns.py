@@ -86,16 +86,20 @@ class Configurations:
     def __post_init__(self) -> None:
         rooms = checks.listed("rooms", self.rooms)
         if not rooms:
-            raise DataError("rooms is empty; there is at least one configuration")
+            raise DataError("rooms is empty; give at least one configuration")
         for i, room in enumerate(rooms):
             if not isinstance(room, Room):
-                raise DataError(f"rooms[{i}] = {room!r} is not a rtcal.Room")
+                raise DataError(f"rooms[{i}] = {room!r} must be an rtcal.Room")
         stated = tuple(str(n) for n in checks.listed("names", self.names))
         names = stated or tuple(r.name for r in rooms)
         if len(names) != len(rooms):
-            raise DataError(f"{len(names)} names for {len(rooms)} configurations")
+            raise DataError(
+                f"{len(names)} names are given for {len(rooms)} configurations; give one for each"
+            )
         if len(set(stated)) < len(stated):
-            raise DataError(f"names = {names} has a name twice")
+            raise DataError(
+                f"names = {names} has a name twice; give each configuration a name of its own"
+            )
         object.__setattr__(self, "rooms", rooms)
         object.__setattr__(self, "names", names)
         if len(rooms) > 1:
@@ -108,14 +112,16 @@ class Configurations:
             if room.band_correlation != self.rooms[0].band_correlation:
                 raise DataError(
                     f'configuration "{name}": band_correlation = {room.band_correlation:g}, but '
-                    f'"{self.names[0]}" says {self.rooms[0].band_correlation:g}'
+                    f'configuration "{self.names[0]}" has {self.rooms[0].band_correlation:g}; '
+                    "they must be equal"
                 )
             for key in ("volume_sigma", "common_area_sigma", "common_alpha_sigma"):
                 stated, other = getattr(room, key), getattr(self.rooms[0], key)
                 if stated != other:
                     raise DataError(
-                        f'configuration "{name}": {key} = {stated:g}, but "{self.names[0]}" says '
-                        f"{other:g}; it is one room"
+                        f'configuration "{name}": {key} = {stated:g}, but configuration '
+                        f'"{self.names[0]}" has {other:g}; they must be equal, because it is the '
+                        "same room"
                     )
             for (a, b), value in pairs.items():
                 stated = room.material_correlation.get(
@@ -123,8 +129,8 @@ class Configurations:
                 )
                 if a in room.materials and b in room.materials and stated != value:
                     raise DataError(
-                        f'configuration "{name}": material_correlation["{a}", "{b}"] = {stated:g}, but '
-                        f"another configuration says {value:g}"
+                        f'configuration "{name}": material_correlation["{a}", "{b}"] = '
+                        f"{stated:g}, but another configuration has {value:g}; they must be equal"
                     )
 
     def _pairs(self) -> dict[tuple[str, str], float]:
@@ -161,7 +167,7 @@ class Configurations:
         times = checks.array("times", times)
         if times.shape != (shape := (len(self.rooms), self.rooms[0].alpha.shape[1])):
             raise DataError(
-                f"times has shape {times.shape}; (n_configurations, n_bands) is {shape}"
+                f"times has shape {times.shape}; it must be (n_configurations, n_bands) = {shape}"
             )
         if not any(room.is_uncertain for room in self.rooms):
             return np.zeros((0, times.size))
@@ -261,14 +267,16 @@ class Layout:
         if material is not None:
             if checks.text("material", material) not in self.materials:
                 raise DataError(
-                    f'"{material}" is no material of the room; it has {", ".join(self.materials)}'
+                    f'"{material}" is not a material of the room, which has {", ".join(self.materials)}'
                 )
             rows = np.array([self.alpha_rows[self.materials.index(material)]])
         if band is not None:
             place = bands.index(np.array(self.centre_frequencies), checks.positive("band", band))
             if place is None:
                 has = ", ".join(bands.labels(self.centre_frequencies))
-                raise DataError(f"band {bands.label(band)} is no band of the room; it has {has}")
+                raise DataError(
+                    f"band {bands.label(band)} is not a band of the room, which has {has}"
+                )
             columns = np.array([place])
         return np.asarray((rows[:, np.newaxis] * self.n_bands + columns).ravel())
 
@@ -329,7 +337,7 @@ class Observed:
     def __post_init__(self) -> None:
         n = checks.array("observed values", self.values).size
         if n == 0:
-            raise DataError("observed values is empty; there is at least one")
+            raise DataError("observed values is empty; give at least one")
         for name, shape in (("values", (n,)), ("covariance", (n, n)), ("matrix", (n, "any"))):
             array = checks.shaped(f"observed {name}", getattr(self, name), *shape)
             if not np.isfinite(array).all():
@@ -361,7 +369,7 @@ class Observed:
         if self.matrix.shape[1] != n:
             raise DataError(
                 f"observed matrix has {self.matrix.shape[1]} columns; {len(layout.materials)} "
-                f"materials in {layout.n_bands} bands have {n}"
+                f"materials in {layout.n_bands} bands need {n}"
             )
         summed = np.zeros((len(self.matrix), layout.n_alpha_rows, k))
         for material, row in enumerate(layout.alpha_rows):

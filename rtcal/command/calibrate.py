@@ -93,7 +93,7 @@ def calibrate(
     if modes is not None:
         if (*stated.values(),) != ("mle", "clarabel", "raise"):
             raise DataError(
-                "--modes has a method of its own: leave out --method, --solver, --unreachable"
+                "--modes uses a method of its own: leave out --method, --solver and --unreachable"
             )
         prior = console.read_room(room)
         with console.without_air_warning():
@@ -255,7 +255,7 @@ def learn(
     from rtcal.files.saved import NUMBERS
 
     if room is not None and out is None:
-        raise DataError("--apply writes a room: say where with --out")
+        raise DataError("--apply writes a room: name its file with --out")
     saved = [*map(str, Path(folder).rglob(NUMBERS))]
     if out is not None:
         spare([out / NUMBERS, out / LIBRARY_ROOM], [*saved, *([] if room is None else [room])])

@@ -73,7 +73,7 @@ def pairs(option: str, stated: Sequence[str]) -> list[tuple[str, str]]:
     for text in stated:
         source, colon, receiver = text.partition(":")
         if not (source and colon and receiver):
-            raise DataError(f'{option}: "{text}" is not SOURCE:RECEIVER')
+            raise DataError(f'{option}: "{text}" must have the form SOURCE:RECEIVER, such as S1:R3')
         found.append((source, receiver))
     return found
 
@@ -88,7 +88,7 @@ def texts(option: str, stated: Sequence[str], form: str, *, last: bool = False) 
     for text in stated:
         name, _, value = text.rpartition("=") if last else text.partition("=")
         if not name or not value:
-            raise DataError(f'{option}: "{text}" is not {form}')
+            raise DataError(f'{option}: "{text}" must have the form {form}')
         if name in by_name:
             raise DataError(f'{option}: "{name}" is given twice')
         by_name[name] = value
@@ -104,7 +104,9 @@ def numbers(option: str, stated: Sequence[str], form: str) -> dict[str, float]:
         except ValueError:
             number = float("nan")
         if number != number:
-            raise DataError(f'{option}: "{name}={value}" is not {form}{decimal_comma(value)}')
+            raise DataError(
+                f'{option}: "{name}={value}" must have the form {form}{decimal_comma(value)}'
+            )
         by_name[name] = number
     return by_name
 
@@ -186,7 +188,10 @@ def read_run(room: Room, simulated: str | None, at: str | None) -> Run | None:
 
     if simulated is None:
         if at is not None:
-            raise DataError(f"--at {at} has the coefficients of a run: give --simulated, too")
+            raise DataError(
+                f"--at {at} gives the coefficients with which a simulation was run: add that "
+                "simulation with --simulated"
+            )
         return None
     data, own = read_measured(simulated), room if at is None else Room.from_file(at)
     try:
@@ -277,7 +282,7 @@ def folder(help: str, name: str = "out") -> Decorator:
 
     def path(context: click.Context, parameter: click.Parameter, text: str | None) -> Path | None:
         if text == "":
-            raise DataError(f"--{name} is empty; it is a folder")
+            raise DataError(f"--{name} is empty; give the name of a folder")
         return None if text is None else Path(text)
 
     return click.option(f"--{name}", type=click.Path(file_okay=False), callback=path, help=help)
@@ -417,7 +422,9 @@ def bands(text: str | None) -> str | list[float] | None:
         return text
     stated = [frequency_of(f) for f in text.split(",")]
     if None in stated:
-        raise DataError(f'--bands: "{text}" is not octave, third-octave or HZ,HZ...')
+        raise DataError(
+            f'--bands: "{text}" must be octave, third-octave or centre frequencies as HZ,HZ...'
+        )
     return [f for f in stated if f]
 
 
@@ -540,7 +547,7 @@ def fit_ending(option: str, path: str | None, *written: str) -> None:
     ending = "" if path is None else Path(path).suffix.lower()
     if ending in _FORMATS.split() and ending not in written:
         raise DataError(
-            f'{option} {path}: "{ending}" is not written; written are {" and ".join(written)}'
+            f'{option} {path}: "{ending}" cannot be written; use {" or ".join(written)}'
         )
 
 

@@ -100,7 +100,10 @@ def measure(
     spare([path for path in (out, positions) if path is not None], given)
     console.fit_ending("--out", out, *_TABLES)
     if positions is not None and len(responses) != 1:
-        raise DataError("--positions is of one SOFA file: files name their positions alike")
+        raise DataError(
+            "--positions can be used with one SOFA file only, because several files name "
+            "their positions alike"
+        )
     scene = None if positions is None else sofa.read(responses[0]).positions_text()
     with (
         console.errors_name_options("channels", "repeats"),
@@ -124,8 +127,8 @@ def measure(
     nothing = all(np.isnan(v).all() for v in analysis.measurement.values.values())
     if nothing and out is not None:
         raise DataError(
-            f"{out}: not written, since no parameter could be determined. {analysis.missing[0]} "
-            "Without --out, all reasons are printed"
+            f"{out} was not written, because no parameter could be determined. "
+            f"{analysis.missing[0]} Run without --out to print all reasons"
         )
     if nothing and not console.is_quiet():
         click.echo("rtcal: no parameter could be determined; the reasons are listed", err=True)
@@ -256,7 +259,8 @@ def export(
         options["missing_bands"] = missing_bands
     elif missing_bands != "refuse":
         raise DataError(
-            f"--missing-bands: a list of {program} has the room's bands, whatever they are"
+            f"--missing-bands has no effect for {program}, whose list has the bands of the "
+            "room: leave it out"
         )
     options["entries"] = console.texts("--as", entries, "MATERIAL=ENTRY")
     if template is None:
@@ -316,7 +320,10 @@ def example(name: str, out: Path | None) -> None:
     into = out or Path(name)
     targets = {into / file: content for file, content in project.files.items()}
     if present := [path for path in targets if path.exists()]:
-        raise DataError(f"{present[0]} exists; an example writes over no file: give another --out")
+        raise DataError(
+            f"{present[0]} exists, and `rtcal example` does not overwrite files: give "
+            "another folder with --out"
+        )
     write_all(targets, into)
     commands = [f"cd {shlex.quote(str(into))}", *project.commands]
     lines = ["\nNext:", *(line for command in commands for line in shell(command, "  "))]
@@ -355,7 +362,7 @@ def report(result: str, out: str | None, heading: Heading) -> None:
     from rtcal.support.speed import bar
 
     if out == "":
-        raise DataError("--out is empty; it is a file")
+        raise DataError("--out is empty; give the name of a file")
     beside = Path(result) if Path(result).is_dir() else Path(result).parent
     kept = [beside / name for name in figures.FILES if (beside / name).exists()]
     target = Path(out) if out is not None else beside / "report.html"

@@ -71,7 +71,7 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
     if options.get("measured") is None:
         if before is not None:
             raise DataError(
-                "--before needs a room and what was measured after: ROOM AFTER --before BEFORE"
+                "--before needs a room and the measurement after the change: ROOM AFTER --before BEFORE"
             )
         refuse(stated(options, *_OF_POSITIONS), _NEEDS_POSITIONS)
         refuse(stated(options, *_OF_RUN), f" belongs into {path}, into its [[configuration]]")
@@ -198,8 +198,8 @@ def saved(path: str) -> tuple[Any, Any]:
         return result, None
     kind = result.record_kind.rstrip(" 0123456789")
     raise DataError(
-        f"{path} holds the result of another command ({kind}), not of `rtcal find`: `rtcal find "
-        "room.toml t.csv --out found` writes a finding"
+        f"{path} holds the result of another command ({kind}), not of `rtcal find`. Write one "
+        "with `rtcal find room.toml t.csv --out found`"
     )
 
 
@@ -324,7 +324,7 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     from rtcal.report.finding_words import blocks
 
     if out == "":
-        raise DataError("--out is empty; it is a folder")
+        raise DataError("--out is empty; give the name of a folder")
     target = None if out is None else Path(out)
     if target is None or target.suffix == ".json":
         finding = searched(options, [] if target is None else [target])
@@ -398,9 +398,11 @@ def verify(
     finding, verification = saved(found)
     if before is not None or after is not None:
         if finding.kind != "states":
-            raise DataError("--before and --after are of a finding of two states")
+            raise DataError("--before and --after can be used only with a finding of two states")
         if before is None or after is None:
-            raise DataError("--before and --after belong together: the same pairs in both states")
+            raise DataError(
+                "--before and --after must be given together, with the same pairs in both states"
+            )
         measured: Any = {
             "before": console.read_measured(before),
             "after": console.read_measured(after),
@@ -481,7 +483,10 @@ def apply(found: str, out: str, **options: Any) -> None:
     target = Path(out)
     if target.is_file() or target.suffix in _ENDINGS:
         what = "is a file" if target.is_file() else "has the ending of a file"
-        raise DataError(f"--out {out} {what}; it is a folder: --out {target.with_suffix('')}")
+        raise DataError(
+            f"--out {out} {what}, but results are written to a folder: --out "
+            f"{target.with_suffix('')}"
+        )
     with console.errors_name_options("effect", "at", "form"):
         said, record, files = of_finding.correct(finding, target, verification, **options)
     if files:
@@ -664,5 +669,5 @@ def _place(stated: str | None) -> tuple[float, ...] | None:
     except ValueError:
         place = ()
     if len(place) != 3:
-        raise DataError(f'--place "{stated}" is not X,Y,Z in m, such as 0,4.2,1.5')
+        raise DataError(f'--place "{stated}" must have the form X,Y,Z in m, such as 0,4.2,1.5')
     return place

@@ -208,7 +208,7 @@ def _imported(
     chosen = console.texts("--catalogue", in_catalogue, "NAME=ENTRY")
     renamed = console.texts("--as", entries, "MATERIAL=ENTRY")
     if both := [name for name in renamed if name in chosen]:
-        raise DataError(f'"{both[0]}" is in --as and in --catalogue; give one of them')
+        raise DataError(f'"{both[0]}" is in --as and in --catalogue; leave one of them out')
     place = "--area" if mesh is None else mesh
     own = _entries("--as", listed, renamed, used, place)
     listed = listed.with_spellings(used)
@@ -218,7 +218,7 @@ def _imported(
     rule = SigmaRule(**stated)
     sigma = {} if sigma_table is None else read_sigma(sigma_table)
     if unknown := [name for name in sigma if name not in used]:
-        raise DataError(f'{sigma_table}: "{unknown[0]}" is no material of the room')
+        raise DataError(f'{sigma_table}: "{unknown[0]}" is not a material of the room')
     room = listed.room(
         name=Path(mesh or materials or out).stem if name is None else name,
         volume=volume,
@@ -318,8 +318,9 @@ def _read(mesh: str, as_drawn: bool, leaks: bool, picture: str | None, options: 
             elif error.unclosed is not None:
                 v, u = error.unclosed.volume, error.unclosed.volume_uncertainty
                 refused += (
-                    f". By rays V = {rounded(v, 4)} ± {rounded(u, 2)} m³: `rtcal import` takes it with "
-                    "--open, for equations alone"
+                    f". Estimated with rays, the volume is {rounded(v, 4)} ± {rounded(u, 2)} m³: "
+                    "`rtcal import --open` uses it, but only reverberation equations can then be "
+                    "calibrated"
                 )
             if picture is not None:
                 commit()
@@ -344,7 +345,10 @@ def _leaking(drawn: Mended, geometry: Polyhedron | None, chords: Chords) -> Mend
 def _closed(model: Mended) -> Polyhedron:
     """Return the geometry that is written as the mended mesh; DataError without one."""
     if model.geometry is None:
-        raise DataError("--mended: the mesh was not closed; leave --open or --mended out")
+        raise DataError(
+            "--mended cannot be used with --open, which takes the mesh as it is: leave one of "
+            "them out"
+        )
     return model.geometry
 
 
@@ -364,16 +368,17 @@ def _volume_and_surfaces(
 
     if model is not None:
         if volume is not None or areas:
-            raise DataError("--mesh states volume and areas already: leave --volume and --area out")
+            raise DataError("--mesh already gives volume and areas: leave --volume and --area out")
         if model.geometry is not None:
             return model.volume, stated_surfaces(model.geometry)
         return model.volume, [Surface(name, name, area) for name, area in model.areas.items()]
     if as_drawn:
-        raise DataError("--open is for a mesh: give --mesh, or leave it out")
+        raise DataError("--open can be used only with --mesh: add --mesh, or leave --open out")
     if volume is None or not areas:
         raise DataError(
-            "how large is the room? Give --mesh room.obj, or --volume M3 and --area MATERIAL=M2 for "
-            f"each material in it. The list has: {shortened(', '.join(names), 200)}"
+            "the size of the room is missing: give --mesh room.obj, or --volume M3 and --area "
+            "MATERIAL=M2 for each of its materials. The list has: "
+            f"{shortened(', '.join(names), 200)}"
         )
     stated = console.numbers("--area", areas, "NAME=M2")
     return volume, [Surface(name, name, area) for name, area in stated.items()]
@@ -445,7 +450,7 @@ def _entries(
 
     if unknown := [name for name in stated if name not in used]:
         raise DataError(
-            f'{option}: "{unknown[0]}" is no material of the room; {place} has '
+            f'{option}: "{unknown[0]}" is not a material of the room; {place} has '
             f"{shortened(', '.join(used), 200)}"
         )
     found = {}
@@ -456,7 +461,7 @@ def _entries(
             why = shortened(str(error), 300)
             if option == "--catalogue":
                 near = "; ".join(catalogue.nearest(entry)) or "none of its entries"
-                why = f'"{entry}" is no material of the catalogue; it is like {near}'
+                why = f'"{entry}" is not a material of the catalogue; similar: {near}'
             raise DataError(f'{option} "{name}={entry}": {why}') from error
     return found
 
@@ -479,12 +484,12 @@ def _require_all(
                 name, 3
             )
         near = near or [
-            f'nothing: --catalogue "{name}=carpet" names the entries that are like carpet'
+            f'no entry: --catalogue "{name}=carpet" lists the entries that are similar to carpet'
         ]
-        lines.append(f'\n- "{name}" is like {"; ".join(near)}')
+        lines.append(f'\n- "{name}" is similar to {"; ".join(near)}')
     if len(missing) > _DESCRIBED:
         words = missing[0].replace("_", " ")
-        lines.append(f'\n--catalogue "{missing[0]}={words}" describes the entries that are like it')
+        lines.append(f'\n--catalogue "{missing[0]}={words}" lists similar entries')
     options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing[:_DESCRIBED])
     options += f" and so on, for {len(missing)} materials" * (len(missing) > _DESCRIBED)
     where = "the catalogue" if program == "catalogue" else listed.path
@@ -494,7 +499,9 @@ def _require_all(
         options = (
             f'one of its names (--as "{missing[0]}=NAME"), or an entry of the catalogue: {options}'
         )
-    raise DataError(f"{place}: not in {where}:{';'.join(lines)}{own}.\nState {options}")
+    raise DataError(
+        f"{place}: some materials are not in {where}:{';'.join(lines)}{own}.\nGive {options}"
+    )
 
 
 _DESCRIBED = 3

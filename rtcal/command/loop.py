@@ -66,8 +66,8 @@ def start(
 ) -> None:
     """Write ROOM (TOML) with the coefficients to simulate first, for MEASURED (CSV).
 
-    With --simulated the loop begins with what the program gave already: what is written are the
-    coefficients with which the program's T, and not the equation's, is to be the measured one.
+    With --simulated the loop begins with a simulation that you already have, and writes the
+    coefficients with which the program, not the equation, is expected to give the measured T.
 
     A state that holds simulations is not overwritten: delete it to begin anew.
 

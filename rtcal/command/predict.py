@@ -90,7 +90,9 @@ def predict(
     known = saved(room, measured, also)
     before = console.read_room(room) if known is None else getattr(known, "prior", None)
     if before is None:
-        raise DataError(f"{room} is no folder of `rtcal calibrate` or `rtcal fit`")
+        raise DataError(
+            f"{room} is not a folder that `rtcal calibrate --out` or `rtcal fit --out` wrote"
+        )
     variants, target = read_changes(
         change,
         "a file of variants",
@@ -110,7 +112,8 @@ def predict(
         return
     if target is not None:
         raise DataError(
-            f"{change}: a target is one of T by an equation, and {room} is of `rtcal fit`"
+            f"{change}: a target needs T from an equation, but {room} is a result of `rtcal "
+            "fit`: leave the target out, or use a folder of `rtcal calibrate`"
         )
     with console.control_bar() as progress:
         at_positions = predict_positions(
@@ -130,7 +133,7 @@ def saved(room: str, measured: str | None, also: tuple[tuple[str, str], ...]) ->
         return None
     if measured is not None or also:
         raise DataError(
-            f"{room} is a folder, whose T is that of its calibration: leave MEASURED out"
+            f"{room} is a folder whose calibration already holds the measured T: leave MEASURED out"
         )
     found: Result = load(room)
     return found
@@ -145,7 +148,9 @@ def calibrated(
     from rtcal.calibration.unknowns import Configurations
 
     if measured is None:
-        raise DataError("MEASURED is missing: T of the room before the change")
+        raise DataError(
+            "MEASURED is missing: give the file with the T of the room before the change"
+        )
     rooms = [room, *(console.read_room(path) for path, _ in also)]
     times = [
         console.read_measured(path, quietly=True)
@@ -163,7 +168,7 @@ def calibrated(
     for i, each in enumerate(given):
         if each in given[:i]:
             raise DataError(
-                f"--also {' '.join(also[i - 1])}: this state is given twice, and would count twice"
+                f"--also {' '.join(also[i - 1])}: this measurement is given twice; leave one out"
             )
     every = [each.name for each in rooms]
     names = [
@@ -212,7 +217,7 @@ def design(
     result = saved(room, measured, also)
     result = result or calibrated(console.read_room(room), measured, also, equation)
     if not isinstance(result, CalibrationResult):
-        raise DataError(f"{room} is no folder of `rtcal calibrate`")
+        raise DataError(f"{room} is not a folder that `rtcal calibrate --out` wrote")
     stated, target, in_file = read_changes(
         treatments,
         "a file of treatments",

@@ -54,7 +54,7 @@ def names() -> dict[str, str]:
         text = (resources.files(_TABLE) / "data" / "materials.json").read_text(encoding="utf-8")
     except ModuleNotFoundError as error:
         raise MissingDependencyError(
-            "the catalogue is read from pyroomacoustics: pip install 'rtcal[geometry]'"
+            "the catalogue needs pyroomacoustics: pip install 'rtcal[geometry]'"
         ) from error
     groups = json.loads(text)["absorption"].values()
     return {

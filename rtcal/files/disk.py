@@ -51,7 +51,7 @@ def _naming(path: Any, what: str = "") -> Iterator[None]:
     except OSError as error:
         raise DataError(f"{path}: {what}{error.strerror or error}") from error
     except (ValueError, TypeError) as error:  # a path with a NUL, or no path
-        raise DataError(f"{path!r}: not a path: {error}") from error
+        raise DataError(f"{path!r} must be a path: {error}") from error
 
 
 @dataclass
@@ -219,8 +219,8 @@ def _require_whole(path: Path) -> None:
     if len(new) in (0, len(torn)) or (repeated and path.name not in new):
         return
     raise DataError(
-        f"{path}: was not written whole: {', '.join(new)} of {', '.join(torn)} is new, since "
-        f"`{own['command']}` was interrupted. Repeat that command"
+        f"{path}: was not written whole: only {', '.join(new)} of {', '.join(torn)} is new, "
+        f"because `{own['command']}` was interrupted. Repeat that command"
     )
 
 
@@ -239,8 +239,8 @@ def refuse_foreign(path: str | os.PathLike[str]) -> None:
         return  # where it is written, the reason is said
     if foreign:
         raise DataError(
-            f"{path}: exists, and rtcal did not write it, or it was changed since. Choose another "
-            "name, or state --force to replace it"
+            f"{path}: exists, and rtcal did not write it or it was changed since. Choose another "
+            "name, or replace it with --force"
         )
 
 
@@ -321,7 +321,7 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
         if Path(path).exists() and not Path(path).is_file():
             room = Path(path) / "room.toml"
             found = f"; did you mean {room}?" if room.is_file() else ""
-            raise DataError(f"{path}: not a file{found}")
+            raise DataError(f"{path}: is not a file{found}")
         file = Path(os.path.realpath(path))
         if _current is not None and file in _current.contents:
             content = _current.contents[file]
@@ -330,7 +330,9 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
             with open(path, "rb") as stream:
                 content = stream.read(limit + 1)
     if len(content) > limit:
-        raise DataError(f"{path}: more than {limit} bytes; a file of this kind has at most that")
+        raise DataError(
+            f"{path}: has more than {limit} bytes, the most that rtcal reads of a file of this kind"
+        )
     return content
 
 
@@ -340,7 +342,9 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
     try:
         return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
-        raise DataError(f"{path}: not UTF-8 text (byte {error.start}): save it as UTF-8") from error
+        raise DataError(
+            f"{path}: is not UTF-8 text (byte {error.start}): save it as UTF-8"
+        ) from error
 
 
 def spare(
@@ -354,7 +358,7 @@ def spare(
     for path in written:
         place = Path(path).resolve()
         if place in taken:
-            raise DataError(f"{path}: would be written over {taken[place]}; choose another name")
+            raise DataError(f"{path}: would overwrite {taken[place]}; choose another name")
         taken[place] = path
         refuse_foreign(path)
 

@@ -132,10 +132,13 @@ def load(path: str | os.PathLike[str]) -> Any:
         kind, itself = record.get("rtcal"), record.get(_OBJECT)
         if not isinstance(kind, str) or not isinstance(itself, dict):
             raise DataError(
-                f'no saved result: it has no "rtcal" and "{_OBJECT}"; calculate it again'
+                f'this is not a result that rtcal saved: "rtcal" and "{_OBJECT}" are '
+                "missing; calculate the result again"
             )
         if "not_saved" in itself:
-            raise DataError(f"the result itself is not in it: {itself['not_saved']}")
+            raise DataError(
+                f"the file holds only numbers, not the result itself: {itself['not_saved']}"
+            )
         version = itself.get("version")
         if version != __version__ or set(itself) != {"version", "objects"}:
             other = version not in (None, __version__)
@@ -146,7 +149,7 @@ def load(path: str | os.PathLike[str]) -> Any:
             )
         result = restored(itself["objects"], place.parent)
         if not isinstance(result, Result) or result.record_kind != kind:
-            raise DataError(f'its "{_OBJECT}" is no {checks.shown(kind)}')
+            raise DataError(f'its "{_OBJECT}" is not of the kind {checks.shown(kind)}')
         return result
 
 
@@ -198,7 +201,8 @@ def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]
         name = f"{kind.__module__}.{kind.__qualname__}"
         if not _storable(kind):
             raise CannotBeSavedError(
-                f"{checks.shown(value)} cannot be saved: {name} is no dataclass of rtcal's kinds"
+                f"{checks.shown(value)} cannot be saved, because {name} is not one of "
+                "rtcal's dataclasses"
             )
         if hasattr(value, "seen_from"):  # a scene, which names files
             whole = value.within(os.getcwd())
@@ -228,7 +232,7 @@ def restored(objects: Any, folder: str | os.PathLike[str] = "") -> Any:
             return {value(k): value(v) for k, v in inside}
         if kind == _OBJECT and type(inside) is int and inside >= 0:
             return made[inside]
-        raise ValueError(f"{checks.shown(entry)} is no value")
+        raise ValueError(f"{checks.shown(entry)} is not a value")
 
     for i, entry in enumerate(objects if isinstance(objects, list) else ()):
         name = entry.get("class", "array") if isinstance(entry, dict) else "object"
@@ -241,7 +245,7 @@ def restored(objects: Any, folder: str | os.PathLike[str] = "") -> Any:
         except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
             raise DataError(f"objects[{i}], {checks.shown(name)}: {error}") from error
     if not made:
-        raise DataError("objects is no list of objects")
+        raise DataError("objects must be a list of objects")
     return made[-1]
 
 
@@ -263,7 +267,7 @@ def _class(name: Any) -> type:
     kind = vars(sys.modules.get(module, object)).get(own)
     if not isinstance(kind, type) or not _storable(kind) or kind.__module__ != module:
         raise ValueError(
-            "no class that rtcal saves; a class in a module of your own is to be imported first"
+            "not a class that rtcal saves; import the module first if the class is your own"
         )
     return kind
 
@@ -271,7 +275,7 @@ def _class(name: Any) -> type:
 def _array(dtype: str, shape: list[int], content: str) -> np.ndarray[Any, Any]:
     kind = np.dtype(str(dtype))
     if kind.kind not in _KINDS or any(type(n) is not int or n < 0 for n in shape):
-        raise ValueError(f"{checks.shown([dtype, shape])} is no array of numbers or texts")
+        raise ValueError(f"{checks.shown([dtype, shape])} must be an array of numbers or texts")
     values = np.frombuffer(base64.b64decode(content, validate=True), kind).reshape(shape)
     array = values.astype(kind.newbyteorder("="))
     array.setflags(write=False)

@@ -62,7 +62,7 @@ def read(kind: type[T], data: object, place: str = "") -> T:
     ...     alpha: list[float]
     >>> read(list[Material], [{"name": "wall", "alpha": [0.1, "a"]}], "material")
     Traceback (most recent call last):
-    rtcal.support.errors.DataError: material "wall": alpha[1] = 'a' is not a number
+    rtcal.support.errors.DataError: material "wall": alpha[1] = 'a' must be a number
     """
     checks.text("place", place)
     try:
@@ -108,15 +108,15 @@ def _fault(kind: Any, value: Any, place: str, *, refused: bool) -> str | None:
     if isinstance(cause, DataError):  # of the constructor
         return str(cause) if str(cause).startswith(place) else within(place, str(cause))
     if isinstance(value, int) and abs(value) > 1e300:
-        return f"{place} = {shown(value)} is too large a number"
+        return f"{place} = {shown(value)} is too large"
     most = max((m.le or m.lt or 0 for _, m in map(_bounds, _options(kind)) if m), default=0)
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if number and not math.isfinite(value):
-        return f"{place} = {value:g} is not finite"
+        return f"{place} = {value:g} must be finite"
     percent = ": is it in percent?" if number and most == 1 < value <= 100 else ""
     rule = " or ".join(dict.fromkeys(_words(option) for option in _options(kind)))
     comma = decimal_comma(value) if isinstance(value, str) else ""
-    return f"{_whole(place)} = {shown(value)} is not {rule}{percent}{comma}"
+    return f"{_whole(place)} = {shown(value)} must be {rule}{percent}{comma}"
 
 
 def _is_list(kind: Any) -> bool:
@@ -238,11 +238,11 @@ def json_object(text: str) -> dict[str, Any]:
             text, object_pairs_hook=_unique, parse_constant=_no_number, parse_int=_integer
         )
     except RecursionError as error:
-        raise DataError(f"not JSON that rtcal reads: {_TOO_DEEP}") from error
+        raise DataError(f"the JSON cannot be read: {_TOO_DEEP}") from error
     except ValueError as error:
-        raise DataError(f"not JSON: {error}{_decimal_comma(text, error)}") from error
+        raise DataError(f"not valid JSON: {error}{_decimal_comma(text, error)}") from error
     if not isinstance(value, dict):
-        raise DataError("not a JSON object")
+        raise DataError(f"the file must hold one JSON object: {...}")
     _check_levels(value)
     return value
 
@@ -250,16 +250,16 @@ def json_object(text: str) -> dict[str, Any]:
 def toml_table(text: str) -> dict[str, Any]:
     """Return the table that a TOML text holds; DataError as `json_object`."""
     if not isinstance(text, str):
-        raise DataError(f"content = {shown(text)} is not a text")
+        raise DataError(f"content = {shown(text)} must be a text")
     if any(line.count(".") > MAX_DOTS for line in text.split("\n") if "=" not in line[:MAX_DOTS]):
-        raise DataError(f"a key of more than {MAX_DOTS} parts")
+        raise DataError(f"a key has more than {MAX_DOTS} parts")
     if pairs := _PAIRS.search(text):
         line = text.count("\n", 0, pairs.start(1)) + 1
         raise DataError(f"line {line}: {pairs[1]}{decimal_comma(pairs[1])}")
     try:
         value = tomllib.loads(text)
     except RecursionError as error:
-        raise DataError(f"not TOML that rtcal reads: {_TOO_DEEP}") from error
+        raise DataError(f"the TOML cannot be read: {_TOO_DEEP}") from error
     except ValueError as error:
         raise DataError(f"not valid TOML: {error}{_decimal_comma(text, error)}") from error
     _check_levels(value)
@@ -291,12 +291,12 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _no_number(text: str) -> None:
-    raise ValueError(f"{text} is no number of JSON's")
+    raise ValueError(f"{text} is not a number in JSON")
 
 
 def _integer(text: str) -> int:
     if len(text) > MAX_DIGITS:
-        raise ValueError(f"an integer of {len(text)} digits; {MAX_DIGITS} are the most")
+        raise ValueError(f"an integer has {len(text)} digits; at most {MAX_DIGITS} are read")
     return int(text)
 
 
@@ -315,7 +315,9 @@ def _check_levels(value: Any) -> None:
                 try:
                     each.encode()
                 except UnicodeEncodeError as error:
-                    raise DataError(f"{each[:40]!r} has half of a surrogate pair") from error
+                    raise DataError(
+                        f"{each[:40]!r} has an incomplete character (half of a surrogate pair)"
+                    ) from error
         if not below:
             return
         level = below

@@ -107,10 +107,13 @@ class Corrected:
         if self.model is not None:
             return self.model if make is None else self.model.spread_over(make)
         if make is not None:
-            raise DataError("make is of means over positions: here the case has a simulator")
+            raise DataError(
+                "make is used only for means over positions; this case has a simulator: leave "
+                "make out"
+            )
         tracer = None if isinstance(self.case, Case) else self.case.simulator
         if self.geometry is None or tracer is None:
-            raise DataError("no surface is identified: the room has no geometry of its own")
+            raise DataError("no surface is identified, because the room has no geometry")
         scattering = self.room.scattering
         return replace(tracer, room=self.room, geometry=self.geometry, scattering=scattering)
 
@@ -283,7 +286,9 @@ class CaseModel(RoomSimulator):
     def spread_over(self, make: Callable[[Room], Simulator]) -> CaseModel:
         """Return the model in a simulator that ``make`` builds for the stated materials."""
         if not callable(make):
-            raise DataError(f"make = {make!r} is not a function of a room")
+            raise DataError(
+                f"make = {make!r} must be a function that takes a room and returns a simulator"
+            )
         for p in self.case.applied:
             absent = {why.code: why for why in self.absent.get(p.name, ())}
             why = next(
@@ -294,17 +299,17 @@ class CaseModel(RoomSimulator):
         inner, room = make(self.stated), self.case.room
         if not isinstance(inner, Simulator):
             raise DataError(
-                f"make returned {checks.shown(inner)}, which is no rtcal.simulators.Simulator"
+                f"make returned {checks.shown(inner)}; it must return an rtcal.simulators.Simulator"
             )
         if tuple(inner.materials) != tuple(room.materials):
             raise DataError(
-                f"{inner.name} has the materials {', '.join(inner.materials)}; the case has "
-                f"{', '.join(room.materials)}"
+                f"{inner.name} has the materials {', '.join(inner.materials)}; it must have "
+                f"those of the case, {', '.join(room.materials)}"
             )
         if not np.array_equal(inner.centre_frequencies, room.centre_frequencies):
             raise DataError(
-                f"{inner.name} has {bands.span(inner.centre_frequencies)}; the case has "
-                f"{bands.span(room.centre_frequencies)}"
+                f"{inner.name} has {bands.span(inner.centre_frequencies)}; it must have those of "
+                f"the case, {bands.span(room.centre_frequencies)}"
             )
         if (geometry := getattr(inner, "geometry", None)) is not None:
             # An area, or the volume, that the finding has changed.
@@ -318,7 +323,7 @@ class CaseModel(RoomSimulator):
                 if one != other and abs(drawn - other) > _OFF_GEOMETRY * other:
                     raise DataError(
                         f"{what}: the finding has {other:.4g} {unit}, the simulator's geometry "
-                        f"{drawn:.4g} {unit}; draw it anew"
+                        f"{drawn:.4g} {unit}; draw the geometry again"
                     )
         return replace(self, inner=inner)
 
@@ -543,11 +548,17 @@ def corrected_geometry(
 ) -> Corrected:
     """Return room and geometry with a candidate on its surface; see `rtcal.finder.Finding.apply`."""
     if form not in ("patch", "material"):
-        raise DataError(f'form = "{form}" is not "patch" or "material"')
+        raise DataError(f'form = "{form}" must be "patch" or "material"')
     if added.surface is None:
-        raise DataError(f"{added.title} stands on no surface: there is nothing to add to one")
+        raise DataError(
+            f"{added.title} is not on a surface, so it cannot be added to one: leave form and at "
+            "out"
+        )
     if form == "material" and at is not None:
-        raise DataError('at is the middle of a patch; form = "material" is the whole surface')
+        raise DataError(
+            'at is the centre of a patch, but form = "material" changes the whole surface: leave '
+            "one of them out"
+        )
     room, faces = case.room, case.faces[added.surface]
     name = new_name(room.materials, f"{added.effect} on {added.surface}")
     geometry, notes = None, list[Reason]()
@@ -665,7 +676,7 @@ def point(at: Sequence[float]) -> Array:
     """Return a place as an array (3,) in m; DataError for anything else."""
     place = checks.array("at", at)
     if place.shape != (3,) or not np.isfinite(place).all():
-        raise DataError(f"at = {at!r} is not three finite numbers in m")
+        raise DataError(f"at = {at!r} must be three finite numbers in m")
     return place
 
 

@@ -98,7 +98,7 @@ def checked_climate_uncertainty(value: object) -> tuple[float, float]:
     climate = checks.array("climate_uncertainty", value)
     if climate.shape != (2,) or not (np.isfinite(climate) & (climate >= 0)).all():
         raise DataError(
-            f"climate_uncertainty = {value!r} is not two numbers of 0 or more: K, and % of humidity"
+            f"climate_uncertainty = {value!r} must be two numbers of 0 or more: K, and % of humidity"
         )
     kelvin, percent = climate.tolist()
     return kelvin, percent
@@ -168,7 +168,7 @@ class ChangedMaterial:
         for name in ("alpha", "sigma"):
             array = checks.array(f"change: {name}", getattr(self, name))
             if array.ndim != 1 or not array.size or not ((array >= 0) & (array <= 1)).all():
-                raise DataError(f"change: {name} is not an array (n_bands,) of values from 0 to 1")
+                raise DataError(f"change: {name} must be an array (n_bands,) of values from 0 to 1")
             object.__setattr__(self, name, read_only(array))
 
 
@@ -201,7 +201,7 @@ class Configuration:
     def __post_init__(self) -> None:
         where = f'configuration "{text_name("configuration: name", self.name)}"'
         if not self.name.strip():
-            raise DataError(f"configuration: name = {self.name!r} is blank")
+            raise DataError(f"configuration: name = {self.name!r} must not be blank")
         checks.instance(f"{where}: measured", self.measured, Measurement)
         self.measured.refuse_large_uncertainty()
         changes = checks.mapped(f"{where}: changes", self.changes)
@@ -209,7 +209,7 @@ class Configuration:
             text_name(f"{where}: changes: material", material)
             if not isinstance(change, ChangedMaterial):
                 raise DataError(
-                    f"{where}: changes[{material!r}] is not a rtcal.finder.ChangedMaterial"
+                    f"{where}: changes[{material!r}] must be an rtcal.finder.ChangedMaterial"
                 )
         object.__setattr__(self, "changes", changes)
         for name in ("suspect_removed", "planned"):
@@ -223,7 +223,7 @@ class Configuration:
                 len(self.measured.pairs),
             )
             if distances.shape != (n,) or not ((distances > 0) & np.isfinite(distances)).all():
-                raise DataError(f"{where}: distances is not {n} values above 0, one per pair")
+                raise DataError(f"{where}: distances must be {n} values above 0, one per pair")
             object.__setattr__(self, "distances", read_only(distances))
 
     def coefficients(self, room: Room) -> tuple[Array, Array]:
@@ -239,7 +239,7 @@ class Configuration:
     def of(
         cls, table: ConfigurationTable, room: Room, folder: Path, stated: Uncertainty
     ) -> Configuration:
-        """Return the configuration of a file's table; its files are named as seen from ``folder``.
+        """Return the configuration of a file's table; paths in it are relative to ``folder``.
 
         Values that state no uncertainty have the ``stated`` one. Raises DataError as the class, and for
         a table that is neither measured nor planned.
@@ -249,17 +249,18 @@ class Configuration:
         if table.parameters is not None:
             if table.measured is not None:
                 raise DataError(
-                    f"{where}: measured stands beside parameters; it is measured or planned"
+                    f"{where}: measured and parameters are both given; leave parameters out "
+                    "if it was measured, or measured if it is only planned"
                 )
             wanted, n = table.parameters, 4 if table.positions is None else table.positions
             fits = all(p in PARAMETERS for p in wanted) and "t20" in wanted
             if not fits or len(set(wanted)) < len(wanted):
                 raise DataError(
-                    f"{where}: parameters is not a list of {', '.join(PARAMETERS)}, t20 in it, each "
-                    "once"
+                    f"{where}: parameters must be a list of {', '.join(PARAMETERS)}, t20 in it, "
+                    "each once"
                 )
             if not 1 <= n <= MAX_POSITIONS:
-                raise DataError(f"{where}: positions = {n} is not from 1 to {MAX_POSITIONS}")
+                raise DataError(f"{where}: positions = {n} must be from 1 to {MAX_POSITIONS}")
             values = np.ones((n, room.n_bands))
             kinds = {p: PLANNED_UNCERTAINTY["level" if p in LEVELS else "time"] for p in wanted}
             measured = Measurement(
@@ -269,9 +270,9 @@ class Configuration:
                 uncertainty={p: u * values for p, u in kinds.items()},
             )
         elif table.positions is not None:
-            raise DataError(f"{where}: positions has no meaning beside a measurement")
+            raise DataError(f"{where}: positions is used only without a measurement; leave it out")
         elif table.measured is None:
-            raise DataError(f"{where} has no measured = a measurement's file")
+            raise DataError(f"{where}: measured is missing; give the file of a measurement")
         else:
             measured = _read(where, table.measured, room, folder)
         added = dict(measured.uncertainty)
@@ -282,7 +283,10 @@ class Configuration:
                 added[parameter] = np.full_like(values, size) if level else size * values
         run = None
         if table.simulated is None and table.at is not None:
-            raise DataError(f"{where}: at has the coefficients of a run; simulated is missing")
+            raise DataError(
+                f"{where}: at, the coefficients of a simulation, is given without simulated: add "
+                "that simulation"
+            )
         if table.simulated is not None:
             try:
                 if isinstance(table.at, str):
@@ -329,8 +333,9 @@ class Configuration:
     def in_room(self, room: Room) -> Configuration:
         """Return the configuration with its measurement in the room's bands, as `calibrate` takes it.
 
-        What the run lacks is left out of the measurement. Warns if bands are converted or left out.
-        Raises DataError where it does not fit the room, and for values that no room has.
+        Parameters that the run does not have are left out of the measurement. Warns if bands are
+        converted or left out. Raises DataError where it does not fit the room, and for values that no
+        room has.
         """
         where = f'configuration "{self.name}"'
         stated, wanted = self.measured.centre_frequencies, room.centre_frequencies
@@ -350,14 +355,16 @@ class Configuration:
         measured, made = self._beside_run(where, measured, room)
         if not {"t20", "t30"} & measured.values.keys():
             if self.simulated is None or self.planned:
-                raise DataError(f"{where} has neither t20 nor t30")
+                raise DataError(
+                    f"{where}: the measurement has neither T20 nor T30; add one of them"
+                )
             raise DataError(f"{where}: {self.simulated.nothing_common(whole, 'T20 or T30')}")
         for material, change in self.changes.items():
             room.material_index(material)
             for name in ("alpha", "sigma"):
                 if getattr(change, name).shape != (room.n_bands,):
                     raise DataError(
-                        f'{where}: {name} of "{material}" is not {room.n_bands} values from 0 to 1'
+                        f'{where}: {name} of "{material}" must be {room.n_bands} values from 0 to 1'
                     )
         if self.distances is not None:
             # A convex room of volume V and surface S is at most S²/(3 pi V) long, as a double cone is.
@@ -368,7 +375,7 @@ class Configuration:
                 longest, rule = float(np.linalg.norm(room.dimensions)), "the room's diagonal"
             if (most := self.distances.max()) > longest:
                 raise DataError(
-                    f"{where}: distances has {most:g} m; at most {longest:.3g} m, {rule}"
+                    f"{where}: distances has {most:g} m; it may be at most {longest:.3g} m, {rule}"
                 )
         for name in PARAMETERS:
             kind, values = observable(name), measured.values.get(name, np.zeros((0, 0)))
@@ -380,8 +387,8 @@ class Configuration:
                 if name not in LEVEL_LIMITS:
                     kind.refuse(place, values[i, k])
                 raise DataError(
-                    f"{place} = {values[i, k]:g} dB is not from {least:g} to {most:g} dB, which no "
-                    "room exceeds"
+                    f"{place} = {values[i, k]:g} dB must be from {least:g} to {most:g} dB, which "
+                    "no room exceeds"
                 )
         return replace(self, measured=measured, **made)
 
@@ -455,10 +462,10 @@ class Case:
                 checks.instance(f"{name}[{i}]", member, kind)
             object.__setattr__(self, name, every)
         if not self.configurations:
-            raise DataError("configurations is empty; a case has at least one measurement")
+            raise DataError("configurations is empty; a case must have at least one measurement")
         names = [c.name for c in self.configurations]
         if len(set(names)) < len(names):
-            raise DataError(f"configurations = {names}: each has a name of its own")
+            raise DataError(f"configurations = {names}: give each configuration a name of its own")
         object.__setattr__(self, "facing", read_only(_checked_facing(self.room, self.facing)))
         climate = checked_climate_uncertainty(self.climate_uncertainty)
         object.__setattr__(self, "climate_uncertainty", climate)
@@ -468,9 +475,9 @@ class Case:
         configurations = tuple(c.in_room(self.room) for c in self.configurations)
         object.__setattr__(self, "configurations", configurations)
         if checks.text("program", self.program) not in ("", GEOMETRICAL):
-            raise DataError(f'program = {checks.shown(self.program)} is not "{GEOMETRICAL}"')
+            raise DataError(f'program = {checks.shown(self.program)} must be "{GEOMETRICAL}"')
         if self.program and not self.has_run:
-            raise DataError(f'program = "{self.program}" made a run, and simulated is missing')
+            raise DataError(f'program = "{self.program}" needs its simulation: add it as simulated')
 
     def __repr__(self) -> str:
         names = ", ".join(c.name for c in self.configurations)
@@ -482,7 +489,7 @@ class Case:
 
     @property
     def has_run(self) -> bool:
-        """Whether a program's run stands in place of the equation, in any configuration."""
+        """Whether a program's run replaces the equation in any configuration."""
         return any(c.simulated is not None for c in self.configurations)
 
     @cached_property
@@ -524,8 +531,8 @@ class Case:
         """
         if custom := [p.name for p in self.applied if p.effect not in library()]:
             raise DataError(
-                f'effect "{custom[0]}" is not in the library: a case that holds it cannot be saved, '
-                "since whoever reads it does not know the effect"
+                f'effect "{custom[0]}" is not in rtcal\'s library, so a case with it cannot be '
+                "saved: another installation could not read it"
             )
         return {
             "room": self.room.to_dict(),
@@ -564,8 +571,8 @@ class Case:
         for c in self.configurations:
             if c.planned:
                 raise DataError(
-                    f'configuration "{c.name}" states parameters but no measurement: it can only be '
-                    "planned"
+                    f'configuration "{c.name}" has parameters but no measurement: add the '
+                    "measurement, or use `rtcal plan`"
                 )
         for one, other in combinations(self.configurations, 2):
             tables = one.measured.values, other.measured.values
@@ -575,7 +582,7 @@ class Case:
             ):
                 raise DataError(
                     f'one measurement is given twice, in the configurations "{one.name}" and '
-                    f'"{other.name}"; its values would count twice'
+                    f'"{other.name}"; leave one out, because its values would count twice'
                 )
         if self.room.calibration is None:
             return
@@ -615,7 +622,7 @@ def _checked_facing(room: Room, stated: Any) -> Array:
     array = checks.shaped("facing", stated, room.n_materials, 3)
     total = array.sum(1, keepdims=True)
     if np.isinf(array).any() or (array < 0).any() or (total <= 0).any():
-        raise DataError("facing has a value below 0, or a row that sums to 0")
+        raise DataError("facing must have no value below 0 and no row that sums to 0")
     # Shares from a file already sum to 1; a further division would change their last digit.
     return np.where(np.abs(total - 1) < 1e-12, array, array / total)
 
@@ -633,14 +640,14 @@ def _check_size(room: Room) -> None:
     """Refuse impossible volumes, and dimensions of another volume."""
     least, most = VOLUMES
     if not least <= room.volume <= most:
-        raise DataError(f"room: volume = {room.volume:g} m³ is not from {least:g} to {most:g} m³")
+        raise DataError(f"room: volume = {room.volume:g} m³ must be from {least:g} to {most:g} m³")
     if room.dimensions is not None:
         box = float(np.prod(room.dimensions))
         if abs(room.volume / box - 1) > _OFF_BOX:
             sides = " x ".join(f"{side:g}" for side in room.dimensions)
             raise DataError(
-                f"room: volume = {room.volume:g} m³, but dimensions = {sides} m hold {box:g} m³; they "
-                f"differ by at most {100 * _OFF_BOX:.0f} %"
+                f"room: volume = {room.volume:g} m³, but dimensions = {sides} m hold {box:g} m³; "
+                f"they may differ by at most {100 * _OFF_BOX:.0f} %"
             )
 
 
@@ -654,8 +661,9 @@ def _table(content: Mapping[str, Any]) -> CaseTable:
     content = checks.mapped("case", content)
     if "geometry" in content:
         raise DataError(
-            "a case states no geometry: write [geometry] with mesh, [sources] and [receivers] into "
-            "the room's file, and name it and the measurement: room.toml pairs.csv"
+            "a case file has no geometry: write [geometry] with mesh, [sources] and [receivers] "
+            "into the room's file, and give that room and the measurement, as in room.toml "
+            "pairs.csv"
         )
     return read(CaseTable, content)
 
@@ -671,7 +679,7 @@ def files_of_case(path: str) -> list[Path]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PositionsCase:
-    """A simulator of a room, and what was measured at its source-receiver pairs.
+    """A simulator of a room, and the measurement at its source-receiver pairs.
 
     Raises DataError if the measurement is a mean over pairs, if ``simulated`` has nothing that was
     measured, if the room was calibrated already, if a pair of ``exclude`` was not measured, or for a
@@ -721,20 +729,22 @@ class PositionsCase:
             put(name, values)
             if values.is_summary:
                 raise DataError(
-                    f"{name} holds means over pairs; to say where, it needs a row for each source and "
-                    "receiver. Without a geometry rtcal.finder says what is missing"
+                    f"{name} has means over pairs; locating an effect needs a row for each "
+                    "source and receiver. Without a geometry, rtcal.finder uses means and "
+                    "reports what is missing but not where"
                 )
         refuse_unknown(self.exclude, self.measured)
         absent = () if self.simulated is None else self._leave_out(self.simulated, put)
         put("notes", (*checks.listed("notes", self.notes), *repeated, *absent))
         if history(self.room):
             raise DataError(
-                f'room "{self.room.name}" is calibrated: its coefficients hide what it misses. Use the '
-                "room as it was before"
+                f'room "{self.room.name}" is already calibrated, so its coefficients hide what '
+                "the model misses. Use the room as it was before the calibration"
             )
         if not self.room.sigma.any():
             raise DataError(
-                f'room "{self.room.name}" states sigma = 0: every coefficient is exactly known'
+                f'room "{self.room.name}" has sigma = 0 everywhere, so no coefficient can '
+                "change: give at least one sigma above 0"
             )
         put("faces", of_room.of_geometry(self.geometry, self.surfaces))
 
@@ -751,7 +761,9 @@ class PositionsCase:
         if others == list(self.pairs):
             each = (first_of([*map(" to ".join, m.pairs)], 2) for m in (run, whole))
             has = ", the measurement ".join(each)
-            raise DataError(f"run and measurement have no pair in common: the run has {has}")
+            raise DataError(
+                f"simulation and measurement have no pair in common: the simulation has {has}"
+            )
         put("measured", whole.select([p for p in whole.pairs if p not in others]))
         measured, match, parameters, single = self.measured.in_bands(frequencies), [], [], []
         rows = [measured.pairs.index(pair) for pair in self.pairs]
@@ -794,7 +806,7 @@ class PositionsCase:
 
     @property
     def has_run(self) -> bool:
-        """Whether another program's values stand in place of the simulator's."""
+        """Whether another program's values replace those of the simulator."""
         return self.simulated is not None
 
     @property
@@ -814,7 +826,7 @@ class PositionsCase:
 
     @cached_property
     def surfaces_of_materials(self) -> dict[int, list[int]]:
-        """The numbers of the surfaces that are of one material alone, by the material's number."""
+        """Numbers of the surfaces with only one material, by the material's number."""
         made_of = self.simulator.made_of
         out: dict[int, list[int]] = {}
         for j, faces in enumerate(self.faces.values()):
@@ -853,10 +865,10 @@ class PositionsCase:
         )
 
     def only(self, pairs: Sequence[Pair]) -> PositionsCase:
-        """Return the case with these measured pairs alone; DataError for one that it lacks."""
+        """Return the case with only these measured pairs; DataError for one that is not in it."""
         wanted = checks.pairs("pairs", pairs)
         if lacking := [p for p in wanted if p not in self.pairs]:
-            raise DataError(f"pairs has {' to '.join(lacking[0])}, which the case lacks")
+            raise DataError(f"pairs has {' to '.join(lacking[0])}, which is not in the case")
         left = tuple(p for p in self.measured.pairs if p not in wanted)
         return replace(self, exclude=left)
 
@@ -873,7 +885,7 @@ _LEAST = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StatesCase:
-    """A room that was measured twice, at the same positions with the same equipment.
+    """A room that was measured twice, at the same positions and with the same equipment.
 
     Two measurements are compared with each other, so that neither the coefficients' prior nor a
     configuration counts: the first state calibrates. Raises DataError if no pair, or no T20 or T30 in a
@@ -931,15 +943,18 @@ class StatesCase:
         checks.instance("equation", self.equation, LinearEquation)
         put("climate_uncertainty", checked_climate_uncertainty(self.climate_uncertainty))
         if self.room.air is None and self.climate_uncertainty != CLIMATE_UNCERTAINTY:
-            raise DataError("climate_uncertainty belongs to the room's air, and the room has none")
+            raise DataError(
+                "climate_uncertainty is given, but the room has no air: give air, or leave "
+                "climate_uncertainty out"
+            )
         notes = self._compare_pairs(put)
         put("notes", (*notes, *self._compare_times(put)))
         if self.simulator is not None:
             checks.instance("simulator", self.simulator, PathTracing)
             if self.simulator.room is not self.room:
-                raise DataError("simulator is of another room; make it with this one")
+                raise DataError("simulator was made for another room; make it with this one")
             if lacking := [p for p in self.pairs if p not in self.simulator.pairs]:
-                raise DataError(f"simulator lacks {' to '.join(lacking[0])}, which was measured")
+                raise DataError(f"simulator has no {' to '.join(lacking[0])}, which was measured")
 
     def _compare_pairs(self, put: Callable[[str, object], None]) -> list[str]:
         """Set ``states``; return notes on bands and pairs that one lacks."""
@@ -954,8 +969,8 @@ class StatesCase:
                 for m in two.values()
             )
             raise DataError(
-                "before and after have no source and receiver in common; two states are measured at "
-                f"the same positions, and these are {' and '.join(each)}"
+                "before and after have no source and receiver in common; two configurations must "
+                f"be measured at the same positions, but these are {' and '.join(each)}"
             )
         put("states", tuple(m.select(pairs) for m in states.values()))
         of_bands = {n: "; ".join(notes_of_bands(self.room, m)) for n, m in two.items()}
@@ -995,9 +1010,7 @@ class StatesCase:
             variance[:, some] = np.where(both, relative, np.nan)[:, some]
         if not np.isfinite(change).any():
             labels = " or ".join(parameter_label(o.key) for o in REVERBERATION)
-            raise DataError(
-                f"no {labels} in any band of the room that before and after have in common"
-            )
+            raise DataError(f"before and after have no {labels} in a common band of the room")
         for name, of in (("times", times), ("change", change), ("variance", variance)):
             put(name, read_only(of))
         notes = []
@@ -1006,14 +1019,15 @@ class StatesCase:
             notes.append(f"No T of both states at {without}: left out.")
         if unstated:
             notes.append(
-                "A mean T states neither its uncertainty nor of how many positions it is: it is taken "
-                "as that of one position (ISO 3382-2). State either, or give the pairs."
+                "A mean T has neither an uncertainty nor a number of positions, so it is treated "
+                "as the T of one position (ISO 3382-2). Give either of them, or the T of each "
+                "pair."
             )
         return notes
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """The pairs that both states have; ``(("*", "*"),)`` of means over positions."""
+        """Pairs measured in both states; ``(("*", "*"),)`` for means over positions."""
         return tuple(self.states[0].pairs)
 
     @property
@@ -1023,7 +1037,7 @@ class StatesCase:
 
     @property
     def same(self) -> bool:
-        """Whether T of every pair is the same in both states, as of one file given twice."""
+        """Whether every pair has the same T in both states, as if one file was given twice."""
         return not np.nan_to_num(self.change).any()
 
     @property
@@ -1057,7 +1071,7 @@ def case_of(
     program: str = "",
     **stated: Any,
 ) -> AnyCase:
-    """Return the case of a room and what was measured in it, which decides what is compared.
+    """Return the case of a room and its measurement, whose kind decides what is compared.
 
     Measured before as well, it is that of two states. Measured pair by pair, in a room with a simulator
     or that states its mesh, sources and receivers, it is that of its positions. Else means over
@@ -1097,10 +1111,10 @@ def case_of(
     if before is not None:
         of_pairs &= not checks.instance("before", before, Measurement).is_summary
     if simulator is not None and simulator.room is not room:
-        raise DataError("simulator is of another room; make it with this one")
+        raise DataError("simulator was made for another room; make it with this one")
     if simulator is not None and tracing:
         raise DataError(
-            "tracing is not used beside a simulator: give the simulator these arguments"
+            "tracing is not used when a simulator is given: give these arguments to the simulator"
         )
     needs = "needs a room that states its sources and receivers, measured pair by pair"
     of_scene: dict[str, Any] = {}
@@ -1114,19 +1128,29 @@ def case_of(
         raise DataError(f"tracing {needs}{'' if before is None else ' before and after'}")
     if before is not None:
         for name in filter(stated.get, stated):
-            raise DataError(f"{name} is not of a search for what changed between these two states")
+            raise DataError(
+                f"{name} cannot be used in a search for what changed between two configurations: "
+                "leave it out"
+            )
         if simulated is not None:
             raise DataError(
-                "simulated is not of a search for what changed between these two states"
+                "simulated cannot be used in a search for what changed between two "
+                "configurations: leave it out"
             )
         return StatesCase(room=room, before=before, after=measured, simulator=simulator)
     if simulator is not None and of_pairs:
         if program:
-            raise DataError("program is of means: at positions the model is traced")
+            raise DataError(
+                "program can be used only with means; at positions rtcal traces the room itself: "
+                "leave program out"
+            )
         if simulated is not None:
             simulated.refuse_other(room)
             if not np.array_equal(simulated.room.alpha, room.alpha):
-                raise DataError("at positions a run is at the room's own coefficients")
+                raise DataError(
+                    "at positions, the simulation must have the room's own coefficients: leave "
+                    "at out"
+                )
             stated["simulated"] = simulated.simulated
         return PositionsCase(simulator=simulator, measured=measured, **{**of_scene, **stated})
     for name in stated:

@@ -441,8 +441,8 @@ class Detection:
             value = getattr(self, name)
             if value is not None and not np.isfinite(value):
                 raise ModelError(
-                    f"the ln Bayes factor for a model other than the input ({name}) is {value}, no "
-                    "finite number: check the uncertainties of coefficients and measurement"
+                    f"the ln Bayes factor for a model other than the input ({name}) is {value}, "
+                    "which is not finite: check the uncertainties of coefficients and measurement"
                 )
 
     @property

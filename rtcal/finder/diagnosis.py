@@ -42,12 +42,12 @@ class Diagnosis(Result):
 
     @cached_property
     def corrected(self) -> Corrected | None:
-        """The model with what was found, before it is calibrated; None where nothing was added."""
+        """The model with the effect that was found, not yet calibrated; None if nothing was added."""
         return _corrected(self.finding, self.verification)
 
     @property
     def room(self) -> Room:
-        """The room with what was added, calibrated."""
+        """The calibrated room with the effect that was added."""
         return self.calibrated.room
 
     def __repr__(self) -> str:
@@ -82,7 +82,7 @@ def diagnose(
     progress: TaskProgress | None = None,
     **options: Any,
 ) -> Diagnosis:
-    """Find what a model misses, verify it at data that were held out, add it, and calibrate.
+    """Find the effect that a model misses, verify it on held-out data, add it, and calibrate.
 
     Parameters
     ----------
@@ -122,7 +122,9 @@ def diagnosis(
 ) -> Diagnosis:
     """Add what was found and verified to the model, and calibrate it; see `diagnose`."""
     if finding.kind == "states":
-        raise DataError("a diagnosis compares a model with one measurement, not two states")
+        raise DataError(
+            "a diagnosis compares a model with one measurement, not with two configurations"
+        )
     corrected = _corrected(finding, verification)
     if isinstance(finding.case, PositionsCase):
         case = finding.case

@@ -148,11 +148,11 @@ class Effect(ABC):
         return [self.change(state, theta) for theta in grid]
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
-        """Return what may stand on a surface: parameters without a size, and alpha, (n_bands,)."""
+        """Return the variants of the effect on a surface: parameters and alpha, (n_bands,)."""
         return []
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
-        """Return the prior density of parameters, each (n,), but for a factor: 1 everywhere.
+        """Return the prior density of parameters, each (n,), up to a factor; by default 1.
 
         It is a density per unit of ln of each parameter that is above 0, and of any other parameter
         itself; of a discrete parameter, a probability.
@@ -172,7 +172,7 @@ class Effect(ABC):
         return self.limits(room).get(self.size, (-inf, inf))
 
     def prior_odds(self, room: Room) -> float:
-        """Return the prior odds of the effect in this room, against the others: `odds`."""
+        """Return the prior odds of the effect in this room against the others, by default `odds`."""
         return self.odds
 
     def title(self, parameters: Parameters, room: Room) -> str:
@@ -185,7 +185,7 @@ class Effect(ABC):
         return None
 
     def describe(self, parameters: Parameters, without: str = "") -> str:
-        """Return the parameters in words, but for ``without`` and the material, which a title has."""
+        """Return the parameters in words, except ``without`` and the material, which a title has."""
         known = {self.size: Parameter(unit=self.unit), **self.parameters}
         in_order = [*self.parameters, *(name for name in parameters if name not in self.parameters)]
         return ", ".join(
@@ -261,7 +261,7 @@ class AbsorbingObject(Effect):
 
 
 class Absorber(AbsorbingObject):
-    """A surface with a spectrum of its own in place of wall; a subclass has ``name`` and `spectrum`."""
+    """A surface with its own spectrum in place of wall; a subclass has ``name`` and `spectrum`."""
 
     size: ClassVar[str] = "area"
     unit: ClassVar[str] = "m²"
@@ -285,13 +285,13 @@ class Absorber(AbsorbingObject):
         alpha = checks.array(where, self.spectrum(frequencies, parameters))
         if alpha.shape != frequencies.shape:
             raise DataError(
-                f"{where} has shape {alpha.shape}; it is (n_bands,) = ({len(frequencies)},)"
+                f"{where} has shape {alpha.shape}; it must be (n_bands,) = ({len(frequencies)},)"
             )
         within = (alpha >= 0) & (alpha <= 1)  # a comparison with NaN is false: NaN is refused, too
         if not within.all():
             k = int(np.argmin(within))
             at = bands.label(frequencies[k])
-            raise DataError(f"{where} at {at} = {alpha[k]:g} is not in [0, 1]")
+            raise DataError(f"{where} at {at} = {alpha[k]:g} must be from 0 to 1")
         return alpha
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
@@ -1039,44 +1039,45 @@ def checked_effects(effects: object | None) -> tuple[Effect, ...]:
         return library()
     every: tuple[Any, ...] = checks.listed("effects", effects)
     if not every:
-        raise DataError("effects is empty; there is at least one to try")
+        raise DataError("effects is empty; give at least one")
     for i, effect in enumerate(every):
         _check(f"effects[{i}]", effect)
     names = [effect.name for effect in every]
     if twice := next((n for n in names if names.count(n) > 1), None):
-        raise DataError(f'effects has "{twice}" twice; each has a name of its own')
+        raise DataError(f'effects has "{twice}" twice; give each effect a name of its own')
     return every
 
 
 def _check(place: str, effect: Any) -> None:
     if isinstance(effect, type):
-        raise DataError(
-            f"{place} = {effect.__name__} is a class; an effect is made: {effect.__name__}()"
-        )
+        raise DataError(f"{place} = {effect.__name__} is a class; write {effect.__name__}()")
     if not isinstance(effect, Effect):
-        raise DataError(f"{place} = {effect!r} is no effect: not a rtcal.finder.Effect")
+        raise DataError(f"{place} = {effect!r} is not an effect (rtcal.finder.Effect)")
     for name in ("name", "size", "unit"):
         text = getattr(effect, name, None)
         blank = name != "unit" and not str(text).strip()
         if not isinstance(text, str) or blank or not text.isprintable():
-            raise DataError(f"{place} = {effect!r}: {name} = {text!r} is not a text of one line")
+            raise DataError(f"{place} = {effect!r}: {name} = {text!r} must be a text of one line")
     if effect.name in ("none", "unknown"):
-        raise DataError(f'{place}: name = "{effect.name}" is a verdict\'s; an effect has another')
+        raise DataError(
+            f'{place}: name = "{effect.name}" is the name of a verdict; give the effect another '
+            "name"
+        )
     where = f'effect "{effect.name}"'
     checks.number(f"{where}: neutral", effect.neutral)
     if not 0 <= (error := checks.number(f"{where}: size_error", effect.size_error)) < inf:
-        raise DataError(f"{where}: size_error = {error:g} is not finite and 0 or more")
+        raise DataError(f"{where}: size_error = {error:g} must be finite and 0 or more")
     checks.flag(f"{where}: removable", effect.removable)
     for name, of in checks.mapped(f"{where}: parameters", effect.parameters).items():
         checks.instance(f"{where}: parameters[{name!r}]", of, Parameter)
     for kind in checks.listed(f"{where}: stands_on", effect.stands_on):
         if kind not in SURFACES:
             raise DataError(
-                f"{where}: stands_on has {kind!r}, which is not one of {', '.join(SURFACES)}"
+                f"{where}: stands_on has {kind!r}, which is none of {', '.join(SURFACES)}"
             )
     for share in checks.listed(f"{where}: shares", effect.shares):
         if not 0 < checks.number(f"{where}: shares", share) <= 1:
-            raise DataError(f"{where}: shares has {share:g}, which is not above 0 and at most 1")
+            raise DataError(f"{where}: shares has {share:g}, but must be above 0 and at most 1")
 
 
 IN_RUN = "a geometrical program computes none"
@@ -1095,7 +1096,7 @@ def judged_effects(
     tried = tuple(e for e in effects if e.name not in lacking)
     if not tried:
         whys = "; ".join(dict.fromkeys(lacking.values()))
-        raise DataError(f"{', '.join(lacking)} cannot be judged: {whys}")
+        raise DataError(f"{', '.join(lacking)} cannot be searched for: {whys}")
     return tried, lacking
 
 
@@ -1114,20 +1115,22 @@ def checked_grid(
     where = f'effect "{effect.name}": grid'
     grid = checks.listed(where, _run(where, lambda: effect.grid(state)))
     if not grid:
-        raise DataError(f"{where} is empty; there is at least one set of parameters to try")
+        raise DataError(f"{where} is empty; give at least one set of parameters")
     names = set(checks.mapped(where, grid[0]))
     if effect.size not in names:
-        raise DataError(f'{where} has no "{effect.size}", which is the effect\'s size')
+        raise DataError(f'{where} has no "{effect.size}", although it is the effect\'s size')
     for theta in grid:
         if not isinstance(theta, Mapping) or set(theta) != names:
-            raise DataError(f"{where} has {theta!r}; each of it has {', '.join(map(str, names))}")
+            raise DataError(
+                f"{where} has {theta!r}; each entry must have {', '.join(map(str, names))}"
+            )
     within = np.ones(len(grid), dtype=bool)
     limits = _limits(effect, room)
     for name, values in columns(grid).items():
         checked = checks.array(f"{where}: {name}", values)
         if not np.isfinite(checked).all():
             raise DataError(
-                f"{where}: {name} = {checked[~np.isfinite(checked)][0]:g} is not finite"
+                f"{where}: {name} = {checked[~np.isfinite(checked)][0]:g} must be finite"
             )
         least, most = limits.get(name, (-inf, inf))
         within &= (checked >= least) & (checked <= most)
@@ -1176,16 +1179,16 @@ def check_parameters(
     where, limits = f'effect "{effect.name}"', _limits(effect, room)
     for name, (least, most) in limits.items():
         if name not in parameters:
-            raise DataError(f'{where} has no "{name}"; it has {", ".join(limits)}')
+            raise DataError(f'{where} has no "{name}"; it must have {", ".join(limits)}')
         stated = [(name, parameters[name])]
         if name == effect.size and interval is not None:
             stated += [("size_interval", end) for end in interval]
         for what, value in stated:
             if not (isfinite(value) and least <= value <= most):
                 place = "" if room is None else f' in "{shortened(room.name)}"'
-                raise DataError(f"{where}: {what} = {value:g} is not {_rule(least, most)}{place}")
+                raise DataError(f"{where}: {what} = {value:g} must be {_rule(least, most)}{place}")
         if name in effect.discrete and parameters[name] != int(parameters[name]):
-            raise DataError(f"{where}: {name} = {parameters[name]:g} is not a whole number")
+            raise DataError(f"{where}: {name} = {parameters[name]:g} must be a whole number")
 
 
 def _limits(effect: Effect, room: Room | None) -> Limits:
@@ -1199,7 +1202,7 @@ def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters])
     made = added(effect, state, grid)
     for after in made:
         if not isinstance(after, RoomState):
-            raise DataError(f"{where} returns {type(after).__name__}; it returns a RoomState")
+            raise DataError(f"{where} returns {type(after).__name__}; it must return a RoomState")
         if after.equation is not state.equation:
             mean_equation(after.equation, f"{where}: equation")
         shape: Any = after.shape
@@ -1210,15 +1213,15 @@ def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters])
             raise DataError(f"{of_shape} = {shape!r} does not turn a state into a Decay")
         decay = _run(of_shape, partial(shape, after))
         if not isinstance(decay, Decay):
-            raise DataError(f"{of_shape} returns {type(decay).__name__}; it returns a Decay")
+            raise DataError(f"{of_shape} returns {type(decay).__name__}; it must return a Decay")
         weights, rates = (
             checks.array(f"{of_shape}: {of}", getattr(decay, of)) for of in ("weights", "rates")
         )
         fits = weights.ndim == 2 and len(weights) == n_bands and rates.shape == weights.shape
         if not (fits and np.isfinite([weights, rates]).all() and (rates > 0).all()):
             raise DataError(
-                f"{of_shape}: weights and rates of shapes {weights.shape} and {rates.shape} are not "
-                f"both (n_bands = {n_bands}, n_terms) and finite, the rates above 0"
+                f"{of_shape}: weights and rates of shapes {weights.shape} and {rates.shape} must "
+                f"both be (n_bands = {n_bands}, n_terms) and finite, with rates above 0"
             )
     for name in _RULES:
         before, values = getattr(state, name), list(map(attrgetter(name), made))
@@ -1230,7 +1233,7 @@ def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters])
         field = f"{where} with {with_what}: {name}"
         checks.array(field, values[i])
         raise DataError(
-            f"{field} is not {_rule(*_RULES[name])}, in the shape that it has without the effect"
+            f"{field} must be {_rule(*_RULES[name])}, with the same shape as without the effect"
         )
     return made
 
@@ -1295,7 +1298,7 @@ class AppliedEffect:
             name = checks.text("effect: name", effect)
             effect = next((e for e in library() if e.name == name), None)
             if effect is None:
-                raise DataError(f'effect "{name}" is not in the library')
+                raise DataError(f'effect "{name}" is not in rtcal\'s library')
             object.__setattr__(self, "effect", effect)
         for name, value in checks.mapped("effect: parameters", self.parameters).items():
             checks.number(f"effect: parameters[{name!r}]", value)
@@ -1303,7 +1306,8 @@ class AppliedEffect:
             ends = checks.array("effect: size_interval", self.size_interval)
             if ends.shape != (2,) or not ends[0] <= ends[1]:
                 raise DataError(
-                    f"effect: size_interval = {self.size_interval!r} is not two numbers in order"
+                    f"effect: size_interval = {self.size_interval!r} must be two numbers, "
+                    "the smaller one first"
                 )
         check_parameters(effect, self.parameters, interval=self.size_interval)
 

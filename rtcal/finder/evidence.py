@@ -237,9 +237,7 @@ def left_out_of(
     named = {"only": checks.listed("only", only), "without": checks.listed("without", without)}
     for place, names in named.items():
         if unlisted := [n for n in names if n not in possible]:
-            raise DataError(
-                f'{place} has "{unlisted[0]}", which is not one of {", ".join(possible)}'
-            )
+            raise DataError(f'{place} has "{unlisted[0]}", which is none of {", ".join(possible)}')
     left = set(named["without"])
     if named["only"]:
         left |= {*possible} - {*named["only"], *in_any_case}
@@ -264,7 +262,7 @@ def grid_weights(effect: Effect, grid: Sequence[Parameters], state: RoomState) -
         if name not in effect.discrete:
             weights *= _cells(of_parameter)
     if not (np.isfinite(weights).all() and weights.min() >= 0 and weights.sum() > 0):
-        raise DataError(f'effect "{effect.name}": density is not finite and 0 or more')
+        raise DataError(f'effect "{effect.name}": density must be finite and 0 or more')
     return np.asarray(weights / weights.sum())
 
 

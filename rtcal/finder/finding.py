@@ -69,7 +69,7 @@ DATA = {"means": "means over positions", "positions": "positions", "states": "tw
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Finding(Result):
-    """The result of a search, of means over positions, of every position or of two states.
+    """The result of a search: in means over positions, at every position or between two states.
 
     Notes
     -----
@@ -199,7 +199,7 @@ class Finding(Result):
 
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:
-        """What is ``modelled`` beside what was measured, by the measurement's uncertainty alone."""
+        """Comparisons of the ``modelled`` values with the measured ones, by their uncertainty."""
         case = self.case
         if not self.modelled:
             return ()
@@ -258,7 +258,7 @@ class Finding(Result):
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Of means, the probabilities of 0, 1, 2, ... effects."""
+        """Probabilities of 0, 1, 2, ... effects, for means over positions."""
         return numbers_of(self.sets)
 
     @property
@@ -279,7 +279,7 @@ class Finding(Result):
 
     @property
     def coefficients(self) -> OffTogether | None:
-        """The common error of the coefficients, if one is likely beside the most probable set."""
+        """The common error of the coefficients, if likely in addition to the most probable set."""
         of = self.candidate(self.members[-1]) if self.members else None
         return None if of is None else of.coefficients
 
@@ -364,7 +364,7 @@ class Finding(Result):
 
     @property
     def leading(self) -> Reason | None:
-        """The doubt that stands before what is identified: that T is far off; None without one."""
+        """The caution that precedes the answer, because T is far off; None without one."""
         if self.kind == "positions":
             return self.mistake
         first = next(iter(self.reasons), None)
@@ -428,7 +428,7 @@ class Finding(Result):
         form: str | None = None,
         at: Sequence[float] | None = None,
     ) -> Corrected:
-        """Return the model with what was found in it: its room, its simulator and, of means, its case.
+        """Return the model with the effect that was found: room, simulator and, for means, case.
 
         Of means the most probable effects are added, each with its size beside the others; of an
         ambiguous finding and a family the best candidate. Where the coefficients are off together, the
@@ -473,7 +473,9 @@ class Finding(Result):
         taken = {"means": ("effect",), "positions": ("effect", "form", "at"), "states": ()}
         for name, value in {"effect": effect, "form": form, "at": at}.items():
             if value is not None and name not in taken[self.kind]:
-                raise DataError(f"{name} is not of a finding of {DATA[self.kind]}")
+                raise DataError(
+                    f"{name} cannot be used with a finding from {DATA[self.kind]}: leave it out"
+                )
         if self.kind == "means":
             chosen = self.chosen(effect)
             added = [c for c in self.candidates if c.effect in chosen]
@@ -492,23 +494,23 @@ class Finding(Result):
                 surface = surface_at(self.case, at)
                 every = [c for c in every if c.surface == surface]
                 if not every:
-                    raise DataError(f'at lies on "{surface}", on which nothing was found')
+                    raise DataError(f'at is on "{surface}", but nothing was found on this surface')
             best = next((c for c in every if effect in (None, c.effect)), None)
             if best is None:
                 named = listed([*dict.fromkeys(c.effect for c in every)], last="or")
-                raise DataError(f'effect = "{effect}" is no candidate. Candidates: {named}')
+                raise DataError(f'effect = "{effect}" is not a candidate. Candidates: {named}')
         made = corrected_geometry(self.case, best, form or "patch", at)
         return replace(made, support=str(support(self, best)))
 
     def chosen(self, effect: str | None = None) -> Names:
-        """Return the effects of means that `apply` adds; DataError as it does."""
+        """Return the effects that `apply` adds, for means; DataError as `apply` raises it."""
         if not self.can_be_added:
-            raise DataError(f'the verdict is "{self.verdict}"; there is no effect to add')
+            raise DataError(f'the verdict is "{self.verdict}", so there is no effect to add')
         found = self.candidate(effect)
         fitted = found is not None and (found.parameters or found.coefficients is not None)
         if effect is not None and not fitted:
             candidates = listed([n for n in self.names if n != UNKNOWN], last="or")
-            raise DataError(f'effect = "{effect}" is no candidate. Candidates: {candidates}')
+            raise DataError(f'effect = "{effect}" is not a candidate. Candidates: {candidates}')
         why = self.undecided if effect is None else self._unclaimed_volume((effect,))
         if why is not None:
             raise DataError(str(why))
@@ -582,7 +584,7 @@ def rivals(f: Finding, best: Candidate | None = None) -> tuple[Candidate, ...]:
 
 
 def support(f: Finding, best: Candidate) -> Reason:
-    """Return verdict, what is best and what else explains the data."""
+    """Return the verdict, the best effect, and the others that explain the data."""
     others = rivals(f, best)
     values = {"verdict": f.verdict, "best": best, "others": others}
     return Reason("support" if others else "sole", values)

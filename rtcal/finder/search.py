@@ -106,13 +106,15 @@ def find(
         checks.instance("room", room, Room)
     if isinstance(room, Room):
         if measured is None:
-            raise DataError("measured is missing: a room is compared with what was measured in it")
+            raise DataError(
+                "measured is missing: give the measurement with which the room is compared"
+            )
         more: dict[str, Any] = {"simulated": simulated, "program": program}
         case = case_of(room, measured, simulator, before, tracing=tracing, **more)
     elif any(of is not None for of in (measured, simulator, before, tracing, simulated)) or program:
         raise DataError(
-            "measured, before, simulated, program, simulator and tracing belong to a room; a case "
-            "holds its own"
+            "measured, before, simulated, program, simulator and tracing are arguments for a "
+            "room; a case contains them already: leave them out"
         )
     else:
         case = room
@@ -120,7 +122,7 @@ def find(
     possible = inspect.signature(search).parameters
     for name, value in options.items():
         if name not in possible and value is not None:
-            raise DataError(f"{name} is not of a search {kind}")
+            raise DataError(f"{name} cannot be used in a search {kind}: leave it out")
     every = {"seed": seed, **options}
     some = {name: value for name, value in every.items() if name in possible}
     return search(case, **some)

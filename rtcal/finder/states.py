@@ -505,7 +505,8 @@ def find(
     of_library = checked_effects(effects)
     if not adding(of_library):
         raise DataError(
-            "none of the effects adds absorption, which is what may change between two states"
+            "none of the effects adds absorption, which is the only change that can be found "
+            "between two configurations"
         )
     left_out = left_out_of(only, without, tried(of_library), [UNKNOWN])
     room, where, degrees = case.room, case.known, OF_MEANS if case.of_means else DEGREES

@@ -173,7 +173,7 @@ class Verification(Result):
     """At positions, what each half of the pairs added to its model, or None."""
     notes: tuple[str, ...] = ()
     """Of two states, notes of the case that was held out; of means, what the second run lacks."""
-    plain: Recalibrated | None = None
+    uncorrected: Recalibrated | None = None
     corrected: Recalibrated | None = None
     """Of means, the calibrations to all data without and with what was found."""
     runs: tuple[str, ...] = ()
@@ -215,7 +215,7 @@ class Verification(Result):
     @property
     def calibrations(self) -> tuple[Recalibrated, ...]:
         """Of means, the calibrations to all data without and with what was found; else ()."""
-        return tuple(c for c in (self.plain, self.corrected) if c is not None)
+        return tuple(c for c in (self.uncorrected, self.corrected) if c is not None)
 
     @property
     def verdict(self) -> str:
@@ -236,7 +236,11 @@ class Verification(Result):
     @property
     def little_left(self) -> bool:
         """Whether the first run, moved to the measured T, leaves too little for a second one."""
-        return self.plain is not None and self.finding.case.has_run and self.before <= self.needed
+        return (
+            self.uncorrected is not None
+            and self.finding.case.has_run
+            and self.before <= self.needed
+        )
 
     @property
     def objections(self) -> tuple[Reason, ...]:
@@ -244,7 +248,7 @@ class Verification(Result):
         code = "little left" if self.little_left else "gains little"
         limits = {"least": self.needed, "before": self.before}
         out = [] if self.gain > self.needed else [Reason(code, limits)]
-        if self.plain is not None:
+        if self.uncorrected is not None:
             if self.after > _PREDICTED:
                 out.append(Reason("still missed", {"gap": self.after}))
             held_out = mean_of_known(np.where(self.counted, self.sizes[-2:, 0], np.nan), 2)
@@ -295,7 +299,7 @@ class Verification(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON: ``gaps_jnd`` are `sizes`, mean over the seeds."""
-        calibrated = {"plain": self.plain, "corrected": self.corrected}
+        calibrated = {"uncorrected": self.uncorrected, "corrected": self.corrected}
         return {
             "verdict": self.verdict,
             "sentence": self.sentence,
@@ -320,7 +324,7 @@ class Verification(Result):
 
 
 def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verification:
-    """Verify a finding: by data that it was not fitted to.
+    """Verify a finding with data to which it was not fitted.
 
     Parameters
     ----------
@@ -367,7 +371,9 @@ def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verifi
     compare = of_kind[checks.instance("finding", finding, Finding).kind]
     options |= {} if case is None else {"case": case}
     for name in options.keys() - inspect.signature(compare).parameters.keys():
-        raise DataError(f"{name} is not of a verification of {DATA[finding.kind]}")
+        raise DataError(
+            f"{name} cannot be used to verify a finding from {DATA[finding.kind]}: leave it out"
+        )
     return compare(finding, **options)
 
 
@@ -427,12 +433,12 @@ def _of_means(
 ) -> Verification:
     """Compare the model with and without the best effect, or another one."""
     if not finding.can_be_added:
-        raise DataError(f'the verdict is "{finding.verdict}"; there is no effect to add')
+        raise DataError(f'the verdict is "{finding.verdict}", so there is no effect to add')
     (name, *others) = finding.members if effect is None else finding.chosen(effect)
     if others:
         raise DataError(
-            f"{len(finding.members)} effects were found together; the gap is compared for one: search "
-            "with most = 1"
+            f"{len(finding.members)} effects were found together, but only one can be verified: "
+            "search with most = 1"
         )
     own: Case = finding.case
     case = own if case is None else case
@@ -440,12 +446,12 @@ def _of_means(
     used = np.array(observed.used, dtype=bool)
     if fitted.shape != used.shape:
         raise DataError(
-            f"case has {len(case.configurations)} configurations in {case.room.n_bands} bands; the "
-            f"finding has {len(own.configurations)} in {own.room.n_bands}"
+            f"case has {len(case.configurations)} configurations in {case.room.n_bands} bands; "
+            f"it must have those of the finding, {len(own.configurations)} in {own.room.n_bands}"
         )
     if simulated is None and calibrated is not None:
         raise DataError(
-            "calibrated is a run to be compared with that of the corrected model: simulated"
+            "calibrated is compared with a simulation of the corrected model: add that as simulated"
         )
     runs = [
         None if of is None else _second_run(case, of, corrected=of is simulated)
@@ -593,7 +599,8 @@ def _second_run(case: Case, simulated: Measurement, *, corrected: bool) -> Array
     first = case.configurations[0]
     if first.simulated is None:
         raise DataError(
-            "the finding has no run beside which another one stands: search with simulated, too"
+            "the finding was made without a simulation, so a second one cannot be compared: "
+            "search with simulated first"
         )
     run, _ = Run(first.simulated.room, simulated).beside(first.measured)
     out = np.full((len(case.configurations), len(FEATURES), case.room.n_bands), np.nan)
@@ -601,13 +608,16 @@ def _second_run(case: Case, simulated: Measurement, *, corrected: bool) -> Array
     time, of = first.measured.time_label, "simulated" if corrected else "calibrated"
     if run.time_label != time or np.isnan(out[0, _T20]).all():
         has = ", ".join(map(parameter_label, simulated.values))
-        raise DataError(f"{of} has no {time}, which was measured; it has {has}")
+        raise DataError(f"{of} has no {time}, which was measured; it has only {has}")
     one, _ = first.simulated.beside(first.measured)
     if corrected and all(
         p in one.values and np.array_equal(one.values[p], run.values[p], equal_nan=True)
         for p in run.values
     ):
-        raise DataError("simulated: the corrected run is the first run, without what was added")
+        raise DataError(
+            "simulated: this is the first simulation again; give a simulation of the corrected "
+            "model"
+        )
     return out
 
 
@@ -650,7 +660,7 @@ def of_means(
         endured=max(LITTLE, uncertainty),
         predictive=predictive,
         misses=tuple(misses),
-        plain=before,
+        uncorrected=before,
         corrected=after,
         features=after.features + finding.discrepancy.bias.reshape(after.features.shape),
     )
@@ -690,13 +700,13 @@ def residual_map(verified: Verification) -> Array:
 def reverberation_times(
     finding: Finding, before: Recalibrated, after: Recalibrated
 ) -> dict[str, Array]:
-    """Return T in s of the first configuration, (n_bands,): measured, prior, plain, corrected."""
+    """Return T in s of the first configuration, (n_bands,): measured, input, calibrated, corrected."""
     case, first = finding.case, finding.case.configurations[0]
     bias = finding.discrepancy.bias.reshape(finding.residuals.shape)
     return {
         "measured": first.measured.reverberation_time,
-        "prior": np.exp(predict_in(case, first, [state(case, first)]).features[0, _T20]),
-        "plain": np.exp(before.features[0, _T20]),
+        "input": np.exp(predict_in(case, first, [state(case, first)]).features[0, _T20]),
+        "calibrated": np.exp(before.features[0, _T20]),
         "corrected": np.exp(after.features[0, _T20] + bias[0, _T20]),
     }
 
@@ -732,7 +742,8 @@ def at_pairs(finding: Finding, pairs: Sequence[Pair], gaps: Array, **said: Any) 
 def _check_pairs(pairs: Sequence[object]) -> None:
     if len(pairs) < LEAST_PAIRS:
         raise DataError(
-            f"there are {len(pairs)} pairs; {LEAST_PAIRS} are needed, half of which predict the others"
+            f"there are {len(pairs)} pairs; at least {LEAST_PAIRS} are needed, because half "
+            "of them must predict the others"
         )
 
 
@@ -790,9 +801,9 @@ def _at_positions(
 ) -> Verification:
     chosen = tuple(checks.whole("seeds", s, 0) for s in checks.listed("seeds", seeds))
     if not chosen:
-        raise DataError("seeds is empty; it has at least one")
+        raise DataError("seeds is empty; give at least one")
     if len(set(chosen)) < len(chosen):
-        raise DataError(f"seeds has one twice: {', '.join(map(str, chosen))}")
+        raise DataError(f"seeds has a value twice: {', '.join(map(str, chosen))}")
     if finding.refusal is not None:
         raise DataError(str(finding.refusal))
     _check_pairs(finding.pairs)
@@ -908,15 +919,20 @@ def _of_states(
     case: StatesCase = finding.case
     found = held = case
     if not finding.detected:
-        raise DataError(f'the verdict is "{finding.verdict}"; there is no change to verify')
+        raise DataError(f'the verdict is "{finding.verdict}", so there is no change to verify')
     if (before is None) != (after is None):
         lacking = "before" if before is None else "after"
-        raise DataError(f"{lacking} is missing: the change is verified in both states")
+        raise DataError(
+            f"{lacking} is missing: a change is verified with measurements before and after"
+        )
     if before is not None and after is not None:
         if seed:
-            raise DataError("seed is of halves of the pairs: what was found predicts further pairs")
+            raise DataError(
+                "seed is used only where halves of the pairs predict each other; this "
+                "finding predicts further pairs: leave seed out"
+            )
         if case.of_means or before.is_summary or after.is_summary:
-            raise DataError("means over positions have no pairs that were not fitted")
+            raise DataError("means over positions have no further pairs: leave further pairs out")
         new = [p for p in before.pairs if p in after.pairs and p not in case.pairs]
         if len(new) < _LEAST_NEW:
             raise DataError(

@@ -86,8 +86,8 @@ def read(
     least = float(made.gains[:, 0].mean(axis=1).min())
     if least < 10 ** (-_LEAST_INDEX / 10):
         raise DataError(
-            f"{place}: the energy on the axis is {least:.2g} times the mean over the sphere: the "
-            "file's axis is not where it radiates"
+            f"{place}: the energy on the axis is {least:.2g} times the mean over the sphere, so "
+            "the source does not radiate along the file's axis; check the orientation of the file"
         )
     return made
 
@@ -99,7 +99,7 @@ def _from_sofa(place: str, wanted: Sequence[float]) -> list[Array]:
     for f in wanted:
         inside = (lines >= f / np.sqrt(2)) & (lines < f * np.sqrt(2))
         if not inside.any():
-            raise DataError(f"{place}: no frequency in the octave of {bands.label(f)}")
+            raise DataError(f"{place}: the file has no frequency in the octave of {bands.label(f)}")
         of_bands.append(energy[:, inside].mean(axis=1))
     return list(_at_equal_angles(directions, np.array(of_bands), place))
 
@@ -114,12 +114,16 @@ def _at_equal_angles(directions: Array, energy: Array, place: str) -> Array:
 
     _, first = np.unique(np.round(directions, 5), axis=0, return_index=True)
     if len(first) < _DIRECTIONS:
-        raise DataError(f"{place}: {len(first)} directions; at least {_DIRECTIONS} are needed")
+        raise DataError(
+            f"{place}: {len(first)} directions; a directivity needs at least {_DIRECTIONS}"
+        )
     points, energy = directions[first], energy[:, first]
     try:
         hull = ConvexHull(points)
     except QhullError as error:
-        raise DataError(f"{place}: the directions do not surround the source") from error
+        raise DataError(
+            f"{place}: the directions do not surround the source; export the whole sphere"
+        ) from error
     gap = float(np.degrees(np.arccos(np.clip(-hull.equations[:, 3], -1, 1))).max())
     if gap > _LARGEST_GAP:
         raise DataError(
@@ -145,8 +149,8 @@ def _from_text(place: str, wanted: Sequence[float]) -> list[Array]:
     content = read_bytes(place, MAX_TEXT)
     if b"\0" in content[:64]:
         raise DataError(
-            f"{place}: neither SOFA nor CLF's text; CF1, CF2 and GLL are closed formats, and the maker "
-            "has CLF's text or SOFA"
+            f"{place}: is neither SOFA nor CLF text. CF1, CF2 and GLL are closed formats; ask "
+            "the manufacturer for CLF text or SOFA"
         )
     rows = [
         [cell.strip() for cell in line.split("\t")]
@@ -155,7 +159,7 @@ def _from_text(place: str, wanted: Sequence[float]) -> list[Array]:
     head = next((row[0].upper() for row in rows if row[0]), "")
     if head not in {f"<C{kind}F{n}>" for kind in "LI" for n in _STEPS}:
         raise DataError(
-            f"{place}: begins with {text.shown(head)!r}; CLF's text begins with <CLF1> or <CLF2>"
+            f"{place}: begins with {text.shown(head)!r}; CLF text must begin with <CLF1> or <CLF2>"
         )
     step = _STEPS[head[-2]]
     # What would be read otherwise than it is meant is refused.
@@ -167,7 +171,7 @@ def _from_text(place: str, wanted: Sequence[float]) -> list[Array]:
     }.items():
         if (stated := _stated(rows, tag)) not in (*known, ""):
             raise DataError(
-                f"{place}: {tag} is {text.shown(stated)!r}; what is read is {', '.join(known)}"
+                f"{place}: {tag} is {text.shown(stated)!r}; it must be {' or '.join(known)}"
             )
     at = {}
     for n, row in enumerate(rows):
@@ -179,7 +183,10 @@ def _from_text(place: str, wanted: Sequence[float]) -> list[Array]:
         inside = [at[b] for b in at if f / np.sqrt(2) <= b < f * np.sqrt(2)]
         if not inside:
             have = ", ".join(bands.labels(at)) or "none"
-            raise DataError(f"{place}: no band in the octave of {bands.label(f)}; it has {have}")
+            raise DataError(
+                f"{place}: the file has no band in the octave of {bands.label(f)}; its bands are "
+                f"{have}"
+            )
         out.append(
             np.mean([Directivity(gains=[e], aim=(1, 0, 0)).gains[0] for e in inside], axis=0)
         )
@@ -207,8 +214,8 @@ def _energy(rows: Sequence[Sequence[str]], begin: int, step: int, place: str) ->
             arcs.append([_number(cell, f"{place}, line {n + 1}") for cell in cells])
             if len(cells) != 180 // step + 1:
                 raise DataError(
-                    f"{place}, line {n + 1}: {len(cells)} levels; an arc has {180 // step + 1}, one "
-                    f"every {step} degrees"
+                    f"{place}, line {n + 1}: {len(cells)} levels; an arc must have "
+                    f"{180 // step + 1}, one every {step} degrees"
                 )
     symmetry = _stated(rows, "<BALLOON-SYMMETRY>") or "none"
     number, circle = len(arcs), 360 // step
@@ -216,7 +223,8 @@ def _energy(rows: Sequence[Sequence[str]], begin: int, step: int, place: str) ->
     wanted = round(_ARCS[symmetry] * circle) + both_ends if symmetry in _ARCS else 1
     if number != wanted:
         raise DataError(
-            f"{place}, line {begin}: {number} arcs; a balloon of the symmetry {symmetry} has {wanted}"
+            f"{place}, line {begin}: {number} arcs; a balloon of the symmetry {symmetry} "
+            f"must have {wanted}"
         )
     level = np.array(arcs)
     if symmetry == "full":
@@ -227,7 +235,8 @@ def _energy(rows: Sequence[Sequence[str]], begin: int, step: int, place: str) ->
         level = np.repeat(level, circle, axis=0)
     if (apart := float(np.ptp(level[:, [0, -1]], axis=0).max())) > _SAME_POLE:
         raise DataError(
-            f"{place}, line {begin}: the arcs differ by {apart:.1f} dB on the axis, where they meet"
+            f"{place}, line {begin}: the arcs differ by {apart:.1f} dB on the axis, where "
+            "they must be equal"
         )
     # phi goes to the left, CLF's arcs to the right unless they are reversed.
     if _stated(rows, "<BALLOON-ARC-ORDER>") != "reversed":

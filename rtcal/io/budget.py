@@ -29,7 +29,7 @@ def require(number: float, most: float, of: str, path: str, remedy: str = "") ->
     """Raise DataError if a file declares more of something than the budget has."""
     if number > most:
         advice = f": {remedy}" if remedy else ""
-        raise DataError(f"{path}: declares {number:.0f} {of}; at most {most:.0f} are read{advice}")
+        raise DataError(f"{path}: has {number:.0f} {of}; at most {most:.0f} are read{advice}")
 
 
 def members(content: bytes, path: str, kind: str) -> dict[str, int]:
@@ -38,6 +38,6 @@ def members(content: bytes, path: str, kind: str) -> dict[str, int]:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             sizes = {part.filename: part.file_size for part in archive.infolist()}
     except (zipfile.BadZipFile, ValueError, NotImplementedError, OSError) as error:
-        raise DataError(f"{path}: not {kind}: {error}") from error
+        raise DataError(f"{path}: is not {kind}: {error}") from error
     require(sum(sizes.values()), MAX_UNPACKED, "bytes when unpacked", path)
     return sizes

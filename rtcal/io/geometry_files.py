@@ -39,8 +39,8 @@ def read(room: Room) -> Polyhedron:
         return geometry
     if room.dimensions is None:
         raise DataError(
-            f'room "{room.name}" states neither a mesh nor dimensions: write [geometry] with '
-            'mesh = "room.obj" into its file'
+            f'room "{room.name}" has neither a mesh nor dimensions: write [geometry] with mesh = '
+            '"room.obj" into its file'
         )
     return box_of(room)
 
@@ -58,7 +58,7 @@ def mesh_doubt(room: Room) -> str:
     except units.UnitError:
         raise
     except DataError as error:
-        return f"the room's areas and volume are not compared with its mesh: {error}"
+        return f"the room's areas and volume could not be compared with its mesh: {error}"
     refuse_powers_of_ten(geometry, room)
     return ". ".join(filter(None, (volume_doubt(geometry, room), area_doubt(geometry, room))))
 
@@ -80,8 +80,8 @@ def path_tracing(room: Room, **options: Any) -> PathTracing:
     """
     if not checks.instance("room", room, Room).scene.sources:
         raise DataError(
-            f'room "{room.name}" does not state where its sources and receivers are: write [sources] '
-            "and [receivers] into its file, a line such as S1 = [1.2, 3.4, 1.5] for each"
+            f'room "{room.name}" has no positions of sources and receivers: write [sources] and '
+            "[receivers] into its file, with a line such as S1 = [1.2, 3.4, 1.5] for each"
         )
     return PathTracing(
         geometry=read(room),

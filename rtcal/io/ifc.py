@@ -72,7 +72,7 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
         "ifcopenshell.util.unit",
     )
     if unit is not None:
-        raise DataError(f"{path}: a building model states its unit: leave --unit out")
+        raise DataError(f"{path}: a building model (IFC) contains its unit: leave --unit out")
     try:
         size = os.stat(path).st_size
     except OSError as error:
@@ -90,11 +90,11 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
         raise
     except Exception as error:  # ifcopenshell raises what its parser raises
         raise DataError(
-            f"{path}: cannot be read as IFC: it is damaged, or no IFC 2x3 or 4. Export the model "
-            "again, or glTF of the room"
+            f"{path}: cannot be read as IFC: it is damaged, or not IFC 2x3 or 4. Export the "
+            "model again, or export the room as glTF"
         ) from error
     if not 0 < length < np.inf:
-        raise DataError(f"{path}: its unit of length is {length:g} m; it must be above 0")
+        raise DataError(f"{path}: its unit of length is {length:g} m, but must be above 0")
     chosen = _chosen(path, spaces, space)
     place = f'{path}: space "{shown(chosen)}"'
     gap, open_by = _close_outlines(spaces[chosen], length, weld, place)
@@ -111,11 +111,14 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
         if open_by:
             why = f"its outline is {_open(open_by)}"
         raise DataError(
-            f"{place} has no shape that can be read: {why}. Draw it again in your program, or export "
-            "glTF of the room"
+            f"{place} has no shape that can be read: {why}. Draw it again in your program, or "
+            "export the room as glTF"
         ) from error
     if len(triangles) > budget.MAX_FACES:
-        raise DataError(f"{path}: {len(triangles)} triangles; at most {budget.MAX_FACES}")
+        raise DataError(
+            f"{path}: {len(triangles)} triangles; at most {budget.MAX_FACES} are read: simplify "
+            "the model"
+        )
     polygons: list[Array] = []
     materials: list[str] = []
     for corners in triangles:
@@ -136,23 +139,27 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
     if open_by:
         notes.append(f"an edge closes its outline, which is {_open(open_by)}")
     if unknown:
-        notes.append(f"{unknown} boundaries have a form that is not read, or no element")
+        notes.append(f"{unknown} boundaries have a shape that rtcal cannot read, or no element")
     if not boundaries:
-        notes.append("the model does not say what bounds it: faces are floor, ceiling and wall")
+        notes.append(
+            "the model does not give the elements around the room, so its faces are named floor, "
+            "ceiling and wall"
+        )
     return Faces(path, polygons, materials, names, tuple(notes), length)
 
 
 def _chosen(path: str, spaces: dict[str, Any], wanted: str | None) -> str:
     if not spaces:
         raise DataError(
-            f"{path}: the model has no space (IfcSpace); export rooms with it, or glTF of the room"
+            f"{path}: the model has no space (IfcSpace); export it with its rooms, or export "
+            "the room as glTF"
         )
     if wanted is None and len(spaces) == 1:
         return next(iter(spaces))
     listed = ", ".join(f'"{shown(name)}"' for name in spaces)
     found = [n for n, s in spaces.items() if wanted in (n, s.Name, s.LongName)]
     if wanted is None:
-        raise DataError(f"{path}: which space? State --space; the model has {listed}")
+        raise DataError(f"{path}: the model has several spaces; name one with --space: {listed}")
     if len(found) != 1:
         many = "is no space" if not found else f"are {len(found)} spaces"
         raise DataError(f'{path}: --space "{shown(wanted)}" {many} of the model; it has {listed}')
@@ -178,7 +185,9 @@ def _close_outlines(space: Any, length: float, weld: float, place: str) -> tuple
             ends_meet = gap <= max(weld, _SAME)
             ring = points[:-1] if ends_meet else points
             if len(ring) < 3:
-                raise DataError(f"{place}: its outline has {len(ring)} corners; three are needed")
+                raise DataError(
+                    f"{place}: its outline has {len(ring)} corners; at least three are needed"
+                )
             _refuse_crossing(ring[:, :2] * length, place)
             if not ends_meet:
                 wider = max(wider, gap if gap <= _LARGEST_GAP else 0.0)
@@ -240,8 +249,8 @@ def _require_sound(path: str) -> None:
     content = re.sub(rb"'[^']*'", b"", Path(path).read_bytes())
     if _END not in content[-1000:].upper().replace(b" ", b""):
         raise DataError(
-            f"{path}: cannot be read as IFC: it lacks its last line, {_END.decode()}: it is cut "
-            "off, or no IFC 2x3 or 4. Copy or export the model again"
+            f"{path}: cannot be read as IFC: its last line, {_END.decode()}, is missing, so it "
+            "is cut off or not IFC 2x3 or 4. Copy or export the model again"
         )
     statements = re.findall(rb"^\s*#(\d+)\s*=([^;]*);", content, re.MULTILINE)
     order = TopologicalSorter({own: re.findall(rb"#(\d+)", to) for own, to in statements})

@@ -146,8 +146,8 @@ def responses_of(
             for name, response in _chosen(every, receiver, channels, os.fspath(file)):
                 if (source, name) in responses and not repeats:
                     raise DataError(
-                        f"{file}: source {source}, receiver {name} is given twice; if it is a repeat, "
-                        f"name it {source}-{name}#2, or state repeats=True"
+                        f"{file}: source {source}, receiver {name} is given twice; if it is a "
+                        f"repeat, name it {source}-{name}#2, or use repeats=True"
                     )
                 names = names_of_repeats(name)
                 name = next(n for n in names if (source, n) not in responses)
@@ -302,9 +302,11 @@ def _of_sound(
         n, rate, log, coding = file.frames, file.samplerate, file.extra_info, file.subtype
         n_channels, named = file.channels, file.subtype_info
     if n < 1:
-        raise DataError(f"{place}: no samples in it")
+        raise DataError(f"{place}: has no samples")
     if not _RATES[0] <= rate <= _RATES[1]:
-        raise DataError(f"{place}: a sampling rate of {rate} Hz; 2 kHz to 400 kHz are read")
+        raise DataError(
+            f"{place}: has a sampling rate of {rate} Hz; only 2 kHz to 400 kHz are read"
+        )
     most = budget.MAX_CHANNEL_SAMPLES
     remedy = f"that is {most / rate:.0f} s at {rate} Hz; keep the part with the decay"
     budget.require(n, most, "samples in each channel", place, remedy)
@@ -351,7 +353,7 @@ def _chosen(
         name, mark, repeat = receiver.partition("#")
         return [(f"{name}-{i + 1}{mark}{repeat}", response) for i, response in enumerate(every)]
     if isinstance(channels, str) and channels != "receivers":
-        raise DataError(f'channels = "{channels}" is neither a number nor "receivers"')
+        raise DataError(f'channels = "{channels}" must be a number or "receivers"')
     if n_channels == 1:
         return [(receiver, every[0])]
     if channels is None:
@@ -400,10 +402,10 @@ def analyse(
         raise DataError("no impulse response is given")
     for pair, signal in signals.items():
         if not hasattr(signal, "sampling_rate"):
-            raise DataError(f"signals: {checks.shown(signal)} of {pair} is no pyfar.Signal")
+            raise DataError(f"signals: {checks.shown(signal)} of {pair} must be a pyfar.Signal")
         shape = np.shape(signal.time)
         if len(shape) != 2 or shape[0] != 1:
-            raise DataError(f"signals: {pair} has shape {shape}; one channel is needed")
+            raise DataError(f"signals: {pair} has shape {shape}; it must have one channel")
     responses = {
         pair: Response(
             f"impulse response {'/'.join(pair)}",
@@ -548,7 +550,7 @@ def _prepared(response: Response) -> tuple[Array, int, float, int]:
             f"{place}: sample {first + 1} of {len(time)} is {time[first]:g}, not a finite number{below}"
         )
     if not np.any(time):
-        raise DataError(f"{place}: silent, every sample is 0; leave it out")
+        raise DataError(f"{place}: is silent (every sample is 0); leave it out")
     changes = np.flatnonzero(time != time[-1])
     n_silent = len(time) - 1 - int(changes[-1]) if changes.size else 0
     if n_silent > 1 and np.any(time[: len(time) - n_silent]):  # silence only after a sound
@@ -884,7 +886,7 @@ def centres_of(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
     """Return the centre frequencies, (n_bands,), and 1 for octaves or 3 for thirds of an octave."""
     named = {"octave": _bands.octaves(63, 8000), "third-octave": _bands.third_octaves(50, 10000)}
     if isinstance(bands, str) and bands not in named:
-        raise DataError(f'bands = "{bands}" is neither "octave" nor "third-octave"')
+        raise DataError(f'bands = "{bands}" must be "octave" or "third-octave"')
     stated = _bands.as_bands(named[bands] if isinstance(bands, str) else bands, "bands")
     fractions = 1 if _bands.bandwidth_factor(stated) > 0.5 else 3
     nominal = _bands.OCTAVES if fractions == 1 else _bands.THIRD_OCTAVES
@@ -895,8 +897,9 @@ def centres_of(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
             raise DataError(f"sampling rate {rate:g} Hz: no band lies below half of it")
     elif not all(held):
         raise DataError(
-            f"bands has {_bands.label(stated[held.index(False)])}; it is no "
-            f"{'' if fractions == 1 else 'third-'}octave below half the sampling rate of {rate:g} Hz"
+            f"bands has {_bands.label(stated[held.index(False)])}, which is not "
+            f"{'an ' if fractions == 1 else 'a one-third '}octave below half the sampling rate "
+            f"of {rate:g} Hz"
         )
     return stated, fractions
 
@@ -909,9 +912,9 @@ def ranges_of(minimum_range: Mapping[str, float] | None) -> dict[str, float]:
         place = f"minimum_range[{checks.shown(name)}]"
         value = checks.number(place, value)
         if parameter not in chosen:
-            raise DataError(f"{place}: a parameter has to be one of {', '.join(chosen)}")
+            raise DataError(f"{place}: a parameter must be one of {', '.join(chosen)}")
         if not 0 <= value < np.inf:
-            raise DataError(f"{place} = {value:g} dB is not finite and 0 or more")
+            raise DataError(f"{place} = {value:g} dB must be finite and 0 or more")
         chosen[parameter] = value
     return chosen
 

@@ -103,11 +103,11 @@ def _measurement(
     widths = {cells[1] for _, cells in rows}
     if len(widths) > 1 and _WIDTH not in where:
         raise DataError(
-            f"{place}: bands of {' and '.join(sorted(widths))} octave; state "
-            f'where={{"{_WIDTH}": "{min(widths)}"}} for one of them'
+            f"{place}: the file has bands of {' and '.join(sorted(widths))} octave; select one "
+            f'width with where={{"{_WIDTH}": "{min(widths)}"}}'
         )
     if not rows:
-        raise DataError(f"{place}: no row of a band below the header")
+        raise DataError(f"{place}: the header is not followed by a row for a band")
     kept = [
         0,
         *([1] if _WIDTH in where else []),
@@ -185,7 +185,7 @@ def _averages(numbered: Sequence[tuple[int, str]], path: str, text: Text) -> She
         if m := _ROW.fullmatch(line):
             rows.append((n, [m[1], *_with_uncertainty(m[2], m[3], f"{path}, line {n}")]))
     if len(rows) < 2:
-        raise DataError(f"{path}, line {header[0]}: no row of a band below the header")
+        raise DataError(f"{path}, line {header[0]}: the header is not followed by a row for a band")
     name = PureWindowsPath(numbered[0][1].partition(":")[2].strip()).stem
     return Sheet(
         place=path,

@@ -99,9 +99,9 @@ def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
     if files[0].is_dir():
         files = sorted(p for p in files[0].iterdir() if p.suffix.lower() in ENDINGS)
         if not files:
-            raise DataError(f"{path}: no file that ends in {', '.join(ENDINGS)}")
+            raise DataError(f"{path}: the folder has no file that ends in {', '.join(ENDINGS)}")
         if len(files) > MAX_FILES:
-            raise DataError(f"{path}: {len(files)} files; at most {MAX_FILES}")
+            raise DataError(f"{path}: has {len(files)} files; at most {MAX_FILES} are read")
     materials: dict[str, tuple[Path, ListedMaterial]] = {}
     for file in files:
         with expecting(TABLE, file):
@@ -114,8 +114,9 @@ def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
                     of_file += _of_table(table)
             if not of_file:
                 raise DataError(
-                    f"{sheets[0].place}: no table of coefficients; a header with {_LEAST_BANDS} bands "
-                    "or more is needed, such as product;125;250;500, or rows that begin with a band"
+                    f"{sheets[0].place}: no table of coefficients was found; it must have a "
+                    f"header with {_LEAST_BANDS} bands or more, such as product;125;250;500, or "
+                    "rows that begin with a band"
                 )
         for material in of_file:
             if material.name in materials:
@@ -153,9 +154,12 @@ def _stated_table(sheet: Sheet, columns: str, otherwise: str) -> _Table:
     lines, made = stated_columns(sheet, columns, "product")
     rows = [row for row in sheet.rows if row[0] in lines]
     if short := [n for n, cells in rows if len(cells) != len(made)]:
-        raise DataError(f"{sheet.place}, line {short[0]}: not {len(made)} cells, as columns states")
+        raise DataError(
+            f"{sheet.place}, line {short[0]}: the row does not have {len(made)} cells, the "
+            "number that columns gives"
+        )
     if not rows:
-        raise DataError(f"{sheet.place}: no row with a value in these lines")
+        raise DataError(f"{sheet.place}: these lines have no row with a value")
     at, left_out = [k for k, column in enumerate(made) if column.kind == "product"], list[str]()
     if at:
         rows, left_out = _rows_of_products(sheet.place, rows, at[0], otherwise)
@@ -187,7 +191,7 @@ def _across(
     """Return a table with a product in each row, whose header is the row ``at``."""
     line, header = rows[at]
     if found[0]:
-        raise DataError(f"{place}, line {line}: no column has the product's name")
+        raise DataError(f"{place}, line {line}: the column with the product's name is missing")
     columns = [Column("product", header[0])]
     for name, band in zip(header[1:], found[1:], strict=True):
         kind = "unit" if words.COLUMNS.get(words.plain(name)) == "unit" else ""
@@ -229,8 +233,8 @@ def _down(place: str, rows: Sequence[Row], at: int, otherwise: str, unit: str) -
             body.append((line, cells))
         elif any(map(_is_number, cells[1:])) and _role(cells[0]) != "beside":
             raise DataError(
-                f'{place}, line {line}: "{shown(cells[0])}" is no band: write the centre frequency of '
-                "an octave or a third in Hz, or delete the row"
+                f'{place}, line {line}: "{shown(cells[0])}" is not a band: write the centre '
+                "frequency of an octave or one-third octave in Hz, or delete the row"
             )
         else:
             left_out += cells[:1]
@@ -238,8 +242,8 @@ def _down(place: str, rows: Sequence[Row], at: int, otherwise: str, unit: str) -
     table = _Table(place, columns, body, titles, left_out)
     if len(heads) > 1:
         raise DataError(
-            f"{place}, line {rows[at][0]}: two rows of names stand above the bands; keep one, or state "
-            f"{_proposal(table, titles[-1])}"
+            f"{place}, line {rows[at][0]}: there are two rows of names above the bands; keep "
+            f"one, or give {_proposal(table, titles[-1])}"
         )
     return _checked(table)
 
@@ -263,8 +267,8 @@ def _products(
     wrong = [named[k] for k in coefficients] or left_out
     if wrong and (coefficients or not products):
         raise DataError(
-            f'{place}: "{shown(wrong[0])}" names a coefficient, a time or a statistic and no product; '
-            "write the product's name, or delete what is no coefficient"
+            f'{place}: "{shown(wrong[0])}" is the name of a coefficient, a time or a statistic, '
+            "not of a product; write the product's name, or delete the column"
         )
     return products, left_out
 
@@ -332,7 +336,7 @@ def _role(name: str) -> str:
 def _checked(table: _Table) -> _Table:
     """Return a table whose units are stated, or not spoken of; DataError with a proposal for others."""
     if not table.rows:
-        raise DataError(f"{table.place}: no row with a product's coefficients")
+        raise DataError(f"{table.place}: no row has coefficients of a product")
     of_values = [k for k, column in enumerate(table.columns) if column.has_values]
     of_cells = any(column.kind == "unit" for column in table.columns) or any(
         "%" in cells[k] for _, cells in table.rows for k in of_values
@@ -349,7 +353,10 @@ def _open_unit(table: _Table, text: str) -> DataError:
     """Return the error of a table of which a text may be the unit, with a proposal."""
     may_be = "may be the unit of the coefficients: write [%] or [-] behind each band or product, or"
     if _AREA.search(text):
-        may_be = "names absorption areas in m², which are no coefficients; if these are,"
+        may_be = (
+            "names absorption areas in m², which are not coefficients; if these values are "
+            "coefficients,"
+        )
     return DataError(
         f'{table.place}, line {table.first}: "{shown(text, 60)}" {may_be} state '
         f"{_proposal(table, text if text in table.titles else '')}"
@@ -390,13 +397,13 @@ def _of_table(table: _Table) -> list[ListedMaterial]:
             name, band = column.receiver or entries.get("product", ""), of_row or column.band
             if not name and cell:
                 raise DataError(
-                    f"{table.place}, line {line}: coefficients without a product's name"
+                    f"{table.place}, line {line}: these coefficients have no product name; add it"
                 )
             known = products.setdefault(name, {})
             if band in known or (in_rows and known and line != next(iter(known.values()))[2]):
                 raise DataError(
                     f'{table.place}, line {line}: "{shown(name)}" is given twice at '
-                    f"{bands.label(band)}; a band has one coefficient per product"
+                    f"{bands.label(band)}; give one coefficient per product and band"
                 )
             unit = column.unit or entries.get("unit", "") or _own_unit(name)
             known[band] = cell, unit, line
@@ -404,8 +411,8 @@ def _of_table(table: _Table) -> list[ListedMaterial]:
     every = [value for known in products.values() for value in known.values()]
     if len({bool(u or "%" in cell) for cell, u, _ in every if not _AREA.search(u)}) > 1:
         raise DataError(
-            f"{table.place}, line {table.first}: some coefficients have a unit and others none; write "
-            "it, as % or -, with all or with none"
+            f"{table.place}, line {table.first}: some coefficients have a unit and others have "
+            "none; write the unit (% or -) with all or with none"
         )
     if not products:
         raise DataError(f"{table.place}: no column holds coefficients of a product")
@@ -430,20 +437,18 @@ def _material(
         unit = "%" if cell != text else unit
         if _AREA.search(unit) or _AREA.search(name[: words.MAX_HEADER]):
             doubt = (
-                f'{place}: {shown(name)}: "{shown(unit or name)}" names absorption areas in m², and no '
-                "coefficients: multiply one by the number of objects, and divide by the area that is "
-                "given for them"
+                f'{place}: {shown(name)}: "{shown(unit or name)}" has absorption areas in m², '
+                "not coefficients: to get a coefficient, multiply the area of one object by the "
+                "number of objects and divide by the area that they have in the room"
             )
         elif unit not in ("", "-", "1") and not _PERCENT.fullmatch(unit.strip()):
-            raise DataError(
-                f'{where}: "{shown(unit)}" is no unit of coefficients; they have % or -'
-            )
+            raise DataError(f'{where}: "{shown(unit)}" is not a unit of coefficients; use % or -')
         scale = 0.01 if _PERCENT.fullmatch(unit.strip()) else 1.0
         share = scale * number(text.replace(",", ".") if text.count(",") == 1 else text, where)
         if not 0 <= share <= LARGEST and not doubt:
             raise DataError(
-                f"{where}: {share:g} is not from 0 to {LARGEST:g}; name % with the coefficient if in "
-                'percent, as in "250 Hz [%]"'
+                f"{where}: {share:g} must be from 0 to {LARGEST:g}; if it is in percent, write % "
+                'in the header, as in "250 Hz [%]"'
             )
         if share > 1:
             above.append(f"{share:.2f} at {bands.label(frequency)}")

@@ -151,8 +151,8 @@ class ListedMaterial:
         least = 2 if self.unit == 0.01 else 0
         if not least <= decimals <= 15:
             raise DataError(
-                f"decimals = {decimals} of a coefficient; they are {least} to 15"
-                + (", since the file has whole percents at least" if least else "")
+                f"decimals = {decimals} must be from {least} to 15"
+                + (", because the file has at least whole percents" if least else "")
             )
         return replace(self, decimals=decimals - least)
 
@@ -191,7 +191,7 @@ class MaterialList:
                 )
             first[material.name] = material.line
         if not self.materials:
-            raise DataError(f"{self.path}, line 1: no material in it")
+            raise DataError(f"{self.path}, line 1: the list has no material")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -229,7 +229,9 @@ class MaterialList:
         if doubts := [m.doubt for m in used.values() if m.doubt]:
             raise DataError(doubts[0])
         if not used:
-            raise DataError(f"{self.path}: no areas; a room has at least one surface")
+            raise DataError(
+                f"{self.path}: the areas are missing; a room needs at least one surface"
+            )
         if centre_frequencies is None:
             common = set.intersection(*(set(m.centre_frequencies) for m in used.values()))
             if not common:
@@ -271,13 +273,13 @@ class MaterialList:
             if material.name == target:
                 return material
         names = ", ".join([*self.names, *self.aliases])
-        raise DataError(f'"{name}" is no material of {self.path}; it has {names}')
+        raise DataError(f'"{name}" is not a material of {self.path}, which has {names}')
 
     def with_entries(self, entries: Mapping[str, str], room: Room) -> MaterialList:
         """Return the list with names of its own for a room's materials; see `rtcal.io.catt.write`."""
         if unknown := [name for name in entries if name not in room.materials]:
             raise DataError(
-                f'entries: "{unknown[0]}" is no material of the room; it has '
+                f'entries: "{unknown[0]}" is not a material of the room, which has '
                 f"{', '.join(room.materials)}"
             )
         names = {name: self.listed(entry).name for name, entry in entries.items()}
@@ -285,8 +287,9 @@ class MaterialList:
         there = {*listed.names, *listed.aliases}
         if missing := [name for name in room.materials if name not in there]:
             raise DataError(
-                f'"{missing[0]}" is no material of {self.path}; it has {", ".join(listed.names)}. '
-                f'Which is it? State entries={{"{missing[0]}": "NAME"}}'
+                f'"{missing[0]}" is not a material of {self.path}, which has '
+                f"{', '.join(listed.names)}. Name the one that is meant: "
+                f'entries={{"{missing[0]}": "NAME"}}'
             )
         return listed
 
@@ -310,7 +313,7 @@ class MaterialList:
         obtainable = bands.obtainable(room.centre_frequencies, wanted)
         if not obtainable.size:
             raise DataError(
-                f"{self.path}: none of its bands can be had from the room's, "
+                f"{self.path}: none of its bands can be made from the room's bands, "
                 f"{', '.join(bands.labels(room.centre_frequencies))}"
             )
         return room.in_bands(obtainable)
@@ -333,8 +336,8 @@ class MaterialList:
             before, first = asked.setdefault(span, (value, place))
             if before != value:
                 raise DataError(
-                    f"{place} = {value}, but {first} is the same material and has {before}: give one "
-                    "of them an entry of its own in the program"
+                    f"{place} = {value}, but {first} uses the same entry and has {before}: give "
+                    "one of them an entry of its own in the program"
                 )
             if characters is not None:
                 written[span] = characters
@@ -422,7 +425,9 @@ def coefficients(
         if not 0 <= coefficient(value, unit) <= 1:
             hint = above_one_hint(coefficient(value, unit)) if name == "alpha" else ""
             instead = f"; in this list write {1 / unit:g}" if hint else ""
-            raise DataError(f"{place}: {name} {value:g} is not in [0, {1 / unit:g}]{hint}{instead}")
+            raise DataError(
+                f"{place}: {name} {value:g} must be from 0 to {1 / unit:g}{hint}{instead}"
+            )
     spans = tuple((start, end) for _, start, end in row)
     return tuple(coefficient(value, unit) for value in values), spans
 
@@ -741,7 +746,8 @@ def _in_new_bands(
     if missing and (missing_bands == "refuse" or not obtainable.size):
         raise DataError(
             f"{path}: a new file of this program needs {bands.label(missing[0])}, which the room "
-            'lacks; write into the program\'s own file (template), or state missing_bands="nearest"'
+            "does not have; write into an existing file of the program (template), or use "
+            'missing_bands="nearest"'
         )
     converted = room.in_bands(obtainable)
     nearest = [int(np.argmin(np.abs(np.log(obtainable / f)))) for f in needed]
@@ -803,8 +809,8 @@ def _parse_catt(content: bytes, path: str = "CATT file") -> MaterialList:
             raise DataError(f'{path}, line {line}: "{name}" is given twice')
         if target not in names:
             raise DataError(
-                f'{path}, line {line}: "{target}", which "{name}" stands for, is no material of '
-                "the file with values of its own"
+                f'{path}, line {line}: "{name}" refers to "{target}", which must be a material '
+                "of the file with values of its own"
             )
     every = {name: target for name, (target, _) in aliases.items()} | {n: n for n in of_room}
     return MaterialList(
@@ -830,7 +836,8 @@ def _statements(characters: str, path: str) -> Iterator[tuple[int, int, re.Match
             yield line, start, match, json.loads(own[1]) if own else ""
         elif _NO_STATEMENT.match(code):
             raise DataError(
-                f'{path}, line {line}: "{shown(code)}" is no ABS statement: ABS name = <6 to 8 values>'
+                f'{path}, line {line}: "{shown(code)}" is not an ABS statement; write ABS '
+                "name = <6 to 8 values>"
             )
 
 
@@ -841,19 +848,19 @@ def _of_statement(match: re.Match[str], start: int, line: int, place: str) -> Li
     unit = 0.01 if in_percent else 1.0
     of_alpha = _LIST.match(value)
     if not of_alpha:
-        raise DataError(f'{place}: "{shown(value)}" lacks the closing >')
+        raise DataError(f'{place}: "{shown(value)}" has no closing >')
     row = _list_of_octaves(of_alpha, offset, place)
     end, second = of_alpha.end(), None
     if letter := _SCATTERING.match(value, end):
         of_scattering = _LIST.match(value, letter.end())
         if not of_scattering:
-            raise DataError(f"{place}: L, the scattering, lacks its <6 to 8 values>")
+            raise DataError(f"{place}: L, the scattering, must be followed by <6 to 8 values>")
         end = of_scattering.end()
         second = _list_of_octaves(of_scattering, offset, place, " of L, the scattering")
         if len(second) != len(row):
             raise DataError(
-                f"{place}: {len(row)} absorption and {len(second)} scattering values; the numbers must "
-                "be equal"
+                f"{place}: {len(row)} absorption and {len(second)} scattering values; give as "
+                "many of both"
             )
     material = ListedMaterial.of(
         name,
@@ -867,7 +874,9 @@ def _of_statement(match: re.Match[str], start: int, line: int, place: str) -> Li
         scattering_place=offset + of_alpha.end(1) + 1,
     )
     if value[end:] and not _COLOUR.fullmatch(value, end):
-        raise DataError(f'{place}: "{shown(value[end:])}" after the values is no colour {{r g b}}')
+        raise DataError(
+            f'{place}: "{shown(value[end:])}" after the values is not a colour {{r g b}}'
+        )
     percents = numbers(row, place)
     at_most_one = in_percent and 0 < max(percents) <= 1
     doubt = ""
@@ -888,8 +897,8 @@ def _list_of_octaves(match: re.Match[str], offset: int, place: str, which: str =
     row = tokens(r"[^\s:]+|:", match[1], offset + match.start(1))
     if wrong := [i for i, token in enumerate(row) if token[0] == ":" and i != 6]:
         raise DataError(
-            f"{place}: the : stands after {wrong[0]} values; it separates the 6 octaves to 4 kHz from "
-            "8 and 16 kHz"
+            f"{place}: the colon is after {wrong[0]} values; it must be after 6, between the "
+            "octaves up to 4 kHz and those of 8 and 16 kHz"
         )
     row = [token for token in row if token[0] != ":"]
     numbers(row, place)
@@ -946,8 +955,8 @@ def _new_catt(room: Room, own: Sequence[str]) -> bytes:
     for i, (name, of_room) in enumerate(zip(room.materials, own, strict=True)):
         if not re.fullmatch(_NAME, name) or not name.isascii():
             raise DataError(
-                f'material "{name}": a name for CATT-Acoustic is ASCII, without spaces and none '
-                "of = < > { } ; :"
+                f'material "{name}": a name for CATT-Acoustic must be ASCII without spaces and '
+                "without = < > { } ; :"
             )
         scattering = "" if room.scattering is None else f" L <{percents(room.scattering[i])}>"
         comment = "" if of_room == name else f" ; rtcal: {json.dumps(of_room)}"
@@ -985,12 +994,15 @@ def _parse_odeon(content: bytes, path: str = "ODEON file") -> MaterialList:
         place = f"{path}, line {line}"
         if not raw.strip():
             if head is not None:
-                raise DataError(f"{place}: empty; the line after a description has 8 coefficients")
+                raise DataError(
+                    f"{place}: this line is empty; the line after a description must have 8 "
+                    "coefficients"
+                )
         elif head is None:
             head = _HEAD.fullmatch(raw)
             if head is None or int(head[1]) > _LARGEST_NUMBER:
                 raise DataError(
-                    f'{place}: "{shown(raw)}" is not a number, up to {_LARGEST_NUMBER}, and a '
+                    f'{place}: "{shown(raw)}" must be a number, up to {_LARGEST_NUMBER}, and a '
                     "description"
                 )
             first = line_of_number.setdefault(int(head[1]), line)
@@ -1002,7 +1014,7 @@ def _parse_odeon(content: bytes, path: str = "ODEON file") -> MaterialList:
             row = tokens(r"\S+", raw, start)
             if len(row) != len(_OF_ODEON):
                 raise DataError(
-                    f"{place}: {len(row)} values; there are 8, for the octaves 63 Hz to 8 kHz"
+                    f"{place}: {len(row)} values; give 8, for the octaves 63 Hz to 8 kHz"
                 )
             its_name = f"{int(head[1])} {head[2]}"
             decimals = _DECIMALS["odeon"]
@@ -1023,7 +1035,7 @@ def _new_odeon(room: Room, *_: object) -> bytes:
     rows = []
     for i, name in enumerate(room.materials):
         if not (name.isprintable() and name.strip() == name and name):
-            raise DataError(f"material {name!r}: an ODEON description is one line of text")
+            raise DataError(f"material {name!r}: an ODEON description must be one line of text")
         numbered = re.match(r"\d{1,10} \S", name, re.ASCII)
         rows.append(name if numbered else f"{10001 + i} {name}")
         rows.append("\t" + "\t".join(f"{a:.{_DECIMALS['odeon']}f}" for a in room.alpha[i]))
@@ -1044,7 +1056,7 @@ def _parse_pyroomacoustics(content: bytes, path: str = "JSON file") -> MaterialL
     of_file = whole.get("center_freqs") if isinstance(whole, dict) else None
     rows = [*_COEFFS.finditer(text.characters)]
     if len(rows) != len(entries):
-        raise DataError(f'{path}, line 1: each "coeffs" is one list of numbers')
+        raise DataError(f'{path}, line 1: each "coeffs" must be one list of numbers')
     found: dict[bool, list[ListedMaterial]] = {True: [], False: []}
     for match, (keys, entry) in zip(rows, entries, strict=True):
         row = tokens(r"[^\s,]+", match[1], match.start(1))
@@ -1061,7 +1073,10 @@ def _parse_pyroomacoustics(content: bytes, path: str = "JSON file") -> MaterialL
         # In pyroomacoustics, a shorter list begins at the lowest band of its data base.
         shorter = "center_freqs" not in entry and len(row) < len(frequencies)
         if len(row) != len(frequencies) and not shorter:
-            raise DataError(f"{place}: {len(row)} coefficients for {len(frequencies)} center_freqs")
+            raise DataError(
+                f"{place}: {len(row)} coefficients for {len(frequencies)} center_freqs; give as "
+                "many of both"
+            )
         name, its = keys[-1] if keys else "material", frequencies[: len(row)].tolist()
         found[of_scattering].append(ListedMaterial.of(name, line, place, its, row))
     scattering: dict[tuple[str, tuple[float, ...]], ListedMaterial] = {}
@@ -1152,24 +1167,32 @@ def _parse_bras(
         if raw.strip()
     ]
     if not rows:
-        raise DataError(f"{path}, line 1: empty; frequencies, or the names of columns, are needed")
+        raise DataError(
+            f"{path}, line 1: the file is empty; its first line must have the frequencies or the "
+            "names of columns"
+        )
     place, _, header = rows[0]
     if len(header) > _MAX_BANDS:
         raise DataError(f"{place}: {len(header)} columns; at most {_MAX_BANDS} are read")
     if not re.match(r"[\d.]", header[0][0]):
         return MaterialList(path=path, text=text, materials=_of_bras_table(rows, where))
     if where:
-        raise DataError(f"{path}: holds one material and no columns to select by")
+        raise DataError(
+            f"{path}: holds one material, so there are no columns to select from; leave where out"
+        )
     if not 2 <= len(rows) <= 3:
         raise DataError(
-            f"{rows[-1][0]}: {len(rows)} rows; the rows are frequencies, absorption and, if known, "
-            "scattering"
+            f"{rows[-1][0]}: {len(rows)} rows; give 2 or 3 rows: frequencies, absorption and, if "
+            "known, scattering"
         )
     frequencies = _bands_of(header, place, "frequencies")
     for place, _, row in rows[1:]:
         if len(row) != len(frequencies):
             numbers(row, place)
-            raise DataError(f"{place}: {len(row)} values for {len(frequencies)} frequencies")
+            raise DataError(
+                f"{place}: {len(row)} values for {len(frequencies)} frequencies; give as many of "
+                "both"
+            )
     (place, line, row), scatters = rows[1], rows[2][2] if len(rows) > 2 else None
     material = ListedMaterial.of(
         Path(path).stem, line, place, frequencies, row, scatters, decimals=_DECIMALS["bras"]
@@ -1200,7 +1223,7 @@ def _of_bras_table(
     names = [cell for cell, *_ in header]
     for wanted in ("material", *where):
         if names.count(wanted) != 1:
-            raise DataError(f'{place}: column "{shown(wanted)}" is not there once')
+            raise DataError(f'{place}: column "{shown(wanted)}" must occur exactly once')
     columns = [i for i, name in enumerate(names) if re.match(r"[\d.]", name)]
     frequencies = _bands_of([header[i] for i in columns], place, "the bands' columns")
     materials = []
@@ -1214,7 +1237,7 @@ def _of_bras_table(
             ListedMaterial.of(name, line, place, frequencies, row, decimals=_DECIMALS["bras"])
         )
     if not materials:
-        raise DataError(f"{rows[-1][0]}: no row is selected")
+        raise DataError(f"{rows[-1][0]}: no row fits the selection (where)")
     return tuple(materials)
 
 
@@ -1255,5 +1278,5 @@ def read_sigma(path: str | os.PathLike[str]) -> dict[str, ListedMaterial | float
             raise DataError(f'{where}: "{cells[0]}" is given twice')
         sigma[cells[0]] = value = number(cells[1], where)
         if not 0 <= value <= 1:
-            raise DataError(f"{where}: sigma {value:g} is not in [0, 1]")
+            raise DataError(f"{where}: sigma {value:g} must be from 0 to 1")
     return sigma

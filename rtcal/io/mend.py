@@ -102,7 +102,7 @@ class Faces:
 
 @dataclass(frozen=True)
 class Defect:
-    """A kind of defect, and in words what was done; ``places`` are names or corners of the first few.
+    """A kind of defect and its repair, in words; ``places`` are names or corners of the first few.
 
     ``area`` is that of the faces concerned in m², the effects are changes of V in m³ and of S in m² by
     mending. The uncertainties are standard uncertainties that remain: of V in m³, and of the area of
@@ -153,7 +153,7 @@ class Defect:
 
 @dataclass(frozen=True)
 class Mended:
-    """A room as it was read from a mesh, and what was mended.
+    """A room that was read from a mesh, and the defects that were repaired.
 
     ``geometry`` is None for a room whose walls do not close, which no tracer takes: its ``volume`` in
     m³ is by rays (`volume_by_rays`), and its ``areas`` in m² by material are those of every face as
@@ -178,7 +178,10 @@ class Mended:
         total, u = sum(self.areas.values()), self.volume_uncertainty
         spread = f" ± {rounded(u, 2)}"
         if self.geometry is None:
-            head = f"V = {rounded(self.volume, 4)}{spread} m³ by rays, S = {total:.6g} m² as drawn"
+            head = (
+                f"V = {rounded(self.volume, 4)}{spread} m³ estimated with rays, S = {total:.6g} "
+                "m² as drawn"
+            )
             head += ", not closed"
         else:
             head = f"V = {self.volume:.6g}{spread * (u > _SHOWN)} m³, S = {total:.6g} m²"
@@ -190,7 +193,7 @@ class Mended:
 
 
 class MeshError(DataError):
-    """A mesh that is refused.
+    """Error of a mesh that cannot be made a closed room.
 
     ``reason`` is why, ``defects`` are all that were found, ``edges`` (n, 2, 3) are where it is open, in
     m. ``unclosed`` is the room as it is drawn, if there is a shell, and ``leaking`` its geometry with
@@ -568,7 +571,9 @@ def welded(mend: Mending) -> FaceSet:
     """Return the faces with corners within ``weld`` of each other as one."""
     drawn = np.concatenate([np.asarray(p, dtype=float) for p in mend.drawn.polygons])
     if not np.isfinite(drawn).all():
-        raise DataError(f"{mend.path}: a corner is not finite")
+        raise DataError(
+            f"{mend.path}: a corner has a coordinate that is not finite; export the mesh again"
+        )
     _, first, of_drawn, count = np.unique(
         drawn, axis=0, return_index=True, return_inverse=True, return_counts=True
     )
@@ -634,8 +639,8 @@ def cleaned(part: FaceSet) -> FaceSet:
         across = np.linalg.norm(np.ptp(corners, axis=0))
         raise mend.refused(
             f"every face is narrower than the weld distance of {mend.weld * 1000:g} mm: as read, "
-            f"the mesh is {across * 1000:.2g} mm across. State a larger --unit, such "
-            "as 1 for a mesh drawn in m, or a smaller --weld"
+            f"the mesh is {across * 1000:.2g} mm across. Give a larger --unit, such as 1 for a "
+            "mesh drawn in m, or a smaller --weld"
         )
     return part.kept(~narrow)
 
@@ -805,7 +810,9 @@ def shell_of(part: FaceSet) -> tuple[FaceSet, list[FaceSet]]:
     boxes = [float(np.prod(np.sort(np.ptp(p, axis=0))[1:])) for p in points]
     solid = [i for i, p in enumerate(points) if best_plane(p)[1] > 5 * mend.weld]
     if not solid:
-        raise mend.refused("no faces enclose a volume: draw the walls, the floor and the ceiling")
+        raise mend.refused(
+            "the faces do not enclose a volume: draw the walls, the floor and the ceiling"
+        )
     main = max(solid, key=lambda i: (round(boxes[i], 3), parts[i].size))
     shell, others = parts[main], [p for i, p in enumerate(parts) if i != main]
     missing = {*shell.open_edges()}
@@ -839,8 +846,8 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
         )
         more = f" ({len(large)} holes in all)" if len(large) > MOST_PLACES else ""
         raise mend.refused(
-            f"{each}{more}; holes up to {rounded(largest, 3)} m² are "
-            f"closed. {_hint(part, loops[large[0]], others)}",
+            f"{each}{more}; only holes up to {rounded(largest, 3)} m² are closed automatically. "
+            f"{_hint(part, loops[large[0]], others)}",
             missing,
         )
     for loop, area in zip(loops, areas.values(), strict=True):
@@ -875,11 +882,11 @@ def _hint(part: FaceSet, loop: Face, others: Sequence[FaceSet]) -> str:
         away, _ = cKDTree(points[beside]).query(points[loop])
         if (distance := float(np.median(away))) < _NEAR:
             return (
-                f"Corners of other faces lie {distance * 1000:.2g} mm from its edges: state --weld "
+                f"Corners of other faces lie {distance * 1000:.2g} mm from its edges: use --weld "
                 f"{np.max(away[away < _NEAR]) * 1.1:.2g}"
             )
     enough = rounded(1.01 * area_of(points[loop]), 3)  # more than the area, as printed
-    return f"In your program, {_LOOPS}; or state --hole {enough}"
+    return f"In your program, {_LOOPS}; or use --hole {enough}"
 
 
 def as_drawn(shell: FaceSet, others: Sequence[FaceSet], error: MeshError) -> MeshError:
@@ -1094,8 +1101,8 @@ def put_on_walls(walls: Walls, part: FaceSet, outward: Array, n_shell: int) -> F
             "gap",
             [place for place, _ in gaps],
             sum(size for _, size in gaps),
-            done=f"faces of closed objects are up to {widest * 1000:.2g} mm before a wall, and both "
-            f"count; state --weld {1.1 * widest:.2g} if they touch",
+            done=f"faces of closed objects are up to {widest * 1000:.2g} mm in front of a wall, "
+            f"and both areas are counted; use --weld {1.1 * widest:.2g} if they touch",
         )
     return flattened(part)
 
@@ -1165,7 +1172,7 @@ def cells_of(part: FaceSet) -> list[Cell]:
     in the union of all plates.
     """
     needed = (
-        "objects in a room, and walls drawn as solids, need manifold3d: pip install 'rtcal[mesh]'"
+        "objects in a room and walls drawn as solids need manifold3d: pip install 'rtcal[mesh]'"
     )
     manifold = library(needed, "manifold3d")
     corners, index = part.triangles()
@@ -1379,9 +1386,8 @@ def _require_one_room(mend: Mending, cells: Sequence[Cell], walls: Walls, n_shel
         if divides and own[:n_shell].sum() > SAME:
             sizes = f"{rounded(cells[0].volume, 3)} and {rounded(cell.volume, 3)} m³"
             raise mend.refused(
-                f"two closed rooms have a wall in common, of {sizes}: leave one of them out, or delete "
-                "that wall; if faces end at walls on all sides, if they divide the room, leave the "
-                "other side out"
+                f"two closed rooms of {sizes} share a wall. Delete one of the rooms; or delete "
+                "that wall if they are one room"
             )
 
 
@@ -1426,8 +1432,8 @@ def _require_shell(shell: FaceSet, outside: Sequence[FaceSet]) -> None:
     size = sum(p.size for p in outside)
     if encloses and size > shell.size:
         raise shell.mend.refused(
-            f'the largest closed part, which begins with "{shell.names[0]}", is no room: faces of '
-            f"{rounded(size, 3)} m² lie around it and do not close. Draw each wall once, and "
+            f'the largest closed part, which begins with "{shell.names[0]}", is not the room: '
+            f"faces of {rounded(size, 3)} m² around it are not closed. Draw each wall once, and "
             "let neighbours have the same corners"
         )
 
@@ -1489,10 +1495,10 @@ def room_between(part: FaceSet) -> FaceSet | None:
         if not all(thin):
             return None
         raise MeshError(
-            f"{mend.path}: the faces bound {len(solids)} solids, such as walls and slabs, and these "
-            "enclose no cavity: what is inside them is material and not air, so no room can be made. "
-            "In your program, close the openings and gaps between the solids, or draw the room's "
-            f"inner faces; --weld {rounded(10 * mend.weld, 2)} closes gaps of that width in m"
+            f"{mend.path}: the mesh consists of {len(solids)} solids, such as walls and slabs, "
+            "which do not enclose a room. In your program, close the openings and gaps between "
+            f"the solids, or draw the room's inner faces; --weld {rounded(10 * mend.weld, 2)} "
+            "closes gaps of that width in m"
         )
     room, *others = cavities
     done = f"closed solids: the room is the cavity of {rounded(room.volume, 4)} m³ between them"
@@ -1521,7 +1527,7 @@ def _solids(faces: Sequence[Face]) -> list[list[int]] | None:
 
 
 def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = None) -> Mended:
-    """Return the closed room of some faces, and every defect.
+    """Return the closed room of some faces, with every defect that was repaired.
 
     Faces that close as they are drawn are taken as they are: closed objects are in the room, without
     what they share with the faces that they touch. Corners within ``weld`` (m) of each other are one. A
@@ -1530,11 +1536,13 @@ def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = Non
     """
     for name, value, unit in (("weld", weld, "m"), ("largest_hole", largest_hole or 0.0, "m²")):
         if not 0 <= value < np.inf:
-            raise DataError(f"{name} = {value:g} {unit} is not finite and 0 or more")
+            raise DataError(f"{name} = {value:g} {unit} must be finite and 0 or more")
     if not faces.polygons:
-        raise DataError(f"{faces.path}: there is no face; a room has at least 4")
+        raise DataError(f"{faces.path}: the mesh has no face; a room needs at least 4")
     if len(faces.polygons) > 20 * MOST_FACES:
-        raise DataError(f"{faces.path}: {len(faces.polygons)} faces; at most {20 * MOST_FACES}")
+        raise DataError(
+            f"{faces.path}: has {len(faces.polygons)} faces; at most {20 * MOST_FACES} are read"
+        )
     if (closed := _closed_as_drawn(faces, weld)) is not None:
         return closed
     drawn = welded(Mending(faces, max(weld, SAME), largest_hole))

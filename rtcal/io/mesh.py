@@ -45,7 +45,7 @@ __dir__ = __all__.copy
 MAX_BYTES = 2**26
 IFC = ".ifc"
 _Y_UP = (".glb", ".gltf")
-_TURNED = "y is up in the file: its z is here -y"
+_TURNED = "y points up in the file, so its z became -y"
 _REFUSED = {
     ".skp": "SketchUp's own format; export COLLADA (.dae) from it",
     ".blend": "Blender's own format; export glTF (.glb) from it",
@@ -106,18 +106,20 @@ def read(
     if ending == IFC:
         return ifc.faces(os.fspath(path), unit, space, weld)
     if space is not None:
-        raise DataError(f"{path}: only a building model (IFC) has spaces: leave --space out")
+        raise DataError(
+            f"{path}: --space can be used only with a building model (IFC): leave it out"
+        )
     if ending in _REFUSED:
         raise DataError(f"{path}: {_REFUSED[ending]}")
     if ending not in READERS:
         raise DataError(
-            f'{path}: "{ending}" is no format of a mesh; read are {", ".join((*READERS, IFC))}'
+            f'{path}: "{ending}" is not a mesh format; rtcal reads {", ".join((*READERS, IFC))}'
         )
     content, path = read_bytes(path, MAX_BYTES), os.fspath(path)
     drawn = READERS[ending](content, path, unit is not None)
     rows = [*drawn.faces]
     if not rows:
-        raise DataError(f"{path}: there is no face; a room has at least 4")
+        raise DataError(f"{path}: the mesh has no face; a room needs at least 4")
     length = next((u for u in (unit, drawn.unit) if u is not None), 1.0)
     axes = np.eye(3) if not drawn.y_is_up else np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
     polygons = [(np.asarray(corners, dtype=float) * length) @ axes for *_, corners in rows]
@@ -217,7 +219,10 @@ def _off(content: bytes, path: str, _unit: bool) -> _Drawn:
     budget.require(n_points, budget.MAX_CORNERS, "corners", path, _SIMPLER)
     budget.require(n_faces, budget.MAX_FACES, "faces", path, _SIMPLER)
     if len(rows) < n_points + n_faces:
-        raise DataError(f"{path}: {len(rows)} lines for {n_points} corners and {n_faces} faces")
+        raise DataError(
+            f"{path}: has only {len(rows)} lines for {n_points} corners and {n_faces} faces; "
+            "export it again"
+        )
     corners = [[number(w, f"{path}, line {n}") for w in words[:3]] for n, words in rows[:n_points]]
     if short := [n for (n, _), corner in zip(rows, corners, strict=False) if len(corner) < 3]:
         raise DataError(f"{path}, line {short[0]}: a corner needs three numbers, x y z")
@@ -235,7 +240,7 @@ def _off(content: bytes, path: str, _unit: bool) -> _Drawn:
 def _count(word: str, place: str) -> int:
     """Return a number of corners or faces, or of one of them."""
     if not word.isascii() or not word.isdigit() or len(word) > 9:
-        raise DataError(f'{place}: "{shown(word)}" is no number of corners or faces')
+        raise DataError(f'{place}: "{shown(word)}" is not a number of corners or faces')
     return int(word)
 
 
@@ -250,15 +255,15 @@ def _by_ezdxf(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
     needed = "DXF needs ezdxf: pip install 'rtcal[mesh]'; OBJ does not"
     ezdxf = library(needed, "ezdxf", "ezdxf.addons.iterdxf", "ezdxf.render")
     if content.startswith(b"AutoCAD Binary DXF"):
-        raise DataError(f"{path}: binary DXF; save it as text (ASCII) DXF")
+        raise DataError(f"{path}: is a binary DXF; save it as text (ASCII) DXF")
     unit = None
     if found := _INSUNITS.search(content.partition(b"ENTITIES")[0]):
         place = f"{path}, line {content.count(bytes([10]), 0, found.start(1)) + 1}"
         code = number(found[1].decode("latin-1"), place)
         if code not in units.OF_DXF and not unit_is_stated:
             raise DataError(
-                f"{place}: $INSUNITS = {code:g} is no unit of DXF, which has 0 to "
-                f"{max(units.OF_DXF)}; state its length in m, such as unit = 0.01"
+                f"{place}: $INSUNITS = {code:g} is not a unit of DXF (0 to {max(units.OF_DXF)}); "
+                "give the length of the unit in m, such as unit = 0.01"
             )
         unit = units.OF_DXF.get(int(code))
     section = content.partition(b"ENTITIES")[2].partition(b"ENDSEC")[0]
@@ -279,10 +284,12 @@ def _by_ezdxf(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
     left_out = ", ".join(f"{n} {shown(kind)}" for kind, n in others.most_common(5))
     if not faces:
         raise DataError(
-            f"{path}: no 3D face{f' (but {left_out})' if left_out else ''}; in your program, convert "
-            "solids and surfaces to meshes or 3D faces"
+            f"{path}: has no 3D face{f' (but {left_out})' if left_out else ''}; in your program, "
+            "convert solids and surfaces to meshes or 3D faces"
         )
-    return _Drawn(faces, unit, notes=[f"no faces, left out: {left_out}"] if left_out else [])
+    return _Drawn(
+        faces, unit, notes=[f"left out, because they are not faces: {left_out}"] if left_out else []
+    )
 
 
 def _faces_of_dxf(ezdxf: Any, entity: Any) -> list[Sequence[Any]] | None:
@@ -345,11 +352,11 @@ def _by_3mf(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
             objects |= {of.get("id", ""): of for of in model.iter(f"{_3MF}object")}
             items += model.iter(f"{_3MF}item")
             if next(model.iter(f"{_3MF}base"), None) is not None:
-                notes = ["the file's materials are not read: its objects are the materials"]
+                notes = ["the file's materials are not read: each object becomes a material"]
     if not unit_is_stated and stated not in units.OF_3MF:
         raise DataError(
-            f'{path}: unit "{shown(stated)}" is none of 3MF\'s, which are '
-            f"{listed([*units.OF_3MF])}; state its length in m, such as unit = 0.01"
+            f'{path}: unit "{shown(stated)}" is not one of 3MF ({listed([*units.OF_3MF])}); give '
+            "the length of the unit in m, such as unit = 0.01"
         )
 
     def instance(of: Any) -> tuple[str | None, Array]:
@@ -389,7 +396,10 @@ def _by_3mf(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
 def _known(face: Sequence[int], n_points: int, part: str, path: str) -> list[int]:
     """Return a face's corners by their numbers; DataError for one of which the file has no point."""
     if len(face) < 3 or not 0 <= min(face) <= max(face) < n_points:
-        raise DataError(f'{path}: part "{shown(part)}" has a face without its corners')
+        raise DataError(
+            f'{path}: part "{shown(part)}" has a face that refers to missing corners; export it '
+            "again"
+        )
     return [*face]
 
 
@@ -426,7 +436,10 @@ def _prepared_gltf(content: bytes, path: str, ending: str) -> bytes:
         raise DataError(f"{path}: cannot be read as {ending[1:]}: {error}") from error
     budget.require(sum(counts), 12 * budget.MAX_FACES, "numbers in its accessors", path, _SIMPLER)
     if shared := [k for k, n in children.items() if n > 1]:
-        raise DataError(f"{path}: node {shared[0]} has several parents; a node of glTF has one")
+        raise DataError(
+            f"{path}: node {shared[0]} has several parents, but a glTF node may have only one; "
+            "export it again"
+        )
     for i, (material, colour) in enumerate(zip(tree.get("materials", ()), coloured, strict=True)):
         if not material.get("name"):
             alone = colour and coloured.count(colour) == 1

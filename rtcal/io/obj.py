@@ -60,7 +60,7 @@ def parse(
     unit = checks.positive("unit", unit, "m")
     vertices, polygons, materials, names, line = drawn(content, path, unit, "", MAX_FACES)
     if not polygons:
-        raise DataError(f"{path}, line {line}: there is no face; a room has at least 4")
+        raise DataError(f"{path}, line {line}: the mesh has no face; a room needs at least 4")
     try:
         room = Polyhedron(
             vertices=vertices,  # type: ignore[arg-type]
@@ -71,7 +71,7 @@ def parse(
         )
     except DataError as error:
         raise DataError(
-            f"{path}: {error}; `rtcal import check {path}` lists all defects, and mends what it can"
+            f"{path}: {error}; `rtcal import check {path}` lists all defects and repairs those it can"
         ) from error
     check_volume(room.volume, unit, path)
     return room
@@ -98,19 +98,23 @@ def drawn(
         keyword, arguments = words[0], words[1].strip() if len(words) > 1 else ""
         if keyword == "v":
             if len(vertices) >= 4 * most:
-                raise DataError(f"{place}: more than {4 * most} vertices")
+                raise DataError(f"{place}: has more than {4 * most} vertices; simplify the model")
             tokens = arguments.split()
             if not 3 <= len(tokens) <= 7:
-                raise DataError(f"{place}: v has {len(tokens)} numbers; x y z are needed")
+                raise DataError(f"{place}: v has {len(tokens)} numbers; it must have x y z")
             vertices.append(tuple(unit * number(t, place) for t in tokens[:3]))
         elif keyword == "f":
             if len(faces) >= most:
-                raise DataError(f"{place}: more than {most} faces; simplify the model")
+                raise DataError(f"{place}: has more than {most} faces; simplify the model")
             if not material:
-                raise DataError(f"{place}: a face without a material; usemtl must stand before it")
+                raise DataError(
+                    f"{place}: this face has no material; write usemtl MATERIAL before it"
+                )
             faces.append([_corner(t, len(vertices), place) for t in arguments.split()])
             if not 3 <= len(faces[-1]) <= 100:
-                raise DataError(f"{place}: a face of {len(faces[-1])} corners; 3 to 100 are read")
+                raise DataError(
+                    f"{place}: this face has {len(faces[-1])} corners; it must have 3 to 100"
+                )
             materials.append(material)
             name = group or material
             members[name] += 1
@@ -118,23 +122,25 @@ def drawn(
         elif keyword == "usemtl":
             material = text_name(f"{place}: usemtl", arguments)
             if not material:
-                raise DataError(f"{place}: usemtl lacks the material's name")
+                raise DataError(f"{place}: usemtl needs the name of a material")
         elif keyword in ("o", "g"):
             group = text_name(f"{place}: {keyword}", arguments)
         elif keyword and keyword not in _IGNORED:
-            raise DataError(f'{place}: "{shown(keyword)}" is no keyword of an OBJ file')
+            raise DataError(f'{place}: "{shown(keyword)}" is not a keyword of an OBJ file')
     return vertices, faces, materials, names, line
 
 
 def _corner(token: str, n_vertices: int, place: str) -> int:
     match = re.fullmatch(r"(-?\d{1,9})(?:/-?\d{0,9}){0,2}", token, re.ASCII)
     if match is None:
-        raise DataError(f'{place}: "{shown(token)}" is no corner: vertex, or vertex/texture/normal')
+        raise DataError(
+            f'{place}: "{shown(token)}" is not a corner; write vertex or vertex/texture/normal'
+        )
     index = int(match.group(1))
     index = index - 1 if index > 0 else n_vertices + index
     if not 0 <= index < n_vertices or match.group(1) in ("0", "-0"):
         raise DataError(
-            f"{place}: the corner {match.group(1)} refers to a vertex that is not defined before this "
-            f"line; defined are {n_vertices}"
+            f"{place}: the corner {match.group(1)} refers to a vertex that is not defined; "
+            f"{n_vertices} are defined before this line"
         )
     return index

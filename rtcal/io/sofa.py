@@ -76,8 +76,9 @@ class Responses:
                     there = ", ".join(f"{x:g}" for x in point)
                     far = f"{off[nearest]:.2f} m from {nearest}" if off else "and the room has none"
                     raise DataError(
-                        f"{kind} {name} of the SOFA file is at ({there}) m, {far}; positions of file "
-                        f"and room may differ by {NEAR:g} m: are they in the same coordinates?"
+                        f"{kind} {name} of the SOFA file is at ({there}) m, {far}; positions in "
+                        f"the file and the room may differ by {NEAR:g} m. Check that both use "
+                        "the same coordinates"
                     )
                 if own[name] != name:
                     changed.append(f"{kind} {name} is {own[name]}")
@@ -105,7 +106,7 @@ class _File:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = os.fspath(checks.path("path", path))
         if not recognises(path):
-            raise DataError(f"{path}, byte 0: not a SOFA (HDF5) file")
+            raise DataError(f"{path}, byte 0: is not a SOFA (HDF5) file")
         budget.require(Path(path).stat().st_size, MAX_BYTES, "bytes", self.path)
         netcdf = library("SOFA files need netCDF4: pip install 'rtcal[sofa]'", "netCDF4")
         try:
@@ -126,7 +127,7 @@ class _File:
             raise
         except Exception as error:  # netCDF4 raises what it meets
             raise DataError(
-                f"{path}: cannot be read as SOFA: it is damaged, or not as AES69 has it"
+                f"{path}: cannot be read as SOFA: it is damaged, or does not follow AES69"
             ) from error
         self.convention = self.attributes.get("SOFAConventions", "")
 
@@ -134,7 +135,7 @@ class _File:
         """Return a variable; DataError for one that is missing, empty or not finite."""
         values = self.variables.get(name, np.empty(0))
         if values.size == 0:
-            raise DataError(f"{self.path}: {name} is missing or no number")
+            raise DataError(f"{self.path}: {name} is missing or not a number")
         if not np.isfinite(values).all():
             raise DataError(f"{self.path}: {name} has a value that is not finite")
         return np.asarray(values)
@@ -146,13 +147,13 @@ class _File:
         """
         points = np.atleast_2d(np.squeeze(self.numbers(name)))
         if points.ndim != 2 or points.shape[1] != 3:
-            raise DataError(f"{self.path}: {name} has shape {points.shape}; (n, 3) is needed")
+            raise DataError(f"{self.path}: {name} has shape {points.shape}; it must be (n, 3)")
         kind = (self.types.get(typed or name) or "cartesian").lower()
         if kind == "cartesian":
             return points
         if kind != "spherical":
             raise DataError(
-                f'{self.path}: {name} has the type "{kind}"; cartesian or spherical is needed'
+                f'{self.path}: {name} has the type "{kind}"; it must be cartesian or spherical'
             )
         azimuth, elevation = np.radians(points[:, :2]).T  # in degrees, and the radius in m
         flat = np.cos(elevation)
@@ -172,24 +173,28 @@ def balloon(path: str | os.PathLike[str]) -> tuple[Array, Array, Array]:
     place, convention = file.path, file.convention
     if convention not in DIRECTIVITY_CONVENTIONS:
         raise DataError(
-            f"{place}: convention {convention or 'not stated'} is no directivity; read are "
+            f"{place}: convention {convention or 'not stated'} is not a directivity; rtcal reads "
             f"{', '.join(DIRECTIVITY_CONVENTIONS)}"
         )
     energy = file.numbers("Data.Real") ** 2 + file.numbers("Data.Imag") ** 2
     points = file.points("ReceiverPosition")
     if energy.ndim != 3 or energy.shape[:2] != (1, len(points)):
         raise DataError(
-            f"{place}: Data.Real has shape {energy.shape}; (1, {len(points)}, frequencies) is needed: "
-            "one measurement, and one receiver for each direction"
+            f"{place}: Data.Real has shape {energy.shape}; it must be (1, {len(points)}, "
+            "frequencies): one measurement, and one receiver for each direction"
         )
     axis, up = (file.points(name, "SourceView")[0] for name in ("SourceView", "SourceUp"))
     for name, vector in (("SourceView", axis), ("SourceUp", up)):
         if not np.linalg.norm(vector) > 0:
-            raise DataError(f"{place}: {name} is no direction")
+            raise DataError(
+                f"{place}: {name} must be a direction (three finite numbers, not all 0)"
+            )
     axis, up = axis / np.linalg.norm(axis), up / np.linalg.norm(up)
     above = up - (up @ axis) * axis
     if np.linalg.norm(above) < _PARALLEL:
-        raise DataError(f"{place}: SourceUp is along SourceView")
+        raise DataError(
+            f"{place}: SourceUp is parallel to SourceView; it must point to the top of the source"
+        )
     above = above / np.linalg.norm(above)
     axes = np.array([axis, above, np.cross(above, axis)])
     directions = points / np.linalg.norm(points, axis=1, keepdims=True)
@@ -212,30 +217,31 @@ def read(path: str | os.PathLike[str]) -> Responses:
     room = file.attributes.get("RoomType", "").lower()
     if convention not in ROOM_CONVENTIONS + GENERAL_CONVENTIONS:
         raise DataError(
-            f"{place}: convention {convention or 'not stated'} is no response in a room; read are "
-            f"{', '.join(ROOM_CONVENTIONS + GENERAL_CONVENTIONS)}"
+            f"{place}: convention {convention or 'not stated'} is not a response in a room; "
+            f"rtcal reads {', '.join(ROOM_CONVENTIONS + GENERAL_CONVENTIONS)}"
         )
     if room == "free field" and convention in GENERAL_CONVENTIONS:
-        raise DataError(f"{place}: {convention} in the free field is no response in a room")
+        raise DataError(f"{place}: {convention} in the free field is not a response in a room")
     samples = file.numbers("Data.IR")
     if samples.ndim == 4:  # (measurement, receiver, sample, emitter) of FIR-E
         samples = np.moveaxis(samples, 3, 2).reshape(samples.shape[0], -1, samples.shape[2])
     if samples.ndim != 3:
-        raise DataError(f"{place}: Data.IR has shape {samples.shape}; three axes are needed")
+        raise DataError(f"{place}: Data.IR has shape {samples.shape}; it must have three axes")
     n, _, length = samples.shape
     budget.require(length, budget.MAX_CHANNEL_SAMPLES, "samples of a response", place)
     budget.require(n, MAX_RESPONSES, "measurements", place)
     rates = np.unique(file.numbers("Data.SamplingRate"))
     if rates.size != 1 or not rates[0] > 0:
         raise DataError(
-            f"{place}: sampling rates {', '.join(map(str, rates))} Hz; one above 0 is needed"
+            f"{place}: sampling rates {', '.join(map(str, rates))} Hz; there must be exactly "
+            "one, above 0"
         )
     named = []
     for letter, name in (("S", "SourcePosition"), ("R", "ListenerPosition")):
         points = file.points(name)
         if len(points) not in (1, n):
             raise DataError(
-                f"{place}: {name} has shape {points.shape}; (1, 3) or ({n}, 3) is needed"
+                f"{place}: {name} has shape {points.shape}; it must be (1, 3) or ({n}, 3)"
             )
         named.append(_named(letter, np.broadcast_to(points, (n, 3))))
     (of_source, sources), (of_listener, receivers) = named

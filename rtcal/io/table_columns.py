@@ -257,8 +257,8 @@ def stated(text: str) -> Column:
         column = replace(column, unit=value[1] or "")
     if column is None or column.wrong or (of and not column.has_values):
         raise DataError(
-            f'"{shown(text)}" is no meaning of a column{": " * bool(column and column.wrong)}'
-            f"{column.wrong if column else ''}; it is as {_EXAMPLES}"
+            f'"{shown(text)}" does not describe a column{": " * bool(column and column.wrong)}'
+            f"{column.wrong if column else ''}; write for example {_EXAMPLES}"
         )
     return replace(column, header=text, source=of[2] or "", receiver=of[3]) if of else column
 
@@ -266,8 +266,8 @@ def stated(text: str) -> Column:
 _OF = re.compile(r"(?:(.*?)\s+)?of\s+(?:(.+?)\s+to\s+)?(.+)")
 _VALUE = re.compile(r"value\s+(?:\[(.*?)\]\s+)?at\s+(.+)")
 _EXAMPLES = (
-    '"band", "receiver", "T20 [s]", "T20 [ms] at 500 Hz of S1 to R1", or "-" if it is left out; ? '
-    "stands for what is to be filled in"
+    '"band", "receiver", "T20 [s]", "T20 [ms] at 500 Hz of S1 to R1", or "-" for a column that '
+    "is left out; ? marks what you must fill in"
 )
 
 
@@ -330,7 +330,7 @@ def column_of(header: str) -> Column | None:
     frequency = frequency_of(name if of_band or not unit else header)
     if frequency is not None:
         if in_hz * frequency < LEAST_BAND:
-            wrong = "is no band; is the line with the names of the columns missing?"
+            wrong = "is not a band; check whether the line with the names of the columns is missing"
             return Column("value", header, wrong=f'column "{shown(header)}" {wrong}')
         return _of_values(header, band=in_hz * frequency)
     if plain(name) in COLUMNS:
@@ -376,7 +376,7 @@ def wrong_unit(parameter: str, unit: str) -> str:
 
 def no_band(frequency: float) -> str:
     """Return what is wrong with a frequency in Hz that is no band's."""
-    return f"{frequency:g} Hz is no octave or third-octave (IEC 61260-1)"
+    return f"{frequency:g} Hz is not the centre of an octave or one-third octave (IEC 61260-1)"
 
 
 def name_and_unit(header: str) -> tuple[str, str]:

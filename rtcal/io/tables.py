@@ -100,7 +100,7 @@ _NUMBER = re.compile(
     r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII
 )
 _PLAIN_NUMBER = re.compile(r"\d+(?:[.,]\d+)?", re.ASCII)
-_UNUSED = "left out, since rtcal has no use for it"
+_UNUSED = "left out, because rtcal does not use it"
 _LINES = re.compile(r"\s*from line (\d+)(?: to (\d+))?:(.*)", re.DOTALL)
 
 FORMATS: list[Any] = [workbook, instruments]
@@ -215,7 +215,7 @@ def parse(
     checks.text("path", path)
     contents = {path: content} if isinstance(content, bytes) else checks.mapped("content", content)
     if not contents:
-        raise DataError("no table is given")
+        raise DataError("no table is given; give at least one")
     stated = _Options(**{name: value for name, value in options.items() if value is not None})
     found: list[_Table] = []
     notes: list[str] = []
@@ -232,13 +232,13 @@ def parse(
     place, own = found[0].place, {*read.measurement.values} - {stated.parameter}
     if stated.parameter is not None and own and not any(table.parameter for table in found):
         raise DataError(
-            f'{place}: parameter="{stated.parameter}" is not used, since the table names its own: '
-            f"{', '.join(map(parameter_label, own))}; leave it out"
+            f'{place}: parameter="{stated.parameter}" is not used, because the table names its '
+            f"own: {', '.join(map(parameter_label, own))}; leave it out"
         )
     if stated.decay_time is not None and not any(table.was_open for table in found):
         raise DataError(
-            f'{place}: decay_time="{stated.decay_time}" is not used, since nothing in the table is '
-            "called RT60 or T60; leave it out"
+            f'{place}: decay_time="{stated.decay_time}" is not used, because nothing in the '
+            "table is called RT60 or T60; leave it out"
         )
     return read
 
@@ -299,7 +299,7 @@ def _of_file(content: bytes, path: str, options: _Options) -> tuple[list[_Table]
     there = [sheet.name for sheet in of_file]
     if missing := [name for name in options.sheets if name not in there]:
         raise DataError(
-            f'{path}: sheets="{shown(missing[0])}" is no sheet; they are '
+            f'{path}: sheets="{shown(missing[0])}" is not a sheet; the sheets are '
             + (", ".join(f'"{shown(n)}"' for n in there if n) or "without a name")
         )
     chosen = [s for s in of_file if s.name in options.sheets]
@@ -331,8 +331,8 @@ def _of_places(found: list[_Table]) -> tuple[list[_Table], list[str]]:
     for table, name in named:
         if statistic_of(name) == DOUBTFUL:
             raise DataError(
-                f'{table.sheet.place}: "{shown(name)}" may be a statistic or a position: leave it out; '
-                "or, if it is a position, name its receiver, as R7"
+                f'{table.sheet.place}: "{shown(name)}" may be a statistic or a position: leave '
+                "it out, or give it the name of a position, such as R7"
             )
     left_out = dict.fromkeys(name for _, name in named if statistic_of(name) is not None)
     return kept, [
@@ -373,7 +373,7 @@ def _table(sheet: Sheet, options: _Options) -> _Table:
         header = header[:-1]
     place = f"{sheet.place}, line {line}"
     if len(header) > MAX_COLUMNS:
-        raise DataError(f"{place}: {len(header)} columns; at most {MAX_COLUMNS}")
+        raise DataError(f"{place}: {len(header)} columns; at most {MAX_COLUMNS} are read")
     found = columns_of(header, options.where)
     if _has_split_decimals(found, header, body, sheet.separator):
         raise DataError(
@@ -455,8 +455,10 @@ def _problem(columns: Sequence[Column | None], header: Sequence[str], body: Sequ
         return "no line names columns by a parameter, a band or a position"
     if unknown:
         are = f"{_quoted(unknown)} {'is' if len(unknown) == 1 else 'are'}"
-        problem = f"column{'s' * (len(unknown) > 1)} {are} no parameter, band, source or receiver"
-        repeats = "; if they are repeats of one place, state repeats=True"
+        problem = (
+            f"column{'s' * (len(unknown) > 1)} {are} not a parameter, band, source or receiver"
+        )
+        repeats = "; if they are repeats at one position, use repeats=True"
         return problem + repeats * any(map(repeat_of, unknown))
     if wrong := next((c.wrong for c in columns if c and c.wrong), ""):
         return wrong
@@ -791,7 +793,7 @@ class _Table:
         ]
         for kind, times in Counter(c.kind for c in self.columns).items():
             if kind not in ("value", "") and times > 1:
-                raise DataError(f"{self.place}: two columns are the {kind}")
+                raise DataError(f"{self.place}: two columns are the {kind}; leave one out")
         self.rows = self._rows(body)
         self.first = self.rows[0][0] if self.rows else sheet.rows[at][0] + 1
         self.parameter = None if "parameter" in kinds else self._of_table()
@@ -841,7 +843,7 @@ class _Table:
     @property
     def _other_lines(self) -> str:
         """How to leave out lines that are no part of the table."""
-        cure = "what stands below a table is to be deleted"
+        cure = "delete what is below the table"
         if self.options.columns:
             return cure
         return cure + _proposed(self.sheet, self.at, self.options, "; or ")
@@ -869,8 +871,8 @@ class _Table:
         says = self.of_positions = list[str]()
         if not self.has_positions:
             says.append(
-                "no positions: taken as source S1 and receiver R1; if the values are means, state "
-                "n_sources and n_receivers"
+                "no positions: treated as source S1 and receiver R1; if the values are means, "
+                "give n_sources and n_receivers"
             )
         elif self.example_of_both:
             source, receiver = self._pair_of({"receiver": self.example_of_both})
@@ -879,13 +881,13 @@ class _Table:
         elif position[1]:
             says.append(f"all values are of {self.pair[0]} to {self.pair[1]}, the table's name")
         elif "source" not in kinds and not (across and all(c.source for c in across)):
-            says.append("no source is named: all positions are taken as receivers of source S1")
+            says.append("no source is named: all positions are treated as receivers of source S1")
         elif "receiver" not in kinds and not across:
-            says.append("no receiver is named: taken as receiver R1 of each source")
+            says.append("no receiver is named: treated as receiver R1 of each source")
         if "channel" in kinds and not self.options.repeats:
             says.append(
-                "several channels: each is a receiver, named after it; if they are repeats of one "
-                "place, state repeats=True"
+                "several channels: each is a receiver, named after it; if they are repeats at "
+                "one position, use repeats=True"
             )
 
     def _closed(self, named: Column, place: str) -> str:
@@ -943,8 +945,9 @@ class _Table:
         if not all(both):
             line, name = rows[both.index(False)]
             raise DataError(
-                f'{self.sheet.place}, line {line}: "{shown(name)}" is no position as "{shown(first)}" '
-                "is; if the row is no position, delete it; else name its source and receiver"
+                f'{self.sheet.place}, line {line}: "{shown(name)}" is not a position like '
+                f'"{shown(first)}"; if the row is not a position, delete it, otherwise name its '
+                "source and receiver"
             )
         return first
 
@@ -953,7 +956,7 @@ class _Table:
         headers, where = [c.header for c in self.columns], self.options.where
         for name in where:
             if headers.count(name) != 1:
-                raise DataError(f'{self.place}: column "{shown(name)}" is not there once')
+                raise DataError(f'{self.place}: column "{shown(name)}" must occur exactly once')
         chosen = [
             (line, cells)
             for line, cells in self.rows
@@ -999,12 +1002,12 @@ class _Table:
                 titled = (c.parameter for t in self.titles if (c := _name_of(t)))
                 likely = next(titled, REVERBERATION[0].key)
                 raise DataError(
-                    f'{place}: no heading says which parameter the value "{shown(cell)}" is; state it: '
-                    f'parameter="{likely}", for instance'
+                    f'{place}: no heading says which parameter the value "{shown(cell)}" belongs '
+                    f'to; name it: parameter="{likely}", for instance'
                 )
             band = column.band if column.has_band else row_band
             if band is None:
-                raise DataError(f'{place}: no band for the value "{shown(cell)}"')
+                raise DataError(f'{place}: the value "{shown(cell)}" has no band')
             unit = column.unit
             if not column.parameter:  # its row may state one, by itself or as "TS/ms"
                 of_name = name_and_unit(entries.get("parameter", ""))[1]
@@ -1034,8 +1037,8 @@ class _Table:
             found = statistic_of(word)
             if found in (None, DOUBTFUL):
                 raise DataError(
-                    f'{place}: statistic "{shown(word)}" is no known one, as mean, standard deviation, '
-                    "minimum, median and count are"
+                    f'{place}: statistic "{shown(word)}" is not known; known are mean, standard '
+                    "deviation, minimum, median and count"
                 )
             return found
         receiver, source = (entries.get(name, "") for name in ("receiver", "source"))
@@ -1097,7 +1100,8 @@ class _Table:
         frequency = frequency_of(entries["band"])
         if frequency is None:
             raise DataError(
-                f'{place}: band "{shown(entries["band"])}" is no frequency in Hz; {self._other_lines}'
+                f'{place}: band "{shown(entries["band"])}" is not a frequency in Hz; '
+                f"{self._other_lines}"
             )
         column = next(c for c in self.columns if c.kind == "band")
         frequency *= 1000 if column.unit.lower() == "khz" else 1
@@ -1111,7 +1115,7 @@ class _Table:
     def _number(self, cell: str, parameter: str, unit: str, place: str) -> float:
         """Return a cell's number in the unit of its parameter."""
         if cell.startswith(("<", ">", "\u2264", "\u2265")):
-            raise DataError(f'{place}: "{shown(cell)}" is a limit and no value: empty the cell')
+            raise DataError(f'{place}: "{shown(cell)}" is a limit, not a value: empty the cell')
         own = unit_of(cell)
         cell, unit = cell.removesuffix(own).strip(), own or unit
         scale = scale_of(parameter, unit)
@@ -1149,7 +1153,9 @@ class _Table:
             name = f'"{column.header}"' if column.header else f"column {k}"
             report.append(f"{name}: {column.meaning}")
         if errors := self.formula_errors:
-            report.append(f"missing, since a formula has an error: {first_of(errors, _MOST_NAMED)}")
+            report.append(
+                f"missing, because a formula has an error: {first_of(errors, _MOST_NAMED)}"
+            )
         return report if of_means else report + self.of_positions
 
 
@@ -1188,7 +1194,7 @@ def _values(tables: Sequence[_Table], options: _Options) -> tuple[Values, Values
                 key = next(k for k in repeats if k not in values)
             held = values.setdefault(key, options.counts)
             if held.keys() & numbers.keys() & {"value", "standard_deviation"}:
-                hint = "; if they are repeats of one place, state repeats=True"
+                hint = "; if they are repeats at one position, use repeats=True"
                 hint = "" if SUMMARY in key else hint
                 raise DataError(f"{twice}{hint}")
             held.update(numbers)
@@ -1205,7 +1211,7 @@ def _measured(tables: Sequence[_Table], notes: list[str], options: _Options) -> 
         raise DataError("; ".join([f"{places}: no row with a value below the header", *unused]))
     pairs = list(dict.fromkeys(key[:2] for key in values))
     if len(pairs) > MAX_PAIRS:
-        raise DataError(f"{places}: {len(pairs)} positions; at most {MAX_PAIRS}")
+        raise DataError(f"{places}: {len(pairs)} positions; at most {MAX_PAIRS} are read")
     if any(
         "standard_deviation" in v and not {"sources", "receivers"} <= {*v} for v in values.values()
     ):
@@ -1284,8 +1290,8 @@ def unusual(measurement: Measurement) -> tuple[str, ...]:
         more = f", and {len(odd) - 1} more" if len(odd) > 1 else ""
         notes.append(
             f"hardly any room has {kind.label} of {table[i, k]:g} {kind.unit} ({place}at "
-            f"{bands.label(frequencies[k])}{more}): look whether the column, the unit or the decimal "
-            "is another"
+            f"{bands.label(frequencies[k])}{more}): check the column, the unit and the decimal "
+            "point"
         )
     return tuple(notes)
 
@@ -1307,7 +1313,7 @@ def _far_from_others(measurement: Measurement, parameter: str) -> list[str]:
     if not found:
         return []
     return [
-        f"{parameter_label(parameter)} is {_FAR:g} times as long as at the other pairs, or as short: "
-        f"{first_of(found, MOST_NAMED)}. Look whether the decimal is another, and whether the "
-        "row is a position"
+        f"{parameter_label(parameter)} is {_FAR:g} times as long as at the other pairs, or as "
+        f"short: {first_of(found, MOST_NAMED)}. Check the decimal point, and whether the row is "
+        "a position"
     ]

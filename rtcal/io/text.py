@@ -44,7 +44,10 @@ class Text:
             return self.byte_order_mark + characters.encode(self.codec)
         except UnicodeEncodeError as error:
             lacking = error.object[error.start]
-            raise DataError(f'"{shown(lacking)}" does not exist in {self.encoding}') from error
+            raise DataError(
+                f'"{shown(lacking)}" cannot be written in the file\'s encoding {self.encoding}: '
+                "use other characters"
+            ) from error
 
 
 def decode(content: bytes, path: str = "file") -> Text:
@@ -61,8 +64,9 @@ def decode(content: bytes, path: str = "file") -> Text:
             except UnicodeDecodeError as error:
                 line = content.count(b"\n", 0, len(mark) + error.start) + 1
                 raise DataError(
-                    f"{path}, line {line}: byte {len(mark) + error.start} is not "
-                    f"{codec.upper()}, which the byte order mark promises"
+                    f"{path}, line {line}: byte {len(mark) + error.start} is not valid "
+                    f"{codec.upper()}, the encoding that the file's byte order mark gives; save "
+                    "the file as UTF-8"
                 ) from error
     for codec in _UNMARKED[:-1]:
         try:
@@ -96,7 +100,7 @@ def number(token: str, place: str) -> float:
     plain = _TYPOGRAPHIC_MINUS.sub("-", token, count=1) if token else token
     value = float(plain) if len(plain) <= 40 and _NUMBER.match(plain) else float("nan")
     if not abs(value) < 1e300:
-        raise DataError(f'{place}: "{shown(token)}" is not a finite number')
+        raise DataError(f'{place}: "{shown(token)}" must be a finite number')
     return value
 
 
@@ -218,7 +222,7 @@ def _rows(characters: str, separator: str, path: str) -> list[Row]:
                 rows.append((line, cells))
             line = reader.line_num + 1
     except csv.Error as error:
-        raise DataError(f"{path}, line {line}: not a row of cells: {error}") from error
+        raise DataError(f"{path}, line {line}: is not a row of cells: {error}") from error
     if len(rows) < 2:
-        raise DataError(f"{path}, line 1: a header and at least one row are needed")
+        raise DataError(f"{path}, line 1: the table needs a header and at least one row")
     return rows

@@ -96,7 +96,7 @@ Everett, has 1.33e7 m³."""
 def notes(length: float, in_file: float | None, stated: float | None) -> list[str]:
     """Return the notes on the unit in m that was taken, and on one that the file contradicts."""
     if stated is not None and in_file is not None and stated != in_file:
-        return [f"the file states a unit of {in_file:g} m, and {stated:g} m was given and taken"]
+        return [f"the file gives a unit of {in_file:g} m, but {stated:g} m was given and is used"]
     return [f"the file's unit is {length:g} m"] if length != 1.0 else []
 
 
@@ -116,7 +116,7 @@ def check_volume(volume: float, unit: float, path: str) -> None:
         return
     others = _in_other_units(volume, unit, VOLUME_LIMITS)
     raise UnitError(
-        f"{path}: V = {volume:.3g} m³ is not from {low:g} to {high:g} m³, as in any room"
+        f"{path}: V = {volume:.3g} m³ must be from {low:g} to {high:g} m³; check the unit"
         + (f"; it is {' or '.join(others)}" if others else "")
     )
 
@@ -158,8 +158,8 @@ def size_doubt(
         return f"V = {rounded(volume, 4)} m³ is {said}{other}"
     if size and size[2] < _LOWEST:
         return (
-            f"a height of {rounded(size[2], 3)} m is less than any room has: are these walls, or is "
-            "the unit wrong?"
+            f"a height of {rounded(size[2], 3)} m is less than any room has; check whether all "
+            "walls are drawn, and the unit"
         )
     return ""
 

@@ -61,7 +61,7 @@ def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
     values, formulas = (_workbook(content, path, stored) for stored in (True, False))
     visible = [s for s in values.worksheets if s.sheet_state == "visible"]
     if len(visible) > MAX_SHEETS:
-        raise DataError(f"{path}: {len(visible)} sheets; at most {MAX_SHEETS}")
+        raise DataError(f"{path}: has {len(visible)} sheets; at most {MAX_SHEETS} are read")
     hidden = [f'"{shown(s.title)}"' for s in values.worksheets if s.sheet_state != "visible"]
     notes = [f"left out, hidden: {', '.join(hidden)}"] if hidden else []
     found = []
@@ -73,7 +73,7 @@ def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
             found.append(Sheet(place, tuple(rows), note, name, notes=(*notes, *of_sheet)))
             notes = []
     if not found:
-        raise DataError(f"{path}: no visible sheet has a cell")
+        raise DataError(f"{path}: the visible sheets are empty")
     return found
 
 
@@ -81,7 +81,7 @@ def _check_size(content: bytes, path: str) -> None:
     """Raise DataError for what is no workbook, or declares more than the budget."""
     sizes = budget.members(content, path, "a workbook (xlsx)")
     if "xl/workbook.xml" not in sizes:
-        raise DataError(f"{path}: a zip file, but no workbook (xlsx); save it as xlsx")
+        raise DataError(f"{path}: is a zip file, but not a workbook (xlsx); save it as xlsx")
     cells = 0
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         for name in sizes:
@@ -91,7 +91,8 @@ def _check_size(content: bytes, path: str) -> None:
                 part = archive.read(name)
             except Exception as error:  # zipfile and zlib raise what they meet
                 raise DataError(
-                    f"{path}: not a workbook (xlsx): its part {name} is damaged"
+                    f"{path}: cannot be read as a workbook (xlsx): its part {name} is "
+                    "damaged. Save it as xlsx again"
                 ) from error
             if "worksheets/" in name:
                 cells += len(_CELL.findall(part)) + sum(map(_area, _MERGED.findall(part)))
@@ -136,7 +137,8 @@ def _rows(values: Any, formulas: Any, place: str) -> tuple[list[Row], list[str]]
     n_rows, n_columns = values.max_row, values.max_column
     if n_rows > MAX_ROWS or n_columns > MAX_COLUMNS:
         raise DataError(
-            f"{place}: {n_rows} rows and {n_columns} columns; at most {MAX_ROWS} and {MAX_COLUMNS}"
+            f"{place}: {n_rows} rows and {n_columns} columns; at most {MAX_ROWS} and "
+            f"{MAX_COLUMNS} are read"
         )
     budget.require(n_rows * n_columns, budget.MAX_CELLS, "cells", place)
     filled = {
@@ -177,8 +179,8 @@ def _text(cell: Any, formula: Any, place: str) -> str:
     if value is None:
         if isinstance(formula.value, str) and formula.value.startswith("="):
             raise DataError(
-                f"{place}, cell {cell.coordinate}: a formula without its stored value; open the file "
-                "in Excel or LibreOffice and save it"
+                f"{place}, cell {cell.coordinate}: the value of this formula is not stored; open "
+                "the file in Excel or LibreOffice and save it"
             )
         return ""
     if isinstance(value, bool):
@@ -207,7 +209,9 @@ def content(tables: Mapping[str, Sequence[Sequence[Any]]]) -> bytes:
     for title, rows in tables.items():
         name = title.translate(_NOT_IN_NAMES)[:MAX_NAME].strip() or "table"
         if (other := names.setdefault(name.casefold(), title)) != title:
-            raise DataError(f'tables "{other}" and "{title}" have one name in Excel: "{name}"')
+            raise DataError(
+                f'tables "{other}" and "{title}" would have the same name in Excel: "{name}"'
+            )
         sheet = book.create_sheet(name)
         for i, row in enumerate(rows, start=1):
             for k, value in enumerate(row, start=1):

@@ -141,9 +141,11 @@ def matched_times(
     for p, row in zip(PARAMETERS, weight, strict=True):
         place, of_bands = f"weights[{p!r}]", checks.array(f"weights[{p!r}]", stated.get(p, 0.0))
         if of_bands.shape not in ((), row.shape):
-            raise DataError(f"{place} has shape {of_bands.shape}; it is one number or {row.shape}")
+            raise DataError(
+                f"{place} has shape {of_bands.shape}; give one number or an array {row.shape}"
+            )
         row[:] = of_bands
-        refuse(place, ~(np.isfinite(row) & (row >= 0)), "is not a finite number of at least 0")
+        refuse(place, ~(np.isfinite(row) & (row >= 0)), "must be finite and 0 or more")
         lacking = (row > 0) & np.isnan(times[p]) & (np.isfinite(t20) | np.isfinite(edt))
         if weights is not None:
             refuse(place, lacking, f"is above 0, and the measurement has no {parameter_label(p)}")
@@ -240,7 +242,7 @@ class ParameterGap:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Loop(Result):
-    """A closed loop: its simulations so far, what to simulate next, and what came of it.
+    """A closed loop: its simulations so far, the coefficients to simulate next, and the result.
 
     A loop does not change: `record` returns the loop after a simulation. `start` returns a new
     loop. `save`, given a file's name, and `load` keep it between two runs of a program.
@@ -338,7 +340,10 @@ class Loop(Result):
     def _gaps(self) -> Array:
         """Gap of every step in JND, (n_steps, n_bands)."""
         if not self.steps:
-            raise DataError("the loop has no simulation yet, and so no deviation")
+            raise DataError(
+                "the loop has no simulation yet, so there is no deviation; simulate and report "
+                "the result first"
+            )
         return np.array([gap_jnd(step.simulated, self.wanted) for step in self.steps])
 
     @property
@@ -411,7 +416,7 @@ class Loop(Result):
 
     @property
     def final(self) -> Measurement | None:
-        """The simulation that judges the loop: `confirmation` if there is one, else `after`."""
+        """The simulation that gives the result: `confirmation` if there is one, else `after`."""
         return self.confirmation or self.after
 
     @property
@@ -423,7 +428,10 @@ class Loop(Result):
     def ends(self) -> tuple[Step, Step]:
         """The first simulation, and the last: `final`, or what each band has in its best step."""
         if not self.steps:
-            raise DataError("the loop has no simulation yet, and so no deviation")
+            raise DataError(
+                "the loop has no simulation yet, so there is no deviation; simulate and report "
+                "the result first"
+            )
         first = self.steps[0]
         if self.before is not None:
             first = self._step(self.before, self.prior.alpha)
@@ -456,7 +464,7 @@ class Loop(Result):
 
     @cached_property
     def of_uncertain_room(self) -> CalibrationResult | None:
-        """The calibration to the targets of `outcome`, with the room as uncertain as it states.
+        """The calibration to the targets of `outcome`, with the room's own uncertainties.
 
         Its coefficients leave their share to volume, areas and climate. The simulator, which
         has the stated room, does not have the measured T with them. None for an exact room.
@@ -506,7 +514,7 @@ class Loop(Result):
 
     @property
     def compromise(self) -> dict[str, ParameterGap]:
-        """Those of `gaps` that are matched, with what each lost."""
+        """The matched parameters of `gaps`, with the accuracy that each lost."""
         return {p: self.gaps[p] for p in self.matched.shares}
 
     @property
@@ -516,7 +524,7 @@ class Loop(Result):
 
     @property
     def farther(self) -> tuple[str, ...]:
-        """Parameters that are not matched and left what was measured by more than one JND."""
+        """Unmatched parameters that moved away from the measurement by more than one JND."""
         return left(self.gaps_beside)
 
     @property
@@ -562,7 +570,7 @@ class Loop(Result):
         return last.simulated * own / self.equation.time(self.prior, self.prior.areas @ last.alpha)
 
     def unit_of(self, step: Step, last: Step | None) -> list[TrustMark]:
-        """Return the mark of a simulated T that is a power of ten from the one expected; [] without.
+        """Return the caution for a simulated T that is a power of ten from the expected one, or [].
 
         ``last`` is the step before, from which T is expected, or None for the equation's T.
         """
@@ -705,12 +713,14 @@ class Loop(Result):
         """
         if self.after is not None:
             raise DataError(
-                "the loop is done, and its end was simulated: nothing is left to simulate"
+                "the loop is finished and its end was simulated; there is nothing left to simulate"
             )
         lost = self._lost(simulated)
         for band in checks.listed("without_t20", without_t20):
             if checks.whole("without_t20", band, 0) >= len(lost):
-                raise DataError(f"without_t20 has {band}; the bands are 0 to {len(lost) - 1}")
+                raise DataError(
+                    f"without_t20 has {band}; the bands are numbered 0 to {len(lost) - 1}"
+                )
             lost[band] = True
         target = self.next_target
         if checks.flag("stated", stated):
@@ -734,14 +744,14 @@ class Loop(Result):
         checks.instance("what was simulated", simulation, Measurement)
         if not np.array_equal(simulation.centre_frequencies, frequencies):
             raise DataError(
-                f"what was simulated has {span(simulation.centre_frequencies)}; the room has "
+                f"the simulation has {span(simulation.centre_frequencies)}; the room has "
                 f"{span(frequencies)}"
             )
         measured, missing = np.isfinite(self.wanted), {}
         for parameter, share in self.matched.shares.items():
             if parameter not in simulation.values:
                 raise DataError(
-                    f"what was simulated has no {parameter_label(parameter)}, which was measured; it "
+                    f"the simulation has no {parameter_label(parameter)}, which was measured; it "
                     f"has {contents(simulation)}"
                 )
             missing[parameter] = np.isnan(simulation.values[parameter]) & measured & (share > 0)
@@ -759,7 +769,7 @@ class Loop(Result):
     def back(self) -> Loop:
         """Return the loop before its last simulation; DataError if it has none."""
         if not self.steps:
-            raise DataError("the loop has no simulation yet: there is none to take back")
+            raise DataError("the loop has no simulation yet that could be taken back")
         steps = self.steps if self.after is not None else self.steps[:-1]
         number = self.simulations - 1
         return replace(self, steps=steps, returned=None, after=None, simulations=number)
@@ -772,10 +782,12 @@ class Loop(Result):
         """
         loop = load(path)
         if not isinstance(loop, Loop):
-            raise DataError(f"{path} is no state of a loop: it holds a {type(loop).__name__}")
+            raise DataError(f"{path} is not the state of a loop: it holds a {type(loop).__name__}")
         own = loop.low.prior if loop.low else loop.prior
         if room is not None and _numbers(room) != _numbers(own):
-            raise DataError(f'{path} is of another room, or room "{room.name}" was changed since')
+            raise DataError(
+                f'{path} belongs to another room, or room "{room.name}" was changed since'
+            )
         return loop if room is None or loop.low else replace(loop, prior=room)
 
     # What is shown
@@ -846,7 +858,7 @@ class Loop(Result):
 
     @property
     def every_note(self) -> list[str]:
-        """The ``notes``, and what the loop says against itself."""
+        """The ``notes``, and the cautions about the loop itself."""
         notes = [*sentences(self.gaps_beside, self.prior.centre_frequencies)]
         if "not confirmed" in self.status:
             notes.append(
@@ -911,7 +923,7 @@ def start(
     weights: Weights | None = None,
     run: Run | None = None,
 ) -> Loop:
-    """Return a loop before its first simulation, or after the run that one has.
+    """Return a loop before its first simulation, or after a run that was already made.
 
     Parameters
     ----------
@@ -1085,7 +1097,7 @@ def _without(measurement: Measurement, exclude: Sequence[Pair]) -> Measurement:
     """Return a measurement without some pairs, so that means are over the same ones."""
     kept = [pair for pair in measurement.pairs if pair not in exclude]
     if not kept:
-        raise DataError("exclude has every pair: none is left")
+        raise DataError("exclude has every pair; at least one must be left")
     return measurement if len(kept) == len(measurement.pairs) else measurement.select(kept)
 
 
@@ -1191,8 +1203,8 @@ def refuse_progress(state: str) -> None:
     """Raise DataError if the state at this path already holds simulations."""
     if Path(state).exists() and (n := len(Loop.load(state).steps)):
         raise DataError(
-            f"{state} holds {n} simulation{'s' * (n > 1)} of a loop: delete it to begin anew, or name "
-            "another state"
+            f"{state} holds {n} simulation{'s' * (n > 1)} of a loop: delete it to start again, "
+            "or give another file with --state"
         )
 
 
@@ -1228,7 +1240,7 @@ def refuse_doubtful(loop: Loop, step: Step, table: str) -> None:
             "simulated, and with its coefficients?"
         )
     if doubt:
-        raise DataError(f"{table}: {doubt} (--again takes it all the same)")
+        raise DataError(f"{table}: {doubt} (use --again if this is intended)")
 
 
 def record(
@@ -1243,16 +1255,17 @@ def record(
     """
     if loop.after is not None:
         raise DataError(
-            f"{state}: the loop is done and its end was simulated, so {table} was not taken in; "
-            f"{out} has the coefficients, and `rtcal report` shows the path"
+            f"{state}: the loop is finished and its end was simulated, so {table} was not used. "
+            f"The coefficients are in {out}; `rtcal report` shows how they changed"
         )
     alpha, written = loop.next_alpha, None
     with suppress(DataError):  # another name than last time, or no room: it shows nothing
         written = np.round(Room.from_file(out).alpha, 9)
     if written is not None and not np.array_equal(written, np.round(alpha, 9)):
         raise DataError(
-            f"{out}: it has other coefficients than {state} asks for, so {table} may be of those: "
-            f"rtcal loop back writes what to simulate; or delete {out} if it was not simulated"
+            f"{out} has other coefficients than {state} asked for, and {table} may have been "
+            "simulated with those. `rtcal loop back` writes the right coefficients again; delete "
+            f"{out} if it was not simulated"
         )
     try:
         after = loop.record(alpha, simulated)

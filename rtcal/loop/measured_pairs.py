@@ -166,8 +166,8 @@ def pairs_to_match(
     """
     if measured.is_summary:
         raise DataError(
-            "the measurement is a mean over pairs; to match every position it needs a row for each "
-            'source and receiver. match=("t20",) matches the mean'
+            "the measurement is a mean over pairs, but matching every position needs a row for "
+            'each source and receiver. Use match=("t20",) to match the mean'
         )
     measured.refuse_large_uncertainty()
     notes, pairs = [], simulated.pairs
@@ -175,8 +175,9 @@ def pairs_to_match(
     kept = tuple(p for p in pairs if p in measured.pairs and p not in exclude)
     if not kept:
         raise DataError(
-            f"no pair is left: the measurement has {_names(measured.pairs)}, the simulator "
-            f"{_names(pairs)}" + (f", and {_names(exclude)} is excluded" if exclude else "")
+            "no pair is both measured and simulated: the measurement has "
+            f"{_names(measured.pairs)}, the simulator {_names(pairs)}"
+            + (f", and {_names(exclude)} is excluded" if exclude else "")
         )
     if exclude:
         notes.append(left_out(exclude))
@@ -242,7 +243,7 @@ def refuse_unknown(exclude: Sequence[Pair], measured: Measurement) -> None:
     """Raise DataError if a pair that is to be left out was not measured."""
     for pair in exclude:
         if pair not in measured.pairs:
-            raise DataError(f"exclude has {' to '.join(pair)}, which the measurement lacks")
+            raise DataError(f"exclude has {' to '.join(pair)}, which is not in the measurement")
 
 
 def left_out(exclude: Sequence[Pair]) -> str:
@@ -334,8 +335,8 @@ def _covariance(
         p, i, k = np.argwhere(small)[0]
         raise DataError(
             f"the uncertainty of {parameter_label(parameters[p])} at {' to '.join(pairs[i])}, "
-            f"{bands.label(frequencies[k])}, is {alone[p, i, k]:.1g} of the value or dB, below "
-            f"{_LEAST:g}: no measurement is so sure"
+            f"{bands.label(frequencies[k])}, is {alone[p, i, k]:.1g} of the value or dB; no "
+            f"measurement is more accurate than {_LEAST:g}"
         )
     of_team = np.where(np.isfinite(alone), 0.0, assumed[:, np.newaxis])
     shared = np.where(np.isfinite(common), common, of_team)
@@ -673,14 +674,17 @@ class ControlRuns:
         errors = checks.shaped("errors", self.errors, *shape)
         if len(errors) < 2 or not np.isfinite(errors).all():
             raise DataError(
-                f"errors of {len(errors)} runs: they are finite, and of at least 2 runs"
+                f"the errors of {len(errors)} runs are given; they must be finite, and of at "
+                "least 2 runs"
             )
         object.__setattr__(self, "errors", errors)
         if self.levels is None:
             return
         object.__setattr__(self, "levels", checks.shaped("levels", self.levels, len(errors)))
         if len(self.models) != len(errors):
-            raise DataError(f"models has {len(self.models)} texts; there are {len(errors)} runs")
+            raise DataError(
+                f"models has {len(self.models)} texts; give one for each of the {len(errors)} runs"
+            )
 
     def __repr__(self) -> str:
         return f"<ControlRuns: {len(self.errors)} runs, {len(self.pairs)} pairs>"
@@ -691,7 +695,7 @@ class ControlRuns:
             " to ".join(p) for p in pairs if p not in self.pairs
         ]:
             raise DataError(
-                f"the reference simulations lack {missing[0]}: they belong to another simulator"
+                f"the reference simulations have no {missing[0]}, so they belong to another simulator"
             )
         rows = [self.parameters.index(p) for p in parameters]
         columns = [self.pairs.index(p) for p in pairs]

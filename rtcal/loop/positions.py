@@ -862,8 +862,9 @@ def _refuse_one_place(simulator: Simulator, pairs: Sequence[Pair], uncertainty: 
     places = np.array([[*sources[s], *receivers[r]] for s, r in pairs], dtype=float)
     if np.max(np.linalg.norm(places - places[0], axis=1)) <= uncertainty:
         raise DataError(
-            f"all {len(pairs)} pairs stand at one place, within the {uncertainty:g} m that positions "
-            "are uncertain by; every position needs several"
+            f"all {len(pairs)} pairs are at the same position, within the position uncertainty "
+            f"of {uncertainty:g} m; calibrating to every position needs at least two different "
+            "ones"
         )
 
 
@@ -1206,7 +1207,7 @@ class PositionsResult(Result):
             cells = [f"{before:.3f}", f"{after:.3f}", f"{moved[i]:.1f}", pair]
             if (fitted := self.scattering) is not None:
                 s, sigma = (a[i].mean() for a in (fitted.coefficients, fitted.sigma))
-                cells.append(f"{s:.2f} ± {sigma:.2f}")
+                cells.append(text.with_uncertainty(s, sigma, 2))
             share = max(1 - after / before, 0.0) if before > 0 else 0.0
             rows.append(Row(name, cells, shade=[0.0, share, *[0.0] * (len(cells) - 2)]))
         return Table(columns + ["scattering"] * (self.scattering is not None), rows)

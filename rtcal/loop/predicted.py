@@ -287,8 +287,8 @@ class ChangedRoom:
         for change in changes:
             if change.kind not in ("cover", "open", "air"):
                 raise DataError(
-                    f"{change}: a simulator does not know where; give the changed room's own mesh, or "
-                    "predict T by an equation"
+                    f"{change}: the simulator needs to know where the change is; give a mesh of "
+                    "the changed room, or predict T with an equation"
                 )
         self.before, self.changes = before, tuple(changes)
         self.after = changed(before, self.changes)
@@ -691,7 +691,7 @@ def predict_positions(
     """
     if not hasattr(result, "weighed"):
         raise DataError(
-            f"result = {checks.shown(result)} is no result of rtcal.calibrate_positions"
+            f"result = {checks.shown(result)} is not a result of rtcal.calibrate_positions"
         )
     variants = checks.listed("variants", variants)
     for i, variant in enumerate(variants):
@@ -736,8 +736,9 @@ def predict_positions(
         )
     if controls is None:
         raise DataError(
-            f"no reference simulation shows the error of {result.simulator}: predict with a simulator "
-            "that has a geometry, or T by an equation"
+            f"the error of {result.simulator} is unknown, because it has no reference "
+            "simulations: predict with a simulator that has a geometry, or predict T with an "
+            "equation"
         )
     before = State(result, rooms[0], result.parameters)
     as_it_is, *after_each = (

@@ -43,7 +43,7 @@ from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks, text
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
-from rtcal.support.text import as_sentence
+from rtcal.support.text import as_sentence, with_uncertainty
 from rtcal.support.types import Array
 
 MODES = LinearObservations("modes")
@@ -101,7 +101,7 @@ def calibrate_modes(
     known = modes.calculated
     if known is not None and len(known) and known.max() >= model.modes.wanted:
         raise DataError(
-            f"calculated has mode {known.max()}; the room has {model.modes.wanted} modes"
+            f"calculated has mode {known.max()}, but the room has only {model.modes.wanted} modes"
         )
     every = model.calculated
     found = match(modes, every.frequencies, every.decays)
@@ -119,7 +119,8 @@ def calibrate_modes(
     used, lowest = found.measured, room.centre_frequencies[0] / 2
     if modes.frequencies[used].max() < lowest:
         raise DataError(
-            f"no mode used reaches {lowest:g} Hz, an octave below the room's lowest band"
+            f"all modes used lie below {lowest:g} Hz, an octave below the room's lowest "
+            "band: measure modes at higher frequencies, or add a lower band to the room"
         )
     decays, _, remainder = model.linear(room.alpha, found.calculated)
     of_model = np.hypot(MODEL_ERROR, modes.decays / (2 * np.pi * modes.frequencies))[used]
@@ -388,7 +389,7 @@ class ModesResult(Result):
         """
         if np.isfinite(self.data.reverberation_time).any():
             raise DataError(
-                "modes was calibrated to T as well, which would count twice: leave T out, "
+                "modes was already calibrated to T, which would count twice: leave T out, as in "
                 "calibrate_modes(room, modes)"
             )
         room = self.prior
@@ -396,9 +397,9 @@ class ModesResult(Result):
         below = below_schroeder(room, times)
         if not np.isfinite(times.reverberation_time[~below]).any():
             raise DataError(
-                "every measured band lies below the Schroeder frequency, so that nothing is left to "
-                "simulate: `rtcal calibrate ROOM MEASURED --modes MODES` (rt.calibrate_modes) has the "
-                "coefficients"
+                "every measured band lies below the Schroeder frequency, so no band is left to "
+                "simulate: use `rtcal calibrate ROOM MEASURED --modes MODES` "
+                "(rt.calibrate_modes) instead"
             )
         return replace(self, below=below)
 
@@ -443,7 +444,7 @@ class ModesResult(Result):
             Row(
                 f"{self.modes.frequencies[i]:.1f}",
                 [
-                    f"{DECAY / d:.2f} ± {DECAY / d**2 * self.modes.decay_uncertainty[i]:.2f}",
+                    with_uncertainty(DECAY / d, DECAY / d**2 * self.modes.decay_uncertainty[i], 2),
                     f"{DECAY / before:.2f}",
                     f"{DECAY / after:.2f}",
                     ", ".join(self.prior.materials[int(m)] for m in np.flatnonzero(walls)),

@@ -94,7 +94,7 @@ _OF_MODES = (*_NUMBERS, "amplitudes", "calculated")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredModes:
-    """Modes of a measurement.
+    """Measured room modes: frequencies, decays and, if known, amplitudes.
 
     Parameters
     ----------
@@ -146,29 +146,29 @@ class MeasuredModes:
 
         n = checks.array("frequencies", self.frequencies).size
         if n == 0:
-            raise DataError("frequencies is empty; at least one mode is needed")
+            raise DataError("frequencies is empty; give at least one mode")
         if self.frequency_uncertainty is None:
             put("frequency_uncertainty", np.full(n, 0.01))
         for name in _NUMBERS:
             values = checks.shaped(name, getattr(self, name), n)
-            require(name, np.isfinite(values) & (values > 0), values, "is not finite and above 0")
+            require(name, np.isfinite(values) & (values > 0), values, "must be finite and above 0")
             put(name, values)
         for name, found, (low, high), unit in (
             ("frequencies", self.frequencies, _SINGLE, "Hz"),
             ("decays", self.decay_times, LIMITS, "s (6.91 / delta)"),
         ):
-            rule = f"{unit} is not from {low:g} to {high:g}, where rooms have single modes; "
+            rule = f"{unit} must be from {low:g} to {high:g}, where rooms have single modes; "
             good = (found >= low) & (found <= high)
-            require(name, good, found, f"{rule}is the unit another?")
+            require(name, good, found, f"{rule}check the unit")
         rising = np.diff(self.frequencies, prepend=0.0) > 0
-        require("frequencies", rising, self.frequencies, "Hz is not above the one before it")
+        require("frequencies", rising, self.frequencies, "Hz must be above the frequency before it")
         put("largest", checks.between("largest", self.largest, 0, np.inf, "Hz"))
         put("notes", tuple(checks.listed("notes", self.notes)))
         if self.amplitudes is not None:
             try:
                 amplitudes = np.array(self.amplitudes, dtype=complex)
             except (TypeError, ValueError, OverflowError) as cause:
-                raise DataError(f"amplitudes is not an array of numbers: {cause}") from cause
+                raise DataError(f"amplitudes must be an array of numbers: {cause}") from cause
             if amplitudes.ndim != 2 or len(amplitudes) != n or not np.isfinite(amplitudes).all():
                 raise DataError(
                     f"amplitudes has shape {amplitudes.shape}; with {n} modes it must be "
@@ -204,7 +204,7 @@ class MeasuredModes:
         inside = rows.size and rows[0] >= 0 and rows[-1] < self.frequencies.size
         if not inside:
             raise DataError(
-                f"chosen = {checks.shown(chosen)}: modes are 0 to {self.decays.size - 1}"
+                f"chosen = {checks.shown(chosen)}: modes are numbered 0 to {self.decays.size - 1}"
             )
         of_modes = {name: getattr(self, name) for name in _OF_MODES}
         return replace(self, **{n: v[rows] for n, v in of_modes.items() if v is not None})
@@ -238,7 +238,9 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
     sheets = sheets_of(read_bytes(path, MAX_TEXT), place)
     if len(sheets) > 1:
         named = ", ".join(f'"{shown(sheet.name)}"' for sheet in sheets)
-        raise DataError(f"{place}: the sheets are {named}; keep the one with the modes alone")
+        raise DataError(
+            f"{place}: the workbook has the sheets {named}; keep only the one with the modes"
+        )
     sheet, place = sheets[0], sheets[0].place
     width = max(len(cells) for _, cells in sheet.rows)
     (first, names), *below = ((line, (cells + [""] * width)[:width]) for line, cells in sheet.rows)
@@ -248,19 +250,23 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
     of = "decay" if "decay" in columns else "T"
     if not {"frequency", of} <= columns.keys() or {"decay", "T"} <= columns.keys():
         raise DataError(
-            f"{place}: the columns are {', '.join(names)}; a table of modes has frequency, and either "
-            "decay (1/s) or T (s)"
+            f"{place}: the columns are {', '.join(names)}; a table of modes must have frequency, "
+            "and either decay (1/s) or T (s)"
         )
     if f"u_{of}" not in columns:
-        raise DataError(f'{place}: the column "u_{of}" is missing: the standard uncertainty')
+        raise DataError(
+            f'{place}: the column "u_{of}" is missing; it must hold the standard uncertainty'
+        )
     in_frequency = columns["frequency"][0]
     is_mode = [statistic_of(cells[in_frequency]) in (None, DOUBTFUL) for _, cells in below]
     rows = [row for row, kept in zip(below, is_mode, strict=True) if kept]
     if not rows:
-        raise DataError(f"{place}, line {first}: no mode below the header")
+        raise DataError(f"{place}, line {first}: the table has no row below its header")
     used = "".join(cells[k] for _, cells in rows for k, _ in columns.values())
     if "," in used and "." in used:
-        raise DataError(f"{place}: decimal commas and decimal points in one table")
+        raise DataError(
+            f"{place}: the table has both decimal commas and decimal points; use one of them"
+        )
 
     def at(name: str, row: int) -> str:
         return f'{place}, line {rows[row][0]}, column "{names[columns[name][0]]}"'
@@ -271,7 +277,7 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         found = np.array([number(cell, at(name, i)) for i, cell in enumerate(cells)])
         if not (found > 0).all():
             bad = int(np.argmin(found > 0))
-            raise DataError(f"{at(name, bad)}: {found[bad]:g} is not above 0")
+            raise DataError(f"{at(name, bad)}: {found[bad]:g} must be above 0")
         return found
 
     def values(name: str) -> Array:
@@ -289,8 +295,9 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         if (bad := (found < low) | (found > high) | other).any():
             i = int(np.argmax(bad))
             raise DataError(
-                f"{at(name, i)}: {found[i]:g} has no unit. In {known} it would be from {low[i]:.3g} to "
-                f'{high[i]:.3g}: state its unit, as in "{name} [{list(_UNITS[whole])[-1]}]"'
+                f"{at(name, i)}: {found[i]:g} has no unit. In {known} the values would be from "
+                f'{low[i]:.3g} to {high[i]:.3g}: write the unit into the header, as in "{name} '
+                f'[{list(_UNITS[whole])[-1]}]"'
             )
         return found
 
@@ -332,7 +339,7 @@ def _columns(header: Sequence[str], place: str) -> dict[str, tuple[int, str]]:
         whole = _WORDS[bare]
         name = whole if bare == plain(word) else f"u_{whole}"
         if name in found:
-            raise DataError(f'{place}: the column "{name}" stands there twice')
+            raise DataError(f'{place}: the column "{name}" occurs twice')
         known = [*_UNITS[whole], *(_RELATIVE if name != whole else ())]
         unit = next((u for u in known if u.lower() == unit), unit)
         if unit not in ("", *known):
@@ -403,8 +410,8 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
     count, strangers = int(sure.sum()), int((strange > 0.5).sum())
     if count and abs(scale - 1) > (_RANGE - 0.01) * COMMON_ERROR:
         raise DataError(
-            f"measured frequencies are {scale:.3f} times those calculated or beyond, where the search "
-            "ends: check dimensions and temperature"
+            f"the measured frequencies are at least {scale:.3f} times the calculated ones, more "
+            "than is searched: check dimensions and temperature"
         )
     rng, lowest = np.random.default_rng(0), float(min(frequencies[0], measured.frequencies[0]))
     highest = float(max(measured.frequencies[-1], lowest + 1))
@@ -414,9 +421,10 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
     )
     if not count or count < chance.mean():
         raise DataError(
-            f"{count or 'none'} of the {n} measured modes is surely one calculated mode: none is near, "
-            f"or two are. Of random frequencies {chance.mean():.1f} are. Check frequencies, dimensions "
-            "and temperature, then input coefficients and uncertainties"
+            f"{count or 'none'} of the {n} measured modes can be assigned to exactly one "
+            "calculated mode; the others have none near, or two. Of random frequencies "
+            f"{chance.mean():.1f} could be. Check frequencies, dimensions and temperature, then "
+            "input coefficients and uncertainties"
         )
     doubts = []
     if (chance >= count).mean() > _BY_CHANCE:
@@ -521,8 +529,8 @@ class Spectra:
         )
         if start.sum() < end.sum() * 10 ** (_LEAST_RANGE / 10):
             raise DataError(
-                f"the responses have no decay of {_LEAST_RANGE:g} dB above their noise from "
-                f"{lowest:g} to {highest:g} Hz: measure with more signal"
+                f"the responses do not decay by {_LEAST_RANGE:g} dB above their noise from "
+                f"{lowest:g} to {highest:g} Hz: measure with a stronger signal"
             )
         noise = max(float(end.mean()) * n / tail / 2, 1e-12 * float((np.abs(spectra) ** 2).mean()))
         return cls(spectra.T, np.asarray(2 * np.pi * f[inside]), noise, n, 1 / rate)
@@ -843,14 +851,14 @@ def find_modes(
     fit = fitted(heard, model.calculated, model.amplitudes(pairs))
     if max(fit.unexplained, fit.strange) > UNEXPLAINED:
         raise DataError(
-            f"the room's modes leave {fit.unexplained:.0%} of the responses' power unexplained, and "
-            f"{fit.strange:.0%} of the amplitudes over the positions: check dimensions, positions, "
-            "temperature and that the time axis begins as the sound does"
+            f"the room's modes leave {fit.unexplained:.0%} of the responses' power unexplained, "
+            f"and {fit.strange:.0%} of the amplitudes over the positions: check dimensions, "
+            "positions and temperature, and that time 0 is when the sound begins"
         )
     if abs(fit.scale - 1) > 0.99 * FARTHEST:
         raise DataError(
-            f"frequencies are {fit.scale:.3f} times those calculated or beyond, where the "
-            "search ends: check dimensions and temperature"
+            f"the measured frequencies are at least {fit.scale:.3f} times the calculated ones, "
+            "more than is searched: check dimensions and temperature"
         )
     return _without_prior(fit, size, model.modes.largest, lowest, highest)
 
@@ -876,26 +884,32 @@ def _checked(
     signals = checks.shaped("responses", responses, len(pairs), "n_samples")
     rate = checks.positive("rate", rate, "Hz")
     if len(pairs) < 2:
-        raise DataError(f"responses has {len(pairs)} pair; modes need 2, of different positions")
+        raise DataError(f"responses has {len(pairs)} pair; give at least 2, at different positions")
     if len(set(pairs)) < len(pairs):
         twice = next(p for k, p in enumerate(pairs) if p in pairs[:k])
-        raise DataError(f"pairs: {' to '.join(twice)} stands there twice; average its responses")
+        raise DataError(f"pairs: {' to '.join(twice)} occurs twice; average its responses")
     if not np.isfinite(signals).all():
         raise DataError("responses has a value that is not finite")
     if not 0 < lowest < highest <= rate / 2.5:
         raise DataError(
-            f"lowest = {lowest:g} Hz and highest = {highest:g} Hz are not in order above 0 and up to "
-            f"rate / 2.5 = {rate / 2.5:g} Hz"
+            f"lowest = {lowest:g} Hz and highest = {highest:g} Hz must increase, be above 0 and "
+            f"at most rate / 2.5 = {rate / 2.5:g} Hz"
         )
     if signals.shape[1] < rate:
         raise DataError(
-            f"responses are {signals.shape[1] / rate:.2f} s long; low modes need at least 1 s"
+            f"responses are {signals.shape[1] / rate:.2f} s long; they must be at least 1 s "
+            "long to resolve low modes"
         )
     for pair, signal in zip(pairs, signals, strict=True):
         if not signal.any():
-            raise DataError(f"the response of {' to '.join(pair)} is silent")
+            raise DataError(
+                f"the response of {' to '.join(pair)} is silent: every sample is 0; leave it out"
+            )
         if clipped_samples(signal):
-            raise DataError(f"the response of {' to '.join(pair)} is clipped")
+            raise DataError(
+                f"the response of {' to '.join(pair)} is clipped; measure it again with a lower "
+                "level"
+            )
     return signals
 
 
@@ -914,7 +928,9 @@ def _without_prior(
     inside = (fit.frequencies >= lowest) & (fit.frequencies <= highest)
     chosen = np.flatnonzero(sure & own & inside)
     if not len(chosen):
-        raise DataError("no mode is sure enough: measure at more positions, or with less noise")
+        raise DataError(
+            "no mode was found with enough certainty: measure at more positions, or with less noise"
+        )
     chosen = chosen[np.argsort(fit.frequencies[chosen], kind="stable")]
     notes = [
         f"Modes of {fit.own.shape[1]} pairs: {len(chosen)} of {int(inside.sum())} calculated from "

@@ -180,8 +180,8 @@ class RoomModes:
                 moved = step(left, beta[:, far], pull[:, far])
         if len(left):
             raise ModelError(
-                f"the mode at {poles[left[0]].imag / (2 * np.pi):.1f} Hz has no pole near that of "
-                "rigid walls: a wall absorbs too much"
+                f"the mode at {poles[left[0]].imag / (2 * np.pi):.1f} Hz cannot be followed from "
+                "rigid walls, because a wall absorbs too much: lower its coefficients"
             )
         of_walls, pull = self._walls(shapes, c * at(poles.imag / (2 * np.pi)))
         norms = (shapes * (2 * poles * shapes + pull)).sum(axis=0)
@@ -377,7 +377,7 @@ def _integrals(basis: Any, geometry: Polyhedron) -> list[Any]:
     boundary = mesh.boundary_facets()
     off = distances(mesh.p[:, mesh.facets[:, boundary]].mean(axis=1).T, geometry.triangles)
     if (off.min(axis=1) > _PLANE).any():
-        raise DataError("a wall of the mesh overlaps another: the mesh's boundary is not its faces")
+        raise DataError("walls of the mesh overlap; draw each wall once")
     owner = geometry.triangle_faces[off.argmin(axis=1)]
     walls = (boundary[owner == k] for k in range(len(geometry.faces)))
     bases = (fem.FacetBasis(mesh, basis.elem, facets=facets, intorder=4) for facets in walls)
@@ -389,7 +389,7 @@ def _library() -> Any:
         import skfem.models.poisson
     except ImportError as error:
         raise MissingDependencyError(
-            "modes of a room that is no box need scikit-fem: pip install 'rtcal[modes]'"
+            "modes of a room that is not a box need scikit-fem: pip install 'rtcal[modes]'"
         ) from error
     return skfem
 
@@ -469,9 +469,9 @@ def refuse_many(count: float, largest: float, sides: Array) -> None:
     if count > MOST:
         size = " x ".join(f"{side:.3g}" for side in sides)
         raise DataError(
-            f"the room of {size} m has some {count:.0f} modes up to {largest:g} Hz, and at most {MOST} "
-            "are calculated: leave out modes above a lower frequency"
-            + (", or is it in mm?" if np.max(sides) > _LARGEST_SIDE else "")
+            f"the room of {size} m has about {count:.0f} modes up to {largest:g} Hz, but at most "
+            f"{MOST} are calculated: give a lower largest frequency"
+            + (", or check whether the room is in mm" if np.max(sides) > _LARGEST_SIDE else "")
         )
 
 
@@ -504,7 +504,7 @@ Plane = tuple[Array, float]
 MOST_TETRAHEDRA = 150_000
 """Largest number of tetrahedra."""
 _TOO_MANY = (
-    f"the room's {{}} need over {MOST_TETRAHEDRA} tetrahedra: state a mesh without small objects"
+    f"the room's {{}} need over {MOST_TETRAHEDRA} tetrahedra: give a mesh without small objects"
 )
 _NEAR = 1e-7
 """Distance in m within which a vertex lies on a plane."""
@@ -618,7 +618,7 @@ def absorption(beta: Complex | Array) -> Array:
     """
     value = np.asarray(beta, dtype=complex)
     if not np.isfinite(value).all() or (value.real < 0).any():
-        raise DataError(f"beta = {checks.shown(beta)} is not finite with a real part of 0 or more")
+        raise DataError(f"beta = {checks.shown(beta)} must be finite with a real part of 0 or more")
     # The integral is even in b, and has its limit where b is 0.
     g, b = value.real, np.maximum(np.abs(value.imag), 1e-12)
     # With cos t = x it is 8 g times that of x² / ((x + g)² + b²) over x from 0 to 1.
@@ -640,7 +640,7 @@ def admittance(alpha: Array) -> Array:
     """
     value = checks.array("alpha", alpha)
     if not ((value >= 0) & (value <= 1)).all():
-        raise DataError(f"alpha = {checks.shown(alpha)} is not within 0 and 1")
+        raise DataError(f"alpha = {checks.shown(alpha)} must be from 0 to 1")
     return _with_slope(value)[0]
 
 
@@ -793,7 +793,7 @@ class RoomPoles:
         for source, receiver in pairs:
             if source not in scene.sources or receiver not in scene.receivers:
                 raise DataError(
-                    f"pairs: {source} to {receiver} has no place; the room's scene has sources "
+                    f"pairs: {source} to {receiver} has no position; the room has the sources "
                     f"{', '.join(scene.sources) or 'none'} and receivers "
                     f"{', '.join(scene.receivers) or 'none'}"
                 )

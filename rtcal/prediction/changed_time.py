@@ -224,8 +224,9 @@ class TimeChange:
                 time = self.known.equation.time(room, room.absorption_area)
             if not (np.isfinite(time) & (time > 0)).all():
                 raise ModelError(
-                    f'room "{room.name}": {self.known.equation.name}\'s equation gives no T where the '
-                    f"mean alpha is {np.min(mean):.3g} to {np.max(mean):.3g}"
+                    f'room "{room.name}": {self.known.equation.name}\'s equation gives no T for '
+                    f"a mean alpha of {np.min(mean):.3g} to {np.max(mean):.3g}: use another "
+                    "equation, or a smaller change"
                 )
 
     @cached_property
@@ -664,7 +665,7 @@ def refuse_other_priors(rooms: Sequence[Room], places: Sequence[str]) -> None:
     """
     for place, room in list(zip(places, rooms, strict=True))[1:]:  # the first is that compared with
         if not np.array_equal(room.centre_frequencies, rooms[0].centre_frequencies):
-            raise DataError(f"{place} has other bands than {places[0]}")
+            raise DataError(f"{place} has other bands than {places[0]}; both must have the same")
         for i, material in enumerate(room.materials):
             owner = next(n for n, r in enumerate(rooms) if material in r.materials)
             j = rooms[owner].materials.index(material)
@@ -673,6 +674,6 @@ def refuse_other_priors(rooms: Sequence[Room], places: Sequence[str]) -> None:
                 if not np.array_equal(values, first):
                     k = int(np.flatnonzero(values != first)[0])
                     raise DataError(
-                        f"{place}: {room.place(name, i, k)} = {values[k]:g}, but {places[owner]} says "
-                        f"{first[k]:g}; a shared material has one prior"
+                        f"{place}: {room.place(name, i, k)} = {values[k]:g}, but {places[owner]} "
+                        f"has {first[k]:g}; a material must have the same values in all rooms"
                     )

@@ -610,11 +610,13 @@ def design_model(
 ) -> DesignModel:
     """Return what may be placed in a room, and what is known of it; raises DataError as `design`."""
     if isinstance(result, Room):
-        raise DataError("result is a Room; it is not a calibration's result: calibrate it first")
+        raise DataError("result is a Room; give the result of a calibration (rtcal.calibrate)")
     known = known_room(result)
     room = known.room
     if target.low.shape != (room.n_bands,):
-        raise DataError(f"target has {len(target.low)} bands; the room has {room.n_bands}")
+        raise DataError(
+            f"target has {len(target.low)} bands; it must have the room's {room.n_bands}"
+        )
     return DesignModel(
         known,
         check_treatments(treatments, room),

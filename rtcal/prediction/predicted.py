@@ -55,11 +55,12 @@ def known_room(known: Known, equation: LinearEquation | None = None) -> KnownRoo
     found = known if isinstance(known, KnownRoom) else getattr(known, "known", None)
     if found is None:
         raise DataError(
-            f"known = {checks.shown(known)} is neither a calibration's result nor a Room"
+            f"known = {checks.shown(known)} must be a Room or the result of a calibration"
         )
     if equation is not None and equation != found.equation:
         raise DataError(
-            f"equation = {equation.name}, but the calibration's is {found.equation.name}"
+            f"equation = {equation.name}, but the room was calibrated with "
+            f"{found.equation.name}: leave equation out"
         )
     return found
 
@@ -228,7 +229,7 @@ class Prediction(TimeChange, Result):
         every = np.ones(self.after.n_bands)
         for name, ends in (("low", low), ("high", high)):
             if np.shape(ends) not in ((), every.shape):
-                raise DataError(f"{name} has shape {np.shape(ends)}; it is {every.shape}")
+                raise DataError(f"{name} has shape {np.shape(ends)}; it must be {every.shape}")
         target = Target(every * low, every * high)
         # Where nothing changes, T before may be an end of the range itself.
         return np.log(target.low) - _ROUNDING, np.log(target.high) + _ROUNDING
@@ -382,7 +383,9 @@ def predict(
         default = changes.name
     else:
         if isinstance(changes, str):
-            raise DataError(f"changes = {changes!r} is no rtcal.prediction.Change or list of them")
+            raise DataError(
+                f"changes = {changes!r} must be an rtcal.prediction.Change or a list of them"
+            )
         made = (changes,) if isinstance(changes, Change) else checks.listed("changes", changes)
         default = "; ".join(map(str, made)) or "no change"
     prediction = Prediction(
@@ -498,5 +501,5 @@ def predict_variants(
     )
     n_bands = made[0].after.n_bands if made else 0
     if target is not None and target.low.shape != (n_bands,):
-        raise DataError(f"target has {len(target.low)} bands; the room has {n_bands}")
+        raise DataError(f"target has {len(target.low)} bands; it must have the room's {n_bands}")
     return Predictions(predictions=made, costs=tuple(v.cost for v in variants), target=target)

@@ -20,22 +20,23 @@ MEASURED, MODEL, STATED = "measured", "calibrated model", "input coefficients"
 CALIBRATED = "calibrated room"
 """What T before is."""
 ALIKE, CHANGED_ALONE = (
-    "the simulator, alike in both states",
-    "the simulator, in the changed room alone",
+    "error of the simulator in both rooms",
+    "error of the simulator in the changed room",
 )
 COVERS, PLACES = "the covered areas", "where the cover lies"
 
 _ADVICE = {
-    STAYS: "measure T in a second state of the room: it separates what stays from what changes",
-    EQUATION: "measure T in a second state of the room, or take a simulator: the equation's error "
-    "shows between two states",
+    STAYS: "measure T in a second state of the room, which separates the absorption that stays from "
+    "that of the change",
+    EQUATION: "measure T in a second state of the room, which shows the error of the equation, or use "
+    "a simulator",
     BEFORE: "measure T in the room as it is",
     SIZES: "survey the volume and the areas, and measure the climate if it is uncertain",
     MEASUREMENT: "measure T at more positions",
     ALIKE: "measure at more positions",
-    CHANGED_ALONE: "measure with the first part of the change: only that shows it",
+    CHANGED_ALONE: "measure after the first part of the change, which is the only way to determine it",
     COVERS: "measure the areas that are covered",
-    PLACES: "say where the cover lies: give its place a material of its own in mesh and room",
+    PLACES: "specify the place of the cover: give it a material of its own in the mesh and in the room",
 }
 
 
@@ -45,7 +46,8 @@ def advice(part: str, n_states: int) -> str:
         return "measure T in the room as it is"
     if part == EQUATION and n_states > 1:
         return (
-            "use a simulator: several states are measured, and what is left is the equation's own"
+            "use a simulator: several states were measured, and the remaining uncertainty is "
+            "the error of the equation"
         )
     return _ADVICE.get(part, f"measure {part}, or T with the first square metres of the change")
 
@@ -54,32 +56,34 @@ ASSUMED = {
     "volume": "relative error of the volume",
     "areas": "relative error of each area",
     "common": "error of ln T before, where it was not measured",
-    "factor": "standard deviation of ln of what the equation errs by of each material's absorption",
+    "factor": "standard deviation of the logarithm of the equation's error, for each material's "
+    "absorption",
     "least": "the same, as an absorption coefficient",
-    "evenness": "mean of u, the way from the equation (0) to Arau-Puchades' (1) and Fitzroy's (2)",
+    "evenness": "mean of u, which goes from the equation (0) to Arau-Puchades' (1) and Fitzroy's (2)",
     "evenness_sigma": "standard deviation of u",
-    "one_surface": "probability that all that is exchanged faces one axis, where nothing says which",
+    "one_surface": "probability that all exchanged surfaces face one axis, if their axes are not given",
     "own": "relative error of a change between two measured states that no factor explains",
     "changed": "least sigma of a new material, at positions",
-    "time": "relative uncertainty of a measured T that states none",
+    "time": "relative uncertainty of a measured T that has none",
     "band_correlation": "correlation of the errors an octave apart",
 }
 """What the numbers of `rtcal.prediction.Assumptions` are."""
 REMARK = (
-    "The interval is for a measurement without error{}, and as good as these numbers and the input "
-    "sigma. One JND of T is 5 % of it."
+    "The interval is for a measurement without error{}, and is only as accurate as these numbers "
+    "and the input sigma. One JND is 5 % of T."
 )
-NOTHING_CHANGES = "Nothing changes: T stays as it was before, whatever is not known of the room."
+NOTHING_CHANGES = "Nothing changes, so T stays as it was before."
 NOTHING_MEASURED = "Nothing was measured: the interval is that of the input coefficients."
 CALIBRATED_BEFORE = (
-    "T before is that of the calibrated room, and the interval that of its coefficients' sigma. Give "
-    "the room as it was before its calibration, and what was measured: T before then counts as that."
+    "T before was calculated from the calibrated room, and the interval follows from the sigma "
+    "of its coefficients. For the measured T before, give the room as it was before its "
+    "calibration, and the measurement."
 )
-GIVEN = "T before is given: its own uncertainty stands apart and is no part of the interval."
+GIVEN = "T before is given; its own uncertainty is not part of the interval."
 UNPLACED = (
-    "The room does not say which way the surfaces face that change. The interval allows for all of "
-    "them on one pair of walls, where T falls less. To narrow it, give the axis of each "
-    "surface, or the dimensions, or name the surfaces floor, ceiling and wall."
+    "The room does not give the axes of the surfaces that change. The interval therefore allows "
+    "for all of them on one pair of walls, where T falls less. To narrow it, give the axis of "
+    "each surface, or the dimensions, or name the surfaces floor, ceiling and wall."
 )
 
 
@@ -105,8 +109,8 @@ def headline(
 def not_measured(labels: Sequence[str]) -> str:
     """Return that T before was not measured in some bands."""
     return (
-        f"At {', '.join(labels)} T before was not measured: it is the model's, and its error is part "
-        "of the interval."
+        f"At {', '.join(labels)} T before was not measured; the T of the model is used, and its "
+        "error is part of the interval."
     )
 
 

@@ -181,7 +181,7 @@ def render(
         )
     )
     if (size := len(text.encode("utf-8", errors="backslashreplace"))) > MAX_BYTES:
-        raise DataError(f"the page would have {size} bytes, more than {MAX_BYTES}")
+        raise DataError(f"the page would have {size} bytes; at most {MAX_BYTES} can be written")
     return text
 
 

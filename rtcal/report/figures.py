@@ -79,7 +79,7 @@ def new_figure(
     checks.positive("width", width, "in")
     checks.positive("height", height, "in")
     if checks.whole("rows", rows, 1) * checks.whole("columns", columns, 1) > _MOST_AXES:
-        raise DataError(f"rows and columns of more than {_MOST_AXES} panels")
+        raise DataError(f"the figure would have more than {_MOST_AXES} panels")
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns)
 
@@ -304,7 +304,7 @@ def plane(
     root = np.array([[1.0, 0.0], [correlation, np.sqrt(1 - correlation**2)]])
     for n, style in ((1, "-"), (2, "--"), (3, ":")):
         ellipse = mu[:, np.newaxis] + n * sigma[:, np.newaxis] * (root @ circle)
-        axes.plot(*ellipse, color="0.45", linestyle=style, linewidth=1, label=f"prior, {n} σ")
+        axes.plot(*ellipse, color="0.45", linestyle=style, linewidth=1, label=f"input, {n} σ")
     points = [mu, alpha] if truth is None else [mu, alpha, np.asarray(truth, dtype=float)]
     reach = np.maximum(3.3 * sigma, 1.2 * np.max(np.abs(np.array(points) - mu), axis=0))
     reach = np.maximum(reach, 0.02)
@@ -363,7 +363,7 @@ def path(loop: Loop) -> Any:
     DataError if nothing has been simulated yet.
     """
     if not loop.steps:
-        raise DataError("the loop has no simulation yet: there is no path to show")
+        raise DataError("the loop has no simulation yet, so there is nothing to draw")
     figure, (above, below) = new_figure(6.2, 7.6, 2, 1)
     f, wanted = loop.prior.centre_frequencies, loop.wanted
     simulated = np.array([step.simulated for step in loop.steps])
@@ -448,11 +448,11 @@ def change(finding: Finding) -> Any:
 
 _PLAIN: dict[str, Any] = {"color": GREEN, "marker": "^"}
 _CORRECTED: dict[str, Any] = {"color": BLUE, "marker": "D"}
-"""Marks of a plain calibration, and of the one with the effect that was found."""
+"""Marks of the calibration without the effect that was found, and of the one with it."""
 
 
 def corrected_times(verification: Verification) -> Any:
-    """Return T(f) of the first configuration: measured, prior, plainly calibrated, corrected."""
+    """Return T(f) of the first configuration: measured, input, calibrated, with the effect."""
     from rtcal.finder.verification import reverberation_times
     from rtcal.report.finding_words import title
 
@@ -463,9 +463,9 @@ def corrected_times(verification: Verification) -> Any:
     jnd_band(axes, f, times["measured"])
     axes.plot(f, times["measured"], **MEASURED, label="measured")
     for name, style, label in (
-        ("prior", BEFORE, "prior"),
-        ("plain", {**_PLAIN, "linestyle": ":"}, "calibrated without it"),
-        ("corrected", _CORRECTED, f"with {title(finding)}, calibrated"),
+        ("input", BEFORE, "input"),
+        ("calibrated", {**_PLAIN, "linestyle": ":"}, "calibrated"),
+        ("corrected", _CORRECTED, f"calibrated with {title(finding)}"),
     ):
         axes.plot(f, times[name], **style, fillstyle="none", label=shown(label))
     _times_axes(axes, f, "Reverberation time T")
@@ -473,10 +473,10 @@ def corrected_times(verification: Verification) -> Any:
 
 
 def corrected_shifts(verification: Verification) -> Any:
-    """Return each material's shift of alpha by band, plain and corrected, with 90 % intervals.
+    """Return each material's shift of alpha by band, without and with the effect, with 90 % intervals.
 
-    The prior's interval is grey. If there are more than `MOST_PANELS` materials, the figure shows those
-    whose absorption area moved most.
+    The interval of the input values is grey. If there are more than `MOST_PANELS` materials, the figure
+    shows those whose absorption area moved most.
     """
     room, f = verification.finding.case.room, verification.finding.case.room.centre_frequencies
     models = verification.calibrations
@@ -485,11 +485,11 @@ def corrected_shifts(verification: Verification) -> Any:
     def draw(axes: Any, i: int) -> None:
         wide = NORMAL_90 * room.sigma[i]
         ends = np.clip([room.alpha[i] - wide, room.alpha[i] + wide], 0, 1) - room.alpha[i]
-        axes.fill_between(f, *ends, color="0.88", label="prior, 90 %")
+        axes.fill_between(f, *ends, color="0.88", label="input, 90 %")
         axes.axhline(0, color=BLACK, linewidth=0.8)
         for by, x, style, label in (
-            (0.95, models[0], _PLAIN, "calibrated without it, 90 %"),
-            (1.05, models[1], _CORRECTED, f"with {verification.effect}, 90 %"),
+            (0.95, models[0], _PLAIN, "calibrated, 90 %"),
+            (1.05, models[1], _CORRECTED, f"calibrated with {verification.effect}, 90 %"),
         ):
             low, high = x.interval
             bars = np.maximum([x.alpha[i] - low[i], high[i] - x.alpha[i]], 0)
@@ -783,7 +783,7 @@ def save(figure: Any, path: str | os.PathLike[str]) -> None:
 
 def _check_kind(kind: str, place: str) -> None:
     if kind not in ("png", "svg", "pdf"):
-        raise DataError(f'{place}: a figure ends with .png, .svg or .pdf, not ".{kind}"')
+        raise DataError(f'{place}: a figure must end in .png, .svg or .pdf, not ".{kind}"')
 
 
 def write_folder(

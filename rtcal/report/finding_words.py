@@ -51,7 +51,7 @@ from rtcal.finder.verification import Verification
 from rtcal.io.tables import unusual
 from rtcal.loop.measured_pairs import without_place
 from rtcal.support.blocks import Block, Note, Row, Table
-from rtcal.support.text import as_sentence, first_of, listed
+from rtcal.support.text import as_sentence, first_of, listed, with_uncertainty
 from rtcal.support.types import Array
 
 MOST_ODDS = 1e6
@@ -75,7 +75,7 @@ NAMES = {
     "position": "another position",
     "noise": "a noisy value",
     NONE: "nothing missing",
-    COEFFICIENTS: "coefficients off in common",
+    COEFFICIENTS: "common error of the coefficients",
     UNKNOWN: "none of the library",
 }
 """Names in print, where they are others than those of the options."""
@@ -102,33 +102,39 @@ SENTENCES: dict[str, str] = {
     "(odds of {nats:odds}).",
     "size unbounded": "The measurement does not bound the size of {effect:name}: {size}; any {other} "
     "size fits as well.",
-    "too large": "{effect:name} would take {share:p} of all surfaces; more than {most:p} is not "
+    "too large": "{effect:name} would take {share:p} of all surfaces; a size above {most:p} is not "
     "plausible.",
-    "below Schroeder": "{effect:name} rests on {bands:and}, below Schroeder's frequency, where no "
-    "sound field is diffuse: without such bands its odds are {without:odds} instead of {nats:odds}.",
+    "below Schroeder": "{effect:name} depends on {bands:and}, below the Schroeder frequency, where "
+    "the sound field is not diffuse: without these bands its odds are {without:odds} instead of "
+    "{nats:odds}.",
     "directivity unknown": "The surface is not identified, because the directivity of a source is "
     "unknown: where a source aims looks like absorption on the other surfaces.",
-    "second room anywhere": "The surface is not identified: a second room returns its energy to all "
-    "positions alike. A room that scatters less than assumed has such decays, too: compare with a "
-    "lower --scattering.",
-    "one file": "Before and after have the same T at every pair: are they one file?",
-    "not the climate alone": "Another climate of the air is the most probable single change, but alone "
-    "it does not explain T (p = {chance:.2g} by chi-square over the bands).",
-    "not as asked": "Of what was asked for, {effects:unexplained} ({probability:p}); a spectrum that "
-    "no effect has explains it.",
-    "gains differ": "The level of {gains:gains} shifts otherwise than T: the source has another gain "
-    "after than before, so its level is left out. Measure both states with one reference.",
-    OWN_FIELD: "Nothing of the room is identified: what differs may be the program's own field "
-    "({probability:p}), which scatters otherwise than the room or lacks a second room.",
+    "second room anywhere": "The surface is not identified, because a second room has the same effect "
+    "at all positions. A room that scatters less than assumed has the same decays: repeat the search "
+    "with a lower --scattering.",
+    "one file": "Before and after have the same T at every pair: check that they are not the same "
+    "file.",
+    "not the climate alone": "Another climate of the air is the most probable single change, but it "
+    "does not fully explain T (p = {chance:.2g} by chi-square over the bands).",
+    "not as asked": "Of what was asked for, {effects:unexplained} ({probability:p}); only a spectrum "
+    "that none of these effects has can explain it.",
+    "gains differ": "The level of {gains:gains} changes differently from T, so the gain of the source "
+    "was not the same before and after; its level is left out. Measure both configurations with the "
+    "same reference.",
+    OWN_FIELD: "Nothing is identified in the room, because the difference may come from the program "
+    "itself ({probability:p}), which may scatter differently from the room or lack a second "
+    "room.",
     # What to do next.
     "another source": "Look for another source of the coefficients, first for the material with the "
     "largest product of area and uncertainty; or measure with and without a known absorber.",
-    "measure again": "See in the deviations which band and parameter disagree, and measure them again.",
+    "measure again": "Find in the deviations the band and the parameter that disagree, and measure "
+    "them again.",
     "nothing to distinguish": "These data leave nothing to distinguish, which does not confirm the "
     "model.",
     "look it up": "Confirm {effect:name} where it can be looked up or measured by itself.",
     "measure without": "Confirm {effect:name}: measure once without it.",
-    "confirmed": "{effect:name} was measured with and without it: nothing more confirms it.",
+    "confirmed": "{effect:name} was already measured with and without it; nothing else could confirm "
+    "it.",
     "with and without": "Measure with and without {effect:name}: if it is the cause, T changes, and "
     "the uncertainty of the coefficients cancels in the difference.",
     "measure further": "Measure {what}: {effect:name} and {rival:name} would then be distinguished "
@@ -136,69 +142,72 @@ SENTENCES: dict[str, str] = {
     "each taken out": "Measure once without {effect:name} and once without {rival:name}: the "
     "uncertainty of the coefficients cancels in the difference.",
     "look at the room": "Look at the room: {effect:name} and {rival:name} predict the same in every "
-    "parameter, and one of them can be seen, or measured with a rule.",
+    "parameter, but you may see one of them, or measure it with a tape measure.",
     # Why nothing is added to the model, or not without a choice.
     "nothing to add": "Nothing to add: nothing is identified as missing.",
     "too weak to add": "Nothing to add: nothing was detected, and {best:name} is only a weak "
     "indication (verdict hint), which no choice of an effect changes. Measure more and search again: "
     "`rtcal plan` proposes what.",
-    "none of the library": "Nothing to add: what is missing is no effect of the library (verdict "
-    "unknown).",
-    "no surface": "Nothing to add: what was found stands on no surface.",
+    "none of the library": "Nothing to add: no effect of the library explains what is missing "
+    "(verdict unknown).",
+    "no surface": "Nothing to add: the effect that was found is not on a surface.",
     "second room": "{best:name}: {why}",
     "no change to add": "Nothing to add: no change was identified.",
     "climate changed": "Nothing to add: the climate of the air changed. Enter temperature and humidity "
     "in the room's file.",
-    "effect undecided": "No effect is chosen, and the most probable one has less than {least:p}. "
-    "Candidates: {candidates:options}. Choose one: effect = NAME.",
+    "effect undecided": "No effect is chosen, and the most probable one has a probability of less than "
+    "{least:p}. Candidates: {candidates:options}. Choose one: effect = NAME.",
     "place undecided": "Neither an effect nor a place is chosen, and the most probable group on one "
-    "surface has less than {least:p}. Candidates: {candidates:options}. Choose one: effect = NAME, or "
-    "its place: at = X,Y,Z.",
-    "volume undecided": "effect = volume has {probability:p}, and the room's volume is changed only "
-    "from {least:p} on. Measure the volume and enter it in the room's file, or choose another effect: "
-    "{others:or}.",
-    "volume alone undecided": "effect = volume has {probability:p}, and the room's volume is changed "
-    "only from {least:p} on. Measure the volume and enter it in the room's file.",
+    "surface has a probability of less than {least:p}. Candidates: {candidates:options}. Choose one: "
+    "effect = NAME, or its place: at = X,Y,Z.",
+    "volume undecided": "effect = volume has a probability of {probability:p}, but rtcal changes the "
+    "room's volume only from {least:p} upwards. Measure the volume and enter it in the room's file, "
+    "or choose another effect: {others:or}.",
+    "volume alone undecided": "effect = volume has a probability of {probability:p}, but rtcal "
+    "changes the room's volume only from {least:p} upwards. Measure the volume and enter it in the "
+    "room's file.",
     "support": "{best}; {others:and} cannot be distinguished (verdict {verdict})",
     "sole": "{best} (verdict {verdict})",
-    "not predicted": "with their uncertainty, the odds that these data give for it are {nats:odds}; "
-    "{least:odds} count",
+    "not predicted": "considering their uncertainty, these data give odds of {nats:odds} for it, less "
+    "than the {least:odds} required",
     # What to know of the data and of the search.
-    "chosen": "Effects were left out or weighted by hand: the probabilities are among those that were "
-    "tried, and how often such findings were right was measured with the whole library.",
-    "T uncertain": '"{configuration}": {band} dropped: T is known to {u:.0f} % only',
-    "no T": '"{configuration}": {band} dropped: no T20 and no T30',
+    "chosen": "Effects were left out or weighted by hand, so the probabilities are relative to the "
+    "effects that were tried. How often such findings are right was measured only with the "
+    "whole library.",
+    "T uncertain": '"{configuration}": {band} left out: the uncertainty of T is {u:.0f} %',
+    "no T": '"{configuration}": {band} left out: it has neither T20 nor T30',
     "uncertainties": "Uncertainty of {origins:origins}",
-    "level off": '{parameter} of "{configuration}" is {by:.1f} dB {side} what T and the room give, '
-    "alike in all bands. Its calibration may be off as well as the room. If its reference is not sure, "
-    'name it "level".',
-    "Schroeder": '"{configuration}": {bands:and} below Schroeder\'s frequency ({limit:.0f} Hz), where '
-    "no sound field is diffuse.",
+    "level off": '{parameter} of "{configuration}" is {by:.1f} dB {side} what T and the room give, by '
+    "the same amount in all bands. Either its calibration or the room is off. If its reference is "
+    'uncertain, name it "level".',
+    "Schroeder": '"{configuration}": {bands:and} below the Schroeder frequency ({limit:.0f} Hz), where '
+    "the sound field is not diffuse.",
     "not used": '"{configuration}": {parameters:and} not used; a search by means over positions uses '
     "{known:and}.",
     "curved": '"{configuration}": the decay is curved at {bands:and} (ISO 3382-2, Annex B: at most '
     "{most:.0f} %).",
-    "second run lacks": "{parameters:and} left out, which a second run lacks.",
-    "run lacks": '"{configuration}": {parameters:and} left out, which the run lacks.',
+    "second run lacks": "{parameters:and} left out, because the second run does not have all of them.",
+    "run lacks": '"{configuration}": {parameters:and} left out, because the run does not have all of '
+    "them.",
     EQUATION_OFF: "{equation}'s T is {by:range} {side} than the program's {bands:where}.",
     "no air": "The room has no air, so the model's air absorbs nothing.",
     "means alone": "Means over positions identify {effect:name} ({probability:p}), which the "
     "differences between positions do not confirm.",
-    "not tried": "Not tried, since they stand on no surface: {effects:and}. A search by means over "
+    "not tried": "Not tried, because they are not on a surface: {effects:and}. A search by means over "
     "positions tries them.",
-    "gains": "G agrees better with the room if its calibration may be off, alike in all bands or band "
-    "by band (odds of {nats:odds}). It counts as far as it is right. If its reference is not sure, "
-    'name it "level".',
-    "lobes": "Directional sources explain the measurement better than what the room may lack (odds of "
-    "{nats:odds}), so the sources are not taken as omnidirectional. Enter their [directivity]; an "
-    "omnidirectional source has the index 0.",
-    "lobes possible": "Directional sources may explain the measurement better than what the room may "
-    "lack (odds of {nats:odds}), and count as far as they are likely. Enter their [directivity]; "
-    "an omnidirectional source has the index 0.",
-    "index off": "Other directivities explain the measurement better than what the room may lack (odds "
-    "of {nats:odds}), so the directivity index of {sources:few} is not relied on. Enter measured "
-    "balloons to use all parameters.",
-    "nothing explains the level": "Nothing that is tried explains the level and the early parameters, "
+    "gains": "G agrees better with the room if its calibration may be off, by the same amount in all "
+    "bands or band by band (odds of {nats:odds}), and is weighted accordingly. If its "
+    'reference is uncertain, name it "level".',
+    "lobes": "Directional sources explain the measurement better than anything that may be missing "
+    "from the room (odds of {nats:odds}), so the sources are not taken as omnidirectional. "
+    "Enter their [directivity]; an omnidirectional source has the index 0.",
+    "lobes possible": "Directional sources may explain the measurement better than anything that may "
+    "be missing from the room (odds of {nats:odds}), and are weighted by their probability. Enter "
+    "their [directivity]; an omnidirectional source has the index 0.",
+    "index off": "Other directivities explain the measurement better than anything that may be missing "
+    "from the room (odds of {nats:odds}), so the directivity index of {sources:few} is not "
+    "relied on. Enter measured balloons to use all parameters.",
+    "nothing explains the level": "None of the effects explains the level and the early parameters, "
     "so the directivity index of {sources:few} is not relied on. Enter measured balloons to use all "
     "parameters.",
     "no geometry": "T alone does not show on which surface something changed.",
@@ -215,38 +224,41 @@ SENTENCES: dict[str, str] = {
     "Give every source a directivity, with index = 0 for an omnidirectional one.",
     # What a corrected room does not hold, and what was assumed for it.
     "decay not in a room": "{effect:name}: a room's file has surfaces and air only.",
-    "air of no climate": "{effect:name}: its air is not that of a climate (ISO 9613-1).",
-    "absorbs too much": "{effect:name}: no area of a further material absorbs so much.",
-    "hides wall": "{effect:name}: it covers wall that absorbs more than it does at {bands:and}. The "
-    "room keeps the absorption of this wall.",
-    "takes absorption": "{effect:name}: it takes absorption away, "
-    "and it is unknown from which surface.",
-    "equation": "The equation: a room's file names none. Calibrate the room with {equation}.",
+    "air of no climate": "{effect:name}: no temperature and humidity give the air attenuation that "
+    "was found (ISO 9613-1).",
+    "absorbs too much": "{effect:name}: a further material would need more than the whole surface to "
+    "absorb so much.",
+    "hides wall": "{effect:name}: it would cover a surface that absorbs more than the effect does at "
+    "{bands:and}. The room keeps the absorption of this surface.",
+    "takes absorption": "{effect:name}: it removes absorption from an unknown surface.",
+    "equation": "The equation, because a room's file does not name one. Calibrate the room with "
+    "{equation}.",
     "speed of sound": "The speed of sound: the model has {model:.1f} m/s, and the room, by its air, "
     "{room:.1f} m/s, so that its T differs by {by:+.1f} %.",
     "no place": "The {lost:and}: they do not have the areas or the volume that were found.",
-    "volume changed": "The input volume: it is {now:.4g} m³ now, and was {before:.4g} m³.",
-    "area changed": 'The input area of "{material}": it is {now:.4g} m² now, and was {before:.4g} m².',
+    "volume changed": "The input volume: it was {before:.4g} m³ and is now {now:.4g} m³.",
+    "area changed": 'The input area of "{material}": it was {before:.4g} m² and is now {now:.4g} m².',
     "patch too large": 'A patch of {patch:.3g} m² does not fit on "{surface}" of {area:.3g} m²: the '
     "whole surface gets the new material.",
-    "patch drawn larger": "The patch has {drawn:.3g} m² in the mesh for the {size:.3g} m² that were "
-    "found, and lower coefficients, so that a calibration can make it absorb more as well as less.",
-    "bands unknown": "T was not measured in both states at {bands:and}: there the room has the "
-    "coefficients of the first state.",
-    "surface unknown": "It is unknown on which surface something changed: every material has "
-    "its share.",
+    "patch drawn larger": "The patch has {drawn:.3g} m² in the mesh instead of the {size:.3g} m² that "
+    "were found, and lower coefficients, so that a calibration can make it absorb more or less.",
+    "bands unknown": "T was not measured in both configurations at {bands:and}, so the room keeps the "
+    "coefficients of the first configuration there.",
+    "surface unknown": "It is unknown on which surface something changed, so the change is "
+    "distributed over all materials.",
     "change does not fit": "At {band} the surfaces that changed cannot hold {rest:.1f} m² of the "
     "change of {change:+.1f} m².",
     "T before out of reach": "At {band} no coefficients of the room give T before: its absorption area "
     "is off by {off:+.1f} m².",
-    "kind unknown": "It is unknown what was changed ({kinds:or}): the room has the amount alone.",
+    "kind unknown": "It is unknown what was changed ({kinds:or}), so the room contains only the "
+    "amount.",
     # Why a verification does not support a finding.
     "gains little": "only a decrease by more than {least:.2f} JND counts",
-    "misses": "the corrected model misses what it was matched to",
-    "little left": "calibrating alone leaves {before:.2f} JND there, so that no second run can shrink "
-    "it by the {least:.2f} JND that count",
-    "halves differ": "the halves of the pairs found another thing than all pairs",
-    "still missed": "with it these data are still missed by {gap:.2f} JND on average",
+    "misses": "the corrected model does not have the values that it was matched to",
+    "little left": "a calibration without the effect leaves only {before:.2f} JND there, so a second "
+    "run cannot reduce it by the {least:.2f} JND that are required",
+    "halves differ": "the halves of the pairs found something else than all pairs did",
+    "still missed": "with it, the model still deviates from these data by {gap:.2f} JND on average",
     "grows": "the deviation of {quantity} grows from {before:.2f} to {after:.2f} JND",
     "nothing claimed": "no effect and no group of effects is identified",
 }
@@ -460,7 +472,7 @@ def _of_means(f: Finding) -> list[str]:
         return [f"{subject}; {choice(some)}.", group]
     if f.best_effect == COEFFICIENTS:
         return [
-            f"The input coefficients are off in common ({percent(f.probabilities[COEFFICIENTS])})."
+            f"The input coefficients have a common error ({percent(f.probabilities[COEFFICIENTS])})."
         ]
     return [f"{subject}: {best}."]
 
@@ -471,8 +483,8 @@ def _weak(f: Finding) -> str:
     if not _nothing_likelier(f):
         return f"Nothing is identified; {best} is only a weak indication."
     return (
-        "Nothing is identified: that nothing is missing is likelier "
-        f"({percent(f.probabilities[NONE])}) than the most probable candidate, {best}."
+        "Nothing is identified: it is more likely that nothing is missing "
+        f"({percent(f.probabilities[NONE])}) than any candidate; the most probable one is {best}."
     )
 
 
@@ -618,8 +630,8 @@ def _at_positions(f: Finding) -> list[str]:
         said.append(f"The effect is not identified: {some}.")
     if f.unexplained >= MOST:
         said.append(
-            "This does not explain everything that was measured: something else differs from the model "
-            f"as well ({percent(f.unexplained)})."
+            "This does not explain everything that was measured: something else also differs "
+            f"from the model ({percent(f.unexplained)})."
         )
     return said
 
@@ -692,7 +704,7 @@ def cautions(f: Finding) -> list[str]:
     elif f.kind == "states" and f.verdict != NONE and f.family != "climate" and f.climate >= MOST:
         said.append(f"A change of the climate explains a part of it ({percent(f.climate)}).")
     if off is not None and f.best_effect != COEFFICIENTS:
-        said.append(f"The input coefficients may be off in common ({percent(off.probability)}).")
+        said.append(f"The input coefficients may have a common error ({percent(off.probability)}).")
     if f.kind == "positions" and abs(f.score - f.threshold) < BY_SEED:
         said.append(
             "The odds are near the required ones. They vary with the simulator's random numbers by a "
@@ -716,8 +728,8 @@ def _details_of_means(f: Finding) -> list[str]:
     if f.coefficients is not None:
         low, high = f.coefficients.ratio.min(), f.coefficients.ratio.max()
         said.append(
-            f"Coefficients off in common: by band, the room has {low:.2f} to {high:.2f} times the "
-            "absorption area of the input. Look for another source of them."
+            f"Common error of the coefficients: by band, the room has {low:.2f} to {high:.2f} "
+            "times the absorption area of the input. Look for another source of the coefficients."
         )
     if f.more_than_one:
         said += [
@@ -734,7 +746,11 @@ def _details_of_means(f: Finding) -> list[str]:
         family = library[name].family if name in library else None
         others = [called(k) for k, e in f.effects.items() if e.family == family]
         alike = [] if reason == IN_RUN else others
-        stands = f" If it is there, {listed(alike, last='or')} may stand for it." if alike else ""
+        stands = (
+            f" If it is there, {listed(alike, last='or')} may be identified in its place."
+            if alike
+            else ""
+        )
         said.append(f"Not judged: {called(name)}, because {reason}.{stands}")
     return said
 
@@ -773,8 +789,8 @@ def _details_at_positions(f: Finding) -> list[str]:
         # The groups are those of the most probable effect on a surface.
         effect = next((c.effect for c in f.candidates if c.surface is not None), "it")
         said.append(
-            f"{listed(apart)}: {called(effect)} there would be distinguished or is not tried; not "
-            "ruled out."
+            f"{listed(apart)}: {called(effect)} there was not tried, or these positions could "
+            "distinguish it; not ruled out."
         )
     return said
 
@@ -800,8 +816,8 @@ def evidence(f: Finding) -> str:
     )
     if f.kind == "positions" and f.case.has_run:
         said += (
-            " A program differs from rtcal's tracer by more than two of its tracings do, and in ways "
-            "that the reference simulations do not have: so more is required than without a run."
+            " Higher odds are required than without a run, because a program differs from "
+            "rtcal's tracer in more ways than the reference simulations show."
         )
         if f.verdict == "hint":
             said += (
@@ -844,7 +860,7 @@ def track_record(f: Finding) -> str:
             for kind, names in claimed.items()
             if names
         ]
-        return f"{rooms}, with one or two effects, right were {listed(kinds)}." if kinds else ""
+        return f"{rooms}, with one or two effects, {listed(kinds)} were right." if kinds else ""
     return record_of_means(f.verdict, data_of(f.case))
 
 
@@ -853,12 +869,12 @@ def record_of_positions(room: Room, match: Sequence[str]) -> str:
     stated, data = statement_of(room), WITH_LEVEL if LEVEL.key in match else WITHOUT_LEVEL
     record = record_of("positions", stated, data)
     return (
-        f"In simulated rooms that were not used to make the finder, with coefficients {stated}, an "
-        f"earlier version detected {_of(record['detected'], 'hidden effects')} and flagged "
-        f"{_of(record['flagged'], 'rooms that lack nothing')}. Right were "
+        f"In simulated rooms that were not used to make the finder, with coefficients {stated}, "
+        f"an earlier version detected {_of(record['detected'], 'hidden effects')} and flagged "
+        f"{_of(record['flagged'], 'rooms with nothing missing')}. Of its results, "
         f"{_of(record['family'], 'identified effects or groups')}, "
         f"{_of(record['surface claimed'], 'identified surfaces')} and "
-        f"{_of(record['surface'], 'most probable surfaces of detected absorbers')}."
+        f"{_of(record['surface'], 'most probable surfaces of detected absorbers')} were right."
     )
 
 
@@ -867,7 +883,7 @@ def record_of_means(verdict: str, data: str) -> str:
     record = record_of("means", data)
     rooms = f"In simulated rooms that were not used to make the finder, with {data},"
     if verdict == UNKNOWN:
-        return f"{rooms} {_of(record['flagged'], 'rooms that lack nothing were flagged')}."
+        return f"{rooms} {_of(record['flagged'], 'rooms with nothing missing were flagged')}."
     if verdict not in record:
         missed = Share(record["detected"].of - record["detected"].count, record["detected"].of)
         said = _of(missed, "hidden effects were not detected")
@@ -875,7 +891,7 @@ def record_of_means(verdict: str, data: str) -> str:
     kinds = {
         "named": "identified effects were right",
         "family": "identified groups were right",
-        "ambiguous": "sets of candidates held the truth",
+        "ambiguous": "sets of candidates contained the right effect",
     }
     said = f"{rooms} {_of(record[verdict], kinds[verdict])}."
     if verdict == "ambiguous":
@@ -997,15 +1013,15 @@ def of_plan(p: Plan) -> list[Block]:
     measured, enough = listed([parameter_label(n) for n in p.parameters]), odds(DISTINCT_NATS)
     out: list[Block] = [
         Note(
-            f"How clearly {measured} would show each effect, if nothing else were missing. Each effect "
-            f"has the size that changes T by about {100 * p.change:g} %; odds of {enough} are enough "
-            "to detect it.",
+            f"This table shows how clearly {measured} would show each effect if nothing else "
+            f"were missing. Each effect has the size that changes T by about {100 * p.change:g} "
+            f"%; odds of {enough} are enough to detect it.",
             hanging="",
         ),
         Table(["change of T", "odds against the model", "detected"], seen, corner="effect"),
         Note(
-            "What each may be taken for: the odds of the effect against each of these are expected to "
-            f"be less than {enough}.",
+            "Effects that could be confused with each effect (the odds between them are expected "
+            f"to be less than {enough}):",
             hanging="",
         ),
         *taken,
@@ -1033,7 +1049,7 @@ def of_plan(p: Plan) -> list[Block]:
             hanging="",
         ),
         Table(["removed", "time", "removed per hour"], rows, corner="measurement"),
-        Note("Best one after the other:"),
+        Note("Best order of measurements:"),
         *(
             Note(f"{number}. {m.measurement} ({share(m.information)} more)", "  ", "     ")
             for number, m in enumerate(p.sequence, 1)
@@ -1062,7 +1078,7 @@ def of_recalibration(r: Recalibrated, plain: Recalibrated | None = None) -> list
     for name, c in {**beside, "corrected and calibrated": r}.items():
         alphas[name] = (c.alpha, np.subtract(*c.interval[::-1]) / 2)
     rows = [
-        Row(m, [f"{a[i].mean():.3f} ± {half[i].mean():.3f}" for a, half in alphas.values()])
+        Row(m, [with_uncertainty(a[i].mean(), half[i].mean(), 3) for a, half in alphas.values()])
         for i, m in enumerate(room.materials)
     ]
     title = "alpha ± half its 90 % interval, means over bands"

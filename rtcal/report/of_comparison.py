@@ -28,9 +28,9 @@ _MULTIPLE = 1.5  # ratio of T from which the same one in all bands is a mistake 
 _BANDS = 3  # that must show it: two may be alike by chance
 _LEAST = 1e-6  # JND; equal values at all positions do not show their uncertainty
 _LACKING = {
-    "run": "which the run lacks",
-    "measurement": "which the measurement lacks",
-    "reference": "whose reference is each source's own",
+    "run": "which the run does not have",
+    "measurement": "which the measurement does not have",
+    "reference": "which has a different reference for each source",
 }
 
 
@@ -93,7 +93,7 @@ def _positions(c: Comparison, parameter: str) -> str:
     each = _over_bands(c.at_pairs[parameter][:, c.disagrees[parameter]])
     each = each[np.isfinite(each)]
     alike = np.ptp(each) <= abs(each.mean())
-    return f", {'' if alike else 'not '}at all positions alike"
+    return f", {'the same' if alike else 'not the same'} at all positions"
 
 
 def _over_bands(off: Array) -> Array:
@@ -112,9 +112,9 @@ def _largest_pair(c: Comparison) -> list[str]:
     i = worst[p]
     z = float(_over_bands(c.at_pairs[p] / c.pair_uncertainty[p])[i])
     return [
-        f"Largest at one pair: {parameter_label(p)} from {' to '.join(c.pairs[i])}, "
-        f"{number(float(each[p][i]), '+.1f')} JND or {number(z, '+.1f')} standard deviations on the "
-        "average over the bands."
+        f"Largest deviation at one pair: {parameter_label(p)} from {' to '.join(c.pairs[i])}, "
+        f"{number(float(each[p][i]), '+.1f')} JND or {number(z, '+.1f')} standard deviations on "
+        "the average over the bands."
     ]
 
 
@@ -157,15 +157,18 @@ def _coefficients(c: Comparison) -> list[str]:
     if not any(at.any() for at in c.disagrees.values()):
         return []
     if is_calibrated(c.run.room):
-        return ["The coefficients were calibrated for T, so they leave nothing open in it."]
+        return [
+            "The coefficients were calibrated to T, so their uncertainty cannot explain a "
+            "deviation of T."
+        ]
     yes = named(lambda p: c.explained[p])
     no = named(lambda p: c.disagrees[p] & ~c.explained[p])
     if not yes:
-        return ["What the input coefficients leave open does not explain it."]
+        return ["The uncertainty of the input coefficients does not explain it."]
     if not no:
-        return ["What the input coefficients leave open can explain all of it, band by band."]
+        return ["The uncertainty of the input coefficients can explain all of it, band by band."]
     return [
-        f"What the input coefficients leave open can explain {listed(yes)}, but not {listed(no)}."
+        f"The uncertainty of the input coefficients can explain {listed(yes)}, but not {listed(no)}."
     ]
 
 
@@ -189,9 +192,14 @@ def _left_out(c: Comparison) -> list[str]:
     run, measured = c.run.simulated, c.measured
     n = len(measured.pairs)
     if c.pairs and len(c.pairs) < n:
-        said.append(f"{len(c.pairs)} of {n} measured pairs are compared: the run lacks the others.")
+        said.append(
+            f"{len(c.pairs)} of {n} measured pairs are compared, because the run does not have "
+            "the others."
+        )
     if not (c.pairs or run.is_summary or measured.is_summary):
-        said.append("Means are compared, since run and measurement have no pair in common.")
+        said.append(
+            "Means over the pairs are compared, because run and measurement have no pair in common."
+        )
     return said
 
 
@@ -214,7 +222,7 @@ def _table(c: Comparison) -> Table:
     return Table(
         bands.labels(c.run.room.centre_frequencies),
         rows,
-        f"{'Equation' if c.of_equation else 'Run'} less measurement, the largest first",
+        f"{'Equation' if c.of_equation else 'Run'} minus measurement, the largest deviation first",
     )
 
 
@@ -250,7 +258,7 @@ def _values(c: Comparison) -> Table:
         )
     ]
     columns = bands.labels(c.run.room.centre_frequencies)
-    return Table(columns, rows, "Values: means over what both have", detail=True)
+    return Table(columns, rows, "Values: means over the pairs that both have", detail=True)
 
 
 def blocks(c: Comparison) -> list[Block]:
@@ -268,9 +276,9 @@ def section(c: Comparison) -> list[Any]:
         Note(lead, kind="lead"),
         Picture(
             lambda: figures.disagreement(c),
-            "How far the run is from the measurement. Dots are pairs; bars are two standard deviations "
-            "of the measurement; orange is what the coefficients can explain, two standard deviations "
-            "and what T carries along; grey is one JND.",
+            "How far the run is from the measurement. Dots are pairs; bars are two standard "
+            "deviations of the measurement; orange is what the coefficients can explain (two "
+            "standard deviations, including parameters that follow T); grey is one JND.",
             lead,
         ),
         Items(further),
@@ -293,14 +301,16 @@ def page(c: Comparison) -> Page:
             Section("What was assumed", "assumed"),
             Items(
                 [
-                    f"A parameter disagrees where it is off by more than {NOTICED:g} JND and by more "
-                    f"than {LARGE_Z:g} standard uncertainties of the measurement: its own, or that of "
-                    "ISO 3382-2 and of the spread over pairs. One JND of a decay time is "
-                    f"{100 * REVERBERATION[0].jnd:g} % of it.",
-                    "At one pair, a value that states no uncertainty has that by which teams differ.",
-                    "What the coefficients leave open follows from their sigma, and from errors that "
-                    f"handbook values have in common, by {c.equation.name}'s equation. They explain of "
-                    "other parameters what they change with T in an exponential decay.",
+                    f"A parameter disagrees where it is off by more than {NOTICED:g} JND and by "
+                    f"more than {LARGE_Z:g} standard uncertainties of the measurement (as given, "
+                    "or else from ISO 3382-2 and the spread over pairs). One JND of a decay time "
+                    f"is {100 * REVERBERATION[0].jnd:g} % of it.",
+                    "At a single pair, a value without an uncertainty gets the "
+                    "reproducibility standard deviation between measuring teams.",
+                    "The deviation that the coefficients can explain follows from their sigma "
+                    f"and from common errors of handbook values, by {c.equation.name}'s "
+                    "equation. Of other parameters, they explain what follows from T in an "
+                    "exponential decay.",
                 ]
             ),
             Section("How to reproduce", "reproduce"),

@@ -74,10 +74,10 @@ def calibrated(result: Diagnosis) -> str:
         before_fit, fitted = (f"{s.min():.2f} to {s.max():.2f}" for s in of)
         return f"{said} Scattering was fitted, too: from {before_fit}, it moved to {fitted}."
     if found.off < _MET:
-        return f"Calibrated to T, the model {which} has it."
+        return f"Calibrated to T, the model {which} has the measured T."
     return (
-        f"Calibrated to T, the model {which} misses it by {found.off:.1f} times the uncertainty of T, "
-        "root mean square."
+        f"Calibrated to T, the model {which} differs from the measured T by {found.off:.1f} "
+        "times its uncertainty, root mean square."
     )
 
 
@@ -132,7 +132,7 @@ def page(result: Diagnosis) -> Page:
                 found.interval,
             ),
         ]
-    said += [Section("The commands that this page stands for", "commands", 3), Code(steps(result))]
+    said += [Section("The commands that give the same results", "commands", 3), Code(steps(result))]
     return replace(made, subject="where simulation and measurement disagree, and why", blocks=said)
 
 

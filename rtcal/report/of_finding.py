@@ -129,8 +129,8 @@ def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
 _USE = {
     "supported": "Use the corrected model for T and level, not the calibration without it. Do not "
     "quote its coefficients before the effect is confirmed.",
-    "not tested": "Measure C80 or G, or a second configuration, before the corrected model is used: "
-    "nothing was measured that the finding was not fitted to.",
+    "not tested": "Measure C80 or G, or a second configuration, before you use the corrected model, "
+    "because the finding was fitted to all that was measured.",
     "unproven": "Confirm the effect before the corrected model is used: measure with it and without "
     "it, or look at the room, because these measurements neither confirm it nor rule it out.",
     "withdrawn": "Use neither calibration: with the effect in the model the measurements fit worse.",
@@ -147,18 +147,19 @@ def to_do(
     if place is not None:
         at = ", ".join(f"{x:.1f}" for x in place.point)
         steps.append(
-            f"To distinguish the surfaces, measure at ({at}) m with source {place.source}, the star in "
-            f"the plan: of the places that were tried it promises most, odds of {odds(place.nats)}."
+            f"To distinguish the surfaces, measure at ({at}) m with source {place.source}, the "
+            "star in the plan. Of the positions that were tried, this one has the highest "
+            f"expected odds ({odds(place.nats)})."
         )
     if finding.undecided is not None:
-        confirm = "Put none of the effects into the model before one is confirmed."
+        confirm = "Do not add an effect to the model before it is confirmed."
         return [*steps, confirm, chosen(finding)]
     if verification is not None:
         steps += filter(None, [_USE[verification.verdict], verification_words.misses(verification)])
     elif finding.can_be_added and finding.kind == "means":
         steps.append(
-            "Do not use the corrected calibration yet: nothing has verified this set. See "
-            "what to measure next with rtcal plan."
+            "Do not use the corrected calibration yet, because this set has not been verified. "
+            "`rtcal plan` shows what to measure next."
         )
     if finding.can_be_added and finding.kind != "means":
         made = "the room after the change" if finding.kind == "states" else "the corrected model"
@@ -169,10 +170,12 @@ def to_do(
         and not words.without_measuring(finding)
     ):
         steps.append(
-            "Do not use a calibration of this model: its coefficients make up for what is missing."
+            "Do not use a calibration of this model, because its coefficients would "
+            "compensate for the missing effect."
             if finding.verdict == "unknown"
-            else "Calibrate as usual (rtcal calibrate). Its cautions show whether the result can be "
-            "used: nothing missing was found, but T may still be missed or mistyped."
+            else "Calibrate as usual (rtcal calibrate). Nothing was found to be missing, but T "
+            "may still be out of reach or mistyped: the cautions of the calibration show "
+            "whether the result can be used."
         )
     return steps
 
@@ -209,9 +212,9 @@ def _of_means(
         Section("The evidence in numbers", "evidence"),
         Table(["Probability / %"], sets, "Sets of effects, the most probable first", "Set"),
         Note(
-            "The odds of an effect are those that the measurement alone gives it against a model that "
-            "lacks nothing. The probability also counts how likely each effect was before the "
-            "measurement.",
+            "The odds compare the model with the effect to the model without it, by the "
+            "measurement only. The probability also includes how likely each effect was before "
+            "the measurement.",
             kind="keep",
         ),
         Table(["Probability / %", "Odds"], rows, "Every effect that was tried", "Effect"),
@@ -282,9 +285,10 @@ def _of_states(finding: Finding, drawn: list[Picture]) -> list[Any]:
         *drawn,
         *(replace(table, title="Both states") for table in words.numbers(finding)),
         Note(
-            f"{finding.case.equation.name}'s equation; {n} pair{'s' * (n != 1)}. Both states are taken "
-            "as measured at the same positions with the same equipment. The first state calibrates, so "
-            "the input coefficients do not count."
+            f"{finding.case.equation.name}'s equation; {n} pair{'s' * (n != 1)}. Both "
+            "configurations are assumed to be measured at the same positions with the same "
+            "equipment. The first one calibrates the model, so the input coefficients have no "
+            "influence."
         ),
     ]
 
@@ -326,14 +330,15 @@ def pictures(
             *tested,
             Picture(
                 lambda: figures.corrected_times(verification),
-                "T(f). A calibration without the effect meets T whatever is missing: that proves "
-                "nothing.",
+                "T by band. A calibration without the effect also has the measured T, which "
+                "proves nothing.",
                 name="reverberation_time",
             ),
             Picture(
                 lambda: figures.corrected_shifts(verification),
-                "How far the coefficients had to move, with and without the effect in the model, and "
-                "their 90 % intervals: those without it hold only if the model lacks nothing.",
+                "How far the coefficients had to move, with and without the effect in the model, "
+                "and their 90 % intervals. The intervals without the effect are valid only if "
+                "nothing is missing from the model.",
                 tall=True,
                 name="shifts",
             ),
@@ -348,8 +353,9 @@ def pictures(
         drawn = [
             Picture(
                 lambda: figures.plan(finding, place),
-                "The plan. A line joins source (triangle) and receiver (circle); it is as dark as the "
-                "pair disagrees. Walls are as orange as they are probable.",
+                "The plan. A line joins source (triangle) and receiver (circle); the darker it "
+                "is, the larger the deviation of the pair. The more orange a wall is, the more "
+                "probable it is.",
                 f"The plan of the room with sources and receivers; {coloured}.",
                 name="plan",
             ),
@@ -397,8 +403,8 @@ def _reproduced(finding: Finding, command: str) -> list[Any]:
     if len(case) > MAX_BYTES:
         return []
     said = (
-        ", which holds the room and every measurement, and run this, with the options of the search if "
-        "it had any:"
+        ", which holds the room and every measurement, and run this command (with the same "
+        "options, if you used any):"
     )
     return [title, Files({"case.json": case}, said), Code("rtcal find case.json")]
 
@@ -431,7 +437,8 @@ def instructions(
         elif np.abs(alpha - old[name]).max() > _SAME:
             rows += [Row(f"{name}, old", old[name], ".3f"), Row(f"{name}, new", alpha, ".3f")]
     where = (
-        "anywhere: means over positions do not show where; spread it, or put it where it is likely"
+        "anywhere, because means over positions do not show the place; distribute it, or put "
+        "it where it is likely"
     )
     if made.added is not None:
         at = "in the middle of the surface"
@@ -453,9 +460,10 @@ def instructions(
         elif made.added is None:
             out.append(
                 Note(
-                    "It is drawn larger than what was found, with lower coefficients, so that a "
-                    "calibration can make it absorb more as well as less. It stands free: where it "
-                    "replaces a wall's material, add that wall's alpha to its own."
+                    "It is drawn larger than the effect that was found, with lower coefficients, "
+                    "so that a calibration can make it absorb more or less. Its coefficients are "
+                    "those of a free-standing surface: where it replaces a wall's material, add "
+                    "that wall's alpha."
                 )
             )
     else:

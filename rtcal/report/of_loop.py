@@ -28,11 +28,12 @@ from rtcal.support.text import as_sentence
 
 _STATUS_IN_WORDS = {
     "converged": "came within the goal",
-    "unreachable": "cannot come nearer: no coefficients within the equation's range do better",
+    "unreachable": "cannot come nearer, because no coefficients within the equation's range give a "
+    "smaller deviation",
     "not converging": "did not come within the goal",
     "not yet": "did not come within the goal yet",
     "no measured T": "had no measured T and keeps the input coefficients",
-    "by modes": "lay below the Schroeder frequency: room modes stand there in place of T",
+    "by modes": "lay below the Schroeder frequency, where room modes are used instead of T",
     "too few modes": "lay below the Schroeder frequency, where fewer than three room modes were used",
     "not confirmed": "came within the goal, but not with fresh random numbers, or the simulator's "
     "noise is too large to decide: simulate with less of it (more paths)",
@@ -57,8 +58,8 @@ def page(loop: Loop) -> Page:
             ),
             Section("Tables", "tables"),
             Note(
-                f"Only {matched} was fitted. Means over the positions, first simulated and with each "
-                "band's nearest coefficients."
+                f"Only {matched} was fitted. Means over the positions, in the first simulation "
+                "and with the best coefficients of each band."
             ),
             *tables(loop.blocks()),
             coefficients("Absorption coefficients: input → calibrated", room, loop.alpha),
@@ -84,9 +85,9 @@ def _summary(loop: Loop) -> list[str]:
     )
     if (compared := np.isfinite(first) & np.isfinite(loop.gap)).any():
         gap = np.where(compared, np.abs(loop.gap), -np.inf)
-        how = "in each band's nearest run"
+        how = "in the best run of each band"
         if loop.final is not None:
-            how = "with all the coefficients returned"
+            how = "with the returned coefficients in all bands"
         if loop.confirmation is not None:
             how += " and random numbers that the calibration did not use"
         k = int(np.argmax(gap))
@@ -109,17 +110,18 @@ def _summary(loop: Loop) -> list[str]:
 def _assumed(loop: Loop) -> list[str]:
     """Return the assumptions of the loop, and the use for which its coefficients are valid."""
     return [
-        "The coefficients belong to the simulator that they were calibrated with, to its geometry, its "
-        "positions and its meaning of scattering, and to no other.",
-        "How the absorption is shared among the materials follows from the input coefficients and "
-        f"their standard deviations, by the calibration of {loop.equation.name}'s equation (method "
-        f"{loop.method}); the loop moves only how much there is in all.",
-        f"Rule {loop.rule}; a band is done within {loop.tolerance:g} JND less the simulator's noise.",
-        "Coefficients in full precision."
+        "The coefficients belong to the simulator that they were calibrated with, with the same "
+        "geometry, positions and scattering model, and to no other.",
+        "How the absorption is shared among the materials follows from the input coefficients "
+        f"and their standard deviations, by the calibration of {loop.equation.name}'s equation "
+        f"(method {loop.method}); the loop changes only the total absorption.",
+        f"Rule {loop.rule}; a band is finished when its deviation is below "
+        f"{loop.tolerance:g} JND minus the simulator's noise.",
+        "The coefficients were not rounded."
         if loop.decimals is None
         else f"Coefficients rounded to {loop.decimals} decimals, as the program reads them.",
-        f"Only {loop.matched.label} was fitted. That it agrees proves nothing of other parameters or "
-        "positions.",
+        f"Only {loop.matched.label} was fitted. Its agreement proves nothing about other "
+        "parameters or positions.",
     ]
 
 

@@ -53,18 +53,18 @@ def page(result: ModesResult) -> Page:
             Items(notes(blocks)),
             Section("By band", "bands"),
             Note(
-                "Below the Schroeder frequency no field is diffuse, and T is not used. "
-                "Coefficients hold there where at least three modes carry the band."
+                "Below the Schroeder frequency the sound field is not diffuse, so T is not used. "
+                "Coefficients hold there where at least three modes lie in the band."
             ),
-            Table(bands.labels(room.centre_frequencies), [carried], "What carries each band"),
+            Table(bands.labels(room.centre_frequencies), [carried], "Modes of each band"),
             coefficients(cells, room, result.alpha, result.interval, at_bound),
             *(cautions(result.trust_marks) if result.trust_marks else ()),
             Section("Modes", "modes"),
             *tables(blocks),
             Note(
-                "“Most about” names the walls whose sigma moves the mode's decay most. "
-                "Opposite walls of a box are alike to every mode: the decays determine what both "
-                "absorb together, and the input coefficients share it between them."
+                "“Most about” names the walls whose sigma moves the mode's decay most. In a box, "
+                "opposite walls have the same effect on every mode: the decays determine what "
+                "both absorb together, and the input coefficients share it between them."
             ),
             Section("Certificate", "certificate"),
             Note(

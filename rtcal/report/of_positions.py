@@ -62,11 +62,15 @@ def page(result: PositionsResult) -> Page:
             *room_view.of_positions(result),
             Section("Cautions", "cautions"),
             Table(["Where and what", "What to do"], result.doubts, corner="Caution"),
-            *([] if result.doubts else [Note("No check of rtcal's found a reason for caution.")]),
+            *(
+                []
+                if result.doubts
+                else [Note("None of rtcal's checks found a reason for caution.")]
+            ),
             Section("What was learned", "learned"),
             Note(
                 "Sigma is the standard deviation of a coefficient, the root mean square over the "
-                "bands. Most learned first."
+                "bands. The materials that the measurement determines best are first."
             ),
             replace(materials, corner="Material", most=range(len(order))),
             Table(
@@ -88,14 +92,19 @@ def page(result: PositionsResult) -> Page:
                 order,
             ),
             *(
-                [Note(f"{left} further materials, of which less was learned, are in result.json.")]
+                [
+                    Note(
+                        f"{left} further materials, which the measurement determines less, are in "
+                        "result.json."
+                    )
+                ]
                 if left
                 else []
             ),
             Section("Deviations by pair", "gaps"),
             Note(
-                "Root mean square deviation over the bands, before to after; misfit with what is "
-                "expected from all other pairs: 1 is usual."
+                "Root mean square deviation over the bands, before to after; misfit: deviation "
+                "divided by what the other pairs lead to expect (1 is usual)."
             ),
             *gaps,
             *_held_out(result),
@@ -122,16 +131,16 @@ def _headline(result: PositionsResult) -> str:
         return ""
     gaps = ", ".join(f"{parameter_label(p)} {left[p]:.1f} JND" for p in far)
     said = (
-        "The calibrated simulator does not have what was measured. There remain, root mean square over "
-        f"pairs and bands: {gaps}."
+        "The calibrated simulator does not agree with the measurement. Remaining deviations, "
+        f"root mean square over pairs and bands: {gaps}."
     )
     measured = result.measured.observations
     for key in (p for p in far if p in of_kind(DecaySlope)):
         goal, time = (_mean(measured, of, key) for of in (measured, result.matched.after))
         k = int(np.nanargmax(np.abs(time / goal - 1)))
         said += (
-            f" {parameter_label(key)} is {time[k]:.2f} s for {goal[k]:.2f} s measured, mean over the "
-            f"pairs at {bands.label(result.prior.centre_frequencies[k])}."
+            f" {parameter_label(key)} is {time[k]:.2f} s instead of the measured {goal[k]:.2f} "
+            f"s, mean over the pairs at {bands.label(result.prior.centre_frequencies[k])}."
         )
     return said
 
@@ -228,8 +237,10 @@ def command(result: PositionsResult) -> str | None:
 def _reproduced(result: PositionsResult) -> list[Any]:
     repeated = command(result)
     if repeated is None:
-        said = "This calibration was made from Python: its simulator is none of the command's."
+        said = (
+            "This calibration was made in Python with a simulator that the command does not have."
+        )
         return [Note(said)]
-    stated = "S is the scattering coefficient that the simulator was given."
+    stated = "S is the scattering coefficient used by the simulator."
     more = [Note(stated)] if " S " in repeated else []
     return [Code(f"{repeated}\nrtcal report fitted"), *more]

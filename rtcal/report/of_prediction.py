@@ -76,7 +76,7 @@ def _cheapest(design: Design) -> Table:
     names, rows = [t.name for t in design.model.treatments], []
     bounded = design.model.target.bounded
     for p, found in design.alternatives.items():
-        cells = [*["–"] * len(names), "not to be had", "–", "–"]
+        cells = [*["–"] * len(names), "not possible", "–", "–"]
         if found is not None:
             cells = [
                 *(f"{area:.1f}" for area in found.areas),

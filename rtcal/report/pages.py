@@ -39,8 +39,8 @@ def blocks_of(result: Result) -> Page:
     """Return what the page of a result shows; DataError for a result that has no page."""
     if not hasattr(result, "record_kind"):
         raise DataError(
-            f"{checks.shown(result)} is no result, so it has no page: calibrate the room first, and "
-            "give what rtcal.calibrate returns"
+            f"{checks.shown(result)} is not a result, so it has no page: calibrate the room "
+            "first, and give the result of rtcal.calibrate"
         )
     kind = result.record_kind.rstrip(" 0123456789")
     if kind not in _MODULES:

@@ -10,7 +10,7 @@ from rtcal.finder.finding import rivals, support
 from rtcal.finder.verification import MISSES, Miss, Verification, mean_of_known
 from rtcal.report.finding_words import name_of
 from rtcal.support.blocks import Block, Note, Row, Table
-from rtcal.support.text import as_sentence, first_of, listed
+from rtcal.support.text import as_sentence, first_of, listed, with_uncertainty
 from rtcal.support.types import Array
 
 _SHOWN_MISSES = 3
@@ -38,7 +38,7 @@ def misses(v: Verification) -> str:
     return f"Do not simulate with the corrected model: it has {said}."
 
 
-_UNPROVEN = "Unproven is not refuted: the effect is neither confirmed nor ruled out."
+_UNPROVEN = "The effect is neither confirmed nor ruled out."
 """What a reader may conclude of a finding that is unproven."""
 
 
@@ -46,8 +46,8 @@ def sentence(v: Verification) -> str:
     """Return the verdict, the change of the gap with its standard error, and what speaks against it."""
     if np.isnan(v.before) and v.runs and v.held_out:
         said = [
-            "Not tested: a second run lacks what the finding was not fitted to "
-            f"({listed(v.held_out)}). Simulate that, too.",
+            "Not tested: the second run does not have the data that the finding was not fitted "
+            f"to ({listed(v.held_out)}). Simulate them, too.",
             _as_simulated(v),
         ]
     elif v.verdict == "not tested" and v.little_left:
@@ -55,8 +55,8 @@ def sentence(v: Verification) -> str:
         said = [f"Not tested at {listed(v.held_out)}: {left}.", _as_simulated(v)]
     elif np.isnan(v.before):
         said = [
-            "Not tested: nothing was measured that the finding was not fitted to. Measure C80 or G, or "
-            "a second configuration."
+            "Not tested: the finding was fitted to all that was measured. Measure C80 or G, or a "
+            "second configuration."
         ]
     else:
         supported = v.verdict == "supported"
@@ -65,10 +65,11 @@ def sentence(v: Verification) -> str:
         again, but = _found_again(v)
         chosen = v.effect and v.effect != v.finding.best_effect
         what = name_of(v.finding, v.effect) if chosen else "what was found"
+        by = with_uncertainty(abs(v.gain), v.uncertainty, 2)
         said = [
             f"{v.verdict.capitalize()}{but if supported else ''}: {again}with {what}, the mean "
             f"deviation at data that were not fitted ({listed(v.held_out)}) {verb} from "
-            f"{v.before:.2f} to {v.after:.2f} JND (by {abs(v.gain):.2f} ± {v.uncertainty:.2f} JND, "
+            f"{v.before:.2f} to {v.after:.2f} JND (by {by} JND, "
             f"standard error{f'; more than {v.needed:.2f} JND counts' if supported else ''}).",
             _as_simulated(v),
             as_sentence(listed(grounds)) if grounds else "",
@@ -94,7 +95,7 @@ def _as_simulated(v: Verification) -> str:
 
 def _found_again(v: Verification) -> tuple[str, str]:
     """Return what halves of the pairs found that is other, and what a support leaves open."""
-    if v.plain is not None:
+    if v.uncorrected is not None:
         alike = [c.effect for c in rivals(v.finding, _verified(v))]
         return "", f", but not distinguished from {listed(alike)}" if alike else ""
     found, (others, in_kind) = v.finding.likeliest, v.found_elsewhere
@@ -108,7 +109,7 @@ def _found_again(v: Verification) -> tuple[str, str]:
 
 def notes(v: Verification) -> list[str]:
     """Return what is to be known of the comparison."""
-    if v.plain is not None and v.corrected is not None:
+    if v.uncorrected is not None and v.corrected is not None:
         how = "found" if v.effect == v.finding.best_effect else "verified"
         found = f"What was {how}: {support(v.finding, _verified(v))}."
         return [found, _of_runs(v) if v.runs else _of_time(v), *v.notes]
@@ -122,13 +123,13 @@ def _verified(v: Verification) -> Candidate:
 
 def _of_runs(v: Verification) -> str:
     """Return which models are runs of the program, and what the effect was sized with."""
-    which = f"{listed([*v.models]).capitalize()} are runs of the program as they are."
+    which = f"{listed([*v.models]).capitalize()} are unchanged runs of the program."
     if v.models[1] not in v.runs:
         which = (
             f"{v.models[1].capitalize()} and {v.models[2]} are the first and the second run, each "
             "moved to the measured T as the equation says."
         )
-    return f"{which} The effect that was simulated had its size from all data."
+    return f"{which} The size of the simulated effect comes from all data."
 
 
 def _of_time(v: Verification) -> str:
@@ -142,8 +143,8 @@ def _of_time(v: Verification) -> str:
         )
     how = "exactly" if gap < _EXACT else f"to {gap:.2f} JND"
     return (
-        f"The calibration without the effect meets the fitted {time} {how}. The corrected "
-        "one meets it as closely as the uncertainty of T allows."
+        f"The calibration without the effect meets the fitted {time} {how}. The calibration with "
+        "the effect meets it as closely as the uncertainty of T allows."
     )
 
 
@@ -157,7 +158,7 @@ def _of_pairs(v: Verification) -> list[str]:
     ]
     if stated < plainly:
         out.append(
-            "Calibrated, the model is no better there than with the input: do not simulate with it."
+            "The calibrated model is not better there than the input model: do not simulate with it."
         )
     for half, what in zip(v.halves, v.added, strict=True):
         names = ", ".join(" to ".join(pair) for pair in half)
@@ -179,7 +180,7 @@ def gaps(v: Verification) -> Table:
         means = by_seed.mean(axis=1)
         if np.isfinite(means).all():
             both = zip(means, spread, strict=True)
-            cells = [f"{m:.2f}" + ("" if s is None else f" ± {s:.2f}") for m, s in both]
+            cells = [f"{m:.2f}" if s is None else with_uncertainty(m, s, 2) for m, s in both]
             rows.append(Row(name, cells))
 
     if v.counted.all():
@@ -202,4 +203,4 @@ def blocks(v: Verification) -> list[Block]:
     advice = None if v.verdict == "supported" else v.finding.advice
     following = [] if advice is None else [f"Next: {advice}"]
     out: list[Block] = [*map(Note, [sentence(v), *following, *notes(v)]), gaps(v)]
-    return out if v.corrected is None else [*out, *v.corrected.blocks(v.plain)]
+    return out if v.corrected is None else [*out, *v.corrected.blocks(v.uncorrected)]

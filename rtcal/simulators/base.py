@@ -43,11 +43,11 @@ from rtcal.support.types import Array
 
 @runtime_checkable
 class Simulator(Protocol):
-    """Absorption coefficients in, `Measurement` out."""
+    """A simulator of a room, which turns absorption coefficients into a `Measurement`."""
 
     @property
     def name(self) -> str:
-        """What calibrated coefficients belong to, with the settings that change T."""
+        """Name of the simulator with the settings that change T."""
         ...
 
     @property
@@ -113,7 +113,9 @@ class RoomSimulator:
 
     def with_air(self, air: Air) -> Any:
         """Return the simulator with another air; DataError where it keeps its own."""
-        raise DataError("another climate takes a path tracing: the simulator keeps its own air")
+        raise DataError(
+            "another climate needs PathTracing as the simulator; this one keeps its own air"
+        )
 
     def __repr__(self) -> str:
         return (
@@ -159,7 +161,7 @@ def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
     if (outside := ~((alpha >= 0) & (alpha <= 1))).any():
         i, k = (int(v) for v in np.argwhere(outside)[0])
         place = f'alpha["{materials[i]}", {bands.label(frequencies[k])}]'
-        raise DataError(f"{place} = {alpha[i, k]:g} is not in [0, 1]")
+        raise DataError(f"{place} = {alpha[i, k]:g} must be from 0 to 1")
     return alpha
 
 
@@ -185,14 +187,13 @@ def run(simulator: Simulator, alpha: Array, *, seed: int = 0) -> Measurement:
         raise SimulatorError(f"{simulator.name} raised {type(error).__name__}: {text}") from error
     if not isinstance(measurement, Measurement):
         raise SimulatorError(
-            f"{simulator.name} returned {type(measurement).__name__}; a simulator returns a "
-            "Measurement"
+            f"{simulator.name} returned {type(measurement).__name__}; it must return a Measurement"
         )
     expected, returned = simulator.centre_frequencies, measurement.centre_frequencies
     if not np.array_equal(returned, expected):
         raise SimulatorError(
-            f"{simulator.name} returned bands {returned.tolist()} Hz; the room has "
-            f"{expected.tolist()} Hz"
+            f"{simulator.name} returned the bands {returned.tolist()} Hz; they must be the "
+            f"room's, {expected.tolist()} Hz"
         )
     if TARGET.key not in measurement.values:
         raise SimulatorError(
@@ -250,13 +251,16 @@ def check_fits(simulator: Simulator, room: Room) -> None:
     checks.instance("room", room, Room)
     if isinstance(simulator, type) or not isinstance(simulator, Simulator):
         raise DataError(
-            f"simulator = {simulator!r} is no Simulator: it lacks simulate() or an attribute of "
-            "rtcal.simulators.Simulator"
+            f"simulator = {simulator!r} is not a Simulator: simulate() or an attribute of "
+            "rtcal.simulators.Simulator is missing"
         )
     if tuple(simulator.materials) != tuple(room.materials) or not np.array_equal(
         simulator.centre_frequencies, room.centre_frequencies
     ):
-        raise DataError(f'{simulator.name} has other materials or bands than room "{room.name}"')
+        raise DataError(
+            f'{simulator.name} has other materials or bands than room "{room.name}": make the '
+            "simulator with this room"
+        )
 
 
 LARGEST_ALPHA = 0.999
@@ -363,10 +367,12 @@ def checked_parameters(match: Sequence[str]) -> tuple[str, ...]:
     """Return the names of parameters; DataError for an unknown one, a repeated one or none."""
     names = checks.listed("match", match)
     if not names:
-        raise DataError("match is empty; it has at least one parameter")
+        raise DataError("match is empty; give at least one parameter")
     for name in names:
         if not isinstance(name, str) or name not in OBSERVABLES:
-            raise DataError(f'match has "{name}"; it has some of {", ".join(OBSERVABLES)}')
+            raise DataError(
+                f'match has "{name}", which is not known; known are {", ".join(OBSERVABLES)}'
+            )
     if len(set(names)) < len(names):
         raise DataError(f"match has a parameter twice: {', '.join(names)}")
     return tuple(names)
@@ -399,7 +405,7 @@ def observe(
     simulated = run(simulator, alpha, seed=seed)
     if lacking := [parameter_label(m) for m in match if m not in given(simulated)]:
         raise SimulatorError(
-            f"{simulator.name} does not give {', '.join(lacking)}, only "
+            f"{simulator.name} does not calculate {', '.join(lacking)}, only "
             f"{', '.join(parameter_label(p) for p in simulated.values)}; leave it out of match"
         )
     return Observations.of_measurement(simulated, match, simulated.pairs)

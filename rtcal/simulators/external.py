@@ -68,9 +68,11 @@ class External(RoomSimulator):
     def __post_init__(self) -> None:
         checks.instance("room", self.room, Room)
         if not callable(self.run):
-            raise DataError(f"run = {self.run!r} cannot be called")
+            raise DataError(f"run = {self.run!r} must be a function")
         if not text_name("name", self.name).strip():
-            raise DataError('name = "" is empty: coefficients belong to the program of this name')
+            raise DataError(
+                'name = "" is empty: give the name of the program, to which the coefficients belong'
+            )
         checks.flag("deterministic", self.deterministic)
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
@@ -99,7 +101,7 @@ class External(RoomSimulator):
             times = checks.shaped(f"{self.name} returned T20, which", answer, self.room.n_bands)
         except DataError as error:
             raise SimulatorError(
-                f"{error}; return a Measurement, or a time in s per band"
+                f"{error}; it must return a Measurement, or a time in s per band"
             ) from error
         if not (valid := np.isfinite(times) & (times > 0)).all():
             bad = SimulatorError(
@@ -161,9 +163,9 @@ def command(
     started = list(checks.listed("arguments", arguments))
     for argument in started:
         if not isinstance(argument, str | os.PathLike):
-            raise DataError(f"arguments has {argument!r}, which is not a text")
+            raise DataError(f"arguments has {argument!r}; every argument must be a text")
     if not started or not started[0]:
-        raise DataError(f"arguments = {started!r} names no program")
+        raise DataError(f"arguments = {started!r} is empty: give the program first")
     if time_limit is not None:
         checks.positive("time_limit", time_limit, "s")
 
@@ -176,12 +178,12 @@ def command(
             if status:
                 raise SimulatorError(f"{line[0]} ended with status {status}: {errors}")
             if not measured_file.exists():
-                raise SimulatorError(f"{line[0]} wrote no {measured_file.name}")
+                raise SimulatorError(f"{line[0]} did not write {measured_file.name}")
             try:
                 return Measurement.from_file(str(measured_file))
             except DataError as error:
                 reason = str(error).replace(str(measured_file), measured_file.name)
-                raise SimulatorError(f"{line[0]} wrote no measurement: {reason}") from error
+                raise SimulatorError(f"{line[0]} did not write a measurement: {reason}") from error
 
     return run
 
@@ -243,7 +245,7 @@ def of_equation(equation: Equation, room: Room) -> External:
     [[0.5484]]
     """
     if isinstance(equation, type) or not isinstance(equation, Equation):
-        raise DataError(f"equation = {equation!r} is no Equation")
+        raise DataError(f"equation = {equation!r} must be an Equation")
     name = f"{equation.name}'s equation for {checks.instance('room', room, Room).name}"
 
     def run(alpha: Array, seed: int) -> Measurement:

@@ -111,7 +111,7 @@ class Polyhedron:
         for name in ("materials", "names"):
             if len(getattr(self, name)) != len(self.faces):
                 raise DataError(
-                    f"{name} has {len(getattr(self, name))} values; there are "
+                    f"{name} has {len(getattr(self, name))} values; give one for each of the "
                     f"{len(self.faces)} faces"
                 )
         faces = [self._face(i, index) for i in range(len(self.faces))]
@@ -139,7 +139,7 @@ class Polyhedron:
                 continue
             if checks.whole(f'a vertex of face "{name}"', v, 0) >= len(index):
                 raise DataError(
-                    f'face "{name}" has vertex {v}; there are vertices 0 to {len(index) - 1}'
+                    f'face "{name}" has vertex {v}; vertices are numbered 0 to {len(index) - 1}'
                 )
         merged = [int(index[v]) for v in vertices]
         face = tuple(v for k, v in enumerate(merged) if v != merged[k - 1])
@@ -153,8 +153,8 @@ class Polyhedron:
         off = np.abs((corners - corners.mean(axis=0)) @ (area / size))
         if off.max() > PLANARITY:
             raise DataError(
-                f'face "{name}" is not plane: the vertex {_place(corners[int(off.argmax())])} lies '
-                f"{off.max():.3g} m off its plane; the limit is {PLANARITY:g} m"
+                f'face "{name}" is not plane: its vertex {_place(corners[int(off.argmax())])} is '
+                f"{off.max():.3g} m away from the plane; at most {PLANARITY:g} m is allowed"
             )
         return face
 
@@ -166,7 +166,7 @@ class Polyhedron:
         """
         sides = checks.array("dimensions", dimensions)
         if sides.shape != (3,) or not (np.isfinite(sides) & (sides > 0)).all():
-            raise DataError(f"dimensions = {dimensions!r} is not three finite lengths above 0 m")
+            raise DataError(f"dimensions = {dimensions!r} must be three finite lengths above 0 m")
         if isinstance(materials, str):
             materials = dict.fromkeys(SHOEBOX_WALLS, materials)
         materials = checks.mapped("materials", materials)
@@ -189,7 +189,7 @@ class Polyhedron:
         """Return the polyhedron of faces (name, material, points), with points (n, 3) in m."""
         polygons = checks.listed("polygons", polygons)
         if any(len(checks.listed("polygons", polygon)) != 3 for polygon in polygons):
-            raise DataError("polygons has a face that is not (name, material, points)")
+            raise DataError("polygons must have a (name, material, points) for each face")
         points = [_points(f'face "{name}"', corners) for name, _, corners in polygons]
         starts = np.cumsum([0, *(len(p) for p in points)])
         return cls(
@@ -240,8 +240,8 @@ class Polyhedron:
         for material in self.materials:
             if not material or material.strip() != material or not material.isprintable():
                 raise DataError(
-                    f"material {material!r}: a name in an OBJ file is one line of text, with no blank "
-                    "at its start or end"
+                    f"material {material!r}: a name in an OBJ file must be one line of text "
+                    "without blanks at its start or end"
                 )
         rows = ["# m; written by rtcal"]
         rows += ["v " + " ".join(repr(float(x)) for x in vertex) for vertex in self.vertices]
@@ -267,7 +267,7 @@ class Polyhedron:
         "source" or "receiver", for the message.
         """
         if not checks.mapped(f"{kind}s", points):
-            raise DataError(f"there is no {kind}; at least one is needed")
+            raise DataError(f"there is no {kind}; give at least one")
         places = np.array(
             [_points(f'{kind} "{name}"', [point])[0] for name, point in points.items()]
         )
@@ -291,8 +291,8 @@ class Polyhedron:
         apart = np.linalg.norm(of_sources[:, np.newaxis] - of_receivers, axis=2)
         for s, r in np.argwhere(apart <= SAME_PLACE)[:1].tolist():
             raise DataError(
-                f'source "{[*sources][s]}" and receiver "{[*receivers][r]}" are at the same place, '
-                f"{_place(of_sources[s])}"
+                f'source "{[*sources][s]}" and receiver "{[*receivers][r]}" are at the same '
+                f"point; move one of them: {_place(of_sources[s])}"
             )
         return of_sources, of_receivers
 
@@ -301,12 +301,12 @@ def _points(place: str, values: Any) -> Array:
     try:
         points = np.array(values, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
-        raise DataError(f"{place}: {error}; a point is three numbers in m") from error
+        raise DataError(f"{place}: {error}; give each point as three numbers in m") from error
     if points.ndim != 2 or points.shape[1] != 3:
-        raise DataError(f"{place} has shape {points.shape}; points have shape (n, 3)")
+        raise DataError(f"{place} has shape {points.shape}; points must have shape (n, 3)")
     if not np.isfinite(points).all():
         bad = points[~np.isfinite(points).all(axis=1)][0]
-        raise DataError(f"{place}: {_place(bad)} is not finite")
+        raise DataError(f"{place}: {_place(bad)} must be finite")
     return points
 
 
@@ -325,7 +325,7 @@ def _turned_outward(
 ) -> list[tuple[int, ...]]:
     """Return the faces with normals out of the room's air; DataError if they do not close or leak."""
     if not faces:
-        raise DataError("there is no face; a room has at least 4")
+        raise DataError("there is no face; a room needs at least 4")
     owners = edge_owners(vertices, faces)
     neighbours: list[list[tuple[int, bool]]] = [[] for _ in faces]
     for (a, b), sides in owners.items():
@@ -335,7 +335,8 @@ def _turned_outward(
             raise DataError(
                 f"the walls do not close: the edge from {_place(vertices[a])} to "
                 f'{_place(vertices[b])} of "{names[sides[0][0]]}" belongs to {len(sides)} '
-                f"face{'s' if len(sides) > 1 else ''}; in a closed room two faces meet in each edge"
+                f"face{'s' if len(sides) > 1 else ''}; in a closed room each edge must belong to "
+                "two faces"
             )
         if len(sides) == 2:
             (i, forward_i), (j, forward_j) = sides
@@ -349,8 +350,8 @@ def _turned_outward(
         open_area = np.linalg.norm(areas[shell].sum(axis=0))
         if open_area > 1e-3 * np.abs(areas[shell]).sum() and not leaks:
             raise DataError(
-                f'the walls do not close: "{names[shell[0]]}" and the faces joined to it bound no '
-                "volume"
+                f'the walls do not close: "{names[shell[0]]}" and the faces joined to it do not '
+                "enclose a volume"
             )
         volumes.append(_volume(vertices, [faces[i] for i in shell], areas[shell]))
     room = int(np.argmax(np.abs(volumes)))
@@ -381,8 +382,8 @@ def _shells(
                     shell.append(j)
                 elif turned[j] != turn:
                     raise DataError(
-                        f'the walls do not close: "{names[i]}" and "{names[j]}" have no common '
-                        "inside"
+                        f'the walls do not close: "{names[i]}" and "{names[j]}" do not enclose '
+                        "the same volume"
                     )
         shells.append(shell)
     return [bool(t) for t in turned], shells

@@ -108,14 +108,14 @@ class Tracer(RoomSimulator, ABC):
         checks.whole(name, number, 1)
         if self.n_batches < 2 or number < self.n_batches:
             raise DataError(
-                f"{name} = {number} does not fill n_batches = {self.n_batches}: the noise estimate "
-                "needs at least two batches, each with at least one ray or path"
+                f"{name} = {number} is too small for n_batches = {self.n_batches}: the noise "
+                "estimate needs at least two batches, each with at least one ray or path"
             )
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """Name that calibrated coefficients belong to."""
+        """Name of the simulator with its settings, to which calibrated coefficients belong."""
 
     @cached_property
     def pairs(self) -> tuple[tuple[str, str], ...]:
@@ -185,9 +185,7 @@ def of_all_bands(groups: Sequence[NDArray[np.int64]], decays: Sequence[Array]) -
 def check_seconds(seconds: float) -> float:
     """Return the length of a decay in s; DataError unless it is above 0 and at most `LONGEST`."""
     if checks.positive("seconds", seconds, "s") > LONGEST:
-        raise DataError(
-            f"seconds = {seconds:g} s is above {LONGEST:g} s, the longest decay that is traced"
-        )
+        raise DataError(f"seconds = {seconds:g} s must be at most {LONGEST:g} s")
     return seconds
 
 
@@ -270,7 +268,7 @@ def scattering_coefficients(room: Room, scattering: Any) -> Array:
     if scattering is None:
         if room.scattering is None:
             raise DataError(
-                f'room "{room.name}" states no scattering coefficients; give scattering=NUMBER'
+                f'room "{room.name}" has no scattering coefficients; give scattering=NUMBER'
             )
         return room.scattering
     values = checks.array("scattering", scattering)
@@ -278,11 +276,12 @@ def scattering_coefficients(room: Room, scattering: Any) -> Array:
         values = np.broadcast_to(values[:, np.newaxis] if values.ndim == 1 else values, shape)
     except ValueError as error:
         raise DataError(
-            f"scattering: {error}; it is a number, (n_materials,) or (n_materials, n_bands) = {shape}"
+            f"scattering: {error}; it must be a number or have shape (n_materials,) or "
+            f"(n_materials, n_bands) = {shape}"
         ) from error
     if (outside := ~((values >= 0) & (values <= 1))).any():
         i, k = (int(v) for v in np.argwhere(outside)[0])
-        raise DataError(f"{room.place('scattering', i, k)} = {values[i, k]:g} is not in [0, 1]")
+        raise DataError(f"{room.place('scattering', i, k)} = {values[i, k]:g} must be from 0 to 1")
     return read_only(values)
 
 
@@ -625,7 +624,7 @@ class Paths:
         attenuation = np.ascontiguousarray(air_attenuation, dtype=float)
         if alpha.ndim != 2 or alpha.shape != (self.n_materials, len(attenuation)):
             raise DataError(
-                f"alpha has shape {alpha.shape}; the paths ask for (n_materials, n_bands) = "
+                f"alpha has shape {alpha.shape}; it must be (n_materials, n_bands) = "
                 f"({self.n_materials}, {len(attenuation)})"
             )
         with np.errstate(divide="ignore"):
@@ -784,8 +783,8 @@ def trace(
 
     if 2 * len(materials) + len(receivers) > LARGEST_CODE:
         raise DataError(
-            f"{len(materials)} faces and {len(receivers)} receivers are too many: twice the faces and "
-            f"the receivers are at most {LARGEST_CODE}"
+            f"{len(materials)} faces and {len(receivers)} receivers are too many: twice the "
+            f"faces plus the receivers must be at most {LARGEST_CODE}"
         )
     planes, sides = planes_of(geometry)
     together = by_plane(planes)
@@ -1002,7 +1001,7 @@ class PathTracing(Tracer):
             if isinstance(of, Directivity):
                 if of.file is not None:
                     raise DataError(
-                        f'directivity["{name}"] is a file; rtcal.io.balloon.read reads it'
+                        f'directivity["{name}"] is a file; read it with rtcal.io.balloon.read first'
                     )
                 stated[name] = of.for_bands(self.room.n_bands, f'directivity["{name}"]')
         object.__setattr__(self, "directivity", stated)
@@ -1013,7 +1012,7 @@ class PathTracing(Tracer):
 
     @property
     def name(self) -> str:
-        """Name that calibrated coefficients belong to."""
+        """Name of the simulator with its settings, to which calibrated coefficients belong."""
         return f"path tracing of {self.room.name} ({self.scattering_model} scattering)"
 
     @property
@@ -1023,7 +1022,7 @@ class PathTracing(Tracer):
 
     @property
     def fits_scattering(self) -> bool:
-        """Whether paths of the model "random" hit materials that scatter in part."""
+        """Whether scattering can be fitted: the model is "random", and a material scatters in part."""
         return self.scattering_model == "random" and not np.isin(self.scattering, (0.0, 1.0)).all()
 
     @property
@@ -1047,7 +1046,8 @@ class PathTracing(Tracer):
         kept = tuple(n for n in names if not self.unknown_sources or OBSERVABLES[n].part == "late")
         if not kept:
             raise DataError(
-                f"match = {', '.join(names)} depends on the directivity of a source, which is unknown"
+                f"match has {', '.join(names)}, which depends on the directivity of a source "
+                "that is given as unknown: give the directivity, or leave this parameter out"
             )
         return kept
 
@@ -1145,7 +1145,7 @@ class PathTracing(Tracer):
     def swept(
         self, sweep: Callable[[Paths, NDArray[np.int64]], Array], seconds: float, *, seed: int = 0
     ) -> Array:
-        """Return the decays of all bands, (..., n_bands, n_bins).
+        """Return the decays of all bands, (..., n_bands, n_bins), from one tracing per group of bands.
 
         ``sweep`` gives those of some bands, (..., n_some, n_bins), from their paths, which are followed
         for ``seconds`` or longer.
@@ -1157,7 +1157,7 @@ class PathTracing(Tracer):
     def _check_groups(self, number: int) -> None:
         """Raise DataError unless the batches can be divided into so many groups."""
         if self.n_batches % checks.whole("number", number, 1):
-            raise DataError(f"number = {number} does not divide n_batches = {self.n_batches}")
+            raise DataError(f"number = {number} must divide n_batches = {self.n_batches}")
 
     def observe(
         self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0, again: bool = True
@@ -1295,7 +1295,9 @@ class PathTracing(Tracer):
         `rtcal.simulators.path_tracing.LONGEST`.
         """
         if checks.whole("band", band, 0) >= self.room.n_bands:
-            raise DataError(f"band = {checks.shown(band)} is not from 0 to {self.room.n_bands - 1}")
+            raise DataError(
+                f"band = {checks.shown(band)} must be from 0 to {self.room.n_bands - 1}"
+            )
         longest = check_seconds(seconds) * self.room.speed_of_sound
         columns = [tuple(column) for column in self.scattering.T]
         key = (checks.whole("seed", seed, 0), columns.index(columns[band]))

@@ -76,11 +76,11 @@ class RayTracing(Tracer):
         self._check_batches("n_rays", self.n_rays)
         bins = self.bin_width / _FINE
         if not np.isclose(bins, max(round(bins), 1)):
-            raise DataError(f"bin_width = {self.bin_width:g} s is not a multiple of {_FINE:g} s")
+            raise DataError(f"bin_width = {self.bin_width:g} s must be a multiple of {_FINE:g} s")
 
     @property
     def name(self) -> str:
-        """Name that calibrated coefficients belong to."""
+        """Name of the simulator with its settings, to which calibrated coefficients belong."""
         return f"pyroomacoustics' ray tracing of {self.room.name}"
 
     def energy(self, alpha: Array, seconds: float, *, seed: int = 0) -> Array:

@@ -110,7 +110,7 @@ class ShoeboxSimulator(RoomSimulator, ABC):
     @property
     @abstractmethod
     def name(self) -> str:
-        """Name that calibrated coefficients belong to."""
+        """Name of the simulator with its settings, to which calibrated coefficients belong."""
 
     @property
     def tracing(self) -> PathTracing:
@@ -173,9 +173,9 @@ def box_of(room: Room) -> Polyhedron:
     walls = {wall: named[wall] for wall in SHOEBOX_WALLS if wall in named}
     if missing := [wall for wall in SHOEBOX_WALLS if wall not in walls]:
         raise DataError(
-            f'room "{room.name}" is the box of its dimensions, and no surface is called '
-            f"{', '.join(missing)}: state a surface for each wall, called {', '.join(SHOEBOX_WALLS)}, "
-            "with its material and area (docs/files.md)"
+            f'room "{room.name}" is a box, but has no surface called {", ".join(missing)}: '
+            f"give one surface for each wall, called {', '.join(SHOEBOX_WALLS)}, with its "
+            "material and area (docs/files.md)"
         )
     return Polyhedron.shoebox(sides, walls)
 
@@ -252,8 +252,9 @@ class ImageSource(ShoeboxSimulator):
             number = 4 / 3 * np.pi * np.float64(radius) ** 3 / np.prod(self.box.dimensions)
         if number > _MOST_IMAGES:
             raise DataError(
-                f"duration = {self.duration:g} s needs {number / 1e6:.0f} million image sources per "
-                f"pair; the limit is {_MOST_IMAGES // 1_000_000} million"
+                f"duration = {self.duration:g} s needs {number / 1e6:.0f} million image sources "
+                f"per pair, more than the {_MOST_IMAGES // 1_000_000} million allowed: give a "
+                "shorter duration"
             )
         positions = product(self.box.sources, self.box.receivers)
         object.__setattr__(self, "images", tuple(self._images(s, r) for s, r in positions))
@@ -468,9 +469,9 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
         rate = self.sampling_rate / self.room.speed_of_sound
         if (least := _LEAST_SAMPLES / self.mean_free_path) > rate * (1 + 1e-9):
             raise DataError(
-                f"sampling_rate = {self.sampling_rate:g} Hz is too low for delays in whole samples: "
-                f"at least {least * self.room.speed_of_sound:.0f} Hz are {_LEAST_SAMPLES} samples "
-                "along this room's mean free path"
+                f"sampling_rate = {self.sampling_rate:g} Hz is too low: at least "
+                f"{least * self.room.speed_of_sound:.0f} Hz are needed for {_LEAST_SAMPLES} "
+                "samples along this room's mean free path"
             )
         positions = product(self.box.sources, self.box.receivers)
         networks = (_network(self.box.dimensions, s, r, rate) for s, r in positions)
@@ -478,7 +479,7 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
 
     @property
     def name(self) -> str:
-        """Name that calibrated coefficients belong to."""
+        """Name of the simulator with its settings, to which calibrated coefficients belong."""
         return f"scattering delay network ({self.sampling_rate:g} Hz)"
 
     @property
@@ -494,7 +495,9 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
         """
         alpha = check_alpha(self, alpha)
         if checks.positive("duration", duration, "s") > self.longest:
-            raise DataError(f"duration = {duration:g} s is above longest = {self.longest:g} s")
+            raise DataError(
+                f"duration = {duration:g} s must be at most longest = {self.longest:g} s"
+            )
         n = max(int(np.ceil(duration * self.sampling_rate)), 1)
         reflection = np.sqrt(1 - alpha[self.box.walls])
         out = np.empty((len(self.networks), alpha.shape[1], n))

@@ -179,7 +179,7 @@ def _sum_of_pieces(
     if executor is not None and (
         isinstance(executor, type) or not callable(getattr(executor, "submit", None))
     ):
-        raise DataError(f"executor = {executor!r} is not a concurrent.futures.Executor")
+        raise DataError(f"executor = {executor!r} must be a concurrent.futures.Executor")
     shown = progress_bar(count, "piece", checks.flag("progress", progress))
     pool = thread_pool(workers) if executor is None else nullcontext(executor)
     with pool as workforce, shown as bar:
@@ -419,30 +419,33 @@ def _controlled(method: str) -> dict[str, float]:
 def _areas(areas: ArrayLike) -> Array:
     s = checks.array("areas", areas)
     if s.ndim != 1 or s.size == 0:
-        raise DataError(f"areas has shape {s.shape}; one value in m² per surface is needed: (n,)")
+        raise DataError(f"areas has shape {s.shape}; give one value in m² per surface: (n,)")
     for i, value in enumerate(s):
         if not 0 < value <= _LARGEST_AREA:
             raise DataError(
-                f"areas[{i}] = {value:g} m² is not above 0 and at most {_LARGEST_AREA:g} m²"
+                f"areas[{i}] = {value:g} m² must be above 0 and at most {_LARGEST_AREA:g} m²"
             )
     return s
 
 
 def _check(sigma_r: float, seed: int, sampling: str, **numbers: int) -> None:
     if not isinstance(sampling, str) or sampling not in SAMPLINGS:
-        raise DataError(f"sampling = {checks.shown(sampling)} is not one of {', '.join(SAMPLINGS)}")
+        raise DataError(
+            f"sampling = {checks.shown(sampling)} must be one of {', '.join(SAMPLINGS)}"
+        )
     checks.number("sigma_r", sigma_r)
     if not (np.isfinite(sigma_r) and sigma_r > 0):
-        raise DataError(f"sigma_r = {sigma_r:g} is not above 0")
+        raise DataError(f"sigma_r = {sigma_r:g} must be above 0")
     most, why = _MOST[sampling]
     if not _LEAST <= sigma_r <= most:
         raise DataError(
-            f"sigma_r = {sigma_r:g} is not from {_LEAST:g} to {most:g}: below that errors are "
-            f"rounding, above it {why}"
+            f"sigma_r = {sigma_r:g} must be from {_LEAST:g} to {most:g}: smaller errors are lost "
+            f"in rounding, and above it {why}"
         )
     checks.whole("seed", seed, 0)
     for name, value in numbers.items():
         if checks.whole(name, value, 1) > _MOST_NUMBERS:
             raise DataError(
-                f"{name} = {checks.shown(value)} is above 2**53, up to which a sum counts in ones"
+                f"{name} = {checks.shown(value)} must be at most 2**53, above which sums of "
+                "counts are not exact"
             )

@@ -31,11 +31,11 @@ def number(place: str, value: object) -> float:
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, real):
-        raise DataError(f"{place} = {shown(value)} is not a number")
+        raise DataError(f"{place} = {shown(value)} must be a number")
     try:
         return float(value)
     except OverflowError as cause:
-        raise DataError(f"{place} = {shown(value)} is too large a number") from cause
+        raise DataError(f"{place} = {shown(value)} is too large") from cause
 
 
 def positive(place: str, value: object, unit: str = "") -> float:
@@ -48,7 +48,7 @@ def positive(place: str, value: object, unit: str = "") -> float:
     """
     real = number(place, value)
     if not 0 < real < np.inf:
-        raise DataError(f"{place} = {real:g}{unit and ' '}{unit} is not finite and above 0")
+        raise DataError(f"{place} = {real:g}{unit and ' '}{unit} must be finite and above 0")
     return real
 
 
@@ -64,7 +64,7 @@ def between(
     """
     real, unit = number(place, value), f" {unit}".rstrip()
     if not least <= real <= most:
-        raise DataError(f"{place} = {real:g}{unit} is not from {least:g} to {most:g}{unit}{why}")
+        raise DataError(f"{place} = {real:g}{unit} must be from {least:g} to {most:g}{unit}{why}")
     return real
 
 
@@ -77,47 +77,49 @@ def whole(place: str, value: object, least: int) -> int:
     4
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise DataError(f"{place} = {shown(value)} is not a whole number of at least {least}")
+        raise DataError(f"{place} = {shown(value)} must be a whole number of at least {least}")
     return int(value)
 
 
 def flag(place: str, value: object) -> bool:
     """Return true or false; DataError for anything else, also for 0, 1 and text."""
     if not isinstance(value, bool | np.bool_):
-        raise DataError(f"{place} = {shown(value)} is not true or false")
+        raise DataError(f"{place} = {shown(value)} must be true or false")
     return bool(value)
 
 
 def text(place: str, value: object) -> str:
     """Return a text; DataError for anything else."""
     if not isinstance(value, str):
-        raise DataError(f"{place} = {shown(value)} is not a text")
+        raise DataError(f"{place} = {shown(value)} must be a text")
     return value
 
 
 def choice(place: str, value: object, options: Collection[str]) -> str:
     """Return a text that is one of ``options``; DataError for anything else."""
     if text(place, value) not in options:
-        raise DataError(f"{place} = {shown(value)} is not one of {', '.join(options)}")
+        raise DataError(f"{place} = {shown(value)} must be one of {', '.join(options)}")
     return str(value)
 
 
 def content(place: str, value: object) -> bytes:
     """Return the bytes of a file; DataError for anything else, also for its text."""
     if not isinstance(value, bytes):
-        raise DataError(f"{place}: content = {shown(value)} is not bytes, as a file has")
+        raise DataError(f"{place}: content = {shown(value)} must be the bytes of a file")
     return value
 
 
 def instance(place: str, value: object, kind: type[T]) -> T:
     """Return an instance of one of rtcal's classes; DataError for anything else."""
     if not isinstance(value, kind):
-        wrong = f"{place} = {shown(value)} is not a {public_name(kind)}"
+        wrong = f"{place} = {shown(value)} must be an {public_name(kind)}"
         if type(value).__module__.startswith("rtcal."):
-            wrong += f", but a {public_name(type(value))}"
-            wrong += ": are the arguments exchanged?" * (kind.__name__ in ("Room", "Measurement"))
+            wrong += f", not an {public_name(type(value))}"
+            wrong += ": check the order of the arguments" * (
+                kind.__name__ in ("Room", "Measurement")
+            )
         elif isinstance(value, str | os.PathLike) and hasattr(kind, "from_file"):
-            wrong += f": {public_name(kind)}.from_file reads one"
+            wrong += f": read it with {public_name(kind)}.from_file"
         raise DataError(wrong)
     return value
 
@@ -159,18 +161,18 @@ def array(place: str, value: object) -> Array:
     """
     if np.ma.isMaskedArray(value) and np.ma.getmaskarray(value).any():
         raise DataError(
-            f"{place} is a masked array with hidden entries; numbers are needed for all"
+            f"{place} is a masked array with masked entries; every entry must be a number"
         )
     if value is None:
-        raise DataError(f"{place} = None is not an array of real numbers")
+        raise DataError(f"{place} = None must be an array of real numbers")
     try:
         kind = np.asarray(value).dtype.kind
         if kind not in "bcSU" and not (isinstance(value, list | tuple) and _has_flags(value)):
             return np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as cause:
-        raise DataError(f"{place} is not an array of real numbers: {cause}") from cause
+        raise DataError(f"{place} must be an array of real numbers: {cause}") from cause
     found = {"c": "complex ones", "U": "texts", "S": "texts"}.get(kind, "true or false")
-    raise DataError(f"{place} is not an array of real numbers: it has {found}")
+    raise DataError(f"{place} must be an array of real numbers: it has {found}")
 
 
 def shaped(place: str, value: object, *shape: int | str) -> Array:
@@ -183,7 +185,9 @@ def shaped(place: str, value: object, *shape: int | str) -> Array:
     for n, of in zip(found.shape, shape, strict=False):
         fits &= isinstance(of, str) or n == of
     if not fits:
-        raise DataError(f"{place} has shape {found.shape}; it is ({', '.join(map(str, shape))})")
+        raise DataError(
+            f"{place} has shape {found.shape}; it must be ({', '.join(map(str, shape))})"
+        )
     return read_only(found)
 
 
@@ -196,7 +200,7 @@ def _has_flags(value: Any) -> bool:
 def listed(place: str, value: object) -> tuple[Any, ...]:
     """Return the members of a sequence; DataError for one text and for anything else."""
     if isinstance(value, str | bytes) or not np.iterable(value):  # an array of no axis is none
-        raise DataError(f"{place} = {shown(value)} is not a list")
+        raise DataError(f"{place} = {shown(value)} must be a list")
     return tuple(value)
 
 
@@ -226,8 +230,8 @@ def pairs(place: str, value: object) -> tuple[tuple[str, str], ...]:
             and isinstance(pair[1], str)
         ):
             raise DataError(
-                f"{place} has {shown(pair)}, which is no pair of a source and a receiver; "
-                f'{place} = [["S1", "R3"]] has one'
+                f"{place} has {shown(pair)}; give each pair as [source, receiver], such as "
+                f'{place} = [["S1", "R3"]]'
             )
     return tuple(map(tuple, every))
 
@@ -235,14 +239,14 @@ def pairs(place: str, value: object) -> tuple[tuple[str, str], ...]:
 def mapped(place: str, value: object) -> dict[Any, Any]:
     """Return a mapping as a dict; DataError for anything else."""
     if not isinstance(value, Mapping):
-        raise DataError(f"{place} = {shown(value)} is not a mapping")
+        raise DataError(f"{place} = {shown(value)} must be a mapping")
     return dict(value)
 
 
 def path(place: str, value: object) -> Path:
     """Return a path; DataError for anything else."""
     if not isinstance(value, str | os.PathLike):
-        raise DataError(f"{place} = {shown(value)} is not a path")
+        raise DataError(f"{place} = {shown(value)} must be a path")
     return Path(value)
 
 
@@ -270,11 +274,11 @@ _BIDIRECTIONAL = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u20
 def text_name(place: str, value: object) -> str:
     """Return a name; DataError unless it is text without characters that control how it is shown."""
     if not isinstance(value, str):
-        raise DataError(f"{place} has {value!r}, which is not a text")
+        raise DataError(f"{place} has {value!r}; it must be a text")
     if any(
         unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") or c in _BIDIRECTIONAL for c in value
     ):
-        raise DataError(f"{place} has {value!r}; a name has no control characters")
+        raise DataError(f"{place} has {value!r}; a name must not have control characters")
     return value
 
 

@@ -84,11 +84,11 @@ def of_bands(error: E, bands: Iterable[int]) -> E:
     (2,)
     """
     if not isinstance(error, RtcalError):
-        raise DataError(f"error = {error!r} is none of rtcal's errors")
+        raise DataError(f"error = {error!r} must be an error of rtcal.errors")
     try:
         error.bands = tuple(int(k) for k in bands)
     except (TypeError, ValueError, OverflowError) as cause:
-        raise DataError(f"bands = {bands!r} is not a list of whole numbers") from cause
+        raise DataError(f"bands = {bands!r} must be a list of whole numbers") from cause
     return error
 
 

@@ -103,6 +103,22 @@ def numbers(values: Iterable[float], form: str) -> list[str]:
     return [number(value, form) for value in values]
 
 
+def with_uncertainty(value: float, uncertainty: float, decimals: int) -> str:
+    """Return a value with its uncertainty; an uncertainty that would round to 0 gets more decimals.
+
+    Examples
+    --------
+    >>> with_uncertainty(1.234, 0.056, 2), with_uncertainty(1.234, 0.0004, 2)
+    ('1.23 ± 0.06', '1.2340 ± 0.0004')
+    """
+    if 0 < uncertainty < 0.5 * 10.0**-decimals:
+        decimals = min(math.ceil(-math.log10(uncertainty)), _MOST_DECIMALS)
+    return f"{value:.{decimals}f} ± {uncertainty:.{decimals}f}"
+
+
+_MOST_DECIMALS = 6
+
+
 def rounded(value: float, digits: int) -> str:
     """Return a value with so many significant digits and without an exponent.
 

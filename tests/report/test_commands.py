@@ -34,7 +34,7 @@ def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
     for out, said in (
         (folder / "no" / "p.html", "No such file"),
         (folder, "is a directory"),
-        (folder / "result.json", "would be written over"),
+        (folder / "result.json", "would overwrite"),
         ("", "--out is empty"),
     ):
         assert run("report", folder / "result.json", "--out", out) == 2
@@ -44,7 +44,7 @@ def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
         before = (folder / name).read_bytes()
         for source in (folder, folder / "result.json"):
             assert run("report", source, "--out", folder / ".." / folder.name / name) == 2
-            assert f"would be written over {folder / name}" in capsys.readouterr().err
+            assert f"would overwrite {folder / name}" in capsys.readouterr().err
         assert (folder / name).read_bytes() == before
     kept = sorted(p.name for p in folder.iterdir() if not p.name.startswith(".rtcal_files"))
     (folder / "result.json").write_text("{}")

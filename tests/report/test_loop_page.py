@@ -29,5 +29,5 @@ def test_a_loop_results_page(loop_result, tmp_path) -> None:
     row = re.search(r"simulated / s</th>(.*?)</tr>", text, re.S)[1]
     simulated = re.findall(r">([\d.]+)</td>", row)
     assert [float(v) for v in simulated] == np.round(after, 3).tolist()
-    assert "with all the coefficients returned, T30 is off by 0.0 JND at most" in text
+    assert "with the returned coefficients in all bands, T30 is off by 0.0 JND at most" in text
     assert len(rt.load(path).steps) == loop_result.simulations

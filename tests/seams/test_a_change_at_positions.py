@@ -152,9 +152,9 @@ def test_what_can_be_checked_is_refused_before_anything_is_simulated(small) -> N
     for change, said in (
         (
             Change(cover="tiles", by=PANEL, area=50),
-            'cover 50 m² of "tiles" by "panel": area = 50 m² is more than',
+            'cover 50 m² of "tiles" by "panel": area = 50 m² is too large',
         ),
-        (Change(open="door"), '"door" is no material'),
+        (Change(open="door"), '"door" is not a material'),
     ):
         with pytest.raises(DataError, match=said):
             predict_positions(small, [HALF, Variant("wrong", (change,))], progress=told)

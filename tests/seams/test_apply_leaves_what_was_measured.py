@@ -97,7 +97,7 @@ def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case, kept: P
         probabilities={"volume": 0.6, "none": 0.4},
     )
     for stated in (None, "volume"):
-        with pytest.raises(DataError, match="volume is changed only from 90 % on"):
+        with pytest.raises(DataError, match="volume only from 90 % upwards"):
             guess.apply(effect=stated)
     assert of_finding._corrected(guess, None) == []
     claimed = replace(guess, verdict="named", named=("volume",), probabilities={"volume": 0.95})
@@ -127,12 +127,12 @@ def test_at_positions_an_improbable_candidate_is_added_only_where_it_is_stated()
     )
     assert unsure.apply(effect="porous").added.surface == "wall 5"
     assert unsure.apply(effect="curtain").added.surface == "wall 0"
-    with pytest.raises(DataError, match='effect = "organ" is no candidate'):
+    with pytest.raises(DataError, match='effect = "organ" is not a candidate'):
         unsure.apply(effect="organ")
     geometry = unsure.case.geometry
     corners = geometry.vertices[list(geometry.faces[unsure.case.faces["wall 0"][0]])]
     there = unsure.apply(at=tuple(corners.mean(axis=0)))
     assert there.added.title == 'porous on "wall 0"'
-    with pytest.raises(DataError, match=r'effect = "area" is no candidate\. Candidates: porous'):
+    with pytest.raises(DataError, match=r'effect = "area" is not a candidate\. Candidates: porous'):
         unsure.apply(at=tuple(corners.mean(axis=0)), effect="area")
     assert torn_at_positions(0.31).apply().added.surface == "wall 5"

@@ -124,7 +124,7 @@ def searched(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) ->
         seen = verify(finding)
         row["verification"] = seen.verdict
         if {"alpha", "areas"} <= truth.keys():
-            tables = (case.room.alpha, seen.plain.alpha, seen.corrected.alpha)
+            tables = (case.room.alpha, seen.uncorrected.alpha, seen.corrected.alpha)
             row["rmse"] = [rmse(alpha, truth) for alpha in tables]
     return row
 

@@ -379,15 +379,17 @@ def checked_controls(case: Case, controls: object, least: int = 2) -> tuple[Cont
     )
     if len({c.engine for c in every}) < least:
         raise DataError(
-            f"controls are of {', '.join(c.engine for c in every) or 'no engine'}: a threshold needs "
-            "at least two engines"
+            "the reference simulations come from "
+            f"{', '.join(c.engine for c in every) or 'no simulator'}; a threshold needs at least "
+            "two simulators"
         )
     shape = len(case.configurations), len(FEATURES), case.room.n_bands
     for c in every:
         if c.errors.shape[1:] != shape or not len(c.errors):
             raise DataError(
-                f'controls of "{c.engine}" have shape {c.errors.shape}; this case\'s are (n_controls, '
-                f"{', '.join(map(str, shape))}): they are of another case"
+                f'the reference simulations of "{c.engine}" have shape {c.errors.shape}, but '
+                f"this case needs (n_controls, {', '.join(map(str, shape))}): they belong to "
+                "another case"
             )
     return every
 
@@ -403,7 +405,7 @@ def control_rooms(
     progress: TaskProgress | None = None,
     cache: str | os.PathLike[str] | None = None,
 ) -> tuple[ControlRooms, ...]:
-    """Simulate the case's reference rooms with the two engines, or read them from a folder.
+    """Simulate the case's reference rooms with two simulators, or read them from a folder.
 
     They are a fixed sequence: positions and scattering are spread evenly, and what is drawn for a
     material belongs to its name. `rtcal.find` takes that of the seed 0. Another one shows how much a

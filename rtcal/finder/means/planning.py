@@ -179,7 +179,7 @@ def plan(
     """
     change = checks.number("change", change)
     if not 0 < change <= 1:
-        raise DataError(f"change = {change:g} is not above 0 and at most 1 (a share of T)")
+        raise DataError(f"change = {change:g} must be above 0 and at most 1 (a share of T)")
     checks.instance("case", case, Case)
     hours = dict(COSTS)
     for name, value in ({} if costs is None else checks.mapped("costs", costs)).items():
@@ -187,7 +187,7 @@ def plan(
             raise DataError(f'costs has "{name}", which is not one of {", ".join(COSTS)}')
         hours[name] = checks.positive(f'costs["{name}"]', value)
     if finding is not None and finding.case is not case:
-        raise DataError("finding is of another case: state the case that it was found in")
+        raise DataError("finding belongs to another case: give the case in which it was found")
     observed, _ = observe(case)
     tried, _ = judged_effects(checked_effects(effects), case.directions_known, bool(case.program))
     predicted = predict_hypotheses(case, tried)

@@ -323,12 +323,13 @@ def check_size(case: Case, n_hypotheses: int) -> None:
     if (size := measured * room.n_bands) > LARGEST_FEATURES:
         raise DataError(
             f"{n} configurations have {size} values (parameters and bands); at most "
-            f"{LARGEST_FEATURES} can be compared: leave some out with Case.only"
+            f"{LARGEST_FEATURES} are possible: leave some configurations out with Case.only"
         )
     if n_hypotheses > LARGEST_HYPOTHESES:
         raise DataError(
-            f"{n_hypotheses} sets of parameters are to be tried in a room of {room.n_materials} "
-            f"materials; at most {LARGEST_HYPOTHESES} can be: use fewer effects or materials"
+            f"{n_hypotheses} sets of parameters would be tried in a room of {room.n_materials} "
+            f"materials; at most {LARGEST_HYPOTHESES} are possible: use fewer effects or "
+            "materials"
         )
 
 
@@ -637,7 +638,7 @@ def state(case: Case, configuration: Configuration, alpha: Array | None = None) 
 
 
 def states(case: Case, configuration: Configuration, alphas: Sequence[Array]) -> list[RoomState]:
-    """Return the `state` of a configuration with each of these alpha (n_materials, n_bands)."""
+    """Return the states of a configuration, one for each alpha (n_materials, n_bands)."""
     room = case.room
     changed = {room.material_index(m): c.alpha for m, c in configuration.changes.items()}
     unchanged = RoomState.of_room(room, case.facing, case.equation)

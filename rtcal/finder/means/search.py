@@ -116,7 +116,7 @@ def find(
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
 ) -> Finding:
-    """Find what the case's model lacks.
+    """Find the effects that the model of a case lacks.
 
     Parameters
     ----------
@@ -158,9 +158,11 @@ def find(
         odds[name] = checks.positive(f'prior["{name}"]', value)
     effects, not_judged = judged_effects(effects, case.directions_known, bool(case.program))
     if checks.whole("most", most, 1) > MOST:
-        raise DataError(f"most = {most} is not from 1 to {MOST}")
+        raise DataError(f"most = {most} must be from 1 to {MOST}")
     if most > 1 and len(effects) < 2:
-        raise DataError(f"most = {most}, and {len(effects)} effect is tried: most is 1 then")
+        raise DataError(
+            f"most = {most} is too large: only {len(effects)} effect is tried; use most = 1"
+        )
     expected = float(np.log1p(1 / odds[NONE])) if NONE in odds else EXPECTED
     observed, dropped = observe(case)
     noted: list[Reason | str] = [*dropped]

@@ -58,7 +58,7 @@ def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple
         if best is not None and finding.surfaces[name] > 0:
             rivals.append(best)
     if len(rivals) < 2:
-        raise DataError("at most one surface is in question; there is nothing to distinguish")
+        raise DataError("at most one surface is a candidate, so there is nothing to distinguish")
     places, divided = _grid(case, number), case.divided
     tracer = replace(
         case.simulator,
@@ -118,4 +118,7 @@ def _grid(case: PositionsCase, number: int) -> Array:
         if len(free) >= number:
             chosen = np.linspace(0, len(free) - 1, number).round().astype(int)
             return np.asarray(free[chosen])
-    raise DataError(f"the room has no {number} places {MARGIN:g} m from walls and sources")
+    raise DataError(
+        f"the room is too small for {number} positions {MARGIN:g} m away from walls and "
+        "sources: ask for fewer"
+    )

@@ -368,9 +368,9 @@ def find(
     without: Sequence[str] = (),
     progress: TaskProgress | None = None,
 ) -> Finding:
-    """Return whether a room is other than stated, in what, and where; see `rtcal.find`.
+    """Return whether a room differs from its model, in which effect, and where; see `rtcal.find`.
 
-    ``only`` and ``without`` have names of `tried`.
+    ``only`` and ``without`` are lists of names that `tried` returns.
     """
     checks.whole("seed", seed, 0)
     every = checked_effects(effects)
@@ -401,7 +401,9 @@ def controls_of(
         more_paths=MORE_PATHS,
     )
     if controls is None:  # a PathTracing has reference simulations always
-        raise DataError(f"{case.simulator.name} has no geometry to trace")
+        raise DataError(
+            f"{case.simulator.name} has no geometry that could be traced; use PathTracing"
+        )
     return controls
 
 

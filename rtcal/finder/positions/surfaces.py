@@ -125,20 +125,20 @@ def _joined(geometry: Polyhedron, firsts: Sequence[int], other: int) -> NDArray[
 
 def _stated(geometry: Polyhedron, stated: Mapping[str, Sequence[str]]) -> dict[str, Faces]:
     if not stated:
-        raise DataError("surfaces is empty; it names at least one surface")
+        raise DataError("surfaces is empty; name at least one surface")
     taken: set[str] = set()
     out: dict[str, Faces] = {}
     for name, faces in stated.items():
         members = []
         for face in checks.listed(f'surfaces["{name}"]', faces):
             if face not in geometry.names:
-                raise DataError(f'surfaces["{name}"] has "{face}", which is no face')
+                raise DataError(f'surfaces["{name}"] has "{face}", which is not a face of the mesh')
             if face in taken:
-                raise DataError(f'surfaces: face "{face}" stands in two surfaces')
+                raise DataError(f'surfaces: face "{face}" is in two surfaces; leave it out of one')
             taken.add(face)
             members += [i for i, other in enumerate(geometry.names) if other == face]
         if not members:
-            raise DataError(f'surfaces["{name}"] has no face')
+            raise DataError(f'surfaces["{name}"] has no face; give it at least one')
         out[str(name)] = np.array(members, dtype=np.int64)
     return out
 
@@ -311,7 +311,7 @@ def _on(point: Array, normal: Array, parts: Sequence[Array]) -> Array:
     """Return the place of the surface nearest to a point; DataError if that is far."""
     if (distance := facets.distance_in_plane(point, normal, parts)) > NEAR:
         raise DataError(
-            f"at = ({', '.join(f'{x:g}' for x in point)}) m is {distance:.2g} m from the surface; the "
-            f"limit is {NEAR:g} m"
+            f"at = ({', '.join(f'{x:g}' for x in point)}) m is {distance:.2g} m away from the "
+            f"surface; at most {NEAR:g} m is allowed"
         )
     return np.asarray(point + ((parts[0][0] - point) @ normal) * normal)
