@@ -176,7 +176,7 @@ class _Materials:
             if not 0 <= alpha <= 1:
                 percent = ": is it in percent?" if 2 < alpha <= 100 else ""
                 raise DataError(
-                    f"{place}: alpha = {alpha:g} at {f:g} Hz is not from 0 to 1{percent}"
+                    f"{place}: alpha = {alpha:g} at {f:g} Hz must be from 0 to 1{percent}"
                 )
         alphas = tuple(by_band[f] for f in self.bands)
         return ListedMaterial(

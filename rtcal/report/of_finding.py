@@ -467,7 +467,7 @@ def instructions(
                 )
             )
     else:
-        out.append(Note("2. Nothing is to be drawn."))
+        out.append(Note("2. The geometry stays as it is."))
     lost = [
         Note(f"- {as_sentence(str(note))}", "  ")
         for note in made.notes
