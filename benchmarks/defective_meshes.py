@@ -27,7 +27,11 @@ MENDED = (
     "joint", "sliver", "overlay", "door", "block", "cupboard", "stage", "turned", "twice", "panel",
     "open bottom", "hole", "fin", "triangles",
 )  # fmt: skip
-REFUSED = {"missing wall": "hole", "wall beside": "hole", "sheet": "the faces do not enclose a volume"}
+REFUSED = {
+    "missing wall": "hole",
+    "wall beside": "hole",
+    "sheet": "the faces do not enclose a volume",
+}
 
 
 @dataclass

@@ -41,7 +41,7 @@ from rtcal.support import blocks, checks
 from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import short_name, text_name
 from rtcal.support.errors import DataError
-from rtcal.support.text import first_of, shortened, with_uncertainty
+from rtcal.support.text import first_of, shortened
 from rtcal.support.types import Array, read_only
 
 __all__ = [
