@@ -236,6 +236,23 @@ def test_nan_is_an_error_at_first_and_a_limit_later(cr2):
         calibrate_simulator(everywhere, room, measured)
 
 
+def test_absurd_coefficients_are_marked(cr2):
+    room, measured = cr2
+    lively = External(
+        room=room,
+        name="lively",
+        run=lambda alpha, seed: 4 * rt.Eyring().time(room, room.areas @ alpha),
+    )
+    result = calibrate_simulator(lively, room, measured)
+    assert set(result.status) == {"converged"}
+    implausible = [m for m in result.trust_marks if m.kind == "implausible"]
+    assert len(implausible) == room.n_bands
+    plain = calibrate_simulator(of_equation(rt.Eyring(), room), room, measured)
+    marked = {m.frequency for m in plain.trust_marks if m.kind == "implausible"}
+    z = rt.calibrate(room, measured.mean("t30")).plausibility.z
+    assert marked == set(room.centre_frequencies[np.abs(z) > 2])
+
+
 def test_the_last_room_is_each_bands_best_step(cr2):
     room, measured = cr2
     factors = np.where(np.arange(room.n_bands) == 2, 1.5, 1.04)
@@ -244,6 +261,7 @@ def test_the_last_room_is_each_bands_best_step(cr2):
         alpha = loop.next_alpha
         times = factors * rt.Eyring().time(room, room.areas @ alpha)
         loop = loop.record(alpha, rt.Measurement.from_values(room.centre_frequencies, t20=times))
+    assert loop.simulations == len(loop.steps)
     for k, b in enumerate(loop.best):
         assert np.array_equal(loop.next_alpha[:, k], loop.steps[b].alpha[:, k])
 
