@@ -314,18 +314,33 @@ def test_a_box_without_pieces_is_the_box_of_the_simulators(tmp_path: Path) -> No
     assert geometry.areas == pytest.approx(dict(zip(room.materials, room.areas, strict=True)))
 
 
+def test_coefficients_belong_to_their_place(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    path = tmp_path / "room.toml"
+    pieces = ["--window", "west=4.5:0.1", "--window", "west=20 ft2:0.3", "--door", "west=1:0.1"]
+    assert run("room", *box("30' x 20'x 10'", "0.2", "floor", "0.2", *pieces), "--out", path) == 0
+    assert "9.14 × 6.1 × 3.05 m: length (x), width (y), height (z)" in capsys.readouterr().out
+    room = rt.Room.from_file(str(path))
+    areas = dict(zip(room.materials, room.areas.tolist(), strict=True))
+    pieces_of_west = {"piece of west": 5.5, "piece of west (2)": 20 * FT**2}
+    each = {"floor": 600 * FT**2, "floor (2)": 600 * FT**2} | pieces_of_west
+    assert areas == pytest.approx(each | {"walls": 1000 * FT**2 - sum(pieces_of_west.values())})
+    stated = {"floor": 0.2, "walls": 0.2, "piece of west": 0.1, "piece of west (2)": 0.3}
+    assert {name: room.material(name).alpha[0] for name in stated} == stated
+
+
 def test_questions_in_the_terminal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked, given = tmp_path / "asked.toml", tmp_path / "given.toml"
     answers = ["9x7", "9x7x3", "xyzzy", "carpet", "acoustic tile", "plaster", "", "55"]
-    answers += [str(asked), "nothing", "west=4.5:glazing", "south=2:door", ""]
+    answers += [str(asked), "nothing", "west=4.5:glazing", "west=17:glazing", "south=2:door", ""]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(answers) + "\n"))
     assert run("room", "--ask") == 0
     said = capsys.readouterr()
     assert "has 2 numbers, and not 3" in said.err
     assert '"xyzzy" is like no material' in said.err
     assert "V = 189 m³" in said.out
+    assert '"west" has 16.5 m² left' in said.err
     options = box(
         "9,7,3", "carpet", "acoustic tile", "plaster", *("--temperature", "20", "--humidity", "55")
     )
@@ -367,10 +382,14 @@ def test_a_file_of_others_stays(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (["--window", "west:4.5=glazing"], "is not WALL=M2:MATERIAL"),
         (["--window", "up=4.5:glazing"], '"up" is no surface; there are'),
         (["--window", "west=40:glazing"], r'"west" has 21 m² left, and glazing on it has 40 m²'),
-        (["--window", "west=-1:glazing"], "-1 m²"),
+        (["--window", "west=-1:glazing"], "west=-1:glazing: area = -1 m²"),
+        (["--window", "west=1.5x3:glazing"], '"1.5x3" .* a piece is WALL=M2:MATERIAL'),
+        (["--floor", "-0.1"], "floor: alpha = -0.1 at 125 Hz"),
+        (["--dimensions", "9000 7000 3000"], "--dimensions: V = 1.89e.11 m³ .* it is 189 m³ in mm"),
+        (["--dimensions", "9,7,3 km"], '--dimensions "km" is neither a number nor m, cm'),
         (["--audience", "200"], r'"floor" has 63 m² left, and audience on it has 200'),
         (["--temperature", "200"], "200"),
-        (["--out", "room.csv"], r"room.csv: .* written are .toml"),
+        (["--out", "room.csv"], r"room.csv: .* use .toml"),
     ],
 )
 def test_what_is_wrong_is_named_and_nothing_is_written(

@@ -614,8 +614,8 @@ def with_patches(
         patch = Surface(f"{name}: {material}", material, area, whole.axis)
         if not patch.area < whole.area:
             raise DataError(
-                f'"{name}" has {whole.area:.6g} m² left, and {material} on it has {patch.area:g} m²; a '
-                "surface that is all of one material has that material"
+                f'"{name}" has {whole.area:.6g} m² left, and {material} on it has {patch.area:g} m²; '
+                "where it covers all of the surface, state it as the surface's material"
             )
         left[name] = replace(whole, area=whole.area - patch.area)
         pieces.append(patch)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,7 +16,8 @@ from rtcal.command import console
 from rtcal.command.import_room import AIR, NAME, SIGMA, air_note, print_room, stated_air
 from rtcal.files.disk import spare
 from rtcal.io import units
-from rtcal.io.text import numbers
+from rtcal.io.text import numbers, shown
+from rtcal.support import checks
 from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
@@ -116,6 +118,7 @@ def _made(
     from rtcal.simulators.geometry import Polyhedron
 
     size = _sides(dimensions)
+    units.check_volume(math.prod(size), 1.0, "--dimensions")
     of_box = {"floor": materials.add("floor", floor), "ceiling": materials.add("ceiling", ceiling)}
     for wall in _WALLS:
         of_box[wall] = materials.add(
@@ -140,7 +143,8 @@ def _made(
         air=stated_air(temperature, humidity),
     )
     doubt = units.size_doubt(made.volume, size, 1.0)
-    notes = [*filter(None, [doubt]), *materials.notes, f"Assumed: {rule}", air_note(made)]
+    said = f"{units.in_words(size)}: length (x), width (y), height (z)"
+    notes = [said, *filter(None, [doubt]), *materials.notes, f"Assumed: {rule}", air_note(made)]
     return made.replace(dimensions=size), notes
 
 
@@ -151,19 +155,25 @@ class _Materials:
         self.bands = bands
         self.notes: list[str] = []
         self.listed: dict[str, ListedMaterial] = {}
-        self._names: dict[str, str] = {}
+        self._names: dict[tuple[str, str], str] = {}
 
     def add(self, place: str, text: str) -> str:
-        """Return the name of the material that is stated for a place: a text is always one material.
+        """Return the name of the material that is stated for a place: a name is always one material.
 
-        DataError for a name that is like none of the catalogue, and for wrong coefficients.
+        Coefficients are those of one place. DataError for a name that is like none of the catalogue,
+        and for wrong coefficients.
         """
-        if text not in self._names:
-            numeric = re.fullmatch(r"[\d.,;:\skhz]*\d[\d.,;:\skhz]*", text, re.I)
+        numeric = re.fullmatch(r"[-+%\d.,;:\skhz]*\d[-+%\d.,;:\skhz]*", text, re.I)
+        key = (place if numeric else "", text.strip())
+        if key not in self._names:
             added = (self._coefficients if numeric else self._of_catalogue)(place, text.strip())
-            self.listed[added.name] = added
-            self._names[text] = added.name
-        return self._names[text]
+            name, n = added.name, 1
+            while name in self.listed:
+                n += 1
+                name = f"{added.name} ({n})"
+            self.listed[name] = replace(added, name=name)
+            self._names[key] = name
+        return self._names[key]
 
     def _coefficients(self, place: str, text: str) -> ListedMaterial:
         from rtcal.io.material_list import ListedMaterial
@@ -197,8 +207,8 @@ class _Materials:
         near = catalogue.similar(name, 1 + _OTHERS)
         if not near:
             raise DataError(
-                f'{place}: "{name}" is like no material of the catalogue; give another name, or alpha, '
-                '"0.1 0.2 0.3 0.3 0.4 0.4"'
+                f'{place}: "{shown(name)}" is like no material of the catalogue; give another name, '
+                'or alpha, "0.1 0.2 0.3 0.3 0.4 0.4"'
             )
         others = f"; near it are {', '.join(near[1:])}" if near[1:] else ""
         self.notes.append(f"{name} is taken as the catalogue's {near[0]}{others}")
@@ -218,13 +228,21 @@ def _piece(text: str) -> tuple[str, float, str]:
     area, _, material = rest.partition(":")
     if not (place.strip() and area.strip() and material.strip()):
         raise DataError(f'"{text}" is not {_PIECE}, such as west=4.5:glazing')
-    (square_metres,) = numbers(re.sub(r"\s*(m2|m²|sqm|qm)\s*$", "", area), [1], text)
-    return place.strip(), square_metres, material
+    in_feet = re.fullmatch(r"(.*?)\s*(?:ft2|ft²|sq\.? ?ft)\s*", area)
+    bare = in_feet[1] if in_feet else re.sub(r"\s*(m2|m²|sqm|qm)\s*$", "", area)
+    try:
+        (stated,) = numbers(bare, [1], text)
+    except DataError as error:
+        raise DataError(f"{error}; a piece is {_PIECE}, such as west=4.5:glazing") from error
+    checks.positive(f"{text}: area", stated, "m²")
+    return place.strip(), stated * (0.3048**2 if in_feet else 1.0), material
 
 
 def _ask(stated: dict[str, Any], materials: _Materials, four_walls: bool) -> None:
     """Put answers into the options that are not given; a wrong answer is asked for again."""
     from rtcal.acoustics.air import Air
+    from rtcal.acoustics.room import with_patches
+    from rtcal.simulators.geometry import Polyhedron
 
     def answer(question: str, check: Callable[[str], Any], default: str | None = None) -> Any:
         def checked(text: str) -> Any:
@@ -243,7 +261,13 @@ def _ask(stated: dict[str, Any], materials: _Materials, four_walls: bool) -> Non
         return text
 
     def piece(text: str) -> str:
-        return material("piece", _piece(text)[2]) and text if text else ""
+        if text:
+            whole = Polyhedron.shoebox(_sides(stated["dimensions"]), "").surfaces
+            pieces = [*map(_piece, (*stated["pieces"], text))]
+            with_patches(whole, [(place, of, area) for place, area, of in pieces])
+            place, _, of = pieces[-1]
+            material(f"piece of {place}", of)
+        return text
 
     def climate(name: str, text: str) -> float:
         (value,) = numbers(text, [1], name)

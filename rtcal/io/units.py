@@ -66,6 +66,9 @@ _FEET_AND_INCHES = re.compile(
     r"([\d.]+)\s*(?:'|ft|feet)\s*([\d.]+)\s*(?:\"|in|inch|inches)(?![a-z])"
 )
 
+_WORD = re.compile(r"(?!e[+-]?\d)[a-z/]+[\d²³]*")
+"""What is no number and no known unit; the e of 9e3 is a number's."""
+
 
 def sides(text: str) -> tuple[float, float, float]:
     r"""Return length, width and height in m as people write them; DataError for another text.
@@ -76,11 +79,14 @@ def sides(text: str) -> tuple[float, float, float]:
     ((9.0, 7.0, 3.0), (7.0, 8.0, 3.75), (3.048, 6.096, 2.5908))
     """
     plain = re.sub("[\u2019\u2032]", "'", re.sub("[\u201d\u2033]", '"', text.strip().lower()))
+    plain = re.sub(r"\s*(?:[x×*]|by)\s*", ";", plain)
     plain = _FEET_AND_INCHES.sub(lambda m: f"{float(m[1]) + float(m[2]) / 12:.10g}'", plain)
     units = {_WRITTEN[unit] for unit in re.findall(_UNIT, plain)}
     if len(units) > 1:
         raise DataError(f'"{shown(text)}" has sides in several units; write all in one')
-    bare = re.sub(r"\s*(?:[x×*]|by)\s*", ";", re.sub(_UNIT, " ", plain))
+    bare = re.sub(_UNIT, " ", plain)
+    if word := _WORD.search(bare):
+        raise DataError(f'"{shown(word[0])}" is neither a number nor m, cm, mm, ft or in')
     unit = units.pop() if units else 1.0
     x, y, z = (
         checks.positive("side", round(side * unit, 9), "m") for side in numbers(bare, [3], "sides")
