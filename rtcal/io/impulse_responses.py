@@ -610,12 +610,15 @@ def _of_band(
 ) -> OfEnergy:
     """Return the parameters of a response, (n_samples,), in one band."""
     bandwidth = bandwidth_of(centre, fractions)
-    energy = filtered(time, rate, centre, fractions)
-    lead = min(onset, int(4 / bandwidth * rate))
+    lead = int(4 / bandwidth * rate)
+    # A response that begins at its direct sound leaves no room for what the filter moves before it.
+    missing = max(lead - onset, 0)
+    energy = filtered(np.pad(time, (missing, 0)), rate, centre, fractions)
+    onset += missing
     before = float(energy[onset - lead : onset].sum())
     # At the end, where it starts, the filter has not risen yet.
     energy = energy[: max(len(energy) - int(rate / bandwidth), onset)]
-    return of_energy(energy[onset:], rate, needed, centre, bandwidth, before, lead)
+    return of_energy(energy[onset:], rate, needed, centre, bandwidth, before, lead - missing)
 
 
 def of_energy(
