@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -15,37 +15,13 @@ from rtcal.files.disk import make_folder, spare, write_all
 from rtcal.support import text
 from rtcal.support.errors import DataError
 
-if TYPE_CHECKING:
-    from rtcal.acoustics.measurement import Measurement
-    from rtcal.acoustics.room import Room
-
-
-_T = 'a value for each of ROOM\'s bands, "0.9 0.8", or for some, "500:0.9 1000:0.8"'
-
-
-def _measured(room: Room, path: str | None, **times: str | None) -> Measurement:
-    """Return the measurement of a file, or of an option; DataError for several of them."""
-    from rtcal.acoustics.measurement import Measurement
-
-    stated = {name: text for name, text in times.items() if text is not None}
-    if len(stated) + (path is not None) > 1:
-        raise DataError("several measurements: give one of MEASURED, --t20 and --t30")
-    if path is not None:
-        return console.read_measured(path)
-    for name, of in stated.items():
-        by_band = dict(
-            sorted(console.spectrum(f"--{name}", of, room.centre_frequencies.tolist()).items())
-        )
-        return Measurement.from_values([*by_band], **{name: [*by_band.values()]})
-    raise click.MissingParameter(param_type="argument", param_hint="MEASURED (or --t20, --t30)")
-
 
 @click.command(short_help="Calibrate a room to measured reverberation times.")
 @console.takes(
     "ROOM",
     "MEASURED?",
-    console.option("t20", None, f"T20 in s, without a file: {_T}."),
-    console.option("t30", None, f"T30 in s, without a file: {_T}."),
+    "t20",
+    "t30",
     "method",
     "equation",
     console.choice("solver", ("clarabel", "osqp"), "The solver of the QP.", default="clarabel"),
@@ -97,7 +73,7 @@ def calibrate(
             )
         prior = console.read_room(room)
         with console.without_air_warning():
-            data = _measured(prior, measured, t20=t20, t30=t30)
+            data = console.measured(prior, measured, t20=t20, t30=t30)
             by_modes = console.told_by_modes(prior, modes, data, equation)
         if out is not None:
             figures.write_folder(by_modes, out, {})
@@ -105,7 +81,7 @@ def calibrate(
         return
     prior = console.read_room(room)
     with console.without_air_warning():
-        data = _measured(prior, measured, t20=t20, t30=t30)
+        data = console.measured(prior, measured, t20=t20, t30=t30)
         result = methods.calibrate(prior, data, equation=equation, **stated)
     if prior.scene.mesh is not None:
         with suppress(DataError):  # told by the mesh's doubt

@@ -181,6 +181,25 @@ def read_measured(path: str | os.PathLike[str], *, quietly: bool = False) -> Mea
     return table.measurement
 
 
+def measured(
+    room: Room, path: str | None, *, quietly: bool = False, **times: str | None
+) -> Measurement:
+    """Return the measurement of a file, or of --t20 or --t30; DataError for several of them."""
+    from rtcal.acoustics.measurement import Measurement
+
+    stated = {name: text for name, text in times.items() if text is not None}
+    if len(stated) + (path is not None) > 1:
+        raise DataError("several measurements: give one of MEASURED, --t20 and --t30")
+    if path is not None:
+        return read_measured(path, quietly=quietly)
+    for name, text in stated.items():
+        in_seconds = re.sub(r"(?<=\d)\s*s(?![a-z])", "", text)
+        by_band = spectrum(f"--{name}", in_seconds, room.centre_frequencies.tolist())
+        bands = sorted(by_band)
+        return Measurement.from_values(bands, **{name: [by_band[f] for f in bands]})
+    raise click.MissingParameter(param_type="argument", param_hint="MEASURED (or --t20, --t30)")
+
+
 def read_run(room: Room, simulated: str | None, at: str | None) -> Run | None:
     """Return the run of --simulated and --at, or None without it."""
     from rtcal.acoustics.room import Room
@@ -303,7 +322,11 @@ def whole(name: str, least: int, help: str, **more: Any) -> Decorator:
     return option(name, click.IntRange(least), help, **more)
 
 
+_T = 'a value for each of ROOM\'s bands, "0.9 0.8", or for some, "500:0.9 1000:0.8"'
+
 OPTIONS: dict[str, Decorator] = {
+    "t20": option("t20", None, f"T20 in s, without a file: {_T}."),
+    "t30": option("t30", None, f"T30 in s, without a file: {_T}."),
     "quiet": flag(
         "quiet", "Print nothing but errors, and the JSON.", "-q", expose_value=False, callback=_kept
     ),

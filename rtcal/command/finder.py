@@ -53,11 +53,16 @@ def stated(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
     return {k: v for k, v in every.items() if v not in (None, ()) and (k, v) != ("most", 1)}
 
 
+def _is_case(options: Mapping[str, Any]) -> bool:
+    """Whether what is measured is stated by the case, and not beside a room."""
+    return not stated(options, "measured", "t20", "t30")
+
+
 def files_of(options: Mapping[str, Any]) -> list[str]:
     """Return the paths of the files that ``rtcal find`` reads."""
     from rtcal.finder.case import files_of_case
 
-    if options.get("measured") is None:
+    if _is_case(options):
         return [os.fspath(path) for path in files_of_case(options["case"])]
     return [*stated(options, "case", "measured", "before", "simulated", "at").values()]
 
@@ -68,7 +73,7 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
 
     path, before = options["case"], options.get("before")
     spare(targets, [path])
-    if options.get("measured") is None:
+    if _is_case(options):
         if before is not None:
             raise DataError(
                 "--before needs a room and the measurement after the change: ROOM AFTER --before BEFORE"
@@ -81,7 +86,13 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
     room = console.read_room(path)
     read = [*files_of(options), *([] if room.scene.mesh is None else [room.scene.mesh])]
     spare(targets, read)
-    measured = console.read_measured(options["measured"], quietly=before is not None)
+    measured = console.measured(
+        room,
+        options.get("measured"),
+        quietly=before is not None,
+        t20=options.get("t20"),
+        t30=options.get("t30"),
+    )
     at_positions = bool(room.scene.sources) and not measured.is_summary
     more: dict[str, Any] = {}
     if before is not None:
@@ -258,6 +269,8 @@ def compare(
 @console.takes(
     click.argument("case", metavar="CASE|ROOM", type=click.Path()),
     "MEASURED?",
+    "t20",
+    "t30",
     "before",
     "simulated",
     "at",
