@@ -386,6 +386,7 @@ def test_a_file_of_others_stays(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (["--window", "west=-1:glazing"], "west=-1:glazing: area = -1 m²"),
         (["--window", "west=1.5x3:glazing"], '"1.5x3" .* a piece is WALL=M2:MATERIAL'),
         (["--floor", "-0.1"], "floor: alpha = -0.1 at 125 Hz"),
+        (["--floor", "xyzzy", "--ask"], r'^rtcal: floor: "xyzzy" is like no material'),
         (["--dimensions", "9000 7000 3000"], "--dimensions: V = 1.89e.11 m³ .* it is 189 m³ in mm"),
         (["--dimensions", "9,7,3 km"], '--dimensions "km" is neither a number nor m, cm'),
         (["--audience", "200"], r'"floor" has 63 m² left, and audience on it has 200'),
@@ -431,6 +432,8 @@ def test_a_stated_time_is_that_of_a_table(tmp_path: Path, capsys: pytest.Capture
     assert "has 1 number, and not 6; the room has 6 bands" in capsys.readouterr().err
     assert run("calibrate", path) == 2
     assert "Missing argument MEASURED" in capsys.readouterr().err
+    assert run("find", path) == 2
+    assert "is a room: MEASURED is missing, or --t20" in capsys.readouterr().err
 
 
 def test_the_largest_share_of_absorption_is_first() -> None:

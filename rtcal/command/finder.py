@@ -74,6 +74,10 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
     path, before = options["case"], options.get("before")
     spare(targets, [path])
     if _is_case(options):
+        if kind_of(path) == "a room" and before is None:
+            raise DataError(
+                f"{path} is a room: MEASURED is missing, or --t20 or --t30 of `rtcal find`"
+            )
         if before is not None:
             raise DataError(
                 "--before needs a room and the measurement after the change: ROOM AFTER --before BEFORE"

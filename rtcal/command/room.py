@@ -283,6 +283,9 @@ def _ask(stated: dict[str, Any], materials: _Materials, four_walls: bool) -> Non
         ("humidity", "Relative humidity / %", partial(climate, "humidity"), "50"),
         ("out", "File to write", lambda text: text, "room.toml"),
     )
+    for name, _, check, _ in questions:
+        if stated[name] is not None:  # before the first question, whose answer would be lost
+            check(str(stated[name]))
     for name, question, check, default in questions:
         if stated[name] is None and not (name == "walls" and four_walls):
             stated[name] = answer(question, check, default)
