@@ -229,7 +229,7 @@ def test_the_library_is_the_next_calibrations_input(
     other = new.replace(materials=[f"x{i}" for i in range(new.n_materials)], sources={})
     with pytest.raises(DataError, match="none of the materials"):
         archive.apply(other)
-    with pytest.raises(DataError, match="no material of the archive"):
+    with pytest.raises(DataError, match="is not a material of the archive"):
         archive.material("floor")
     with pytest.raises(DataError, match="names"):
         archive.apply(new, names={"roof": "linoleum"})

@@ -136,13 +136,13 @@ def test_a_missing_third_leaves_its_octave_missing() -> None:
 def test_incomplete_octaves_are_refused() -> None:
     thirds = bands.third_octaves(125, 1250)
     assert bands.obtainable(thirds, bands.OCTAVES).tolist() == [250, 500, 1000]
-    with pytest.raises(rt.errors.DataError, match=r"125 Hz cannot be had.*100 Hz is missing"):
+    with pytest.raises(rt.errors.DataError, match=r"125 Hz cannot be made.*100 Hz is missing"):
         absorption(np.ones(len(thirds)), thirds, [125, 250])
     with pytest.raises(rt.errors.DataError, match=r"2000 Hz.*1600, 2000 and 2500 Hz are missing"):
         absorption(np.ones(len(thirds)), thirds, [2000])
-    with pytest.raises(rt.errors.DataError, match=r"315 Hz cannot be had.*250 Hz is missing"):
+    with pytest.raises(rt.errors.DataError, match=r"315 Hz cannot be made.*250 Hz is missing"):
         parameter([1.0, 1.0], [500, 1000], [315, 400])
-    with pytest.raises(rt.errors.DataError, match="1000 Hz cannot be had"):
+    with pytest.raises(rt.errors.DataError, match="1000 Hz cannot be made"):
         absorption([0.1], [500], [1000])
 
 

@@ -124,8 +124,8 @@ def test_a_late_part_lost_in_rounding_is_still_a_late_part() -> None:
 @pytest.mark.parametrize(
     ("energy", "width", "name", "message"),
     [
-        ([1, -1.0], 1e-3, "t20", r"energy\[1\] = -1 is not"),
-        ([1, np.nan], 1e-3, "t20", r"energy\[1\] = nan is not"),
+        ([1, -1.0], 1e-3, "t20", r"energy\[1\] = -1 must be finite"),
+        ([1, np.nan], 1e-3, "t20", r"energy\[1\] = nan must be finite"),
         ([], 1e-3, "t20", "at least one bin"),
         ([1, 1], 0.0, "t20", "bin_width = 0 s"),
         ([1, 1], 1e-3, "t60", '"t60" is unknown'),

@@ -151,6 +151,8 @@ def public_names() -> dict[str, object]:
 
 NEEDS_NO_EXAMPLE = {
     "page_of": "as page.page, from a folder",
+    "from_sweep": "as rtcal measure --sweep, from recordings",
+    "interrupted": "as rtcal measure --interrupted, from recordings",
 }
 
 

@@ -63,7 +63,7 @@ def test_areas_of_objects_are_no_coefficients(tmp_path: Path, unit: str, where: 
     listed, path = of_text(tmp_path, text)
     rug, chair = listed.materials
     assert (rug.alpha, rug.doubt) == ((0.2,) * 3, "")
-    with pytest.raises(DataError, match=r"Sample 3\.csv, line \d: Chair.* names absorption areas"):
+    with pytest.raises(DataError, match=r"Sample 3\.csv, line \d: Chair.* has absorption areas"):
         listed.room(name="x", areas={chair.name: 20.0}, volume=100.0)
     room = listed.room(name="x", areas={"Rug": 20.0}, volume=100.0)
     assert room.materials == ("Rug",)

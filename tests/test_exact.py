@@ -223,7 +223,7 @@ def test_what_does_not_fit_is_an_error() -> None:
         exact.solve([0.1, 0.2], [0.1, 0.1, 0.1], [1, 1], 0.2)
     with pytest.raises(DataError, match="at least one axis"):
         exact.solve(0.1, [0.1], [1], 0.2)
-    with pytest.raises(DataError, match="mu is not an array"):
+    with pytest.raises(DataError, match="mu must be an array"):
         exact.solve(["a"], [0.1], [1], 0.2)
 
 

@@ -52,7 +52,7 @@ def test_a_command_exchanges_files(cr2):
     ("program", "message"),
     [
         ("raise SystemExit('no licence')", "ended with status 1: no licence"),
-        ("pass", "wrote no measured.csv"),
+        ("pass", "did not write measured.csv"),
         ("import time; time.sleep(30)", "ran for longer than"),
     ],
 )

@@ -216,7 +216,7 @@ def test_a_field_less_diffuse_than_the_programs_is_no_error_of_the_room() -> Non
     assert claimed.best_effect in ("non-diffuse field", "coupled room")
     finding = rt.find(case, controls=controls())
     assert finding.verdict == "hint"
-    assert str(finding).startswith("Nothing of the room is identified: what differs may be the")
+    assert str(finding).startswith("Nothing is identified in the room, because the difference may")
     assert "Next: Simulate with half and with twice the scattering" in " ".join(
         str(finding).split()
     )

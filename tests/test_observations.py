@@ -119,7 +119,7 @@ def test_what_scatters_nothing_or_everything_has_no_derivative_by_scattering(tra
     slope = ends.scattering_jacobian(tracer.room.alpha, ["level"])
     assert not slope[..., [0, -1]].any()
     assert slope[..., 1:-1].any(axis=(0, 1, 2, 3)).all()
-    with pytest.raises(DataError, match="number = 3 does not divide"):
+    with pytest.raises(DataError, match="number = 3 must divide"):
         ends.scattering_jacobian(tracer.room.alpha, ["level"], number=3)
 
 

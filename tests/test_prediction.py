@@ -465,7 +465,7 @@ def test_the_probability_is_smooth_and_that_of_the_draws() -> None:
 @pytest.mark.parametrize(
     ("call", "error", "place"),
     [
-        (lambda r: r.predict(r.prior.replace(sigma=0.5 * r.prior.sigma)), DataError, "prior"),
+        (lambda r: r.predict(r.prior.replace(sigma=0.5 * r.prior.sigma)), DataError, "sigma"),
         (lambda r: predict(3, []), DataError, "3"),
         (lambda r: r.predict([Change(open=m) for m in r.prior.materials]), ModelError, "T"),
         (lambda r: Assumptions(factor=2), DataError, "factor"),

@@ -94,7 +94,7 @@ def test_iso_12999_2() -> None:
         assert found[band] == pytest.approx(sigma, rel=1e-12)
     octave = sigma_iso_12999_2(np.array([0.5, 0.5]), [500, 1000])
     np.testing.assert_allclose(octave, [(0.06 + 0.05 + 0.045) / 6 + 0.015, 0.02 + 0.046 / 3])
-    with pytest.raises(rt.errors.DataError, match="not 8000 Hz"):
+    with pytest.raises(rt.errors.DataError, match="no uncertainty at 8000 Hz"):
         sigma_iso_12999_2(np.array([0.5, 0.5]), [4000, 8000])
 
 

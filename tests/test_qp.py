@@ -185,14 +185,14 @@ def test_an_answer_that_fails_the_certificate_is_not_returned(cr2, monkeypatch) 
 
 def test_what_a_solver_does_not_know_is_refused(cr2) -> None:
     for options, error, place in (
-        ({"solver": "scs"}, rt.errors.ModelError, "solver = 'scs' is not"),
+        ({"solver": "scs"}, rt.errors.ModelError, "solver = 'scs' must be"),
         ({"solver": 5}, rt.errors.ModelError, "solver = 5"),
-        ({"settings": {"no": 1}}, rt.errors.ModelError, '^solver "clarabel" refuses .*no=1: '),
+        ({"settings": {"no": 1}}, rt.errors.ModelError, '^solver "clarabel" does not accept .*no=1: '),
         ({"settings": {"max_iter": "many"}}, rt.errors.ModelError, "many"),
         (
             {"solver": "osqp", "settings": {"no": 1}},
             rt.errors.ModelError,
-            '^solver "osqp" refuses .*no=1: ',
+            '^solver "osqp" does not accept .*no=1: ',
         ),
         ({"solver": "osqp", "settings": 5}, rt.errors.ModelError, "settings = 5"),
         ({"warm_start": "closed"}, rt.errors.DataError, "warm_start"),

@@ -93,11 +93,11 @@ def test_solids_without_a_cavity_bound_material_and_no_option_makes_a_room(
     boxes = [*BUTT, FLOOR, ROOF]
     del boxes[missing]
     path = obj(tmp_path / "m.obj", boxes)
-    with pytest.raises(MeshError, match="material and not air"):
+    with pytest.raises(MeshError, match="do not enclose a room"):
         mesh.room(path)
     for option in ([], ["--open"], ["--weld", "0.02"]):
         assert run("import", "check", str(path), *option) == 2
-        assert "material and not air" in capsys.readouterr().err
+        assert "do not enclose a room" in capsys.readouterr().err
     out = tmp_path / "room.toml"
     assert run("import", "catalogue", "--mesh", str(path), "--open", "--out", str(out)) == 2
     assert not out.exists()

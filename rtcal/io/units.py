@@ -149,7 +149,7 @@ def size_doubt(
     >>> size_doubt(1.644e7, (), 1.0)
     'V = 16440000 m³ is more than nearly any room has; it is 269 m³ in inches (unit = 0.0254)'
     >>> size_doubt(21.2, (8.4, 8.4, 0.3), 1.0)
-    'a height of 0.3 m is less than any room has: are these walls, or is the unit wrong?'
+    'a height of 0.3 m is less than any room has; check whether all walls are drawn, and the unit'
     """
     said = ""
     if volume < _USUAL[0]:

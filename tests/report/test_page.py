@@ -81,7 +81,7 @@ def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:
     assert "the 100 of 130 materials that absorb most" in text
     assert len(text.encode()) < document.MAX_BYTES
     monkeypatch.setattr(document, "MAX_BYTES", 1000)
-    with pytest.raises(DataError, match="more than 1000"):
+    with pytest.raises(DataError, match="at most 1000"):
         pages.page(rt.calibrate(room, [1.0, 1.0]))
 
 

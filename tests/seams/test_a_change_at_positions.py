@@ -152,7 +152,7 @@ def test_what_can_be_checked_is_refused_before_anything_is_simulated(small) -> N
     for change, said in (
         (
             Change(cover="tiles", by=PANEL, area=50),
-            'cover 50 m² of "tiles" by "panel": area = 50 m² is too large',
+            'cover 50 m² of "tiles" by "panel": area = 50 m² is more than the 38.5 m²',
         ),
         (Change(open="door"), '"door" is not a material'),
     ):

@@ -112,6 +112,21 @@ def stated(**others: Any) -> rt.Room:
     return rt.Room(**(everything | others))
 
 
+def peopled() -> rt.Room:
+    """Return a room with persons, which are pieces and no surface."""
+    room = stated()
+    persons = np.full((1, len(OCTAVES)), 0.5)
+    return stated(
+        materials=[*NAMES, "persons"],
+        areas=[*room.areas, 20.0],
+        alpha=np.vstack([room.alpha, persons]),
+        sigma=np.vstack([room.sigma, 0.1 * persons]),
+        alpha_min=np.vstack([room.alpha_min, 0.0 * persons]),
+        scattering=np.vstack([room.scattering, 0.0 * persons]),
+        pieces=("persons",),
+    )
+
+
 def calibrated() -> rt.Room:
     room = stated()
     times = rt.Eyring().reverberation_time(room) * 0.95
@@ -152,6 +167,7 @@ def patched() -> Corrected:
 
 ROOMS: dict[str, Callable[[], rt.Room]] = {
     "stated": stated,
+    "pieces": peopled,
     "calibrated": calibrated,
     "loop": looped,
     "fit": lambda: fitted().room,
@@ -185,8 +201,10 @@ def test_the_rooms_state_everything() -> None:
     usual = {f.name: f.default for f in dataclasses.fields(rt.Room)}
     for room in (stated(), calibrated()):
         not_stated = {n for n, value in usual.items() if same(getattr(room, n), value)}
-        assert not_stated <= ({"calibration"} if room.calibration is None else set())
+        # Simulators and loops take no pieces: a room of its own states them.
+        assert not_stated <= {"pieces"} | ({"calibration"} if room.calibration is None else set())
     assert stated().scene
+    assert peopled().pieces
 
 
 def differing(one: rt.Room, other: rt.Room) -> set[str]:

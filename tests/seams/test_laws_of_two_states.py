@@ -181,13 +181,13 @@ def test_an_option_without_effect_is_refused() -> None:
             rt.find(stated, after, before=before, **options)
     for name, value in {"cache": "folder", "progress": print, "prior": {}, "most": 2}.items():
         with pytest.raises(
-            rt.errors.DataError, match=f"{name} is not of a search for what changed"
+            rt.errors.DataError, match=f"{name} cannot be used in a search for what changed"
         ):
             rt.find(stated, after, before=before, **{name: value})
     volume = [e for e in rt.finder.library() if e.name == "volume"]
     with pytest.raises(rt.errors.DataError, match="none of the effects adds absorption"):
         rt.find(stated, after, before=before, effects=volume)
-    with pytest.raises(rt.errors.DataError, match="the room has none"):
+    with pytest.raises(rt.errors.DataError, match="but the room has no air"):
         StatesCase(**{**two, "room": stated.replace(air=None)}, climate_uncertainty=(1, 5))
 
 

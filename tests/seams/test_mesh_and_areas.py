@@ -51,7 +51,7 @@ def test_calibrate_says_where_an_area_is_not_the_meshs(
 @pytest.mark.parametrize(
     ("place", "said"),
     [
-        ("S1", 'source "S1" and receiver "R1" are at the same place'),
+        ("S1", 'source "S1" and receiver "R1" are at the same point'),
         ("99, 1, 1", 'receiver "R1" = (99, 1, 1) m is outside the room'),
     ],
 )
