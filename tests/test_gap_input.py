@@ -91,7 +91,9 @@ def test_an_effect_of_one_s_own_is_added_verified_and_simulated(tmp_path: Path) 
     np.testing.assert_allclose(t20, case.configurations[0].measured.mean("t20"), rtol=0.1)
     assert find(corrected.case, controls=controls_of(case, 0.01)).verdict == "none"
     target = tmp_path / "own.json"
-    refused(lambda: corrected.save(str(target)), '"organ"', "not in rtcal's library", "cannot be saved")
+    refused(
+        lambda: corrected.save(str(target)), '"organ"', "not in rtcal's library", "cannot be saved"
+    )
     assert not target.exists()
 
 

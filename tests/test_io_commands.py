@@ -178,7 +178,7 @@ def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     assert run(*command, "--catalogue", "brick wall=none_such", *out) == 2
     assert '"none_such" is not a material of the catalogue' in capsys.readouterr().err
     assert run(*command, "--catalogue", "brick wall=brick", *out) == 2
-    assert "it is similar to smooth_brickwork_flush_pointing: " in capsys.readouterr().err
+    assert "similar: smooth_brickwork_flush_pointing: " in capsys.readouterr().err
     program = ("import", "catalogue", "--volume", 60, "--area", "material=90", *out)
     assert run(*program) == 2
     assert '--catalogue "material=carpet" lists the entries' in capsys.readouterr().err

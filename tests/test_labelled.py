@@ -39,7 +39,7 @@ def test_a_mapping_in_another_order_is_put_in_the_room_s() -> None:
 @pytest.mark.parametrize(
     ("alpha", "message"),
     [
-        ({"wals": ALPHA[1], "floor": ALPHA[0]}, "alpha has the keys wals, floor; they must be floor, walls"),
+        ({"wals": ALPHA[1], "floor": ALPHA[0]}, "keys wals, floor; they must be floor, walls"),
         (SimpleNamespace(to_numpy=lambda: np.array(ALPHA)), "alpha is a table with labels"),
     ],
 )

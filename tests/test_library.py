@@ -23,7 +23,9 @@ def test_a_table_of_one_product_has_the_name_of_its_file(tmp_path: Path) -> None
 def test_a_folder_is_a_library(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "products"
     folder.mkdir()
-    with pytest.raises(DataError, match=r"products: the folder has no file that ends in \.csv, \.txt, \.xlsx"):
+    with pytest.raises(
+        DataError, match=r"the folder has no file that ends in \.csv, \.txt, \.xlsx"
+    ):
         library.read(folder)
     (folder / "walls.csv").write_text("product;250;500;1000\nBrick;0,02;0,03;0,04\n")
     (folder / "baffle.xlsx").write_bytes(NAMED["products, e.xlsx"].content)

@@ -187,7 +187,11 @@ def test_what_a_solver_does_not_know_is_refused(cr2) -> None:
     for options, error, place in (
         ({"solver": "scs"}, rt.errors.ModelError, "solver = 'scs' must be"),
         ({"solver": 5}, rt.errors.ModelError, "solver = 5"),
-        ({"settings": {"no": 1}}, rt.errors.ModelError, '^solver "clarabel" does not accept .*no=1: '),
+        (
+            {"settings": {"no": 1}},
+            rt.errors.ModelError,
+            '^solver "clarabel" does not accept .*no=1: ',
+        ),
         ({"settings": {"max_iter": "many"}}, rt.errors.ModelError, "many"),
         (
             {"solver": "osqp", "settings": {"no": 1}},

@@ -84,7 +84,9 @@ def test_the_patch_stands_where_it_is_wanted() -> None:
     assert middle((6.95, 2.0, 1.4)) == pytest.approx([7.0, 2.0, 1.4])
     assert middle((7.0, 5.0, 3.0))[1:] == pytest.approx([3.71, 2.225], abs=0.01)  # into the corner
     assert patched(box, [1], 14.5, "hole", "hole") is None  # no rim is left
-    with pytest.raises(DataError, match=re.escape("at = (6, 2, 1.4) m is 1 m away from the surface")):
+    with pytest.raises(
+        DataError, match=re.escape("at = (6, 2, 1.4) m is 1 m away from the surface")
+    ):
         patched(box, [1], 4.0, "hole", "hole", np.array([6.0, 2.0, 1.4]))
 
 
