@@ -63,6 +63,11 @@ def test_a_name_that_people_use_finds_its_entry_first(name: str) -> None:
     assert catalogue.similar(name, 1)[0] in WANTED[name].split()
 
 
+@pytest.mark.parametrize("name", ["sofa", "grass", "pool", "xyzzy"])
+def test_a_name_that_shares_letters_alone_finds_nothing(name: str) -> None:
+    assert catalogue.similar(name) == []
+
+
 def test_the_names_are_thirty_and_their_entries_are_in_the_catalogue() -> None:
     assert len(WANTED) == 30
     entries = {entry for each in WANTED.values() for entry in each.split()}
