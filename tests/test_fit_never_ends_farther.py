@@ -174,7 +174,9 @@ def test_gap_and_objective_are_at_most_those_of_the_start(name, prior, scale):
         assert (result.alpha == room.alpha).all()
     if result.refused:
         said = " ".join(str(result).split())
-        assert said.startswith("No step led nearer to what was measured: the start is returned")
+        assert said.startswith(
+            "No step reduced the deviation from the measurement, so the start is returned"
+        )
         assert result.room is room
     elif prior == "wide" and scale == 1:
         assert after < 0.5 * before

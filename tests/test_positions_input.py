@@ -211,7 +211,9 @@ def test_a_fit_that_leads_no_nearer_writes_nothing_and_has_a_code_of_its_own(fol
     done = fit(folder, *options)
     assert done.exit_code == NOT_NEARER == 7
     first = done.stdout.splitlines()[0]
-    assert first.startswith("No step led nearer to what was measured: the start is returned")
+    assert first.startswith(
+        "No step reduced the deviation from the measurement, so the start is returned"
+    )
     assert not (folder / "made").exists()
     forced = fit(folder, *options, "--force")
     assert forced.exit_code == NOT_NEARER

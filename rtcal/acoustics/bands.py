@@ -149,7 +149,7 @@ def span(frequencies: Sequence[float] | Array) -> str:
 
 
 def where(f: Array, chosen: NDArray[np.bool_], known: NDArray[np.bool_]) -> str:
-    """Return bands in words, among those that are known.
+    """Return some of the known bands in words.
 
     Examples
     --------
@@ -438,12 +438,12 @@ def _parts(old: Array, new: Array) -> list[list[float]]:
 
 
 def in_thirds(centres: Array) -> bool:
-    """Return whether bands are third-octaves: one of them is no octave's centre."""
+    """Return whether the bands are third-octaves, because one of them is not an octave's centre."""
     return any(f in THIRD_OCTAVES and f not in OCTAVES for f in centres.tolist())
 
 
 def thirds_of(octave: float) -> list[float]:
-    """Return the centre frequencies in Hz of an octave's thirds; those of no octave are its own."""
+    """Return the centre frequencies in Hz of an octave's thirds; another frequency is kept alone."""
     if octave not in OCTAVES:
         return [octave]
     place = THIRD_OCTAVES.index(octave)

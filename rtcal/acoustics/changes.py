@@ -557,7 +557,7 @@ def _like(towards: Array, room: Room, unknown: Sequence[int], other: Placed) -> 
 
 
 def new_name(taken: Iterable[str], wanted: str) -> str:
-    """Return a name that looks like none that is taken: the wanted one, or that with a number.
+    """Return the wanted name, with a number appended if a taken name looks the same.
 
     Examples
     --------
@@ -624,7 +624,7 @@ class NewMaterial(FileTable):
 
 
 class VariantTable(FileTable):
-    """A variant; its name is that of its changes if it states none. Without changes it is the room."""
+    """A variant; without a name it is named after its changes, and without changes it is the room."""
 
     change: list[Change] = []
     name: str | None = None
@@ -632,7 +632,7 @@ class VariantTable(FileTable):
 
 
 class NewPiece(FileTable):
-    """A `Piece` that is not in the room, without a number: its changes have one."""
+    """A `Piece` that is not in the room; its number is given by the changes."""
 
     name: str
     area_per_piece: list[Number]
@@ -949,7 +949,7 @@ _NO_COMPOUNDS = ("leinwand", "vorwand", "gewand")
 
 
 def kind_of(name: str) -> str | None:
-    """Return "floor", "ceiling", "wall" or "floor and ceiling" where a name says it, else None.
+    """Return "floor", "ceiling", "wall" or "floor and ceiling" if a name has such a word, else None.
 
     Examples
     --------

@@ -66,7 +66,7 @@ class Comparison(Result):
 
     @property
     def lacking(self) -> dict[str, Lacking]:
-        """What is not compared, and which side lacks it (`Run.lacking`)."""
+        """Parameters that are not compared, and the side without them (`Run.lacking`)."""
         return {} if self.of_equation else self.run.lacking(self.measured)
 
     @cached_property
@@ -192,7 +192,7 @@ class Comparison(Result):
 
     @cached_property
     def explained(self) -> dict[str, NDArray[np.bool_]]:
-        """Where the run disagrees and the `coefficients` explain it, within one JND or the rest."""
+        """Where the `coefficients` explain a disagreement of the run, within one JND or the rest."""
         return {
             p: where
             & (

@@ -131,7 +131,7 @@ class MeanEquation(ReverberationEquation):
         return np.asarray(alpha)
 
     def coefficient(self, contribution: Array) -> Array:
-        """Return the alpha of a wall with this contribution: the inverse of `contribution`."""
+        """Return the alpha of a wall that makes this contribution (the inverse of `contribution`)."""
         return np.asarray(contribution)
 
     def contribution_slope(self, alpha: Array) -> Array:
@@ -265,7 +265,7 @@ class LinearEquation(MeanEquation):
 
 
 def mean_equation(key: str, place: str = "equation") -> MeanEquation:
-    """Return the equation with one exponent per room that has this key.
+    """Return the equation with this key, which must have one exponent per room.
 
     Raises DataError, which names ``place``, for any other key.
 

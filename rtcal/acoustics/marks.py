@@ -54,7 +54,7 @@ def gap_jnd(model: Array, measured: Array, parameter: str = TARGET.key) -> Array
 
 
 def rms(values: Array, axis: int | tuple[int, ...] | None = None) -> Any:
-    """Return the root mean square over some axes of what is known; NaN where nothing is."""
+    """Return the root mean square of the known values over some axes; NaN without a known value."""
     known = np.isfinite(values)
     squares = np.where(known, values, 0.0) ** 2
     with np.errstate(invalid="ignore"):
@@ -77,7 +77,7 @@ six octaves these are 25 % for f = 2 and 75 % for f = 3, in 18 thirds 94 % for f
 
 @dataclass(frozen=True, eq=False)
 class Plausibility:
-    """Whether prior and measurement agree. The gap does not show it, since a calibration closes it."""
+    """Agreement of prior and measurement. The gap cannot show it, because a calibration closes it."""
 
     z: Array
     """b - S'mu over its standard deviation, (n_bands,); NaN where nothing was matched."""
@@ -192,7 +192,7 @@ class TrustMark:
 
     @property
     def is_error(self) -> bool:
-        """Whether it is a likely typing error, which a result states before anything else."""
+        """Whether the mark is a likely typing error, which a result states before anything else."""
         return self.kind.endswith("_error")
 
     @property
@@ -217,13 +217,13 @@ class TrustMark:
 _ADVICE: dict[str, tuple[str, str]] = {
     "typing_error": (
         "t",
-        "likely a typing error: check this value before anything else, and calibrate again. What "
-        "follows is computed with it",
+        "likely a typing error: check this value before anything else, and calibrate again. All "
+        "results are computed with it",
     ),
     "unit_error": (
         "",
         "likely a typing error, or another unit: check T (in s), the volume (in m³) and the areas "
-        "(in m²) before anything else. What follows is computed with them",
+        "(in m²) before anything else. All results are computed with them",
     ),
     "surface": (
         "",
@@ -236,8 +236,8 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "unreachable": (
         "n",
-        "its coefficients are the ends of their bounds, which says nothing of the materials: check T, "
-        "volume and areas, give the materials wider bounds, or look for an effect that the model lacks",
+        "its coefficients are at their bounds and do not describe the materials: check T, volume and "
+        "areas, give the materials wider bounds, or look for an effect that the model lacks",
     ),
     "missing": (
         "m",
@@ -251,23 +251,23 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "air": (
         "a",
-        "an error of T or of the climate counts several times in alpha: measure temperature and "
-        "humidity with T",
+        "an error of T or of the climate causes an error of alpha several times as large: measure "
+        "temperature and humidity with T",
     ),
     "uncertain": (
         "u",
-        "the deviation says nothing of the model: measure at more positions, or calibrate with method "
-        "soft",
+        "the deviation cannot show whether the model is right: measure at more positions, or calibrate "
+        "with method soft",
     ),
     "at_bound": (
         "b",
-        "its sigma or another's is too small, or an effect is missing: give hard materials a lower "
-        "limit (alpha_min) and look for the effect",
+        "the sigma of this or another material is too small, or an effect is missing: give hard "
+        "materials a lower limit (alpha_min) and look for the effect",
     ),
     "at_upper_bound": (
         "b",
-        "the other materials supply what T needs beyond it: this material's sigma, another material's "
-        "sigma or this material's area is too small, or an effect is missing",
+        "the other materials supply the rest of the absorption that T needs: this material's sigma, "
+        "another material's sigma or this material's area is too small, or an effect is missing",
     ),
     "all_at_upper_bound": (
         "b",
@@ -296,17 +296,17 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "implausible_modes": (
         "",
-        "the modes contradict each other or the input coefficients: are T and decays called so, and "
-        "which modes are they? Then check the coefficients",
+        "the modes contradict each other or the input coefficients: check whether the table holds T or "
+        "decays, and which modes they are, then check the coefficients",
     ),
     "clipped": (
         "",
-        "a laboratory value above 1 counts the specimen's edges too, so the true one is not known: "
-        "give these materials a larger sigma",
+        "a laboratory value above 1 includes the specimen's edges, so the true coefficient is not "
+        "known: give these materials a larger sigma",
     ),
     "dimensions": (
         "",
-        "one of them is wrong: the absorption that T needs is proportional to the volume",
+        "the volume or a dimension is wrong: the absorption that T needs is proportional to the volume",
     ),
     "equations_differ": (
         "",
@@ -430,7 +430,7 @@ def _surface_of_box(x: float, y: float, z: float) -> float:
 
 
 def likely_slips(room: Room) -> list[tuple[str, Room]]:
-    """Return what is ten or a hundred times too large or small, in words, and the room without it.
+    """Return in words the value that is 10 or 100 times too large or small, and the corrected room.
 
     One area, or the volume, without which the surface is likely. Empty where the surface is likely
     already, and where more than two would explain it.
@@ -513,7 +513,7 @@ which on a decimal point or a unit is wrong. Empty and furnished rooms differ by
 def of_unit(
     times: Array, stated: Array, name: str = "T", of: str = "that of the input coefficients"
 ) -> list[TrustMark]:
-    """Return the mark of a T that is far from that of the stated coefficients in every band alike.
+    """Return the mark of a T that differs by one factor in all bands from T of the stated coefficients.
 
     ``times`` are the measured T and ``stated`` those of the coefficients in s, (n_bands,), NaN where
     missing; ``name`` and ``of`` are both in words.

@@ -609,7 +609,7 @@ class Measurement:
 
     @property
     def reverberation_time_uncertainty(self) -> Array:
-        """Its standard uncertainty in s, (n_bands,); NaN where it is unknown."""
+        """Standard uncertainty of the reverberation time in s, (n_bands,); NaN where unknown."""
         return self._matched(self.mean_uncertainty)
 
     def _matched(self, of: Callable[[str], Array]) -> Array:

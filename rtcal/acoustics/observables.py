@@ -111,7 +111,7 @@ class Observable(ABC):
 
     @abstractmethod
     def rate(self, observed: Array) -> Array:
-        """Return a quantity that is linear in the absorption and rises with the observed one."""
+        """Return a quantity that is linear in the absorption and rises with the observed quantity."""
 
     def linear(self, observed: Array, stated: Array) -> Array:
         """Return the deviation of observed from given values, in a quantity linear in the absorption.
@@ -307,7 +307,7 @@ SUMMARY = "*"
 
 
 def parameter_label(parameter: str) -> str:
-    """Return a parameter as it is printed; a name that is none in capitals.
+    """Return a parameter as printed; an unknown name is printed in capitals.
 
     Examples
     --------
@@ -546,7 +546,7 @@ def longest(keys: Iterable[str]) -> DecaySlope:
 
 
 def divided(energy: Array, bin_width: float, limit: float) -> tuple[Array, Array]:
-    """Return the energy before and after ``limit`` s; a bin that it divides counts in proportion.
+    """Return the energy before and after ``limit`` s; a bin across the limit is divided in proportion.
 
     Both are summed, since the later energy as a difference could round to a value below 0.
     """
@@ -681,7 +681,7 @@ class D50(Observable):
         return np.asarray(-np.log1p(-observed))
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
-        """Return that of C50 times d D50 / d C50 = D50 (1 - D50) / DB, of an exponential decay."""
+        """Return C50's scatter times d D50 / d C50 = D50 (1 - D50) / DB, of an exponential decay."""
         with np.errstate(invalid="ignore"):
             late = np.exp(-6 * np.log(10) * C50.limit / times)
         return np.asarray(_C50.scatter(frequencies, times) * late * (1 - late) / DB)
@@ -904,7 +904,7 @@ def bins(bin_width: float) -> float:
 
 
 def checked_decay(energy: Array, bin_width: float = 1.0) -> Array:
-    """Return energy decays (..., n_bins), of bins in s; DataError for what is none."""
+    """Return energy decays (..., n_bins), of bins in s; DataError if they are not energy decays."""
     checks.positive("bin_width", bin_width, "s")
     energy = checks.array("energy", energy)
     if energy.ndim == 0 or energy.shape[-1] == 0:

@@ -204,7 +204,7 @@ class Scene:
 
     @classmethod
     def of(cls, tables: Any) -> Scene:
-        """Return the scene of what has the fields of `SceneTables`; DataError as `Scene` does."""
+        """Return the scene of an object with the fields of `SceneTables`; DataError as in `Scene`."""
         return cls(
             **msgspec.structs.asdict(tables.geometry),
             sources=tables.sources or {},
@@ -463,7 +463,7 @@ UNKNOWN: Literal["unknown"] = "unknown"
 def directivities(
     stated: Mapping[str, Any], sources: Mapping[str, Any]
 ) -> dict[str, StatedDirectivity]:
-    """Return the sources' directivities; DataError for one of no source or of another kind."""
+    """Return the sources' directivities; DataError for an unknown source or another kind of value."""
     made: dict[str, StatedDirectivity] = {}
     for name, of in checks.mapped("directivity", stated).items():
         place = f'directivity["{text_name("directivity", name)}"]'
@@ -564,7 +564,7 @@ class Piece:
     number_sigma: Number = 0.0
 
     def as_material(self, scattering: float | None = None) -> Material:
-        """Return the row that a room has for it."""
+        """Return the room's material for this piece."""
         row = Material(self.name, self.area_per_piece, self.sigma, source=self.source)
         return replace(row, scattering=scattering, area=self.number)
 
@@ -1037,7 +1037,7 @@ class Room:
 
     @cached_property
     def is_surface(self) -> NDArray[np.bool_]:
-        """Whether each material is one of surfaces, and no piece, (n_materials,)."""
+        """Whether each material covers surfaces, and is not a piece, (n_materials,)."""
         return np.array([m not in self.pieces for m in self.materials])
 
     @cached_property
@@ -1107,7 +1107,7 @@ class Room:
         return self.replace(air=air, climate_sigma=sigma)
 
     def in_bands(self, wanted: Iterable[float]) -> Room:
-        """Return the room in other bands in Hz; the air is the same, its attenuation that of the bands.
+        """Return the room in other bands in Hz, with the attenuation of its air in these bands.
 
         Raises DataError if an octave lacks one of its thirds, or a third its octave.
         """
@@ -1608,7 +1608,7 @@ class PriorTable(FileTable):
 
 
 class SurfaceTable(FileTable):
-    """A surface; its name in a file without one is its number."""
+    """A surface; in a file without its name, the name is its number."""
 
     material: str
     area: Number
@@ -1649,7 +1649,7 @@ class RoomFile(SceneTables, kw_only=True):
 
 
 def refuse_repeats(place: str, named: Sequence[Any]) -> None:
-    """Raise DataError if two of what has a ``name`` have the same."""
+    """Raise DataError if two objects have the same ``name``."""
     names = [each.name for each in named]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise DataError(f'{place} has "{twice}" twice; give each a name of its own')

@@ -31,7 +31,7 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Assumptions:
-    """Standard deviations of what a prediction cannot know; benchmarks/studies/predictions tests them.
+    """Standard deviations of a prediction's unknowns; benchmarks/studies/predictions tests them.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def of_absorption(areas: Array, alpha: Array, sigma: Array, frequencies: Array) 
 
 
 def in_words(room: Room) -> str:
-    """Return what the room states of its uncertainty: "volume 5 %, areas 3 %"; "" for nothing.
+    """Return the room's uncertainty in words: "volume 5 %, areas 3 %"; "" without any.
 
     Examples
     --------

@@ -144,7 +144,7 @@ class Evidence:
         return np.asarray(common + own)
 
     def correlation(self, spread: Spread) -> Array:
-        """Return that of one material's errors in two bands, (n_bands, n_bands)."""
+        """Return the correlation of one material's errors between bands, (n_bands, n_bands)."""
         return np.asarray(spread.correlation**self.distance)
 
     def fitted(self, rows: NDArray[np.bool_] | None = None, start: Spread | None = None) -> Spread:
@@ -155,7 +155,7 @@ class Evidence:
         return _spread(minimize(self._cost, first, (rows,), method="L-BFGS-B").x)
 
     def plausible(self, spread: Spread) -> list[Spread]:
-        """Return spreads of equal weight about the fitted one, as uncertain as the rows leave it.
+        """Return spreads of equal weight around the fitted one: samples of its uncertainty.
 
         Two along each axis of the normal density that has the cost's curvature there, so that mean and
         covariance are its own (Julier & Uhlmann 1997, Proc. SPIE 3068, Eq. 12).
@@ -238,7 +238,7 @@ class Lesson:
 
 @dataclass(frozen=True, kw_only=True)
 class Suspect:
-    """A material of a room that is likely another than it is named."""
+    """A material of a room that is probably another material than its name says."""
 
     room: str
     material: str
@@ -485,23 +485,25 @@ class Archive(Result):
         }
         rooms = Table.of_columns([lesson.room for lesson in self.lessons], of_rooms)
         notes = [
-            f"Standard deviations: an entry of the table is off by {spread.table:.2g} of its input "
-            f"sigma in all rooms; a material differs between rooms by {spread.between:.2g} of that "
-            f"sigma; all coefficients of one room share an error of {100 * spread.room:.0f} %; the "
-            f"equation errs by {100 * spread.equation:.0f} % per band. All tables together are off by "
+            "Standard deviations: the error of a table's coefficient, the same in all rooms, is "
+            f"{spread.table:.2g} times its input sigma; the difference of a material between rooms is "
+            f"{spread.between:.2g} times this sigma; the error that all coefficients of a room share "
+            f"is {100 * spread.room:.0f} %; the error of the equation in one band is "
+            f"{100 * spread.equation:.0f} %. The correction that all tables share is "
             f"{100 * self.together:+.0f} ± {100 * self.together_sigma:.0f} %.",
             *(
                 f'In room "{s.room}", "{s.material}" is likely '
                 + (f'"{s.instead}"' if s.instead else "none of the archive's materials")
-                + f" (p = {s.probability:.2f}): look, and correct its name or leave the room out."
+                + f" (p = {s.probability:.2f}): check the material, then correct its name "
+                "or leave the room out."
                 for s in self.suspects
             ),
         ]
-        head = f"alpha (number of rooms; * off the table by {_OFF:g} standard deviations)"
+        head = f"alpha (number of rooms; *: {_OFF:g} or more standard deviations from the table)"
         return [
             Note(f"{len(self.lessons)} rooms, {len(self.materials)} materials"),
             Table(labels, materials, head),
-            replace(rooms, title="each room compared with what all others predict"),
+            replace(rooms, title="each room compared with the prediction from all other rooms"),
             *map(Note, notes),
         ]
 
@@ -549,7 +551,7 @@ def _data(result: Calibrated, places: Sequence[int], n: int, columns: Sequence[i
 
 
 def learn(rooms: Sequence[Calibrated], names: Mapping[str, str] | None = None) -> Archive:
-    """Learn from calibrated rooms what the materials that they share absorb.
+    """Learn the absorption of the materials that calibrated rooms share.
 
     The model of alpha of a material in a room has three parts: the material's mean, a deviation in this
     room, and a factor of the room; see `rtcal.calibration.archive`. Marginal likelihood gives how much
@@ -800,7 +802,7 @@ def _log_density(miss: Array, covariance: Array) -> float:
 
 
 def materials(result: Calibrated) -> tuple[str, ...]:
-    """Return the names of the materials of all states of a calibrated room."""
+    """Return the names of all materials in the states of a calibrated room."""
     return tuple(_room(result).materials)
 
 

@@ -50,7 +50,7 @@ class Composition:
 
     @cached_property
     def configurations(self) -> Configurations:
-        """The rooms: one is one of several."""
+        """The rooms, as configurations; one room is a single configuration."""
         return Configurations([self.room]) if isinstance(self.room, Room) else self.room
 
     @cached_property
@@ -75,7 +75,7 @@ class Composition:
 
     @property
     def boxes(self) -> list[Bounds]:
-        """The constraints that narrow the box; the others, but `Shared`, are rows of the QP."""
+        """The constraints that are bounds; all others, except `Shared`, are rows of the QP."""
         return [c for c in self.constraints if isinstance(c, Bounds)]
 
     @property

@@ -30,7 +30,7 @@ def solve_rows(
     multiplier: Array,
     status: NDArray[np.int8],
 ) -> None:
-    """Solve every row; an argument with one row serves all rows.
+    """Solve every row; an argument with one row is used for all rows.
 
     mu, sigma, areas, lower, upper: (rows or 1, n); target, uncertainty: (rows or 1,);
     alpha (rows, n), multiplier (rows,) and status (rows,) are written.

@@ -197,7 +197,7 @@ def compile_once(
     weights: Sequence[float],
     constraints: Sequence[Any],
 ) -> CompiledProblem:
-    """Return the compiled problem of these terms, an earlier one if nothing it depends on differs.
+    """Return the compiled problem of these terms, reused if everything that it depends on is unchanged.
 
     The 16 used last are kept. A term that cannot be hashed is compiled anew. What a function refers to
     must not change: its numbers are constants of the compiled problem.
@@ -283,11 +283,11 @@ class QP:
 
     @functools.cached_property
     def absolute(self) -> QP:
-        """The QP of the absolute values of P, c, A and b: its sums bound the rounding of this one's."""
+        """The QP of the absolute values of P, c, A and b; its sums bound the rounding errors here."""
         return replace(self, **{name: np.abs(getattr(self, name)) for name in "PcAb"})
 
     def at_bounds(self, at: Active) -> Array:
-        """Return v with what is at a bound there, and 0, the prior, elsewhere."""
+        """Return v with the unknowns at a bound there, and 0, the prior, for all others."""
         held = np.where((at < 0) | self.fixed, self.lower, np.where(at > 0, self.upper, 0.0))
         return np.where(np.isfinite(held), held, 0.0)
 
@@ -328,7 +328,7 @@ class System:
             ) from error
 
     def solve(self, force: Array, limit: Array, refine: bool = True) -> tuple[Array, Array]:
-        """Return dv (size, ...) and dy (n_rows, ...), 0 for what is not free or not active.
+        """Return dv (size, ...) and dy (n_rows, ...), 0 for unknowns not free and rows not active.
 
         ``force`` (size,) and ``limit`` (n_rows,) may have a second axis, of several right sides.
         """

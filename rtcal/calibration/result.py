@@ -150,7 +150,7 @@ class JointResult(Result):
 
     @cached_property
     def raw_certificate(self) -> Certificate:
-        """That of the solver's own answer; its error is at most its distance from the final one's."""
+        """Certificate of the solver's own answer, bounded by the distance from the final one."""
         if not self.polished:
             return self.certificate
         bound = np.abs(self.raw_alpha - self.alpha) + self.certificate.alpha_error_bound
@@ -435,7 +435,7 @@ class JointResult(Result):
 
     @property
     def is_exact(self) -> bool:
-        """Whether the intervals are those of the posterior: it has one, and each band stands alone."""
+        """Whether the intervals are exact: there is a posterior, and the bands are independent."""
         return self._separate is not None
 
     @cached_property
@@ -567,7 +567,7 @@ class CalibrationResult(Result):
 
     @property
     def target_uncertainty(self) -> Array:
-        """Standard uncertainty of b in m², (n_bands,), NaN where unknown."""
+        """Standard uncertainty of the `target` in m², (n_bands,), NaN where unknown."""
         return np.asarray(self.joint.numbers.target_uncertainty[self.configuration])
 
     @property

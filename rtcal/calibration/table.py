@@ -151,7 +151,7 @@ _SEEN = 0.05
 
 
 def blocks_of(record: Mapping[str, Any]) -> list[Block]:
-    """Return what a calibration says: verdict, cautions, bands, materials, and how it was made.
+    """Return the blocks of a calibration: verdict, cautions, bands, materials, and how it was made.
 
     Input coefficients and all shifts are details, which a terminal leaves out. ``record`` is as
     `CalibrationResult.to_dict` returns it.
@@ -282,7 +282,7 @@ def _trust_marks(record: Mapping[str, Any]) -> list[TrustMark]:
 
 
 def remarks(record: Mapping[str, Any]) -> list[str]:
-    """Return what counts as exact, what was left out, not measured or out of reach, a sentence each."""
+    """Return a sentence each on exact inputs, omitted bands, missing and unreachable T."""
     measured, uncertainty = record["measured"], record.get("room_uncertainty")
     if not record["room_taken_as_exact"]:
         first = (
@@ -481,7 +481,8 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
             "open",
             "The measurement agrees with coefficients that follow from a measurement of this room",
             f"The coefficients moved less than their sigma makes likely ({q}); {asks}. "
-            "That is usual after a calibration or `rtcal apply`, and no evidence for the materials.",
+            "Small shifts are usual after a calibration or `rtcal apply`, and do not confirm the "
+            "materials.",
         )
     if agreed == "too good":
         return CalibrationVerdict(
@@ -494,7 +495,7 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
     if agreed == "contradicts" or p < P_CONTRADICTION:
         against = agreed == "contradicts"
         said = (
-            f"They had to move further than their sigma explains ({q}); {asks}.",
+            f"The coefficients had to move further than their sigma explains ({q}); {asks}.",
             _longer(record) or (_SOMETHING if against else ""),
             together,
         )
@@ -503,15 +504,15 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
             _AGAINST if against else _ALIKE,
             " ".join(filter(None, said)),
         )
-    within = f"They moved no further than their sigma explains ({q}); {asks}."
+    within = f"The coefficients moved no further than their sigma explains ({q}); {asks}."
     gap = np.abs(numbers(record["gap_before_jnd"]))
     largest = float(np.max(gap, where=np.isfinite(gap), initial=0.0))
     if largest >= LARGE_GAP:
         return CalibrationVerdict(
             "open",
             "The measurement does not contradict the input coefficients",
-            f"{within} That sigma allows even the deviation of {largest:.1f} JND before, so this "
-            "does not confirm the model.",
+            f"{within} Their sigma allows even the deviation of {largest:.1f} JND before calibration, "
+            "so this does not confirm the model.",
         )
     return CalibrationVerdict(
         "open" if far else "agrees",

@@ -226,7 +226,7 @@ class Objective(_Summand):
 
 
 class Term(_Summand, ABC):
-    """Base of the objective terms. A function of a `Model` is a term as well, added to one of these."""
+    """Base of the objective terms. A function of a `Model`, added to a term, is a term as well."""
 
     is_prior: ClassVar[bool] = False
     """Whether it makes alpha unique; a calibration has exactly one such term."""
@@ -242,7 +242,7 @@ class Term(_Summand, ABC):
         return 0.0
 
     def structure(self) -> Term:
-        """Return a term of the same compiled problem, one for all whose numbers are parameters."""
+        """Return a term of the same compiled problem, one for all values of the parameters."""
         alike = copy.copy(self)
         vars(alike).update(self.in_numbers)
         return alike
@@ -541,7 +541,7 @@ class SoftMatch(Term):
         return half_squares(m.parameter((n, n), whitener) @ cp.vec(m.misfit, order="C"))
 
     def uncertainty(self, numbers: Numbers) -> Array:
-        """Return u_b in m², (n_configurations, n_bands); DataError where it is none."""
+        """Return u_b in m², (n_configurations, n_bands); DataError if unknown, 0 or infinite."""
         u = numbers.target_uncertainty
         unknown = numbers.matched & ~np.isfinite(u)
         if self.relative is not None and unknown.any():

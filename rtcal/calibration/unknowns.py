@@ -182,7 +182,7 @@ class Configurations:
 
     @cached_property
     def union(self) -> Room:
-        """A room with every material once: its prior, its largest area and the largest error of it."""
+        """A room with every material once: prior, largest area and largest error of this area."""
         if len(self.rooms) == 1:
             return self.rooms[0]
         first = self.rooms[0]

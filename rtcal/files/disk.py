@@ -120,7 +120,7 @@ def commit() -> list[str]:
 
 
 def target(path: Path) -> Path:
-    """Return the file that a path, perhaps a link, refers to; OSError if it is no file."""
+    """Return the file that a path or link refers to; OSError if the target is not a file."""
     try:
         file = path.resolve()
         kind = file.stat().st_mode
@@ -296,7 +296,7 @@ def read(path: Path, limit: int = MAX_BYTES) -> Array | None:
 
 
 def write(path: Path, array: Array) -> None:
-    """Keep an array of numbers. The name is to tell what it depends on, such as a hash of that.
+    """Keep an array of numbers. The name must identify what the array depends on, such as by a hash.
 
     Where the folder cannot be written, nothing is kept.
     """

@@ -44,7 +44,7 @@ class CannotBeSavedError(DataError):
 
 
 class Result(ABC):  # some kinds have methods that each of them must have
-    """A result that can be saved and loaded again; it is a frozen dataclass of what it rests on."""
+    """A result that can be saved and loaded again: a frozen dataclass of the data behind it."""
 
     record_kind: ClassVar[str]
     """Value of the key ``rtcal`` in its file."""
@@ -54,7 +54,7 @@ class Result(ABC):  # some kinds have methods that each of them must have
     """Module whose ``blocks`` makes those of the result, imported when they are asked for."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the result says as plain numbers, lists and text, None for what is missing."""
+        """Return the result as plain numbers, lists and text, None where a value is missing."""
         named = (name.partition("=") for name in self.in_file.split())
         return {key: json_numbers(attrgetter(path or key)(self)) for key, _, path in named}
 

@@ -115,7 +115,7 @@ Names = tuple[str, ...]
 
 
 def families_of(names: Names, effects: Mapping[str, Effect]) -> Names:
-    """Return the families of a set, sorted; all of "added absorption" as one."""
+    """Return the families of a set, sorted; every family of "added absorption" is one."""
     return tuple(sorted(wide(family_of(name, effects)) for name in names))
 
 
@@ -195,7 +195,7 @@ def conclude(
     reasons: Sequence[Reason] = (),
     weak: Reason | None = None,
 ) -> Claim:
-    """Return what is identified, of any kind of data.
+    """Return what is identified from any kind of data.
 
     ``detected`` is the verdict where nothing is detected, "none" or "hint"; None where something is.
     The probabilities of each effect and family are the most probable first. Effects that are not
@@ -336,7 +336,7 @@ LOCATED = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """An effect that explains the data, of positions in one place."""
+    """An effect that explains the data; at positions, in one place."""
 
     effect: str
     family: str
@@ -396,19 +396,19 @@ class Candidate:
 
     @property
     def where(self) -> str:
-        """Its place as a sentence has it; "" for the whole room."""
+        """The place of the candidate as a sentence has it; "" for the whole room."""
         if self.surface is not None:
             return f'on "{self.surface}"'
         return f"of {self.place}" if self.place else ""
 
     @property
     def kind(self) -> str:
-        """The family, all of added absorption as one."""
+        """The family; every family of added absorption is one."""
         return wide(self.family)
 
     @property
     def can_be_added(self) -> bool:
-        """Whether it stands on a surface and a room of one geometry can have it."""
+        """Whether the candidate stands on a surface, and a room of one geometry can have it."""
         return self.surface is not None and self.effect != CoupledRoom.name
 
     @property
@@ -419,7 +419,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Detection:
-    """Evidence in nats that something is other than stated, whatever it is.
+    """Evidence in nats that anything differs from the model.
 
     Raises ModelError for a score that is no finite number.
     """

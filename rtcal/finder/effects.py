@@ -240,11 +240,11 @@ class AbsorbingObject(Effect):
     each: ClassVar[Sequence[float]] = (1.0,) * 8
 
     def limits(self, room: Room | None) -> Limits:
-        """Return 0 or more, and the limits of the other parameters."""
+        """Return the limits of the parameters; the size is 0 or more."""
         return {self.size: (0.0, inf), **super().limits(room)}
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return every one of `kinds` with every size."""
+        """Return every combination of `kinds` and sizes."""
         sizes = np.geomspace(self.least, self.most, self.steps) * middle_absorption(state)
         sizes = (sizes / self.of_one).tolist()
         return [{**kind, self.size: a} for kind, a in product(self.kinds, sizes)]
@@ -277,7 +277,7 @@ class Absorber(AbsorbingObject):
         return {**super().limits(room), self.size: (0.0, all_surfaces(room))}
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
-        """Return every one of `kinds` with its alpha."""
+        """Return each of `kinds` with its alpha."""
         return [(kind, self._checked_alpha(frequencies, kind)) for kind in self.kinds]
 
     def _checked_alpha(self, frequencies: Array, parameters: Parameters) -> Array:
@@ -515,7 +515,7 @@ class Audience(AbsorbingObject):
     most: ClassVar[float] = 1.3
 
     def limits(self, room: Room | None) -> Limits:
-        """Return what covers at most all surfaces."""
+        """Return the limits of the size, up to an audience that covers all surfaces."""
         return {self.size: (0.0, SEATED_ALPHA * all_surfaces(room))}
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
@@ -565,7 +565,7 @@ _MATERIAL = Parameter(within=(0.0, inf), discrete=True)
 
 
 class WrongStatement(Effect):
-    """An effect that contradicts what the room states; the parameter ``material`` says of which one."""
+    """An effect that contradicts an input of the room; ``material`` names the material concerned."""
 
     family: ClassVar[str] = "scale"
 
@@ -574,7 +574,7 @@ class WrongStatement(Effect):
         return True
 
     def limits(self, room: Room | None) -> Limits:
-        """Return those of the parameters; of a material, the rows of the room's materials."""
+        """Return the limits of the parameters; a material is a row of the room's materials."""
         limits = super().limits(room)
         if room is None or "material" not in limits:
             return limits
@@ -733,7 +733,7 @@ HARD = 0.04
 
 @dataclass(frozen=True)
 class CoveredSurface(WrongStatement):
-    """A share of one material that is covered by something hard: its absorption is not in the room."""
+    """A share of one material that is covered by something hard, so that the share does not absorb."""
 
     name: ClassVar[str] = "covered surface"
     family: ClassVar[str] = "less absorption"
@@ -863,7 +863,7 @@ class OmittedAir(Effect):
         return replace(state, air=attenuation, speed_of_sound=speed)
 
     def describe(self, parameters: Parameters, without: str = "") -> str:
-        """Return the climate, with what is known of it."""
+        """Return the climate in words, with its known values."""
         return (
             f"{super().describe(parameters, without)} (found together: only the attenuation that "
             "they give is known well)"
@@ -949,7 +949,7 @@ class CoupledRoom(Effect):
         ]
 
     def limits(self, room: Room | None) -> Limits:
-        """Return an aperture in the surfaces, and the limits of the second room."""
+        """Return the limits of the parameters; the aperture is at most as large as all surfaces."""
         return {**super().limits(room), "aperture": (0.0, all_surfaces(room))}
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:

@@ -253,7 +253,7 @@ class Finding(Result):
 
     @property
     def detected(self) -> bool:
-        """Whether something is missing, whatever it is."""
+        """Whether anything is missing."""
         return self.verdict not in ("none", "hint")
 
     @property
@@ -273,7 +273,7 @@ class Finding(Result):
 
     @property
     def family_sets(self) -> dict[Names, float]:
-        """Of means, probabilities of sets of families; all of "added absorption" as one."""
+        """Probabilities of sets of families, for means; every family of "added absorption" is one."""
         sets = self.sets if self.kind == "means" else {}
         return summed((families_of(names, self.effects), p) for names, p in sets.items())
 
@@ -327,7 +327,7 @@ class Finding(Result):
 
     @property
     def spectrum(self) -> str:
-        """The trend of a change over frequency: rising, falling or alike; "" of a single band."""
+        """The trend of a change over frequency: rising, falling or constant; "" for a single band."""
         change = np.atleast_2d(self.change)[0]
         change = change[np.isfinite(change)]
         return over_frequency(change) if len(change) > 1 else ""
@@ -390,7 +390,7 @@ class Finding(Result):
 
     @property
     def undecided(self) -> Reason | None:
-        """Why `apply` needs the name of what it adds; None where it does not.
+        """Why `apply` needs the name of an effect; None where it does not.
 
         What stands on a surface counts with its family: which porous absorber it is changes little.
         Where the verdict is "unknown", the shares are those of the rest.

@@ -47,7 +47,7 @@ volume is read off drawings, and its error is that of what they leave out."""
 
 
 def volume_sigma_of(room: Room) -> float:
-    """Return the relative standard deviation of a room's volume: the stated one, else the usual."""
+    """Return the relative standard deviation of a room's volume: as stated, or else the usual value."""
     if room.volume_sigma > 0:
         return room.volume_sigma
     return VOLUME_TYPED if room.scene.mesh is None else VOLUME_OF_MESH
@@ -85,7 +85,7 @@ class RoomState:
     volume_sigma: float = 0.1
 
     def locked(self) -> RoomState:
-        """Return the state with arrays that code of one's own cannot change."""
+        """Return the state with read-only arrays, which an effect of your own cannot change."""
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         views: dict[str, Any] = {
             name: read_only_view(values)
@@ -116,7 +116,7 @@ class RoomState:
 
     @property
     def directions_known(self) -> bool:
-        """Whether a material has another share along an axis than a third, as where nothing says it."""
+        """Whether the directions of a material are known: a share along an axis other than a third."""
         return not np.allclose(self.facing, 1 / 3)
 
     @property

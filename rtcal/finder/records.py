@@ -29,7 +29,7 @@ FILE = "records.json"
 
 @dataclass(frozen=True)
 class Share:
-    """A number of rooms, cases or claims, and of how many it is."""
+    """A number of rooms, cases or findings, and the total from which it is counted."""
 
     count: int
     of: int

@@ -174,7 +174,7 @@ def adding(effects: Sequence[Effect]) -> list[Effect]:
 
 
 def tried(effects: Sequence[Effect]) -> tuple[str, ...]:
-    """Return the names of what is tried between two states with a library of effects."""
+    """Return the names of the changes that are tried between two states with a library of effects."""
     return (*(effect.name for effect in adding(effects)), AIR, UNKNOWN)
 
 
@@ -346,7 +346,7 @@ _MOST_AT_ONCE = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """Each hypothesis with each scale: its evidence, and what it makes of the sizes.
+    """Each hypothesis with each scale: the evidence, and the sizes that follow.
 
     ``log`` (n, n_scales) is the log probability density of the data, with the prior probability of
     hypothesis and scale; ``mean`` (n, n_scales, n_bands) and ``covariance`` those of ln |size| less

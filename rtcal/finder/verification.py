@@ -95,7 +95,7 @@ MISSES = "misses"
 
 @dataclass(frozen=True)
 class Miss:
-    """A band in which the model with what was found misses what it was matched to."""
+    """A band in which the corrected model does not have the values that it was matched to."""
 
     quantity: str
     place: str
@@ -130,7 +130,7 @@ def _missed(
 
 
 def mean_of_known(values: Array, axis: int | tuple[int, ...]) -> Array:
-    """Return the mean of what is known; NaN where nothing is."""
+    """Return the mean of the known values; NaN without any."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         return np.asarray(np.nanmean(values, axis=axis))
@@ -138,7 +138,7 @@ def mean_of_known(values: Array, axis: int | tuple[int, ...]) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Verification(Result):
-    """The gap with and without what was found, at data that it was not fitted to."""
+    """The gap with and without the finding, at data that the finding was not fitted to."""
 
     record_kind: ClassVar[str] = "verification 8"
     words_in: ClassVar[str] = WORDS
@@ -199,12 +199,12 @@ class Verification(Result):
 
     @property
     def before(self) -> float:
-        """That without what was found; NaN where nothing was held out."""
+        """Mean absolute gap without the finding; NaN where nothing was held out."""
         return float(self.by_seed[-2].mean())
 
     @property
     def after(self) -> float:
-        """That with what was found."""
+        """Mean absolute gap with the finding."""
         return float(self.by_seed[-1].mean())
 
     @property
@@ -235,7 +235,7 @@ class Verification(Result):
 
     @property
     def little_left(self) -> bool:
-        """Whether the first run, moved to the measured T, leaves too little for a second one."""
+        """Whether the first run, moved to the measured T, leaves too small a gap for a second run."""
         return (
             self.uncorrected is not None
             and self.finding.case.has_run
@@ -640,7 +640,7 @@ def of_means(
     before: Recalibrated,
     after: Recalibrated,
 ) -> Verification:
-    """Return what the gaps of means say of a finding.
+    """Return the verification of a finding by the gaps of means.
 
     The ``uncertainty`` is that by measurement, model and the effect's size. ``before`` and ``after``
     are the calibrations without and with it.
@@ -715,7 +715,7 @@ def reverberation_times(
 
 
 def at_pairs(finding: Finding, pairs: Sequence[Pair], gaps: Array, **said: Any) -> Verification:
-    """Return what gaps at held-out pairs say of a finding; ``said`` is the rest of it.
+    """Return the verification of a finding by the gaps at held-out pairs; ``said`` is the rest of it.
 
     The standard error is over pairs and, of two seeds and more, over seeds. More than it is needed,
     one-sided, by Student's t over the pairs, and `LEAST_SHRINKAGE`.
@@ -873,7 +873,7 @@ def at_positions(
     added: Sequence[Candidate | None],
     halves: Sequence[Sequence[Pair]],
 ) -> Verification:
-    """Return what the gaps at pairs that were not fitted say of a finding.
+    """Return the verification of a finding by the gaps at pairs that were not fitted.
 
     ``gaps`` (n_models, n_seeds, n_parameters, n_pairs, n_bands) are simulated less measured in JND at
     held-out pairs, of each of `MODELS`. ``added`` is what each half added to its model; None where it

@@ -131,7 +131,7 @@ def responses_of(
     repeats: bool,
     doubts: list[str],
 ) -> dict[tuple[str, str], Response]:
-    """Return what files hold by source and receiver, as `read` names them; DataError as that.
+    """Return the contents of files by source and receiver, as `read` names them; errors as in `read`.
 
     Doubts about the files are added to ``doubts``.
     """
@@ -206,7 +206,7 @@ class Analysis:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """A sentence per band: what how many pairs lack, their range in dB, and what ends it."""
+        """A sentence per band: which parameters are missing at how many pairs, and why."""
         sentences, n = [], len(self.measurement.pairs)
         for k, frequency in enumerate(self.measurement.centre_frequencies):
             alike: dict[tuple[tuple[str, ...], Floor], list[int]] = {}

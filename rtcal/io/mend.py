@@ -208,7 +208,7 @@ class MeshError(DataError):
 
 
 def combined(parts: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """Return the root of the sum of squares by name, where it is not 0."""
+    """Return the root of the sum of squares by name, without zeros."""
     total: dict[str, float] = {}
     for name, part in parts:
         total[name] = float(np.hypot(total.get(name, 0.0), part))
@@ -439,7 +439,7 @@ class FaceSet:
         return {edge: [i for i, _ in sides] for edge, sides in owners.items()}
 
     def open_edges(self) -> dict[Edge, int]:
-        """Return the pieces of edges at which one face, or an odd number, meets; with one of them."""
+        """Return the edges, divided at all corners, of an odd number of faces, and one face of each."""
         return {e: sides[0] for e, sides in self.owners().items() if len(sides) % 2}
 
     def components(self) -> list[FaceSet]:
@@ -457,7 +457,7 @@ class FaceSet:
 
 
 def numbered(names: Sequence[str]) -> list[str]:
-    """Return names of which no two are alike: "wall", "wall 2" and so on."""
+    """Return the names with numbers that make them unique: "wall", "wall 2" and so on."""
     count: dict[str, int] = {}
     taken = set(names)
     unique = []
@@ -655,7 +655,7 @@ def without_repetitions(part: FaceSet) -> FaceSet:
 
 
 def note_repetitions(mend: Mending, unseen: Collection[frozenset[int]] = ()) -> None:
-    """Note the faces that are drawn twice; those ``unseen``, which two objects share, are contacts."""
+    """Note the faces that are drawn twice; ``unseen`` faces, which two objects share, are contacts."""
     part, materials = mend.repeated
     for row, other, area in zip(part.rows(), materials, part.areas.tolist(), strict=True):
         face, own, name = row
@@ -755,7 +755,7 @@ def joined(part: FaceSet) -> FaceSet:
 
 
 def outlined(mend: Mending, faces: list[Face]) -> list[Face]:
-    """Return faces of one plane as one polygon; themselves if they have a hole, or lie apart."""
+    """Return faces of one plane as one polygon; unchanged if it has a hole or several parts."""
     if len(faces) == 1:
         return faces
     count = Counter(edge for face in faces for edge in edges_of(face))
@@ -1029,7 +1029,7 @@ class Walls:
         self.all.extend(part)
 
     def near(self, corners: Array) -> list[tuple[int, Polygon]]:
-        """Return the number and the plane of each face that may touch what has these corners."""
+        """Return the number and the plane of each face that may touch an object with these corners."""
         low, high = corners.min(axis=0), corners.max(axis=0)
         near = ((self._boxes[:, 0] <= high) & (low <= self._boxes[:, 1])).all(axis=1)
         return [(i, self.planes[i]) for i in np.flatnonzero(near).tolist()]
@@ -1060,7 +1060,7 @@ def overlaid_on(walls: Walls, part: FaceSet) -> list[tuple[int, list[Cut], float
 
 
 def common(wall: Polygon, corners: Array, snap: float) -> Any:
-    """Return what a polygon and a wall have in common; its corners near the wall's are those."""
+    """Return the part that a polygon shares with a wall; corners near the wall's are moved to them."""
     return shapely().snap(wall.polygon(corners), wall.shape, snap).intersection(wall.shape)
 
 

@@ -369,13 +369,13 @@ def _of_values(header: str, parameter: str = "", band: float = np.nan, unit: str
 
 
 def wrong_unit(parameter: str, unit: str) -> str:
-    """Return what is wrong with a unit that a parameter cannot have."""
+    """Return the message on a unit that a parameter cannot have."""
     label = parameter_label(parameter) if parameter != OPEN else "a decay time"
     return f'{label} in "{shown(unit)}"; known are {", ".join(_scales(parameter))}'
 
 
 def no_band(frequency: float) -> str:
-    """Return what is wrong with a frequency in Hz that is no band's."""
+    """Return the message on a frequency in Hz that is not the centre of a band."""
     return f"{frequency:g} Hz is not the centre of an octave or one-third octave (IEC 61260-1)"
 
 

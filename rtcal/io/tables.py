@@ -127,7 +127,7 @@ class MeasuredTable:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences on values that are read all the same, and that a typing error may explain."""
+        """Sentences on values that are used, but that a typing error may explain."""
         return unusual(self.measurement)
 
 

@@ -534,17 +534,17 @@ class Loop(Result):
 
     @cached_property
     def doubts(self) -> tuple[TrustMark, ...]:
-        """The marks of the input: likely typing errors of the room and of what is matched."""
+        """The marks of the input: likely typing errors of the room and of the matched data."""
         name = self.matched.label.removeprefix("the ")
         mistyped = of_row(self.prior.centre_frequencies, self.wanted, name, " s")
         return of_input(self.prior, self.wanted, mistyped)
 
     @property
     def trust_marks(self) -> tuple[TrustMark, ...]:
-        """The `doubts`, and bands of the `outcome` at a bound or against the prior (z over 2).
+        """The `doubts`, and marks of bands whose coefficients are at a bound or have |z| over 2.
 
-        Also bands whose measured decay is bent, and those of `low` that no modes carry.
-        A simulator can be brought to almost any T: a small deviation confirms nothing.
+        Bands whose measured decay is curved have a mark, too, and bands of `low` that too few modes
+        determine. A small deviation confirms nothing, because a simulator can have almost any T.
         """
         return self._marks_of(self.outcome)
 
@@ -570,7 +570,7 @@ class Loop(Result):
         return last.simulated * own / self.equation.time(self.prior, self.prior.areas @ last.alpha)
 
     def unit_of(self, step: Step, last: Step | None) -> list[TrustMark]:
-        """Return the caution for a simulated T that is a power of ten from the expected one, or [].
+        """Return the caution for a simulated T that is off by a power of ten, or [].
 
         ``last`` is the step before, from which T is expected, or None for the equation's T.
         """
@@ -802,7 +802,7 @@ class Loop(Result):
 
     @property
     def status_now(self) -> tuple[str, ...]:
-        """Status of each band as it is printed; while the loop goes on, no band has failed."""
+        """Status of each band as printed; while the loop is unfinished, no band has failed."""
         on = self.final is None and not self.finished
         return tuple("not yet" if on and s == "not converging" else s for s in self.status)
 
@@ -869,13 +869,13 @@ class Loop(Result):
         if self.prior.is_uncertain:
             notes.append(
                 f"The room is uncertain ({in_words(self.prior)}). These coefficients serve the "
-                "simulator with volume and areas of its file, and carry the room's error, too. Those "
-                "of the materials are in result.of_uncertain_room."
+                "simulator with volume and areas of its file, and contain the room's error, too. The "
+                "coefficients of the materials are in result.of_uncertain_room."
             )
         return [*notes, *([] if self.low is None else [self.low.loop_note]), *self.notes]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the steps and what came of them as plain numbers, lists and text."""
+        """Return the steps and their results as plain numbers, lists and text."""
         found = {name: json_numbers(getattr(self, name)) for name in _SETTINGS}
         found["equation"] = {"name": self.equation.name, **asdict(self.equation)}
         return found | super().to_dict() if self.steps else found
@@ -1209,7 +1209,7 @@ def refuse_progress(state: str) -> None:
 
 
 def refuse_doubtful(loop: Loop, step: Step, table: str) -> None:
-    """Raise DataError if what was simulated after a loop is likely the wrong table.
+    """Raise DataError if the table of simulated T is probably the wrong table.
 
     Its T is the measured one to the last digit, that of an earlier step, a power of ten from the one
     expected, or does not follow the coefficients.
@@ -1225,8 +1225,8 @@ def refuse_doubtful(loop: Loop, step: Step, table: str) -> None:
         doubt = marks[0].sentence
     elif last is None and np.array_equal(step.simulated, loop.wanted, equal_nan=True):
         doubt = (
-            "every T20 is the measured one to the last digit: is it the measurement itself, and not "
-            "what was simulated?"
+            "every T20 equals the measured T20 to the last digit: is this table the measurement "
+            "instead of the simulation?"
         )
     elif same:
         step_is = "the last step's" if same[-1] == len(loop.steps) else f"that of step {same[-1]}"
@@ -1291,8 +1291,8 @@ def write(loop: Loop, state: str, out: str) -> str:
         left = len([s for s in loop.status if s not in (*_LEFT_ALONE, "not confirmed")])
         missed = f", but {left} of {loop.prior.n_bands} bands were not reached" if left else ""
         end = (
-            f"Done{missed}. {out} has the coefficients, those of each band's best step: simulate them "
-            "once more, and `rtcal loop next` confirms them."
+            f"Done{missed}. {out} has the coefficients of each band's best step: simulate them "
+            "together, then `rtcal loop next` checks the result."
         )
         if loop.after is not None:
             off = [s == "not confirmed" for s in loop.status]

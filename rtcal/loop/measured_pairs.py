@@ -92,9 +92,10 @@ _BINS = 4000
 class MeasuredPairs:
     """Measured observations in the simulator's pairs and the room's bands.
 
-    ``observations`` are NaN where missing or left out. A relative level has the mean of the simulated
-    one over each source's pairs, band by band: its own reference says nothing. ``fingerprints`` are the
-    names of the data, as a room's calibration keeps them: of all that was matched, and of the mean T.
+    ``observations`` are NaN where missing or left out. A relative level is shifted, so that its mean
+    over each source's pairs equals that of the simulated level in each band, because the reference of
+    a relative level is unknown. ``fingerprints`` identify the data, as a room's calibration keeps them:
+    one of all that was matched, and one of the mean T.
     """
 
     observations: Observations
@@ -158,7 +159,7 @@ def pairs_to_match(
     simulated: Observations,
     exclude: Sequence[Pair] = (),
 ) -> MeasuredPairs:
-    """Return what was measured at the simulator's pairs, without those of ``exclude``.
+    """Return the measurement at the simulator's pairs, without the pairs of ``exclude``.
 
     ``simulated`` is the simulated values with the prior: its pairs, the direct sound, and the
     reference of the level. DataError for a summary over pairs, without a pair of the simulator or any
@@ -601,7 +602,7 @@ class Compared:
 
 
 def left(gaps: Gaps) -> tuple[str, ...]:
-    """Return the parameters that left what was measured, in some band by more than one JND."""
+    """Return the parameters whose deviation grew by more than one JND in some band."""
     return tuple(
         parameter
         for parameter, (before, after) in gaps.items()
@@ -610,14 +611,15 @@ def left(gaps: Gaps) -> tuple[str, ...]:
 
 
 def sentences(gaps: Gaps, frequencies: Array) -> Iterator[str]:
-    """Yield by how much each parameter of `left` left what was measured, in its worst band."""
+    """Yield a sentence on how the deviation of each parameter of `left` grew in its worst band."""
     for parameter in left(gaps):
         before, after = (np.abs(gap) for gap in gaps[parameter])
         k = int(np.nanargmax(after - before))
         yield (
-            f"{parameter_label(parameter)}, which was not fitted, left what was measured: by "
-            f"{before[k]:.1f} JND before and {after[k]:.1f} JND after, at {label(frequencies[k])}. "
-            "Match it at every position, or look for what the model misses (rtcal find)."
+            f"{parameter_label(parameter)}, which was not fitted, now deviates more from the "
+            f"measurement: by {after[k]:.1f} JND instead of {before[k]:.1f} JND at "
+            f"{label(frequencies[k])}. Match {parameter_label(parameter)} at every position, or look "
+            "for what is missing from the model (rtcal find)."
         )
 
 
@@ -758,7 +760,7 @@ _LEAST_LEFT = 0.1
 
 
 def share_of_signal(square: Array, noise: Array) -> Array:
-    """Return which share of mean squares is not noise, 0 where noise is all of it.
+    """Return the share of mean squares that is not noise; 0 where there is only noise.
 
     It is signal over signal and noise (James & Stein 1961, with the variances estimated).
     """
@@ -906,7 +908,7 @@ GROUPS = 4
 
 
 def noise_of_a_run(simulator: Any, groups: Array | None) -> Array:
-    """Return the variance of one's values by its finite paths, (n_parameters, n_bands).
+    """Return the variance of a run's values due to its finite paths, (n_parameters, n_bands).
 
     ``groups`` (n_groups, p, i, k) are the values of groups of the simulator's paths; None for none.
     """
@@ -1026,7 +1028,7 @@ _FREEDOM = 4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scattering:
-    """Scattering of a tracer, fitted with alpha. It is no measurement of the room's.
+    """Scattering of a tracer, fitted with alpha. Fitted scattering is not a measurement of the room.
 
     ``model`` is the meaning of the ``coefficients`` (n_materials, n_bands), see
     `rtcal.simulators.path_tracing.ScatteringModel`. ``sigma`` are their posterior standard deviations,
@@ -1041,11 +1043,11 @@ class Scattering:
     limited: tuple[int, ...]
 
     def notes(self, materials: Sequence[str]) -> list[str]:
-        """Return what is to be known of it; ``materials`` are the room's."""
+        """Return the notes on the fitted scattering; ``materials`` are the room's."""
         notes = [
-            f"Scattering: {self.in_words}, fitted with alpha. It is no measurement: another seed or "
-            "more paths may give other coefficients. Of both meanings of the coefficients, random and "
-            "vector, the fit takes the one under which the measurement is likelier: here "
+            f"Scattering: {self.in_words}, fitted with alpha. Fitted scattering is not a measurement: "
+            "another seed or more paths may give other coefficients. The fit takes the meaning of the "
+            "coefficients (random or vector) under which the measurement is more probable: here "
             f'"{self.model}".'
         ]
         if self.limited:
@@ -1157,7 +1159,7 @@ def fitted(tracer: PathTracing, log_odds: Array, posterior: Array) -> Scattering
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ErrorsByScattering:
-    """The simulator's errors as reference simulations tell them, by level and model of scattering.
+    """The simulator's errors from reference simulations, by level and model of scattering.
 
     ``coefficients`` (3, n_parameters, n_pairs, n_bands) of `basis` are straight lines over the level,
     and ``spread`` (3, 3) their covariance over the variance of what is left. That variance is

@@ -213,7 +213,7 @@ class PairsModel:
         self._values, self._slopes = {alpha.tobytes(): first}, dict[bytes, Array]()
 
     def simulated(self, alpha: Array) -> Observations:
-        """Return what is simulated at all pairs, also of parameters that are not matched."""
+        """Return the simulated values at all pairs, including parameters that are not matched."""
         key = alpha.tobytes()
         if key not in self._values:
             self.calls += 1
@@ -226,7 +226,7 @@ class PairsModel:
         return np.asarray(self.simulated(alpha).values[self._rows])
 
     def values(self, alpha: Array) -> Array:
-        """Return those at the measured pairs, (n_parameters, n_pairs, n_bands)."""
+        """Return the simulated values at the measured pairs, (n_parameters, n_pairs, n_bands)."""
         return np.asarray(self.everywhere(alpha)[:, self._columns])
 
     def residual(self, alpha: Array) -> Array:
@@ -293,7 +293,7 @@ class Fitted:
 
     @property
     def values(self) -> Array:
-        """The measured values used, (n_used,), were the scattering the one traced."""
+        """The measured values used, (n_used,), corrected to the traced scattering."""
         data = self.model.data
         return np.asarray(data.observations.values[data.used] + self.offset)
 
@@ -906,13 +906,13 @@ def _kept(tracer: PathTracing, beyond: BeyondPrior | None) -> str:
     """Return why the scattering was not fitted."""
     if beyond is not None:
         return (
-            "The input scattering was kept: no scattering makes up for absorption that is lacking."
+            "The input scattering was kept, because no scattering can replace missing absorption."
         )
     if tracer.scattering_model != "random":
-        return 'The input scattering was kept: only the model "random" has its derivatives.'
+        return 'The input scattering was kept, because rtcal fits it with the model "random" only.'
     if np.isin(tracer.scattering, (0.0, 1.0)).all():
-        return "The input scattering was kept: coefficients of 0 and 1 are not changed."
-    return "The input scattering was kept: there are too few reference simulations."
+        return "The input scattering was kept, because coefficients of 0 and 1 are not changed."
+    return "The input scattering was kept, because there are too few reference simulations."
 
 
 def gap_table(
@@ -940,8 +940,8 @@ def gap_table(
 
 
 _REFUSED = (
-    "No step led nearer to what was measured: the start is returned, and nothing was fitted. Enter "
-    "larger sigmas or more paths, or look for what the room lacks (rtcal find)."
+    "No step reduced the deviation from the measurement, so the start is returned and nothing was "
+    "fitted. Enter larger sigmas or more paths, or look for what is missing from the room (rtcal find)."
 )
 _MISFIT = 2.0
 """Misfit from which a pair is named: twice the chi-square that is usual in this room."""
@@ -1089,7 +1089,7 @@ class PositionsResult(Result):
 
     @property
     def farther(self) -> tuple[str, ...]:
-        """Parameters in which ``tracer`` is farther from what was measured than the simulator given.
+        """Parameters in which ``tracer`` deviates more from the measurement than the simulator given.
 
         Of what was matched, the root mean square gap over pairs and bands is larger by over half a JND.
         Of what was not, that over the pairs is larger by over a JND in some band.
@@ -1179,7 +1179,7 @@ class PositionsResult(Result):
         )
 
     def blocks(self) -> list[Block]:
-        """Return what the calibration says."""
+        """Return the blocks that a calibration prints."""
         ends = self.beside.gap_before, self.beside.gap_after
         more = self.beside.parameters
         return [
@@ -1242,15 +1242,15 @@ class PositionsResult(Result):
             start = "The"
             if self.scattering is not None:
                 start = (
-                    "The fitted scattering may have ended at a poor fit: try another seed, or enter "
-                    "other scattering. Else the"
+                    "The fit of the scattering may have found a poor optimum: try another seed, or "
+                    "enter other scattering. Otherwise the"
                 )
-            said.append(f"{start} model misses something, or a constraint keeps alpha away.")
+            said.append(f"{start} model lacks something, or a constraint limits alpha.")
         return " ".join(said)
 
     @property
     def every_note(self) -> list[str]:
-        """The ``notes``, and what the result says against itself."""
+        """The ``notes``, and the cautions about the result itself."""
         notes = list(self.notes)
         notes[:0] = sentences(self.beside.gaps, self.prior.centre_frequencies)
         if self.warning:
@@ -1288,23 +1288,30 @@ class PositionsResult(Result):
             (
                 "Contradicts all other pairs",
                 ", ".join(" to ".join(pair) for pair in self.contradictions),
-                "Check names and positions, or leave it out (exclude).",
+                "Check the names and positions of the pair, or exclude the pair.",
             ),
-            ("Fits the others badly", ", ".join(odd), "1 is usual. Look at the decays there."),
             (
-                "Misses more than expected",
-                unexplained and f"A value differs by a further {unexplained} (standard deviation).",
+                "Fits the other pairs badly",
+                ", ".join(odd),
+                "A misfit of 1 is usual. Look at the decays of these pairs.",
+            ),
+            (
+                "Deviates more than expected",
+                unexplained
+                and f"Beyond all known errors, values deviate by {unexplained} (standard deviation).",
                 "Check volume, mesh and sigma. Something may be missing in the room.",
             ),
             (
                 "No interval",
                 "" if self.controls else "No reference simulation shows this simulator's error.",
-                "It is assumed to be 5 % of a time and 0.5 dB of a level. Use one with a geometry.",
+                "The assumed error is 5 % of a time and 0.5 dB of a level. Use a simulator with a "
+                "geometry.",
             ),
             (
                 "Coefficient at a bound",
                 text.first_of(bound, 5),
-                "That is a warning and no result. Enter a smaller sigma or a lower limit (alpha_min).",
+                "A bound is a warning and not a result. Enter a smaller sigma or a lower limit "
+                "(alpha_min).",
             ),
             (
                 "Not settled",

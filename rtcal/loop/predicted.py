@@ -206,7 +206,7 @@ class PositionsPrediction(Result):
         )
 
     def blocks(self) -> list[Block]:
-        """Return what the prediction says: means over the pairs by band."""
+        """Return the blocks of the prediction: means over the pairs by band."""
         rows, first = [], self.parameters[0]
         for p in self.parameters:
             of, (low, high) = observable(p), self.interval(p)
@@ -309,7 +309,7 @@ class ChangedRoom:
                 self.moves.append((old, new, moved))
 
     def walls(self, alpha: Array) -> Array:
-        """Return the coefficients of what was each of the room's materials, (n_before, n_bands).
+        """Return the coefficients after the change of each material before it, (n_before, n_bands).
 
         ``alpha`` is that of all materials, or of the room's, which leaves the new ones as stated.
         """

@@ -410,7 +410,7 @@ class ModesResult(Result):
 
     @property
     def loop_note(self) -> str:
-        """Sentences: the room modes stand in place of what was measured, and their doubts."""
+        """Sentences on the room modes that replace the measured T, and on their doubts."""
         said = "No band lies below the Schroeder frequency; the modes are part of the prior."
         if self.below.any():
             low = bands.labels(self.prior.centre_frequencies[self.below])
@@ -434,7 +434,7 @@ class ModesResult(Result):
         )
 
     def blocks(self) -> list[Block]:
-        """Return what the result says.
+        """Return the blocks that the result prints.
 
         Of each mode used: frequency in Hz; T, T before and after in s, and what it tells most of.
         """
@@ -470,7 +470,7 @@ class ModesResult(Result):
 
     @property
     def every_note(self) -> list[str]:
-        """The ``notes``, and what the result says against itself."""
+        """The ``notes``, and the cautions about the result itself."""
         first = f"Measured frequencies are {self.scale:.3f} times those calculated."
         q = self.plausibility
         misfit = (
@@ -482,7 +482,7 @@ class ModesResult(Result):
 
     @property
     def each(self) -> list[dict[str, Any]]:
-        """Each mode used: what was measured and calculated of it, decays in 1/s."""
+        """Measured and calculated values of each mode used, decays in 1/s."""
         columns = {
             "frequency": self.modes.frequencies[self.used],
             "calculated_frequency": self.frequencies[self.matched],

@@ -375,7 +375,7 @@ _ODD = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Measured modes and the calculated ones that they are.
+    """Measured modes, each with its calculated mode.
 
     ``measured`` and ``calculated`` (n_matches,) are indices of the modes that belong together, with
     their ``probability``. ``scale`` is the factor of the calculated frequencies under which those

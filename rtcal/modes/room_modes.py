@@ -203,8 +203,9 @@ class RoomModes:
 class Poles:
     """Poles of a room with absorbing walls.
 
-    A source and a receiver at which the mixtures have the values a and b excite and hear a pole with
-    a b / norm; its norm is x' (2 s + c sum_i beta_i B_i) x of its mixture x.
+    A pole contributes a b / norm to the transfer function from a source to a receiver, where a and b
+    are the values of its mixture x at these points. The norm of a pole s is
+    x' (2 s + c sum_i beta_i B_i) x.
     """
 
     values: Complex  # (n_poles,), -delta + j omega in 1/s

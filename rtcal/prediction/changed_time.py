@@ -112,7 +112,7 @@ class KnownRoom:
 
     @classmethod
     def stated(cls, room: Room, equation: LinearEquation) -> KnownRoom:
-        """Return what the stated coefficients say of a room in which nothing was measured."""
+        """Return a room in which nothing was measured, as its stated coefficients describe it."""
         checks.instance("room", room, Room)
         checks.instance("equation", equation, LinearEquation)
         between = between_materials(room.materials, [room])
@@ -191,7 +191,7 @@ class Unknowns:
 
 @dataclass(frozen=True, eq=False)
 class TimeChange:
-    """T of a state of a room over T before, in draws of what is not known.
+    """Ratio of T in a state of a room to T before, in draws of the unknowns.
 
     `rtcal.acoustics.changes.placed` makes the other state, and says which way its materials face.
     """

@@ -274,7 +274,7 @@ _FAR = 50.0
 
 @dataclass(frozen=True, eq=False)
 class DesignModel:
-    """The treatments that a room allows, and what is known of it."""
+    """The treatments that a room allows, and the known properties of the room."""
 
     known: KnownRoom
     treatments: tuple[Treatment, ...]
@@ -348,7 +348,7 @@ class DesignModel:
 
     @cached_property
     def in_order(self) -> tuple[DesignModel, NDArray[np.int64]]:
-        """The same with the treatments by what they are, and the place of each in it.
+        """Return the model with its treatments in a fixed order, and the place of each treatment in it.
 
         Searches take it, so that they do not depend on the order of a list.
         """
@@ -461,7 +461,7 @@ class Design(Result):
 
     @cached_property
     def alternatives(self) -> dict[float, Design | None]:
-        """The design at several probabilities, this one among them; None where none is enough."""
+        """The design at several probabilities, including its own; None where no areas are enough."""
         found: dict[float, Design | None] = {}
         for p in sorted({*FRONTIER, self.promised}):
             found[p] = self if p == self.promised else _cheapest(self.model, p)
@@ -496,7 +496,7 @@ class Design(Result):
         )
 
     def blocks(self) -> list[Block]:
-        """Return what the design says."""
+        """Return the blocks that the design prints."""
         made, target = self.prediction, self.model.target
         treatments = [
             Row(

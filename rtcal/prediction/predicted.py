@@ -46,7 +46,7 @@ Known = Any
 
 
 def known_room(known: Known, equation: LinearEquation | None = None) -> KnownRoom:
-    """Return what is known of a room: by a calibration, or of one in which nothing was measured.
+    """Return the room as known from a calibration, or from its input if nothing was measured.
 
     Raises DataError for anything else, and for another equation than a calibration's.
     """
@@ -307,7 +307,7 @@ class Prediction(TimeChange, Result):
         ]
 
     def blocks(self) -> list[Block]:
-        """Return what the prediction says."""
+        """Return the blocks that the prediction prints."""
         labels = bands.labels(self.after.centre_frequencies)
         parts = ("the interval", self.parts)
         return words.blocks_of(self.heads, labels, self.rows, parts, self.sentences)

@@ -41,7 +41,7 @@ _ADVICE = {
 
 
 def advice(part: str, n_states: int) -> str:
-    """Return what to measure next to narrow one part of an interval, after so many states."""
+    """Return the measurement that would narrow one part of an interval, after this number of states."""
     if n_states == 0 and part in (STAYS, EQUATION):
         return "measure T in the room as it is"
     if part == EQUATION and n_states > 1:
@@ -157,7 +157,7 @@ def blocks_of(
     parts: tuple[str, Mapping[str, Array]],
     sentences: Sequence[str],
 ) -> list[Block]:
-    """Return what a prediction says: values by band, what the interval is made of, and sentences."""
+    """Return the blocks of a prediction: values by band, the parts of the interval, and sentences."""
     interval, shares = parts
     made_of = [Row(name, [100 * s for s in share], ".0f") for name, share in shares.items()]
     return [

@@ -82,7 +82,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Box:
-    """A verdict: "agrees", "open" or "contradicts", the sentence that leads, and what it rests on."""
+    """A verdict: "agrees", "open" or "contradicts", with its first sentence and the reasons."""
 
     level: str
     lead: str
@@ -105,7 +105,7 @@ class Code:
 
 @dataclass(frozen=True)
 class Files:
-    """Files within the page, by name, and what is to be done with them: "Save a and b" and ``text``."""
+    """Files within the page, by name, with instructions for the reader: "Save a and b" and ``text``."""
 
     contents: Mapping[str, bytes]
     text: str
@@ -141,7 +141,7 @@ class SideBySide:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """A page: what it is of, who made it, what it shows, and its blocks.
+    """A page: its subject, its author, its heading, and its blocks.
 
     Blocks are those of `rtcal.support.blocks`, the classes of this module, and the room of
     `rtcal.report.room_view`.
@@ -326,7 +326,8 @@ def cautions(marks: Sequence[TrustMark]) -> list[Block]:
     if not marks:
         return [
             Note(
-                "No check of rtcal found a reason for caution. What no check sees may still be wrong."
+                "No check of rtcal found a reason for caution. Errors that no check can find are still "
+                "possible."
             )
         ]
     rows = [

@@ -116,8 +116,8 @@ SENTENCES: dict[str, str] = {
     "file.",
     "not the climate alone": "Another climate of the air is the most probable single change, but it "
     "does not fully explain T (p = {chance:.2g} by chi-square over the bands).",
-    "not as asked": "Of what was asked for, {effects:unexplained} ({probability:p}); only a spectrum "
-    "that none of these effects has can explain it.",
+    "not as asked": "There is a difference, and {effects:unexplained} ({probability:p}); only a "
+    "spectrum that none of the chosen effects has can explain the difference.",
     "gains differ": "The level of {gains:gains} changes differently from T, so the gain of the source "
     "was not the same before and after; its level is left out. Measure both configurations with the "
     "same reference.",
@@ -139,7 +139,7 @@ SENTENCES: dict[str, str] = {
     "the uncertainty of the coefficients cancels in the difference.",
     "measure further": "Measure {what}: {effect:name} and {rival:name} would then be distinguished "
     "with odds of {nats:odds} instead of {now:odds}.",
-    "each taken out": "Measure once without {effect:name} and once without {rival:name}: the "
+    "each taken out": "Measure once without {effect:name} and once without {rival:name}, because the "
     "uncertainty of the coefficients cancels in the difference.",
     "look at the room": "Look at the room: {effect:name} and {rival:name} predict the same in every "
     "parameter, but you may see one of them, or measure it with a tape measure.",
@@ -251,7 +251,7 @@ SENTENCES: dict[str, str] = {
     "T before out of reach": "At {band} no coefficients of the room give T before: its absorption area "
     "is off by {off:+.1f} m².",
     "kind unknown": "It is unknown what was changed ({kinds:or}), so the room contains only the "
-    "amount.",
+    "change of its absorption.",
     # Why a verification does not support a finding.
     "gains little": "only a decrease by more than {least:.2f} JND counts",
     "misses": "the corrected model does not have the values that it was matched to",
@@ -341,7 +341,7 @@ def odds(nats: float) -> str:
 
 
 def percent(probability: float) -> str:
-    """Return a probability in percent; one that is nearly 0 or 1 is not rounded to it.
+    """Return a probability in percent; a probability near 0 or 1 is not rounded to 0 or 100 %.
 
     >>> percent(0.334), percent(0.9996), percent(1e-4), percent(0.0)
     ('33 %', 'over 99 %', 'under 1 %', '0 %')
@@ -394,7 +394,7 @@ def choice(some: Sequence[tuple[str, float]], lead: str = "most likely") -> str:
 
 
 def unexplained(names: Sequence[str]) -> str:
-    """Return in words that these effects do not explain it.
+    """Return in words that these effects do not explain the measurement.
 
     >>> unexplained(["air"]), unexplained(["opening", "porous", "curtain", "people"])
     ('air does not explain it', 'none of the effects that were tried explains it')
@@ -503,8 +503,8 @@ def without_measuring(f: Finding) -> str:
         return ""
     command = "fit" if f.kind == "positions" else "calibrate"
     return (
-        f"Calibrate (rtcal {command}): the model differs from the measurement by no more than the "
-        "input leaves open."
+        f"Calibrate (rtcal {command}): the uncertainty of the input explains the difference between "
+        "model and measurement."
     )
 
 
@@ -532,8 +532,8 @@ def _nothing_missing(f: Finding) -> list[str]:
             *(f"{one}." for one in said),
             f"Nothing is identified as missing, but the {who} differs from the measurement, most in "
             f"{most}.",
-            "What the input leaves open can explain it: the uncertainty of the coefficients together "
-            f"with {open_}.",
+            "The uncertainty of the coefficients, together with "
+            f"{open_}, can explain this difference.",
         ]
     if off:
         said = [
@@ -609,7 +609,8 @@ def _at_positions(f: Finding) -> list[str]:
             share = percent(alike / sum(c.probability for c in known))
             place = _place(f)
             said.append(
-                f"Of the library, {f.likeliest.kind} explains most ({share} of the rest){place}."
+                f"Of the effects in the library, {f.likeliest.kind} explains most ({share} of the "
+                f"rest){place}."
             )
         return said
     kind = known[0].kind if known else ""
@@ -702,7 +703,9 @@ def cautions(f: Finding) -> list[str]:
     if f.kind == "positions":
         said = [*without_place(f.case.measured, f.case.simulator.pairs), *said]
     elif f.kind == "states" and f.verdict != NONE and f.family != "climate" and f.climate >= MOST:
-        said.append(f"A change of the climate explains a part of it ({percent(f.climate)}).")
+        said.append(
+            f"A change of the climate explains a part of the change ({percent(f.climate)})."
+        )
     if off is not None and f.best_effect != COEFFICIENTS:
         said.append(f"The input coefficients may have a common error ({percent(off.probability)}).")
     if f.kind == "positions" and abs(f.score - f.threshold) < BY_SEED:
@@ -784,7 +787,7 @@ def _details_at_positions(f: Finding) -> list[str]:
     left = [n for n in asked if n not in grouped]
     less = [n for n in left if f.surfaces[n] < least]
     if less:
-        said.append(f"{listed(less)}: less probable than the first by more than ten to one.")
+        said.append(f"{listed(less)}: less than a tenth as probable as the most probable surface.")
     if apart := [n for n in left if n not in less]:
         # The groups are those of the most probable effect on a surface.
         effect = next((c.effect for c in f.candidates if c.surface is not None), "it")
@@ -796,7 +799,7 @@ def _details_at_positions(f: Finding) -> list[str]:
 
 
 def evidence(f: Finding) -> str:
-    """Return the odds that something is missing, those that are required, and the verdict."""
+    """Return the odds that something is missing, the required odds, and the verdict."""
     what = "changed" if f.kind == "states" else "is missing"
     words, nothing = f.detection.deciding, percent(f.probabilities.get(NONE, 0.0))
     score, threshold, of = f.score, f.threshold, ""
@@ -805,13 +808,13 @@ def evidence(f: Finding) -> str:
         score, threshold, of = (
             part.score,
             part.threshold,
-            f", those of {words} (all data give less)",
+            f" (only {words}, because all data give lower odds)",
         )
     required = odds(threshold)
     required = "more than even odds" if required == "even" else f"odds of more than {required}"
     said = (
         f'Verdict "{f.verdict}": by the data alone{of}, the odds that something {what} are '
-        f"{odds(score)}; required are {required}. With the prior odds of each effect, the "
+        f"{odds(score)}; a detection requires {required}. With the prior odds of each effect, the "
         f"probability that nothing {what} is {nothing}."
     )
     if f.kind == "positions" and f.case.has_run:
@@ -828,7 +831,7 @@ def evidence(f: Finding) -> str:
     if found.verdict is not None and found.noise is not None and found.noise > 0:
         said += f" A single noisy value is the better explanation (odds of {odds(found.noise)})."
     if found.means is not None:
-        said += f" Means of these data over positions: odds of {odds(found.means)}."
+        said += f" With the means of these data over positions, the odds are {odds(found.means)}."
     return said
 
 
@@ -908,7 +911,7 @@ def record_of_means(verdict: str, data: str) -> str:
 
 
 def candidates(f: Finding) -> Table | None:
-    """Return the table of what is probable: of means every effect with its odds, else with sizes."""
+    """Return the table of probable effects: with odds for means, with sizes otherwise."""
     if f.kind == "means":
         there = "probability" if not f.more_than_one else "probability of being there"
         rows = [

@@ -64,7 +64,8 @@ def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
 def spread(table: Scores, aace: Sequence[float], title: str) -> Any:
     """Return the box plot of the root of EMSE over realisations (Fig. 4b).
 
-    ``table`` is `Study.spread`'s. ``aace`` is one error for each of its rows, drawn as a dashed line.
+    ``table`` comes from `Study.spread`. ``aace`` has the mean error of each row of the table, which is
+    drawn as a dashed line.
     """
     figure, axes = new_figure()
     boxes = [

@@ -43,7 +43,7 @@ _UNPROVEN = "The effect is neither confirmed nor ruled out."
 
 
 def sentence(v: Verification) -> str:
-    """Return the verdict, the change of the gap with its standard error, and what speaks against it."""
+    """Return the verdict, the change of the gap with its standard error, and the objections."""
     if np.isnan(v.before) and v.runs and v.held_out:
         said = [
             "Not tested: the second run does not have the data that the finding was not fitted "
@@ -70,10 +70,12 @@ def sentence(v: Verification) -> str:
             f"{v.verdict.capitalize()}{but if supported else ''}: {again}with {what}, the mean "
             f"deviation at data that were not fitted ({listed(v.held_out)}) {verb} from "
             f"{v.before:.2f} to {v.after:.2f} JND (by {by} JND, "
-            f"standard error{f'; more than {v.needed:.2f} JND counts' if supported else ''}).",
+            f"standard error{f'; required: more than {v.needed:.2f} JND' if supported else ''}).",
             _as_simulated(v),
             as_sentence(listed(grounds)) if grounds else "",
-            "The model is better; the name may still be wrong." if supported else "",
+            "The model is better, but the name of the effect may still be wrong."
+            if supported
+            else "",
             _UNPROVEN if v.verdict == "unproven" else "",
         ]
     return " ".join(filter(None, [*said, misses(v)]))
@@ -108,7 +110,7 @@ def _found_again(v: Verification) -> tuple[str, str]:
 
 
 def notes(v: Verification) -> list[str]:
-    """Return what is to be known of the comparison."""
+    """Return the notes on the comparison."""
     if v.uncorrected is not None and v.corrected is not None:
         how = "found" if v.effect == v.finding.best_effect else "verified"
         found = f"What was {how}: {support(v.finding, _verified(v))}."

@@ -95,7 +95,7 @@ class RoomSimulator:
         return ()
 
     def denser(self, factor: int = 1, n_batches: int | None = None) -> Any:
-        """Return the simulator with less noise of its paths: itself, where it has none."""
+        """Return the simulator with less noise of its paths; a simulator without noise is unchanged."""
         return self
 
     def trace_ahead(self, alpha: Array, factor: float, *, seed: int = 0) -> None:
@@ -108,11 +108,11 @@ class RoomSimulator:
         return None
 
     def trusted(self, match: Sequence[str]) -> tuple[str, ...]:
-        """Return those parameters that an unknown directivity of a source leaves."""
+        """Return the parameters that can be used if the directivity of a source is unknown."""
         return tuple(match)
 
     def with_air(self, air: Air) -> Any:
-        """Return the simulator with another air; DataError where it keeps its own."""
+        """Return the simulator with another air; DataError if its air is fixed."""
         raise DataError(
             "another climate needs PathTracing as the simulator; this one keeps its own air"
         )
@@ -145,7 +145,7 @@ class _Foreign(RoomSimulator):
 
 
 def complete(simulator: Simulator) -> RoomSimulator:
-    """Return a simulator with all that a calibration to every position asks of one."""
+    """Return a simulator with everything that a calibration to every position needs."""
     return simulator if isinstance(simulator, RoomSimulator) else _Foreign(simulator)
 
 
@@ -247,7 +247,7 @@ def at_places(simulator: Simulator, measured: Measurement) -> tuple[Measurement,
 
 
 def check_fits(simulator: Simulator, room: Room) -> None:
-    """Raise DataError unless the simulator is one, with the room's materials and bands."""
+    """Raise DataError unless this is a simulator with the room's materials and bands."""
     checks.instance("room", room, Room)
     if isinstance(simulator, type) or not isinstance(simulator, Simulator):
         raise DataError(
@@ -391,7 +391,7 @@ def derivatives(simulator: Simulator) -> Any:
 def observe(
     simulator: Simulator, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0
 ) -> Observations:
-    """Return what a simulator's positions hear for alpha (n_materials, n_bands).
+    """Return the observations at a simulator's positions for alpha (n_materials, n_bands).
 
     DataError for an unknown parameter, a seed or an alpha that breaks its rule; SimulatorError if the
     simulator raises it, or does not give a parameter.

@@ -234,7 +234,7 @@ def _face_areas(geometry: Polyhedron, room: Room) -> Array:
 
 
 def volume_doubt(geometry: Polyhedron, room: Room) -> str:
-    """Return what is said of a volume that differs by more than `OFF_VOLUME`; "" of none."""
+    """Return the sentence on a volume that differs by more than `OFF_VOLUME`; "" if it does not."""
     if abs(room.volume / geometry.volume - 1) <= OFF_VOLUME:
         return ""
     return (
@@ -244,7 +244,7 @@ def volume_doubt(geometry: Polyhedron, room: Room) -> str:
 
 
 def area_doubt(geometry: Polyhedron, room: Room) -> str:
-    """Return what is said of areas that differ by more than `OFF_VOLUME` in a geometry; "" of none.
+    """Return the sentence on areas that are off by more than `OFF_VOLUME` in a geometry, or "".
 
     Of materials that the geometry lacks, such as small objects, nothing is said.
     """
@@ -461,7 +461,7 @@ class Paths:
         return total / number, squares / number / (total / number) ** 2 - 1
 
     def by_source(self, weigh: Callable[[int], Any]) -> list[Any]:
-        """Return what is made of each source, by its number, on threads: kernels hold no lock."""
+        """Return the results of each source, by its number, computed on threads."""
         with thread_pool(self.workers) as pool:
             return list(pool.map(weigh, range(len(self.batches))))
 
@@ -654,7 +654,7 @@ _REFLECTIONS = 100
 
 
 class Chords(NamedTuple):
-    """What rays from wall to wall say of a geometry that leaks.
+    """Estimates from rays, wall to wall, of a geometry that leaks.
 
     ``volume`` and ``area`` in m³ and m², with those of the holes, and their standard uncertainties.
     ``lost`` is the share of the rays that leave.
@@ -1037,7 +1037,7 @@ class PathTracing(Tracer):
         return {s: of for s, of in stated.items() if isinstance(of, Directivity)}
 
     def trusted(self, match: Sequence[str]) -> tuple[str, ...]:
-        """Return those parameters that say as much where a source's directivity is unknown.
+        """Return the parameters that can be used although a source's directivity is unknown.
 
         Early sound depends on where a loudspeaker aims, and so does the level near it. T20 and T30
         depend on it little. DataError where none is left.
@@ -1057,11 +1057,11 @@ class PathTracing(Tracer):
         notes = [*super().notes]
         if unknown := ", ".join(self.unknown_sources):
             notes.append(
-                f"The directivity of {unknown} is unknown. So reverberation times alone are used: the "
+                f"The directivity of {unknown} is unknown, so only reverberation times are used: the "
                 "level and early parameters depend on where a loudspeaker aims."
             )
         if taken := ", ".join(name for name in self.sources if name not in self.directivity):
-            notes.append(f"Taken as omnidirectional: {taken}.")
+            notes.append(f"Without a directivity, and therefore taken as omnidirectional: {taken}.")
         return tuple(notes)
 
     def with_air(self, air: Air) -> PathTracing:

@@ -184,7 +184,7 @@ _MOST_IMAGES = 50_000_000
 
 
 class Images(NamedTuple):
-    """The images of one source as heard by one receiver; its arrays are read-only.
+    """The images of one source as received by one receiver; its arrays are read-only.
 
     A run is a sequence of images that differ only in their position along the last axis.
     """

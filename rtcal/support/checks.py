@@ -292,7 +292,7 @@ def short_name(place: str, value: object) -> str:
 
 @lru_cache
 def without_looks(name: str) -> str:
-    r"""Return a name without what the eye does not tell apart: upper case, blanks, width, no width.
+    r"""Return a name without invisible differences: upper case, blanks, width, characters of no width.
 
     Examples
     --------

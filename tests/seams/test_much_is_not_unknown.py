@@ -135,7 +135,9 @@ def unknown(shares: dict[str, float], families: Sequence[str] = ("added absorpti
 def test_what_holds_most_of_the_rest_is_said_and_applied() -> None:
     found = unknown({"wall 5": 0.8, "wall 0": 0.2})
     said = " ".join(headline(found))
-    assert "Of the library, added absorption explains most (100 % of the rest)" in said
+    assert (
+        "Of the effects in the library, added absorption explains most (100 % of the rest)" in said
+    )
     assert '"wall 5" (80 %)' in said
     assert found.can_be_added
     made = found.apply()

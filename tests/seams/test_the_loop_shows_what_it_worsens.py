@@ -71,7 +71,7 @@ def test_a_parameter_that_leaves_is_named(cost: float) -> None:
     np.testing.assert_allclose(after, result.final.mean("c80") - met_before, atol=1e-12)
     assert result.farther == (("c80",) if cost else ())
     said = " ".join(str(result).split())
-    assert ("C80, which was not fitted, left what was measured" in said) == bool(cost)
+    assert ("C80, which was not fitted, now deviates more" in said) == bool(cost)
     assert "C80 / dB measured" in said
     assert "C80 / dB after" in said
 
@@ -115,7 +115,7 @@ def test_a_loop_by_hand_shows_it_too(cost: float, tmp_path: Path) -> None:
     assert loop.farther == (("c80",) if cost else ())
     assert np.abs(after).max() == pytest.approx(0.0, abs=1e-9) or cost
     for said in (printed, html):
-        assert ("C80, which was not fitted, left what was measured" in said) == bool(cost)
+        assert ("C80, which was not fitted, now deviates more" in said) == bool(cost)
         assert "C80 / dB after" in said
         assert "EDT / s measured" in said
 
@@ -156,7 +156,7 @@ def test_every_position_shows_it_too(cost: float) -> None:
     html = pages.page(result)
     assert "not matched: deviation / JND" in html
     for said in (printed, html):
-        assert ("C80, which was not fitted, left what was measured" in said) == bool(cost)
+        assert ("C80, which was not fitted, now deviates more" in said) == bool(cost)
 
 
 def test_a_tracer_hears_at_its_end_what_was_not_matched() -> None:

@@ -462,7 +462,7 @@ class ObservedFeatures:
         return np.asarray(self.features[self.used])
 
     def only(self, used: Any) -> ObservedFeatures:
-        """Return the same of which fewer features are in use."""
+        """Return the features with fewer of them in use."""
         kept = used[self.used]
         return replace(self, used=used, covariance=self.covariance[np.ix_(kept, kept)])
 
@@ -770,7 +770,7 @@ class MeansProblem:
 
     @cached_property
     def mask(self) -> NDArray[np.bool_]:
-        """Which of all features, raveled, are in use."""
+        """Mask of the features in use, raveled."""
         return np.asarray(self.observed.used.ravel())
 
     @cached_property

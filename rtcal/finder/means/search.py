@@ -518,7 +518,7 @@ def _searched(
 
 
 def doubts(evidence: MeansEvidence, best: Candidate) -> tuple[Reason, ...]:
-    """Return the doubts about the best candidate, of which `LEAVES` has what they leave."""
+    """Return the doubts about the best candidate; `LEAVES` says what remains after each doubt."""
     problem, name = evidence.problem, best.effect
     alone, row = _with_candidate(problem, best)
     gap = gap_check(alone, best)
@@ -629,7 +629,7 @@ _DRAWS = 64
 
 @dataclass(frozen=True)
 class GapCheck:
-    """Mean absolute gap in JND over what alpha cannot absorb; NaN where nothing of it was measured.
+    """Mean absolute gap in JND of parameters that alpha cannot adjust; NaN where none was measured.
 
     ``uncertainty`` is the standard deviation of ``after - before`` by measurement and model error,
     ``predictive`` the evidence of the effect over "none" in those features, given the fitted T20.
@@ -642,7 +642,7 @@ class GapCheck:
 
     @property
     def growth(self) -> float:
-        """Probability that the gap grows by more than a little; 0 where nothing was measured of it."""
+        """Probability that the gap grows by more than a little; 0 where the gap was not measured."""
         grown = self.after - self.before - LITTLE
         if not self.uncertainty > 0:
             return float(grown > 0)
@@ -654,7 +654,7 @@ def gap_check(
     candidate: Candidate,
     held: NDArray[np.bool_] | None = None,
 ) -> GapCheck:
-    """Return the gap under "none" and with a candidate, whose effect is one of the problem's.
+    """Return the gap under "none" and with a candidate; the candidate's effect must be in the problem.
 
     ``held`` (n_used,) are the features that count, by default all that alpha cannot fit; the evidence
     is of these, given the others.

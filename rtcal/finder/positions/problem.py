@@ -322,7 +322,7 @@ def materials(case: PositionsCase) -> list[ShiftHypothesis]:
 
 
 def stated_room(case: PositionsCase) -> RoomState:
-    """Return the room as it is stated; which way its materials face changes no whole-room effect."""
+    """Return the stated room; the directions of its materials do not change any whole-room effect."""
     return RoomState.of_room(case.room, np.full((case.room.n_materials, 3), 1 / 3))
 
 
@@ -460,7 +460,7 @@ def _standing(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
 
 
 def on_parts(case: PositionsCase, shifts: Sequence[ShiftHypothesis]) -> list[ShiftHypothesis]:
-    """Return the hypotheses with those of each part beside those of its surface.
+    """Return the hypotheses of each surface, followed by the hypotheses of its parts.
 
     `LOCATED` of the odds of a size go to the parts that hold it. The others stay with what is spread
     over the surface. So the odds of a surface do not depend on the number of its parts. What covers a

@@ -207,7 +207,7 @@ def evidence_of_means(
     effects: Sequence[Effect] | None = None,
     cache: str | os.PathLike[str] | None = None,
 ) -> Finding | None:
-    """Return what `rtcal.find` says of the means over positions.
+    """Return the evidence of `rtcal.find` from the means over positions.
 
     None where that finder has nothing to compare: no T, or none that can be trusted.
     """
@@ -254,7 +254,7 @@ class Summary:
 
 
 def summary_of(case: PositionsCase, hypotheses: PositionsHypotheses, posterior: Array) -> Summary:
-    """Return what log posterior weights say."""
+    """Return the probabilities that follow from log posterior weights."""
     chances = np.exp(posterior - logsumexp(posterior))
     of_spreads, of_shifts, beside = hypotheses.of_groups(chances)
     unexplained = float(chances[2] + sum(some.sum() for some in beside))
@@ -438,7 +438,7 @@ def find_by_positions(
     progress: TaskProgress | None = None,
     means: Finding | None = None,
 ) -> Finding:
-    """Return what the positions say; ``means`` as `evidence_of_means`, None if they were not asked."""
+    """Return the finding of the positions; ``means`` is from `evidence_of_means`, or None."""
     if controls is None:
         reported = progress and partial(progress, "reference simulations")
         controls = controls_of(case, seed, cache, reported)

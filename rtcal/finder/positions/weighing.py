@@ -670,7 +670,7 @@ def with_index(tracer: PathTracing) -> dict[str, Directivity]:
 
 
 def lobes(tracer: PathTracing) -> list[dict[str, Directivity]]:
-    """Return what the sources may have for lobes: all at the middle of the receivers, or along an axis.
+    """Return possible directivities: all sources aimed at the receivers' middle, or along an axis.
 
     Sources of which nothing is stated have `LOBE_INDEX`. Those of which an index is stated aim as
     stated, and have one that is larger: together by `INDEX_ERROR`, each for itself by
