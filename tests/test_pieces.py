@@ -119,10 +119,13 @@ def test_files_go_round(tmp_path: Path) -> None:
             {"area_per_piece": [0.5, 36.0]},
             r'alpha\["persons", 1000 Hz\] = 36 m² is not that of one',
         ),
-        ({"area_per_piece": [0.5, -1.0]}, "is not that of one piece, from 0 to 10 m²"),
+        (
+            {"area_per_piece": [0.5, -1.0]},
+            "must be from 0 to 10 m², the absorption area of one piece",
+        ),
         ({"area_per_piece": [0.5]}, "1 value"),
         ({"name": "floor"}, 'material and object has "floor" twice'),
-        ({"sigma": -0.1}, "is not that of one piece"),
+        ({"sigma": -0.1}, "the absorption area of one piece"),
         ({"number_sigma": 30}, "is it in percent"),
     ],
 )
@@ -152,14 +155,14 @@ def test_nobody_is_a_room_without_them() -> None:
         (Change(remove="persons", area=10), '"persons" of the room has a number of pieces'),
         (Change(remove="floor", number=10), '"floor" of the room has an area'),
         (Change(remove="persons", number=31), 'number = 31 is more than the 30 of "persons"'),
-        (Change(cover="persons", by="floor"), "is no surface: it can be added and removed"),
-        (Change(open="persons"), "is no surface"),
+        (Change(cover="persons", by="floor"), "is not a surface; it can only be added or removed"),
+        (Change(open="persons"), "is not a surface"),
     ],
 )
 def test_changes_that_pieces_do_not_allow(change: Change, words: str) -> None:
     with pytest.raises(DataError, match=words):
         change.apply(room(PERSONS))
-    with pytest.raises(DataError, match="add lacks area, or of pieces the number"):
+    with pytest.raises(DataError, match="add needs an area, or for pieces a number"):
         Change(add="persons")
 
 

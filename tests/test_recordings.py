@@ -132,7 +132,7 @@ def test_exchanged_files_and_other_rates_are_refused(tmp_path: Path) -> None:
         recordings.from_sweep(other, s, bands=BANDS)
     with pytest.raises(DataError, match=r"receiver r is given twice"):
         recordings.from_sweep([r, r], s, bands=BANDS)
-    with pytest.raises(DataError, match=r"silent.*; it is the sweep that was played"):
+    with pytest.raises(DataError, match="the sweep that was played is silent"):
         recordings.from_sweep(r, written(tmp_path / "0.wav", 0 * played, rate), bands=BANDS)
 
 

@@ -318,11 +318,11 @@ class Change:
                 f'a change of the kind "{self.kind}" does not use {extra[0]}: leave it out'
             )
         if lacking := [key for key, needed in takes.items() if needed and key not in stated]:
-            raise DataError(f"{self.kind} lacks {lacking[0]}")
+            raise DataError(f"{self.kind} needs {lacking[0]}, which is missing")
         if self.add is not None and self.area is None and self.number is None:
-            raise DataError("add lacks area, or of pieces the number")
+            raise DataError("add needs an area, or for pieces a number")
         if self.area is not None and self.number is not None:
-            raise DataError(f"{self.kind} has area and number; it has one of them")
+            raise DataError(f"{self.kind} has both area and number; give only one of them")
         for key, value in stated.items():
             place = f"change: {key}"
             if unit := {"area": "m²", "volume": "m³", "number": "pieces"}.get(key):
@@ -369,7 +369,9 @@ class Change:
                 of = "a number of pieces" if name in room.pieces else "an area in m²"
                 raise DataError(f'{stated} = {taken:g}: "{name}" of the room has {of}')
             if name in room.pieces and self.kind not in ("add", "remove"):
-                raise DataError(f'{self.kind}: "{name}" is no surface: it can be added and removed')
+                raise DataError(
+                    f'{self.kind}: "{name}" is not a surface; it can only be added or removed'
+                )
         if self.surface is not None:
             row = room.material_index(self.surface)
             has, error = float(room.areas[row]), float(room.area_sigma[row])

@@ -609,7 +609,7 @@ def with_patches(
     pieces: list[Surface] = []
     for name, material, area in patches:
         if name not in left:
-            raise DataError(f'"{name}" is no surface; there are {", ".join(left)}')
+            raise DataError(f'"{name}" is not a surface; the surfaces are {", ".join(left)}')
         whole = left[name]
         patch = Surface(f"{name}: {material}", material, area, whole.axis)
         if not patch.area < whole.area:
@@ -887,8 +887,8 @@ class Room:
             i, k = np.argwhere(bad)[0].tolist()
             if not self.is_surface[i]:
                 raise DataError(
-                    f"{self.place(name, i, k)} = {array[i, k]:g} m² is not that of one piece, from 0 "
-                    f"to {LARGEST_PIECE:g} m²"
+                    f"{self.place(name, i, k)} = {array[i, k]:g} m² must be from 0 to "
+                    f"{LARGEST_PIECE:g} m², the absorption area of one piece"
                 )
             rule = "in [0, 1]"
             if name == "sigma" and not array[i, k] > 0:

@@ -81,7 +81,7 @@ def room(ask: bool, bands: str | list[float] | None, **stated: Any) -> None:
     materials = _Materials(bands)
     own = console.texts("--wall", stated.pop("wall"), _WALL)
     if unknown := [name for name in own if name not in _WALLS]:
-        raise DataError(f'--wall: "{unknown[0]}" is no wall; there are {", ".join(_WALLS)}')
+        raise DataError(f'--wall: "{unknown[0]}" is not a wall; the walls are {", ".join(_WALLS)}')
     four = len(own) == len(_WALLS)
     if ask:
         _ask(stated, materials, four)

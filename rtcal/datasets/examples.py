@@ -181,7 +181,7 @@ NAMES = tuple(_EXAMPLES)
 def example(name: str) -> Example:
     """Return the example of this name; DataError if it is none of `NAMES`."""
     if name not in _EXAMPLES:
-        raise DataError(f'there is no example "{name}"; there are {", ".join(NAMES)}')
+        raise DataError(f'there is no example "{name}"; the examples are {", ".join(NAMES)}')
     shared, commands = _EXAMPLES[name]
     files = {file: path(place).read_bytes() for file, place in shared.items()}
     if "SOURCE.md" in files:

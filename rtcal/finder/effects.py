@@ -1118,7 +1118,7 @@ def checked_grid(
         raise DataError(f"{where} is empty; give at least one set of parameters")
     names = set(checks.mapped(where, grid[0]))
     if effect.size not in names:
-        raise DataError(f'{where} has no "{effect.size}", although it is the effect\'s size')
+        raise DataError(f'{where} has no "{effect.size}", the parameter that is the effect\'s size')
     for theta in grid:
         if not isinstance(theta, Mapping) or set(theta) != names:
             raise DataError(

@@ -89,7 +89,7 @@ def from_sweep(
     excitation, name = given[0], os.fspath(sweep)
     played = np.trim_zeros(excitation.load(), "b")
     if not len(played):
-        raise DataError(f"{name}: silent, every sample is 0; it is the sweep that was played")
+        raise DataError(f"{name}: the sweep that was played is silent: every sample is 0")
     recordings = ir.responses_of(path, channels, repeats, doubts)
     for each in recordings.values():
         if each.sampling_rate != excitation.sampling_rate:

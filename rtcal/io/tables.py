@@ -377,8 +377,8 @@ def _table(sheet: Sheet, options: _Options) -> _Table:
     found = columns_of(header, options.where)
     if _has_split_decimals(found, header, body, sheet.separator):
         raise DataError(
-            f"{place}: decimal commas likely separate cells, too, so that 1,62 is two of them. Save "
-            "the table with semicolons or tabs between columns, or with decimal points"
+            f"{place}: commas probably mark decimals and separate cells, so that 1,62 is read as two "
+            "cells. Save the table with semicolons or tabs between columns, or with decimal points"
         )
     for k, column in enumerate(found):
         cells = [row[k] for _, row in body if len(row) > k and row[k]]
@@ -919,7 +919,7 @@ class _Table:
         if stated not in (None, key):
             raise DataError(
                 f'{place}: parameter="{stated}" is given, and the table\'s name '
-                f'"{shown(self.sheet.name)}" says {parameter_label(key)}; state only what is so'
+                f'"{shown(self.sheet.name)}" says {parameter_label(key)}; give only the right one'
             )
         return replace(named, parameter=key)
 

@@ -422,9 +422,9 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
     if not count or count < chance.mean():
         raise DataError(
             f"{count or 'none'} of the {n} measured modes can be assigned to exactly one "
-            "calculated mode; the others have none near, or two. Of random frequencies "
-            f"{chance.mean():.1f} could be. Check frequencies, dimensions and temperature, then "
-            "input coefficients and uncertainties"
+            "calculated mode; near the others there is none, or there are two. Of as many random "
+            f"frequencies {chance.mean():.1f} could be assigned on average. Check frequencies, "
+            "dimensions and temperature, then input coefficients and uncertainties"
         )
     doubts = []
     if (chance >= count).mean() > _BY_CHANCE:
