@@ -266,7 +266,7 @@ def test_a_t_that_the_prior_cannot_explain_is_said_first_and_not_bent_into_scatt
     truth = room.areas @ np.clip(factor * ALPHA, 0.02, 0.9)[:, k] / room.total_area
     assert beyond.needed == pytest.approx(truth, rel=0.35)  # a mean alpha, by Sabine's law
     assert result.scattering is None
-    assert "no scattering makes up for absorption" in " ".join(str(result).split())
+    assert "no scattering can replace missing absorption" in " ".join(str(result).split())
     assert fit("paths", stated(PRIORS["wide"]), data).beyond is None
 
 

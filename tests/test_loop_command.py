@@ -64,7 +64,7 @@ def test_the_measurement_is_not_taken_for_what_was_simulated(cr2, tmp_path):
     _, runner, command, files = begun(room, t20, tmp_path)
     before = (tmp_path / "loop.json").read_text()
     done = runner.invoke(cli, [*command, str(tmp_path / "t.csv"), *files])
-    assert "is it the measurement itself" in str(done.exception)
+    assert "is this table the measurement" in str(done.exception)
     assert (tmp_path / "loop.json").read_text() == before
     done = runner.invoke(cli, [*command, str(tmp_path / "t.csv"), *files, "--again"])
     assert "Done" in done.output

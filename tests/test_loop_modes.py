@@ -1,4 +1,4 @@
-"""The closed loop takes room modes along: below the Schroeder frequency they stand in place of T."""
+"""The closed loop takes room modes along: below the Schroeder frequency they replace T."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_simulator_that_is_off_moves_the_bands_above_alone(told, tmp_path):
     assert abs(result.gap[2]) < 1
     assert np.isnan(result.gap[:2]).all()
     assert not [m for m in result.trust_marks if m.kind == "below_schroeder"]
-    assert "room modes stand in place of what was measured there." in " ".join(str(result).split())
+    assert "room modes replace the measured T." in " ".join(str(result).split())
     back(result, tmp_path)
     assert "room modes are used instead of T" in page_of(tmp_path)
 
@@ -56,7 +56,7 @@ def test_too_few_modes_keep_the_mark():
     assert result.status == ("too few modes", "too few modes", "converged")
     marked = [m.frequency for m in result.trust_marks if m.kind == "below_schroeder"]
     assert marked == [63, 125]
-    assert "Fewer than three carry 63 Hz, 125 Hz" in " ".join(str(result).split())
+    assert "Fewer than three modes determine 63 Hz, 125 Hz" in " ".join(str(result).split())
 
 
 def test_what_is_refused(told):
@@ -95,4 +95,4 @@ def test_every_position_is_matched_above_alone(told):
     np.testing.assert_allclose(result.alpha[:, :2], told.alpha[:, :2], atol=1e-8)
     np.testing.assert_allclose(result.sigma[:, :2], told.sigma[:, :2], rtol=1e-6)
     assert (np.abs(result.alpha[:, 2] - told.alpha[:, 2]) > 1e-3).any()
-    assert any("room modes stand in place" in note for note in result.notes)
+    assert any("room modes replace the measured T" in note for note in result.notes)

@@ -117,7 +117,7 @@ def test_files_go_round(tmp_path: Path) -> None:
         ({"number": 0}, r'object\["persons"\].number = 0'),
         (
             {"area_per_piece": [0.5, 36.0]},
-            r'alpha\["persons", 1000 Hz\] = 36 m² is not that of one',
+            r'alpha\["persons", 1000 Hz\] = 36 m² must be from 0 to',
         ),
         (
             {"area_per_piece": [0.5, -1.0]},

@@ -941,7 +941,7 @@ def gap_table(
 
 _REFUSED = (
     "No step reduced the deviation from the measurement, so the start is returned and nothing was "
-    "fitted. Enter larger sigmas or more paths, or look for what is missing from the room (rtcal find)."
+    "fitted. Enter larger sigmas or more paths, or look for what is missing from the model (rtcal find)."
 )
 _MISFIT = 2.0
 """Misfit from which a pair is named: twice the chi-square that is usual in this room."""
@@ -1299,7 +1299,7 @@ class PositionsResult(Result):
                 "Deviates more than expected",
                 unexplained
                 and f"Beyond all known errors, values deviate by {unexplained} (standard deviation).",
-                "Check volume, mesh and sigma. Something may be missing in the room.",
+                "Check volume, mesh and sigma. Something may be missing from the model.",
             ),
             (
                 "No interval",

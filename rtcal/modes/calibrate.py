@@ -416,10 +416,10 @@ class ModesResult(Result):
             low = bands.labels(self.prior.centre_frequencies[self.below])
             said = (
                 f"Below the Schroeder frequency ({', '.join(low)}) {len(self.used)} room "
-                "modes stand in place of what was measured there."
+                "modes replace the measured T."
             )
             if without := [bands.label(m.frequency) for m in self.loop_marks if m.frequency]:
-                said += f" Fewer than three carry {', '.join(without)}: do not use these."
+                said += f" Fewer than three modes determine {', '.join(without)}: do not use these bands."
         return " ".join([said, *self.doubts])
 
     @property
