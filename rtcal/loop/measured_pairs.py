@@ -468,10 +468,10 @@ class BeyondPrior:
             f"The input coefficients and their sigma cannot explain the measured {name}: at "
             f"{label(self.frequency)} it is {self.measured:.2f} s, the simulation of the input "
             f"has {self.simulated:.2f} s, {times}, and coefficients within {_REACH:g} sigma reach "
-            f"{self.reached:.2f} s ({self.bands} of {self.of_bands} bands are beyond). The measured time "
-            f"needs {needed}, {abs(self.z):.0f} standard deviations away: enter a sigma "
-            f"{sigma:.0f} times as large where the coefficients are guesses, or look for what is missing "
-            "from the model (rtcal find)."
+            f"{self.reached:.2f} s ({self.bands} of {self.of_bands} bands are beyond). The measured "
+            f"time needs {needed}, {abs(self.z):.0f} standard deviations away: enter a sigma "
+            f"{sigma:.0f} times as large where the coefficients are guesses, or look for what is "
+            "missing from the model (rtcal find)."
         )
 
 

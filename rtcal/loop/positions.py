@@ -941,7 +941,8 @@ def gap_table(
 
 _REFUSED = (
     "No step reduced the deviation from the measurement, so the start is returned and nothing was "
-    "fitted. Enter larger sigmas or more paths, or look for what is missing from the model (rtcal find)."
+    "fitted. Enter larger sigmas or more paths, or look for what is missing from the model "
+    "(rtcal find)."
 )
 _MISFIT = 2.0
 """Misfit from which a pair is named: twice the chi-square that is usual in this room."""

@@ -419,7 +419,8 @@ class ModesResult(Result):
                 "modes replace the measured T."
             )
             if without := [bands.label(m.frequency) for m in self.loop_marks if m.frequency]:
-                said += f" Fewer than three modes determine {', '.join(without)}: do not use these bands."
+                few = ", ".join(without)
+                said += f" Fewer than three modes determine {few}: do not use these bands."
         return " ".join([said, *self.doubts])
 
     @property
