@@ -252,7 +252,7 @@ def test_a_name_with_another_table_is_another_material(
     new = apart.prior.replace(name="new")
     assert (archive.apply(new).alpha[i] == alpha[i]).all()
     assert archive.left_as_stated(new) == (
-        "Left as the room states them, since the archive has another material of that name, by its "
+        "Left at the room's values, because the archive has another material of that name, by its "
         'table: "plaster".',
     )
     for called, entry in (("plaster (B)", -1), ("plaster", i)):
@@ -285,7 +285,7 @@ def test_a_material_that_it_does_not_know_is_off_as_all_tables_are(
     assert known.sources["moss"] == f"a handbook times {1 + archive.together:.2f}"
     assert (known.alpha[2] == new.alpha[2]).all()
     assert (known.sigma[2] == 0).all()
-    assert archive.left_as_stated(new)[1].endswith('does not know them: "mirror".')
+    assert archive.left_as_stated(new)[1].endswith('does not contain them: "mirror".')
     again = archive.apply(known)
     np.testing.assert_array_equal(again.alpha, known.alpha)
     assert again.sources == known.sources

@@ -232,7 +232,7 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "fixed": (
         "",
-        "nothing can move: give what is not known exactly a sigma above 0, or the file a [prior]",
+        "no coefficient can move: give uncertain coefficients a sigma above 0, or the file a [prior]",
     ),
     "unreachable": (
         "n",
@@ -642,7 +642,7 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
         text = f"the absorption is uneven: Arau-Puchades' equation gives {times}"
         return (mark("equations_differ", None, text),)
     text = (
-        f"whether the absorption is uneven is not judged: if all of {room.materials[most]} faced one "
+        f"the direction of the absorption is unknown: if all of {room.materials[most]} faced one "
         f"way, Arau-Puchades' equation would give {times}"
     )
     return (mark("directions_unknown", None, text),)

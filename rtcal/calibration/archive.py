@@ -379,10 +379,10 @@ class Archive(Result):
         def quoted(rows: list[int]) -> list[str]:
             return [f'"{room.materials[i]}"' for i in rows]
 
-        kept, lacks = "Left as the room states them, since the archive", "does not know them"
-        factor = f"times {1 + self.together:.2f}, as all tables are off"
+        kept, lacks = "Left at the room's values, because the archive", "does not contain them"
+        factor = f"times {1 + self.together:.2f}, the correction of all tables"
         reasons = (
-            (f"The archive {lacks}, so the room's own tables count, {factor}", quoted(moved)),
+            (f"The archive {lacks}, so the room's own tables are used, {factor}", quoted(moved)),
             (f"{kept} {lacks}", quoted([i for i in left if i not in apart])),
             (f"{kept} has another material of that name, by its table", quoted(apart)),
             (f"{kept} {lacks}", bands_left),

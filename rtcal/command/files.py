@@ -57,8 +57,8 @@ _OUT = console.file("out", "Measurement (CSV, xlsx) to write.")
     ),
     console.flag(
         "uncertainty",
-        "Write the standard uncertainty of T20, T30, EDT, C50 and C80 too: per value that of one "
-        "decay, in common what teams differ by.",
+        "Also write the standard uncertainty of T20, T30, EDT, C50 and C80: per value that of one "
+        "decay, in common the reproducibility between measuring teams.",
     ),
     "repeats",
     console.file(

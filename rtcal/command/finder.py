@@ -281,9 +281,9 @@ def compare(
     console.choice(
         "program",
         ("geometrical",),
-        "What made the run: a program that traces rays or image sources computes no equation, and the "
-        "unevenness of its field is the model's, so that neither is taken for an error of the room. "
-        "For means over positions alone: at the positions of a mesh or a box it is refused.",
+        "Kind of program that made the run. A program that traces rays or image sources uses no "
+        "equation and has an uneven field of its own, so that neither is taken for an error of the "
+        "room. Only for means over positions: refused with a mesh or a box.",
     ),
     "match",
     "exclude",
@@ -293,7 +293,7 @@ def compare(
     console.several(
         "only",
         "EFFECT",
-        "Try this effect, and beside it what no effect explains; at positions alone.",
+        "Try only this effect; with means over positions, an unknown effect is tried beside it.",
     ),
     console.several(
         "prior",
@@ -383,8 +383,8 @@ _EFFECT = console.option(
     "before",
     console.file(
         "after",
-        "Of two states, with --before: the same after the change, at pairs that the finding "
-        "predicts.",
+        "With --before, for two states: what was measured after the change at the pairs that the "
+        "finding predicts.",
     ),
     writes=False,
 )
@@ -400,12 +400,12 @@ def verify(
 
     FOUND is what `rtcal find --out` wrote. The verification shows whether the model gets better, not
     whether the name is right, so the rivals are printed too. If there is nothing to add, the output
-    says so. With a geometry, half of the pairs are fitted and the others predicted. Of two states, too;
-    or the finding predicts further pairs, measured --before and --after.
+    says so. With a geometry, and for two states, half of the pairs are fitted and the others predicted.
+    For two states the finding may also predict further pairs, measured --before and --after.
 
-    Of a finding with a run, --simulated is what the same program gave of the corrected model, which
-    `rtcal apply` describes: then the two runs are compared, each moved to the measured T as the
-    equation says.
+    For a finding with a run, --simulated is the same program's result for the corrected model, which
+    `rtcal apply` describes. The two runs are then compared, each scaled to the measured T by the
+    equation.
 
     Example: rtcal verify found
     """
@@ -515,7 +515,7 @@ def apply(found: str, out: str, **options: Any) -> None:
 
 
 @click.command(
-    short_help="All at once: where a model is off, why, and what is left when it is mended."
+    short_help="All at once: where and why a model deviates, and what remains after the correction."
 )
 @console.takes(
     click.argument("case", metavar="CASE|ROOM", type=click.Path()),

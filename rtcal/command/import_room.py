@@ -49,14 +49,14 @@ _MESH = (
     ),
     console.flag(
         "open",
-        "Take a mesh that cannot be closed as it is drawn: V by rays with its uncertainty, no mesh for "
-        "tracers.",
+        "If the mesh cannot be closed, use it as drawn: V by rays, with an uncertainty, and no mesh "
+        "for tracers.",
         "as_drawn",
     ),
     console.flag(
         "leaks",
-        "Take a mesh that cannot be closed with its holes, if a tracing loses at most 2 % of its "
-        "paths: V by rays with its uncertainty.",
+        "If the mesh cannot be closed, use it with its holes, if a tracing loses at most 2 % of its "
+        "paths: V by rays, with an uncertainty.",
     ),
     console.file("mended", "Mended mesh (OBJ) to write."),
     console.file("picture", "Picture (PNG) of the mesh to write."),

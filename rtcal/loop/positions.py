@@ -1237,7 +1237,7 @@ class PositionsResult(Result):
                 f"{parameter_label(p)} ({old:.1f} to {new:.1f} JND)" for p, old, new in farther
             )
             said.append(
-                f"In {names} the calibrated simulator is farther from what was measured than before: "
+                f"In {names} the calibrated simulator deviates more from the measurement than before: "
                 "do not simulate with it."
             )
             start = "The"

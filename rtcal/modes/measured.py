@@ -429,8 +429,8 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
     doubts = []
     if (chance >= count).mean() > _BY_CHANCE:
         doubts.append(
-            f"Doubtful: {count} of {n} modes were matched, and of random frequencies "
-            f"{chance.mean():.1f} are in the mean, up to {chance.max()}: they may be of another room."
+            f"Doubtful: {count} of {n} modes were matched, but so are {chance.mean():.1f} of as many "
+            f"random frequencies on average, up to {chance.max()}: the modes may be of another room."
         )
     if strangers and bdtrc(strangers - 1, n, _STRANGER) < _ODD:
         doubts.append(
@@ -934,16 +934,17 @@ def _without_prior(
     chosen = chosen[np.argsort(fit.frequencies[chosen], kind="stable")]
     notes = [
         f"Modes of {fit.own.shape[1]} pairs: {len(chosen)} of {int(inside.sum())} calculated from "
-        f"{lowest:g} to {highest:g} Hz were found. Together they leave {fit.unexplained:.1%} of the "
-        f"responses' power, and the patterns {fit.strange:.1%} of the amplitudes'."
+        f"{lowest:g} to {highest:g} Hz were found. Together they do not explain "
+        f"{fit.unexplained:.1%} of the power of the responses, and the patterns "
+        f"{fit.strange:.1%} of the power of the amplitudes."
     ]
     for some, why in (
-        (inside & ~sure, "the responses say too little of them"),
-        (inside & sure & ~own, "nearer to another calculated mode"),
+        (inside & ~sure, "the responses do not determine them"),
+        (inside & sure & ~own, "they are nearer to another calculated mode"),
     ):
         if some.any():
             where = ", ".join(f"{f:.1f}" for f in fit.frequencies[some])
-            notes.append(f"Left out, since {why}: {where} Hz.")
+            notes.append(f"Left out, because {why}: {where} Hz.")
     decays = np.exp(log_decay[chosen])
     return MeasuredModes(
         frequencies=fit.frequencies[chosen],

@@ -309,8 +309,8 @@ def page(c: Comparison) -> Page:
                     "reproducibility standard deviation between measuring teams.",
                     "The deviation that the coefficients can explain follows from their sigma "
                     f"and from common errors of handbook values, by {c.equation.name}'s "
-                    "equation. Of other parameters, they explain what follows from T in an "
-                    "exponential decay.",
+                    "equation. For other parameters, coefficients explain only what follows from T in "
+                    "an exponential decay.",
                 ]
             ),
             Section("How to reproduce", "reproduce"),

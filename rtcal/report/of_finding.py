@@ -127,8 +127,8 @@ def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
 
 
 _USE = {
-    "supported": "Use the corrected model for T and level, not the calibration without it. Do not "
-    "quote its coefficients before the effect is confirmed.",
+    "supported": "Use the corrected model for T and level, not the calibration without the effect. Do "
+    "not quote its coefficients before the effect is confirmed.",
     "not tested": "Measure C80 or G, or a second configuration, before you use the corrected model, "
     "because the finding was fitted to all that was measured.",
     "unproven": "Confirm the effect before the corrected model is used: measure with it and without "

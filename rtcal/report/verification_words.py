@@ -129,7 +129,7 @@ def _of_runs(v: Verification) -> str:
     if v.models[1] not in v.runs:
         which = (
             f"{v.models[1].capitalize()} and {v.models[2]} are the first and the second run, each "
-            "moved to the measured T as the equation says."
+            "scaled to the measured T by the equation."
         )
     return f"{which} The size of the simulated effect comes from all data."
 
