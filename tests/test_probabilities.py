@@ -296,7 +296,7 @@ def test_data_that_say_nothing_do_not_hide_what_t20_detects() -> None:
     whole = find(case, **tried)
     assert whole.score < whole.threshold
     assert whole.detection.deciding == "T20"
-    assert "those of T20 (all data give less)" in " ".join(str(whole).split())
+    assert "(only T20, because all data give lower odds)" in " ".join(str(whole).split())
     # All data leave nothing a fair part of the probability, which makes it a hint.
     assert whole.verdict == "hint"
     assert whole.reasons[0].code == "nothing likely"
