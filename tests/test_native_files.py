@@ -310,8 +310,8 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
             'by = "panl"',
             'variant "panels": by = "panl" is not a known material. Materials of the room:',
         ),
-        ('by = "panel", ', "", "change 1: cover lacks by"),
-        ('add = "panel", area = 6', 'add = "panel"', "add lacks area"),
+        ('by = "panel", ', "", "change 1: cover needs by, which is missing"),
+        ('add = "panel", area = 6', 'add = "panel"', "add needs an area"),
         (
             "volume = 280",
             "volume = 280, area = 3",

@@ -525,7 +525,7 @@ class Design(Result):
             else "Nothing is needed: T is in the target in each band with the required probability."
         )
         frontier = ", ".join(
-            f"{p:g}: {'not to be had' if np.isinf(cost) else f'{cost:.0f}'}"
+            f"{p:g}: {'not possible' if np.isinf(cost) else f'{cost:.0f}'}"
             for p, cost in self.frontier.items()
         )
         drawn = "" if made.known.n_measured > 1 else ", at most 0.01 off"
