@@ -187,7 +187,10 @@ def test_no_reading_and_no_proposal_gives_another_value(
             measured, refusal = read_or_refused(content, **options)
             columns = drawn_tables.filled_in(refusal)
             assert (
-                columns or measured or "commas probably" in refusal or (mark, separator) != (",", ",")
+                columns
+                or measured
+                or "commas probably" in refusal
+                or (mark, separator) != (",", ",")
             )
             if columns:
                 measured, other = read_or_refused(content, columns=columns, **options)

@@ -138,7 +138,9 @@ def calibrate_modes(
     notes = [*map(as_sentence, filter(None, [times.caution])), *modes.notes, *found.doubts]
     if len(unsure := np.delete(modes.frequencies, used)):
         where = ", ".join(f"{f:.1f}" for f in unsure)
-        notes.append(f"Not used, because they cannot be assigned to one calculated mode: {where} Hz.")
+        notes.append(
+            f"Not used, because they cannot be assigned to one calculated mode: {where} Hz."
+        )
     if not path.settled:
         notes.append(
             "Not settled: the last step still moved a coefficient by a twentieth of its prior sigma."
