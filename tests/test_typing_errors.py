@@ -146,5 +146,5 @@ def test_every_command_names_the_same_doubts_in_the_same_order(wrong: str) -> No
 def test_a_room_of_which_nothing_can_move_says_so() -> None:
     exact = room().replace(sigma=np.zeros((3, 6)))
     assert [mark.kind for mark in of_input(exact)] == ["fixed"]
-    with pytest.raises(rt.errors.InfeasibleError, match=r"^Sigma is 0 for every coefficient: noth"):
+    with pytest.raises(rt.errors.InfeasibleError, match=r"^Sigma is 0 for every coefficient: no c"):
         rt.calibrate(exact, USUAL)
