@@ -704,17 +704,7 @@ def by_chords(geometry: Polyhedron, number: int = 100_000, seed: int = 0) -> Cho
     inward = -geometry.normals[geometry.triangle_faces[chosen]]
     directions = inward + sphere(number, rng)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    planes, sides = planes_of(geometry)
-    length = np.concatenate(
-        [
-            first_hit(p, d, planes, sides)[1]
-            for p, d in zip(
-                np.array_split(points, -(-number // _AT_ONCE)),
-                np.array_split(directions, -(-number // _AT_ONCE)),
-                strict=True,
-            )
-        ]
-    )
+    _, length = first_hit(points, directions, *planes_of(geometry))
     met = length[np.isfinite(length)]
     lost = 1 - len(met) / number
     if not len(met):
@@ -730,10 +720,6 @@ def by_chords(geometry: Polyhedron, number: int = 100_000, seed: int = 0) -> Cho
         area_uncertainty=whole * float(chance),
         lost=lost,
     )
-
-
-_AT_ONCE = 2000
-"""Rays whose distances from all triangles are computed at once."""
 
 
 HALVINGS = 4
