@@ -14,17 +14,10 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.changes import facing
 from rtcal.command.finder import read_case
-from rtcal.command.main import main
 from rtcal.io import geometry_files, units
 from rtcal.simulators import Polyhedron
 from rtcal.support.errors import DataError
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(a) for a in arguments])
-    return int(stop.value.code or 0)
-
+from tests.conftest import run
 
 FT = 0.3048
 SIX = [125, 250, 500, 1000, 2000, 4000]

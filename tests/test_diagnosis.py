@@ -13,7 +13,7 @@ from rtcal.finder import Diagnosis
 from rtcal.finder.means.recalibration import plain
 from rtcal.loop.positions import PositionsResult
 from rtcal.report.of_diagnosis import steps
-from tests.test_where_commands import run
+from tests.conftest import run
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from rtcal.io import geometry_files
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.path_tracing import MOST_LEAKED, Chords, by_chords
 from rtcal.support.errors import DataError
-from tests.test_io_commands import run
+from tests.conftest import run
 
 SIDES = (9.0, 7.0, 3.2)
 VOLUME = 9 * 7 * 3.2

@@ -15,7 +15,7 @@ from rtcal.calibration.archive import learn
 from rtcal.datasets import catalogue
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.errors import DataError
-from tests.test_io_commands import run
+from tests.conftest import run
 
 F = [500.0, 1000.0]
 PERSONS = Piece("persons", 30, [0.5, 1.2], [0.1, 0.2], "a table", 0.05)

@@ -11,8 +11,7 @@ import rtcal as rt
 from rtcal.io import impulse_responses as ir
 from rtcal.io import recordings
 from rtcal.support.errors import DataError
-from tests.conftest import also
-from tests.test_io_commands import run
+from tests.conftest import also, run
 
 pytest.importorskip("pyfar")
 pytest.importorskip("pyrato")
