@@ -69,7 +69,7 @@ from rtcal.support import checks, library, text
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
-from rtcal.support.types import Array
+from rtcal.support.types import Array, Paths
 
 __all__ = ["analyse", "read"]
 __dir__ = __all__.copy
@@ -86,7 +86,7 @@ _ORDER = 6  # Butterworth; IEC 61260-1 class 1 needs 5 for octaves and 6 for thi
 
 
 def read(
-    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    path: Paths,
     *,
     bands: str | Sequence[float] = "octave",
     channels: int | str | None = None,
@@ -126,7 +126,7 @@ def read(
 
 
 def responses_of(
-    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    path: Paths,
     channels: int | str | None,
     repeats: bool,
     doubts: list[str],

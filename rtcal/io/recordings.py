@@ -29,12 +29,10 @@ from rtcal.io import impulse_responses as ir
 from rtcal.io.impulse_responses import Analysis, Floor, OfEnergy, Response
 from rtcal.io.tables import spread
 from rtcal.support.errors import DataError
-from rtcal.support.types import Array
+from rtcal.support.types import Array, Paths
 
 __all__ = ["from_sweep", "interrupted"]
 __dir__ = __all__.copy
-
-Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 _PARTS = 6
 """Number of parts of a band, in each of which a sweep must have energy."""
@@ -409,14 +407,11 @@ def _regression(energy: Array, rate: float, slope: DecaySlope) -> float:
                 return np.nan
             high = np.flatnonzero(blocks[: low[0]] > 10 ** (slope.upper / 10))
             first, last = time[high[-1]] if high.size else 0.0, time[low[0]]
-        used = (time >= first) & (time <= last) & (blocks > 0)
-        if used.sum() < 2:
-            used = (
-                (time >= first - t / _BLOCKS_PER_T)
-                & (time <= last + t / _BLOCKS_PER_T)
-                & (blocks > 0)
-            )
-        if used.sum() < 2:
+        for margin in (0.0, t / _BLOCKS_PER_T):  # a steep line may pass between two blocks
+            used = (time >= first - margin) & (time <= last + margin) & (blocks > 0)
+            if used.sum() >= 2:
+                break
+        else:
             return np.nan
         fall, at_0 = np.polyfit(time[used], 10 * np.log10(blocks[used]), 1)
         if not fall < 0:

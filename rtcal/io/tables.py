@@ -79,7 +79,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 from rtcal.support.text import table as table_lines
-from rtcal.support.types import Array
+from rtcal.support.types import Array, Paths
 
 __all__ = ["measurement", "read", "write"]
 __dir__ = __all__.copy
@@ -166,9 +166,7 @@ class _Options:
         return {name: float(n) for name, n in stated.items() if n is not None}
 
 
-def read(
-    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], **options: Any
-) -> MeasuredTable:
+def read(path: Paths, **options: Any) -> MeasuredTable:
     """Return the measurement of a table, or of several: one per position, as REW exports them.
 
     Parameters

@@ -1,13 +1,16 @@
-"""The array type of the package, and arrays that cannot be changed."""
+"""The types of arrays and of paths, and arrays that cannot be changed."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
 from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
+Paths: TypeAlias = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
