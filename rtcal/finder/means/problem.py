@@ -1129,11 +1129,12 @@ def null_scores(
     """Return the `score` of rooms that lack nothing, (n_draws, n_steps), by `steps` of the data."""
     rng = np.random.default_rng([0, 3])
     ends, scores, either = list(steps(case, observed.used))[:-1], [], of_either(case)
+    signs = (1, -1) if either.any() else (1,)  # without a run the rooms drawn stay the same
     for fold in (0, 1):
         training = [_part(c, fold) for c in controls]
         other = [_part(c, 1 - fold) for c in controls]
         test = [
-            np.concatenate([np.where(either, sign * c.errors, r.errors) for sign in (1, -1)])
+            np.concatenate([np.where(either, sign * c.errors, r.errors) for sign in signs])
             for c, r in zip(other, recentred(other), strict=True)
         ]
         values = draw_null_features(case, observed, predicted.applied, test, rng, draws // 2)
