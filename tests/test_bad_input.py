@@ -247,7 +247,11 @@ def test_a_file_of_another_kind_is_called_so_by_every_command(taken: str, run, c
     for i, word in enumerate(words):
         needed = {**FILES, "RESPONSE": ("", "an impulse response")}.get(word)
         for other, (name, kind) in FILES.items():
-            if needed and other != word and (words[0], other) != ("plan", "RESULT"):
+            taken_as_well = {
+                ("plan", "RESULT"),
+                ("find CASE", "ROOM"),
+            }  # a room: its table is missing
+            if needed and other != word and not {(words[0], other), (taken, other)} & taken_as_well:
                 told = said([*names[:i], name, *names[i + 1 :]])
                 assert f"{name} is {kind}, and {needed[1]} is needed: " in told, (names, name)
     stands = [i for i, word in enumerate(words) if word in FILES]
