@@ -246,8 +246,8 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "below_schroeder": (
         "s",
-        "a few room modes determine the decay, which no reverberation equation describes: do not use "
-        "these coefficients at other positions or in other rooms",
+        "a few room modes determine the decay there: do not use these coefficients at other positions "
+        "or in other rooms",
     ),
     "air": (
         "a",
@@ -276,8 +276,7 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "implausible": (
         "z",
-        "the measurement contradicts the input: check areas and volume, then look for an effect that "
-        "the model lacks, before using these coefficients",
+        "check areas and volume, then look for a missing effect, before using these coefficients",
     ),
     "bent": (
         "c",
@@ -596,7 +595,7 @@ def bent_decays(measured: Measurement) -> tuple[TrustMark, ...]:
                     f"{name} = {percent:+.0f} %"
                 )
     return tuple(
-        mark("bent", f, f"the decay is bent, {', '.join(texts[f])}") for f in sorted(texts)
+        mark("bent", f, f"the decay is curved, {', '.join(texts[f])}") for f in sorted(texts)
     )
 
 
@@ -634,16 +633,17 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     k = int(np.argmax(differ))
     if not differ[k] > 1:
         return ()
+    at = bands.label(room.centre_frequencies[k])
     times = (
-        f"{arau[k]:.2f} s for Eyring's {eyring[k]:.2f} s at {room.centre_frequencies[k]:g} Hz, "
+        f"{eyring[k]:.2f} s by Eyring's equation and {arau[k]:.2f} s by Arau-Puchades', "
         f"{differ[k]:.1f} JND apart"
     )
     if known:
-        text = f"the absorption is uneven: Arau-Puchades' equation gives {times}"
+        text = f"the absorption is uneven, so T at {at} is {times}"
         return (mark("equations_differ", None, text),)
     text = (
         f"the direction of the absorption is unknown: if all of {room.materials[most]} faced one "
-        f"way, Arau-Puchades' equation would give {times}"
+        f"way, T at {at} would be {times}"
     )
     return (mark("directions_unknown", None, text),)
 
@@ -726,7 +726,7 @@ def trust_marks(
         others = f", and {len(wide) - 1} more" if len(wide) > 1 else ""
         add("wide_sigma", None, text + others)
     if room.clipped:
-        add("clipped", None, f"cut to 1: {'; '.join(room.clipped)}")
+        add("clipped", None, f"coefficients above 1 were set to 1: {'; '.join(room.clipped)}")
     has_t = np.isfinite(measured)
     if has_t.any() and not np.isfinite(uncertainty[has_t]).any():
         add("no_uncertainty", None, "the uncertainty of T is not known")
@@ -735,9 +735,9 @@ def trust_marks(
     for k, frequency in enumerate(room.centre_frequencies):
         f = float(frequency)
         if np.isnan(measured[k]):
-            add("missing", f, "not calibrated, no T was measured")
+            add("missing", f, "no T was measured, so the band is not calibrated")
         elif f < limit:
-            add("below_schroeder", f, f"below the Schroeder frequency, {limit:.0f} Hz")
+            add("below_schroeder", f, f"the band is below the Schroeder frequency ({limit:.0f} Hz)")
         if f in unreachable:
             add("unreachable", f, "no coefficients within the bounds give this T")
         marks += [band for band in bent if band.frequency == f]
@@ -756,8 +756,11 @@ def trust_marks(
             add("at_bound", f, f"{room.materials[i]} stands at its {side} bound", advised)
         if abs(z[k]) > LARGE_Z:
             side = "more" if z[k] > 0 else "less"
-            bound = " within the bounds" if active[:, k].any() else ""
-            add("implausible", f, f"T needs {side} absorption than the input, |z|{bound} over 2")
+            add(
+                "implausible",
+                f,
+                f"T needs {side} absorption than the input, by over 2 σ",
+            )
     return tuple(marks)
 
 

@@ -126,11 +126,8 @@ def residuals(certificate: Certificate) -> dict[str, float]:
 _STRONG_SHIFT = 3.0
 """Shift (in sigmas) and deviation (in JND) at which the notebook's shading saturates."""
 
-SHIFT = "shift of alpha / input sigma"
-SIGNS = (
-    "deviation: T of the model minus the measured T; 1 JND is 5 %. z: absorption area that the "
-    "measured T needs minus that of the input, in standard deviations."
-)
+SHIFT = "shift of alpha in standard deviations (input sigma)"
+SIGNS = "Deviation: model - measured (1 JND: 5 %); missing absorption: needed - input."
 
 _NAMES_OF_METHODS = {
     "mle": "maximum likelihood (mle)",
@@ -172,7 +169,7 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
         Table(
             [*labels, "largest shift / σ"],
             calibrated,
-            "Calibrated alpha (* at a bound), and its shift",
+            "Calibrated alpha (* at a bound), largest shift in σ (standard deviations)",
         ),
         Table(
             labels,
@@ -206,11 +203,12 @@ def _made(record: Mapping[str, Any]) -> list[str]:
     if record["air"] is not None:
         air = f"air {record['air']['temperature']:g} °C, {record['air']['humidity']:g} % humidity"
     area = sum(material["area"] for material in record["materials"])
-    matched = "matched" if record["matches_measured_time"] else "NOT matched"
+    of_t = " and ".join(_parameters(record))
+    matched = f"to {of_t}" if record["matches_measured_time"] else f"without matching {of_t}"
     method = _NAMES_OF_METHODS.get(record["method"], record["method"])
     return [
-        f"{record['room']}: {record['volume']:g} m³, {area:g} m², {air}; {method}, "
-        f"{record['equation']}'s equation, {' and '.join(_parameters(record))} {matched}.",
+        f"{record['room']}: {record['volume']:g} m³, {area:g} m², {air}; calibrated "
+        f"{matched} by {record['equation']}'s equation and {method}.",
         certificate(record),
     ]
 
@@ -263,13 +261,13 @@ def band_rows(record: Mapping[str, Any]) -> list[Row]:
     trust = [letters(marks, f) or "." for f in record["centre_frequencies"]]
     rows = [
         Row("measured T / s", measured["reverberation_time"], ".3f"),
-        Row("  its uncertainty / s", measured["uncertainty"], ".3f"),
+        Row("  uncertainty / s", measured["uncertainty"], ".3f"),
         Row("T of the input / s", record["reverberation_time_before"], ".3f"),
         Row("T calibrated / s", record["reverberation_time_after"], ".3f"),
         Row("deviation before / JND", record["gap_before_jnd"], "+.1f", shades[0]),
         Row("deviation after / JND", record["gap_after_jnd"], "+.1f", shades[1]),
-        Row("z / σ", record["plausibility"]["z"], "+.1f"),
-        Row("air's share / %", 100 * numbers(record["air_share"]), ".0f"),
+        Row("missing absorption / σ", record["plausibility"]["z"], "+.1f"),
+        Row("share of the air / %", 100 * numbers(record["air_share"]), ".0f"),
         Row("cautions", trust),
     ]
     if len(_parameters(record)) > 1:
@@ -296,15 +294,16 @@ def remarks(record: Mapping[str, Any]) -> list[str]:
         )
     else:
         first = "Volume and areas count as exact: the room's file gives them no uncertainty."
-    said = [first, *(f"{sentence} (nearest end taken)" for sentence in record["unreachable"])]
+    nearest = "the coefficients with the nearest T were taken"
+    said = [first, *(f"{sentence}; {nearest}." for sentence in record["unreachable"])]
     said += filter(None, [measured["caution"]])
     if measured["bands_not_in_room"]:
         ignored = ", ".join(bands.labels(measured["bands_not_in_room"]))
-        said.append(f"left out: {ignored} (measured, but not a band of the room)")
+        said.append(f"Measured, but left out because the room does not have the band: {ignored}.")
     if beyond := _bands_beyond_equation(record):
         said.append(
             f"T of the input cannot be calculated at {', '.join(beyond)}: {record['equation']}'s "
-            "equation does not hold for coefficients as large as these"
+            "equation does not hold for coefficients as large as these."
         )
     return said
 
@@ -314,8 +313,8 @@ def certificate(record: Mapping[str, Any]) -> str:
     worst = max(abs(record["certificate"][name]) for name in _RESIDUALS)
     bound = np.max([numbers(material["error_bound"]) for material in record["materials"]])
     return (
-        f"Solved by {record['solver']['name']}: residual {worst:.1e}, alpha within {bound:.1e} of the "
-        "optimum."
+        f"Alpha is within {bound:.1e} of the optimum (residual {worst:.1e}, solver "
+        f"{record['solver']['name']})."
     )
 
 
@@ -336,7 +335,8 @@ LARGE_GAP = 3.0
 _AGAINST = "The measurement contradicts the input coefficients"
 _ALIKE = "The measurement agrees with the input coefficients only if all of them err the same way"
 _SOMETHING = (
-    "Something is missing from the model, or an input value is wrong, or its sigma too small."
+    "Something is missing from the model, or an input value or its sigma is wrong: run "
+    "`rtcal find`."
 )
 _OF_ROOM = (
     "surface",
@@ -393,20 +393,11 @@ def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
     of_materials = _of_materials(record)
     if left := remaining_gap(record):
         fact, _, cause = left.partition(". ")
-        if of_materials.level == "contradicts":
-            text = f"{cause} {of_materials.heading}. {of_materials.text}"
-            return CalibrationVerdict("contradicts", fact, text)
-        q, asks, p, together = _evidence(record)
-        contradicted = p is not None and p < P_CONTRADICTION
-        which = (
-            "contradicted unless all of them err the same way"
-            if contradicted
-            else "not contradicted"
+        level: Literal["open", "contradicts"] = (
+            "contradicts" if of_materials.level == "contradicts" else "open"
         )
-        of_input = f"The input coefficients are {which} ({q}); {asks}."
-        return CalibrationVerdict(
-            "open", fact, f"{cause} {of_input} {together if contradicted else ''}".rstrip()
-        )
+        text = f"{cause} {of_materials.heading}. {of_materials.text}"
+        return CalibrationVerdict(level, fact, text)
     f = np.asarray(record["centre_frequencies"])[compared]
     marked = {mark["frequency"] for mark in marks}
     reserved = any(mark["kind"] in _OF_ROOM for mark in marks) or marked >= set(f.tolist())
@@ -416,33 +407,44 @@ def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
     return of_materials
 
 
-def _evidence(record: Mapping[str, Any]) -> tuple[str, str, float | None, str]:
-    """Return Q and p in words, the bands whose z is large, p, and what errors in common explain."""
-    found = record["plausibility"]
-    p, p_together = found["p_value"], found["p_together"]
-    free = found["degrees_of_freedom"]
-    q = f"Q = {found['q']:.1f}, {free} degree{'s' * (free != 1)} of freedom"
-    if p is not None:
-        q += f", p = {p:.2g}"
-    far = _far(record)
-    where = "in every band" if 1 < len(far) == free else f"at {bands.hertz(far)}"
-    asks = (
-        f"{f'{where} T needs' if far else 'in no band does T need'} "
-        "an absorption more than two standard deviations from the input"
+def _off(record: Mapping[str, Any]) -> tuple[float, str]:
+    """Return the largest deviation before calibration in JND, and its words; 0 and "" without one."""
+    gap = np.abs(numbers(record["gap_before_jnd"]))
+    if not np.isfinite(gap).any():
+        return 0.0, ""
+    k = int(np.nanargmax(gap))
+    before, label = (
+        record["reverberation_time_before"][k],
+        bands.label(record["centre_frequencies"][k]),
     )
-    together = ""
-    if p is not None and p_together is not None and p_together >= 2 * p:
-        together = (
-            f"If all handbook values may be off by a common factor, p = {p_together:.2g}. `rtcal find` "
-            "also allows for errors of the equation and of the measurement."
-        )
-    return q, asks, p, together
+    wanted = record["measured"]["reverberation_time"][k]
+    return float(gap[k]), (
+        f"{' and '.join(_parameters(record))} of the input is off by up to {gap[k]:.1f} JND "
+        f"({before:.2f} s instead of {wanted:.2f} s at {label})"
+    )
 
 
-def _far(record: Mapping[str, Any]) -> list[float]:
-    """Return the bands in Hz whose T asks for an absorption that the prior makes unlikely."""
-    marks = record["trust_marks"]
-    return [m["frequency"] for m in marks if m["kind"] == "implausible"]
+def _chance(p: float) -> str:
+    """Return a p-value as a count: "fewer than 1", "43", "more than 99" of 100 rooms."""
+    return "fewer than 1" if p < 0.01 else "more than 99" if p > 0.99 else f"{100 * p:.0f}"
+
+
+def _evidence(record: Mapping[str, Any]) -> str:
+    """Return how many rooms deviate as much by chance, with p."""
+    p = record["plausibility"]["p_value"]
+    rooms = f"of 100 rooms with right input coefficients, {_chance(p)}"
+    return f"{rooms} would be off as much (p = {p:.2g})"
+
+
+def _together(record: Mapping[str, Any]) -> str:
+    """Return what errors in common explain of a contradiction; "" where they explain nothing."""
+    p, p_together = record["plausibility"]["p_value"], record["plausibility"]["p_together"]
+    if p_together is None or p_together < 2 * p:
+        return ""
+    return (
+        f"If all handbook values may be off by a common factor, {_chance(p_together)} of 100 would be "
+        f"(p = {p_together:.2g})."
+    )
 
 
 def _longer(record: Mapping[str, Any]) -> str:
@@ -461,58 +463,59 @@ def _longer(record: Mapping[str, Any]) -> str:
 
 def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
     """Return what p and z say of the materials, where the calibrated room has the measured T."""
-    q, asks, p, together = _evidence(record)
     found = record["plausibility"]
-    far = bool(_far(record))
+    p, far = (
+        found["p_value"],
+        [m["frequency"] for m in record["trust_marks"] if m["kind"] == "implausible"],
+    )
     if not found["degrees_of_freedom"]:
         return CalibrationVerdict(
             "open", "No T was measured in a band of the model", "There is no verdict."
         )
+    largest, off = _off(record)
     if p is None:
+        needs = f"at {bands.hertz(far)} the measured T needs" if far else "in no band does T need"
         return CalibrationVerdict(
             "contradicts" if far else "open",
-            _AGAINST if far else "No overall verdict",
-            f"{as_sentence(asks)} There is no p-value for all bands together, because a coefficient "
-            f"stands at a bound ({q}).",
+            _AGAINST if far else "There is no overall verdict",
+            f"{as_sentence(needs)[:-1]} an absorption more than two standard deviations from the "
+            "input. How likely that is over all bands cannot be calculated, because a coefficient "
+            "stands at a bound.",
         )
-    agreed = agreement(p, found["p_together"])
-    if agreed == "too good" and record.get("stated_by"):
-        return CalibrationVerdict(
-            "open",
-            "The measurement agrees with coefficients that follow from a measurement of this room",
-            f"The coefficients moved less than their sigma makes likely ({q}); {asks}. "
-            "Small shifts are usual after a calibration or `rtcal apply`, and do not confirm the "
-            "materials.",
-        )
+    agreed, chance = agreement(p, found["p_together"]), _evidence(record)
     if agreed == "too good":
+        less = f"{off}, less than the input's standard deviations make likely: {chance}."
+        if record.get("stated_by"):
+            return CalibrationVerdict(
+                "open",
+                "The measurement agrees with coefficients that follow from a measurement of this room",
+                f"{less} Small deviations are usual after a calibration or `rtcal apply`, and do not "
+                "confirm the materials.",
+            )
         return CalibrationVerdict(
             "open",
             "Too good to be true: T is nearer to that of the input coefficients than its uncertainty",
-            "Over all bands the coefficients moved less than their sigma makes likely "
-            f"({q}); {asks}. Either a sigma or the uncertainty of T is too large, or T was "
-            "calculated from these coefficients.",
+            f"{less} Either a sigma or the uncertainty of T is too large, or T was calculated from "
+            "these coefficients.",
         )
     if agreed == "contradicts" or p < P_CONTRADICTION:
         against = agreed == "contradicts"
         said = (
-            f"The coefficients had to move further than their sigma explains ({q}); {asks}.",
+            f"{off}, more than the input's standard deviations explain: {chance}.",
+            _together(record),
             _longer(record) or (_SOMETHING if against else ""),
-            together,
         )
         return CalibrationVerdict(
             "contradicts" if against else "open",
             _AGAINST if against else _ALIKE,
             " ".join(filter(None, said)),
         )
-    within = f"The coefficients moved no further than their sigma explains ({q}); {asks}."
-    gap = np.abs(numbers(record["gap_before_jnd"]))
-    largest = float(np.max(gap, where=np.isfinite(gap), initial=0.0))
+    within = f"{off}, which the input's standard deviations explain: {chance}."
     if largest >= LARGE_GAP:
         return CalibrationVerdict(
             "open",
             "The measurement does not contradict the input coefficients",
-            f"{within} Their sigma allows even the deviation of {largest:.1f} JND before calibration, "
-            "so this does not confirm the model.",
+            f"{within} Standard deviations that allow so large a deviation do not confirm the model.",
         )
     return CalibrationVerdict(
         "open" if far else "agrees",
