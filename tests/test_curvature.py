@@ -15,7 +15,7 @@ def test_the_double_slope_of_the_issue_is_bent() -> None:
     )
     (bent,) = bent_decays(measured)
     assert bent.frequency == 1000
-    assert bent.text == "the decay is bent, curvature T30/T20 - 1 = +38 %, EDT/T20 - 1 = -42 %"
+    assert bent.text == "the decay is curved, curvature T30/T20 - 1 = +38 %, EDT/T20 - 1 = -42 %"
 
 
 def test_only_positions_with_both_parameters_count() -> None:

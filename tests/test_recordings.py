@@ -76,7 +76,7 @@ def test_a_double_slope_that_a_sweep_measures_is_noted(tmp_path: Path) -> None:
     h = response(0.4, rate, np.random.default_rng(2), late=0.01)
     of = written(tmp_path / "r.wav", recorded(played, h, rate), rate)
     notes = recordings.from_sweep(of, written(tmp_path / "s.wav", played, rate), bands=[1000, 2000])
-    assert any("the decay is bent" in note for note in notes.notes)
+    assert any("the decay is curved" in note for note in notes.notes)
 
 
 def test_bands_are_those_that_the_sweep_excites(tmp_path: Path) -> None:
@@ -220,7 +220,7 @@ def test_stops_of_several_files_are_averaged_at_their_position(tmp_path: Path) -
 def test_a_double_slope_of_stopped_noise_is_noted(tmp_path: Path) -> None:
     samples = stopped(0.4, 16000, np.random.default_rng(10), n=6, noise=1e-4, late=0.01)
     path = written(tmp_path / "r.wav", samples, 16000)
-    assert any("bent" in note for note in recordings.interrupted(path, bands=[1000, 2000]).notes)
+    assert any("curved" in note for note in recordings.interrupted(path, bands=[1000, 2000]).notes)
 
 
 def test_a_high_noise_takes_t30_and_then_t20(tmp_path: Path) -> None:

@@ -28,9 +28,9 @@ def test_cr2_marks_125_hz_below_schroeder_and_implausible(cr2) -> None:
     assert result.plausibility.z[0] == pytest.approx(4.6, abs=0.05)
     assert result.plausibility.p_value < 1e-4
     page = " ".join(str(result).split())
-    assert "[s] 125 Hz: below the Schroeder frequency, 233 Hz" in page
-    assert "The measurement contradicts the input:" in page
-    assert "125 Hz: T needs more absorption than the input, |z| over 2" in page
+    assert "[s] 125 Hz: the band is below the Schroeder frequency (233 Hz)" in page
+    assert "Check areas and volume, then look for a missing effect" in page
+    assert "125 Hz: T needs more absorption than the input, by over 2 σ" in page
     assert "4000 Hz: T needs less absorption than the input" in page
     line = next(text for text in str(result).splitlines() if text.startswith("cautions"))
     assert line.split()[-6:] == ["sz", ".", ".", ".", ".", "z"]
@@ -190,11 +190,11 @@ def test_a_room_in_which_equations_differ_is_marked() -> None:
         if not marks:
             continue
         k = int(np.argmax(apart))
-        assert f"gives {arau[k]:.2f} s for Eyring's {eyring[k]:.2f} s" in marks[0].text
+        assert f"{eyring[k]:.2f} s by Eyring's equation and {arau[k]:.2f} s by" in marks[0].text
         assert f"{apart[k]:.1f} JND apart" in marks[0].text
         assert "rtcal fit" in marks[0].advice
         for said in (" ".join(str(result).split()), page(result).replace("&#39;", "'")):
-            assert "the absorption is uneven: Arau-Puchades' equation gives" in said
+            assert "the absorption is uneven, so T at" in said
         assert "equations_differ" in result.to_json()
         assert result.verdict.level != "agrees"
 
@@ -215,9 +215,8 @@ def test_a_shift_that_a_bound_leaves_to_another_material_contradicts_what_was_st
     assert distance > 5
     (mark,) = [m for m in result.trust_marks if m.kind == "implausible"]
     assert mark.frequency == 500
-    assert "within the bounds" in mark.text
     assert result.verdict.level == "contradicts"
-    assert "At 500 Hz T needs" in " ".join(str(result).split())
+    assert "At 500 Hz the measured T needs" in " ".join(str(result).split())
     inside = rt.calibrate(
         room, rt.Eyring().reverberation_time(room.replace(alpha=room.alpha * 1.01))
     )

@@ -126,9 +126,7 @@ def test_q_too_small_is_said() -> None:
 def test_agreement_in_spite_of_a_large_gap_is_said_to_confirm_nothing() -> None:
     vague = room().replace(sigma=0.3 * room().alpha)
     usual, long = (f * rt.Eyring().reverberation_time(vague) for f in (1.08, 1.25))
-    reservation = (
-        "even the deviation of 4.0 JND before calibration, so this does not confirm the model."
-    )
+    reservation = "Standard deviations that allow so large a deviation do not confirm the model."
     assert reservation in unwrapped(rt.calibrate(vague, long))
     assert "agrees" not in unwrapped(rt.calibrate(vague, long))
     assert "does not confirm the model" not in unwrapped(rt.calibrate(vague, usual))

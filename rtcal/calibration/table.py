@@ -136,7 +136,7 @@ _NAMES_OF_METHODS = {
     "smooth": "soft match of T with smooth shifts (smooth)",
     "robust": "soft match of T with outliers (robust)",
     "joint": "soft match of T in several configurations (joint)",
-    "composed": "calibration composed in Python",
+    "composed": "terms composed in Python",
 }
 """Methods in print, with the names that --method takes."""
 _BOUNDS = {"lower": "*", "upper": "*", "": " "}
@@ -433,7 +433,7 @@ def _evidence(record: Mapping[str, Any]) -> str:
     """Return how many rooms deviate as much by chance, with p."""
     p = record["plausibility"]["p_value"]
     rooms = f"of 100 rooms with right input coefficients, {_chance(p)}"
-    return f"{rooms} would be off as much (p = {p:.2g})"
+    return f"{rooms} would be off at least as much (p = {p:.2g})"
 
 
 def _together(record: Mapping[str, Any]) -> str:
@@ -549,7 +549,9 @@ def remaining_gap(record: Mapping[str, Any]) -> str:
         said += f", in {int(grown.sum())} larger than before"
     if record["room_taken_as_exact"]:
         if record["unreachable"]:
-            return f"{said}. No coefficients within their limits reach that time."
-        return f"{said}. The uncertainty of the measured time allows them."
+            return f"{said}. No coefficients within their limits give the measured T."
+        return f"{said}. The uncertainty of the measured T explains these deviations."
     uncertain = f" ({words})" if (words := record.get("room_uncertainty")) else ""
-    return f"{said}. The uncertainty of the room explains them{uncertain}. Check that first."
+    return (
+        f"{said}. The uncertainty of the room{uncertain} explains these deviations: check it first."
+    )
