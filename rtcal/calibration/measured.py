@@ -164,7 +164,10 @@ def copied(measured: Measurement) -> str:
     )
     if both.sum() < _FEW_VALUES or not np.array_equal(t20[both], t30[both]):
         return ""
-    return "T30 equals T20 in every value, so one is a copy of the other, and whether the decay is curved is unknown."
+    return (
+        "T30 equals T20 in every value, so one is a copy of the other, and whether the decay is curved "
+        "is unknown."
+    )
 
 
 def no_times(room: Room) -> MeasuredTimes:
