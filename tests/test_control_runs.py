@@ -163,6 +163,7 @@ def test_small_unexplained_errors_are_found():
     rng, of = np.random.default_rng(2), np.repeat([0, 1], 90)
     common = rng.standard_normal((180, 10))
     expected = common @ common.T + np.diag(np.full(180, 0.2**2))
-    drawn = rng.multivariate_normal(np.zeros(180), expected + np.diag(np.full(180, 0.3**2)))
-    found = unexplained_errors(drawn, expected, np.ones(180), of)
-    assert found == pytest.approx([0.3, 0.3], rel=0.2)
+    # By Cholesky's factor: the singular vectors, numpy's default, differ from processor to processor.
+    root = np.linalg.cholesky(expected + np.diag(np.full(180, 0.3**2)))
+    found = unexplained_errors(root @ rng.standard_normal(180), expected, np.ones(180), of)
+    assert found == pytest.approx([0.3, 0.3], rel=0.4)  # 90 values know it to 15 %
