@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.changes import facing
+from rtcal.acoustics.changes import Change, changed, facing
 from rtcal.command.finder import read_case
 from rtcal.io import geometry_files, units
 from rtcal.simulators import Polyhedron
@@ -261,21 +262,52 @@ def test_a_question_is_answered(
 ) -> None:
     described, measured, volume, times = QUESTIONS[asked]
     path = tmp_path / "room.toml"
-    assert run("room", *described, "--out", path) == 0
+    assert run("room", *described, *measured, "--out", path, "--json") == 0, capsys.readouterr().err
+    answer = json.loads(capsys.readouterr().out)["calibration"]
     room = rt.Room.from_file(str(path))
     assert room.volume == pytest.approx(volume, rel=1e-3)
-    x, y, z = units.sides(described[1])
+    (x, y, z), _ = units.sides(described[1])
     assert room.total_area == pytest.approx(2 * (x * y + y * z + x * z), rel=1e-9)
     np.testing.assert_allclose(facing(room).sum(axis=1), 1)
-    capsys.readouterr()
-    assert run("calibrate", path, *measured, "--json") == 0, capsys.readouterr().err
-    answer = json.loads(capsys.readouterr().out)
     after = dict(zip(answer["centre_frequencies"], answer["reverberation_time_after"], strict=True))
     assert {f: after[f] for f in times} == pytest.approx(times, rel=1e-6)
     assert sum(t is not None for t in answer["measured"]["reverberation_time"]) == len(times)
 
 
 CLASSROOM = QUESTIONS["classroom of the issue"][0]
+
+
+@pytest.mark.parametrize("asked", ["classroom of the issue", "garage calculator", "church"])
+def test_one_command_is_the_two_that_it_names(
+    asked: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    described, measured, *_ = QUESTIONS[asked]
+    assert run("room", *described, *measured, "--out", "a.toml", "--name", "room") == 0
+    named = re.search("and then `rtcal (.*?)`", " ".join(capsys.readouterr().out.split()))
+    assert named
+    assert run("room", *described, *measured, "--out", "a.toml", "--name", "room", "--json") == 0
+    one = json.loads(capsys.readouterr().out)["calibration"]
+    assert run("room", *described, "--out", "b.toml", "--name", "room") == 0
+    capsys.readouterr()
+    assert run(*shlex.split(named[1]), "--json") == 0
+    two = json.loads(capsys.readouterr().out)
+    assert one.pop("solver").keys() == two.pop("solver").keys()  # with the time it took
+    assert one == two
+    assert Path("a.toml").read_text() == Path("b.toml").read_text()
+
+
+def test_a_time_beyond_reach_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["room", *box("9,7,3", "carpet", "plaster", "brick"), "--out", tmp_path / "room.toml"]
+    assert run(*command, "--temperature", "20", "--t20", "4000:25") == 2
+    assert "is beyond reach" in capsys.readouterr().err
+    assert run(*command, "--t20", "500:0.5", "--t30", "500:0.5") == 2
+    assert "several measurements: --t20 and --t30; give one" in capsys.readouterr().err
+    assert run(*command, "--t20", "900 800 700 700 600 600") == 2
+    assert "900 s must be from 0.01 to 120 s: is it in seconds" in capsys.readouterr().err
+    assert not [*tmp_path.iterdir()]
 
 
 def test_the_library_makes_the_room_of_the_command(tmp_path: Path) -> None:
@@ -380,7 +412,11 @@ def test_a_file_of_others_stays(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (["--window", "west=1.5x3:glazing"], '"1.5x3" .* a piece is WALL=M2:MATERIAL'),
         (["--floor", "-0.1"], "floor: alpha = -0.1 at 125 Hz"),
         (["--floor", "xyzzy", "--ask"], r'^rtcal: floor: "xyzzy" is like no material'),
-        (["--dimensions", "9000 7000 3000"], "--dimensions: V = 1.89e.11 m³ .* it is 189 m³ in mm"),
+        (
+            ["--dimensions", "9000 7000 3000"],
+            "V = 1.89e.11 m³ .* it is 189 m³ in mm or .* write the unit",
+        ),
+        (["--dimensions", "3000x2000x1000 ft"], "--dimensions: V = 1.7e.08 m³ .* it is 6 m³ in mm"),
         (["--dimensions", "9,7,3 km"], '--dimensions "km" is neither a number nor m, cm'),
         (["--audience", "200"], r'"floor" has 63 m² left, and audience on it has 200'),
         (["--temperature", "200"], "200"),
@@ -399,6 +435,59 @@ def test_what_is_wrong_is_named_and_nothing_is_written(
 def test_what_is_missing_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("room", "--floor", "carpet") == 2
     assert "--dimensions, --ceiling, --walls, --out missing" in capsys.readouterr().err
+
+
+def test_an_audience_that_leaves_leaves_the_floor(tmp_path: Path) -> None:
+    path, empty = tmp_path / "room.toml", tmp_path / "empty.toml"
+    sides = box("9,7,3", "carpet", "plaster", "plaster", "--window", "floor=3:rug")
+    assert run("room", *sides, "--audience", "40", "--out", path, "-q") == 0
+    assert run("room", *sides, "--out", empty, "-q") == 0
+    occupied, bare = rt.Room.from_file(str(path)), rt.Room.from_file(str(empty))
+    left = changed(occupied, Change(remove="audience"))
+    of_bare = dict(zip(bare.materials, bare.areas.tolist(), strict=True))
+    assert dict(zip(left.materials, left.areas.tolist(), strict=True)) == pytest.approx(of_bare)
+    np.testing.assert_allclose(left.absorption_area, bare.absorption_area)
+    half = changed(occupied, [Change(remove="audience", area=20)] * 2)
+    np.testing.assert_allclose(half.absorption_area, bare.absorption_area)
+    with pytest.raises(
+        DataError, match=r'20 m² of "carpet" is a surface .* cover = "carpet" and by'
+    ):
+        changed(occupied, Change(remove="carpet"))
+    with pytest.raises(DataError, match="is more than the 40 m²"):
+        changed(occupied, Change(remove="audience", area=41))
+    result = rt.calibrate(occupied, [0.9, 0.8, 0.7, 0.7, 0.6, 0.6])
+    without, covered = (
+        rt.prediction.predict(result, change)
+        for change in (Change(remove="audience"), Change(cover="audience", by="carpet"))
+    )
+    np.testing.assert_allclose(without.mean, covered.mean)
+
+
+def test_what_lies_on_two_materials_leaves_both() -> None:
+    stated = {"centre_frequencies": [500], "volume": 60, "name": "box"}
+    materials = [
+        rt.Material(n, [a], 0.01) for n, a in (("floor", 0.1), ("wall", 0.2), ("rug", 0.5))
+    ]
+    surfaces = [
+        rt.Surface("a", "floor", 16),
+        rt.Surface("b", "wall", 70),
+        rt.Surface("a: rug", "rug", 4),
+        rt.Surface("b: rug", "rug", 4),
+    ]
+    room = rt.Room.from_surfaces(materials=materials, surfaces=surfaces, **stated)
+    left = changed(room, Change(remove="rug", area=4))
+    assert dict(zip(left.materials, left.areas.tolist(), strict=True)) == pytest.approx(
+        {"floor": 18, "wall": 72, "rug": 4}
+    )
+    free = rt.Room.from_surfaces(
+        materials=materials, surfaces=[*surfaces[:2], rt.Surface("rug", "rug", 8)], **stated
+    )
+    assert changed(free, Change(remove="rug")).total_area == pytest.approx(86)
+    both = rt.Room.from_surfaces(
+        materials=materials, surfaces=[*surfaces, rt.Surface("c", "rug", 1)], **stated
+    )
+    with pytest.raises(DataError, match=r'1 m² of "rug" is a surface of the room'):
+        changed(both, Change(remove="rug"))
 
 
 def test_a_stated_time_is_that_of_a_table(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -420,7 +509,9 @@ def test_a_stated_time_is_that_of_a_table(tmp_path: Path, capsys: pytest.Capture
     np.testing.assert_array_equal(of_file, of_option)
     assert of_option[0, 2:4].tolist() == [0.9, 0.8]
     assert run("calibrate", path, table, "--t20", "0.9") == 2
-    assert "give one of MEASURED, --t20 and --t30" in capsys.readouterr().err
+    assert "several measurements: MEASURED and --t20; give one" in capsys.readouterr().err
+    assert run("calibrate", path, "--t20", "500:0.006") == 2
+    assert "--t20 at 500 Hz = 0.006 s must be from 0.01 to 120 s" in capsys.readouterr().err
     assert run("calibrate", path, "--t20", "0.9") == 2
     assert "has 1 number, and not 6; the room has 6 bands" in capsys.readouterr().err
     assert run("calibrate", path) == 2

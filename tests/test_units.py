@@ -50,6 +50,15 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: room(sigma=[[2, 2], [5, 5]]), r'sigma\["a", 500 Hz\] = 2 .* is it in percent'),
     (lambda: room(sigma=[[1e160, 0.1], [0.1, 0.1]]), r"1e\+160 must be in \[0, 1\]"),
     (lambda: SoftMatch(relative=30), "relative = 30 .* at most 1: is it in percent"),
+    (
+        lambda: rt.calibrate(room(), measured(t20=[900, 800])),
+        r"T20\[500 Hz\] = 900 s: no room has more than 120 s. Is it in ms\? Give T in seconds",
+    ),
+    (lambda: rt.calibrate(room(), [900, 800]), r"T20\[500 Hz\] = 900 s: .* in ms"),
+    (
+        lambda: rt.compare(measured(t30=[90, 60]), measured(t30=[80, 90])),
+        r"T30\[1000 Hz\] = 90 s: no value is below 80 s, and no room has more than 30 s in all",
+    ),
     (lambda: measured(ts=[80, 70]), r"ts, 500 Hz\] = 80 must be from 0 to 10 s: is it in ms"),
     (lambda: measured(d50=[50, 60]), "= 50 must be from 0 to 1: is it in percent"),
     (lambda: measured(c80=[500, 1]), "= 500 must be from -200 to 200 dB: is it in dB"),

@@ -31,6 +31,7 @@ from rtcal.acoustics.room import (
     Room,
     Scene,
     Surface,
+    lying_on,
     of_materials,
     refuse_repeats,
 )
@@ -236,6 +237,8 @@ MOST_VOLUME = 100.0
 """Largest ratio of the volumes before and after: more is a slip of the unit."""
 _SAME_AREA = 1e-6
 """Relative difference below which what comes in has the area of what goes out."""
+_CLOSED = 1e-3
+"""Relative difference below which the surfaces are those of the box: nothing in it is free-standing."""
 _ROUNDING = 1e-9
 """Relative difference below which an area is the whole area."""
 _TAKES: dict[str, dict[str, bool]] = {
@@ -262,7 +265,8 @@ class Change:
     add : Material or str
         Something free-standing: the total surface grows, and nothing is covered.
     remove : str
-        Something free-standing: the total surface shrinks.
+        Something free-standing: the total surface shrinks. What the room's surfaces have on another one
+        ("floor: audience") leaves that one instead (`changed`).
     open : str
         A material of the room, a part of which is opened: alpha = 1 there, exactly.
     area : float
@@ -464,6 +468,43 @@ def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
     return placed(room, (changes,) if isinstance(changes, Change) else tuple(changes)).room
 
 
+def uncovering(room: Room, changes: Iterable[Change]) -> list[Change]:
+    """Return changes in which what is removed is covered by what it lies on, where a surface says so.
+
+    A piece on a surface (`rtcal.acoustics.room.lying_on`) leaves that surface; other materials are
+    free-standing. Raises DataError for what is no `Change`, for a material of which only a part lies on
+    others, and for a surface of a closed box, in which nothing is free-standing.
+    """
+    out = []
+    closed = False
+    if room.dimensions is not None:
+        x, y, z = room.dimensions
+        closed = abs(room.total_area / (2 * (x * y + y * z + z * x)) - 1) < _CLOSED
+    for change in changes:
+        name = checks.instance("change", change, Change).remove
+        below = {} if name is None else lying_on(room.surfaces, name)
+        own = below.pop(None, 0.0)
+        if not below and closed and name in room.materials and name not in room.pieces:
+            own = float(room.areas[room.material_index(name)])
+        if own and (below or closed):
+            raise DataError(
+                f'{change}: {own:.4g} m² of "{name}" is a surface of the room, under which nothing is '
+                f'stated: state cover = "{name}" and by'
+            )
+        total = sum(below.values())
+        out += [
+            Change(
+                cover=name,
+                by=material,
+                area=None
+                if change.area is None and area == total
+                else (change.area or total) * area / total,
+            )
+            for material, area in below.items()
+        ] or [change]
+    return out
+
+
 DIRECTIONS = ("x", "y", "z", "free", "unknown")
 FREE, UNKNOWN = 3, 4
 """What stands free faces every way; of the rest it is not known which way."""
@@ -503,9 +544,7 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
         return placed(changes, (), start)
     faces = dict(zip(before.materials, start.areas, strict=True))
     room = before.replace(surfaces=(), scene=Scene(), dimensions=None, calibration=None)
-    for change in changes:
-        if not isinstance(change, Change):
-            raise DataError(f"change = {checks.shown(change)} is not an rtcal.prediction.Change")
+    for change in uncovering(before, changes):
         again = change.material if change.open is None else None
         if isinstance(again, str) and again in {*before.materials} - {*room.materials}:
             # None of it is left, as where two materials are exchanged: it is still known.

@@ -278,7 +278,7 @@ def compare(
     <Comparison: The program's T30 is 20 % too long in all bands.>
     """
     equation, by_equation = equation or Eyring(), run is None
-    checks.instance("measured", measured, Measurement).refuse_large_uncertainty()
+    checks.instance("measured", measured, Measurement).refuse_other_units()
     if run is None:
         times = equation.reverberation_time(checks.instance("room", room, Room))
         if not np.isfinite(times).any():

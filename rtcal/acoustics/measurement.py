@@ -35,6 +35,7 @@ from rtcal.acoustics.observables import (
     REVERBERATION,
     SUMMARY,
     TARGET,
+    DecaySlope,
     cut_off_db,
     observable,
     parameter_label,
@@ -139,6 +140,32 @@ def note_of_repeats(placed: Iterable[Pair]) -> list[str]:
         return []
     each = first_of([f"{n} of {' to '.join(pair)}" for pair, n in repeated], 4)
     return [f"repeats of one place are averaged and count as one position: {each}"]
+
+
+def refuse_milliseconds(parameter: str, values: Array, frequencies: Array) -> None:
+    """Raise DataError for decay times (..., n_bands) that no room has, but one in ms.
+
+    One is beyond the limits of its observable, or all are longer than is usual in any band.
+
+    Examples
+    --------
+    >>> refuse_milliseconds("t20", np.array([40.0, 12.0]), np.array([125.0, 1000.0]))
+    >>> refuse_milliseconds("c80", np.array([40.0, 40.0]), np.array([125.0, 1000.0]))
+    """
+    kind, table = observable(parameter), np.atleast_2d(values)
+    if not isinstance(kind, DecaySlope) or not np.isfinite(table).any():
+        return
+    longest, usual = kind.limits[1], kind.usual[1]
+    most = np.where(np.isfinite(table), table, -np.inf).max(axis=0)
+    band, least = int(np.argmax(most)), np.nanmin(table)
+    if most[band] > longest * (1 + 1e-9):
+        rule = f"no room has more than {longest:g} s"
+    elif least > usual:
+        rule = f"no value is below {least:g} s, and no room has more than {usual:g} s in all bands"
+    else:
+        return
+    place = f"{kind.label}[{bands.label(frequencies[band])}]"
+    raise DataError(f"{place} = {most[band]:g} s: {rule}. Is it in ms? Give T in seconds")
 
 
 def require_repeats(placed: Sequence[Pair], place: str) -> None:
@@ -349,12 +376,15 @@ class Measurement:
         labels = bands.labels(self.centre_frequencies)
         return blocks.notebook(self._description, [Table(labels, rows, corner="mean ± u")])
 
-    def refuse_large_uncertainty(self) -> None:
-        """Raise DataError if an uncertainty is larger than the value, or than its whole range.
+    def refuse_other_units(self) -> None:
+        """Raise DataError for decay times in ms, and uncertainties in percent.
 
-        Functions that take measured data call this method. Simulated data are not checked, because a
-        simulation with few paths may be as uncertain as that.
+        The former are as `refuse_milliseconds` says, the latter larger than the value or than its whole
+        range. Functions that take measured data call this method. Simulated data are not checked: a
+        simulation with few paths may be as uncertain, and a simulated decay of any length.
         """
+        for parameter, table in self.values.items():
+            refuse_milliseconds(parameter, table, self.centre_frequencies)
         for name in ("uncertainty", "common_uncertainty"):
             for parameter, array in getattr(self, name).items():
                 stated = np.atleast_2d(array)

@@ -596,8 +596,9 @@ def with_patches(
 ) -> list[Surface]:
     """Return surfaces with pieces of other materials on them: (surface, material, area in m²).
 
-    A piece, such as a window, takes its area from its surface. Raises DataError for a surface that is
-    not there, and for pieces that are larger than theirs.
+    A piece, such as a window, takes its area from its surface. Its name says on which it lies
+    (`lying_on`). Raises DataError for a surface that is not there, and for pieces that are larger than
+    theirs.
 
     Examples
     --------
@@ -620,6 +621,27 @@ def with_patches(
         left[name] = replace(whole, area=whole.area - patch.area)
         pieces.append(patch)
     return [*left.values(), *pieces]
+
+
+def lying_on(surfaces: Sequence[Surface], material: str) -> dict[str | None, float]:
+    """Return the area in m² of a material by the material below it, None for a surface of its own.
+
+    A surface "floor: audience" lies on "floor", as `with_patches` names it.
+
+    Examples
+    --------
+    >>> floor = with_patches([Surface("floor", "carpet", 63.0, "z")], [("floor", "audience", 40)])
+    >>> lying_on(floor, "audience"), lying_on(floor, "carpet")
+    ({'carpet': 40.0}, {None: 23.0})
+    """
+    by_name = {surface.name: surface.material for surface in surfaces}
+    areas: dict[str | None, float] = {}
+    for surface in surfaces:
+        if surface.material == material:
+            whole = surface.name.removesuffix(f": {material}")
+            below = by_name.get(whole) if whole != surface.name else None
+            areas[below] = areas.get(below, 0.0) + surface.area
+    return areas
 
 
 ARCHIVE = "archive"

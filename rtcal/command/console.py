@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rtcal.acoustics.bands import span
+from rtcal.acoustics.bands import hertz, span
 from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys
 from rtcal.acoustics.observables import MATCH, OBSERVABLES
 from rtcal.files import disk
@@ -188,14 +188,17 @@ def measured(
     from rtcal.acoustics.measurement import Measurement
 
     stated = {name: text for name, text in times.items() if text is not None}
-    if len(stated) + (path is not None) > 1:
-        raise DataError("several measurements: give one of MEASURED, --t20 and --t30")
+    given = [*(["MEASURED"] if path is not None else []), *(f"--{name}" for name in stated)]
+    if len(given) > 1:
+        raise DataError(f"several measurements: {' and '.join(given)}; give one of them")
     if path is not None:
         return read_measured(path, quietly=quietly)
     for name, text in stated.items():
         in_seconds = re.sub(r"(?<=\d)\s*s(?![a-z])", "", text)
         by_band = spectrum(f"--{name}", in_seconds, room.centre_frequencies.tolist())
         bands = sorted(by_band)
+        for f in bands:
+            OBSERVABLES[name].refuse(f"--{name} at {hertz([f])}", by_band[f])
         return Measurement.from_values(bands, **{name: [by_band[f] for f in bands]})
     raise click.MissingParameter(param_type="argument", param_hint="MEASURED (or --t20, --t30)")
 
@@ -322,7 +325,7 @@ def whole(name: str, least: int, help: str, **more: Any) -> Decorator:
     return option(name, click.IntRange(least), help, **more)
 
 
-_T = 'a value for each of ROOM\'s bands, "0.9 0.8", or for some, "500:0.9 1000:0.8"'
+_T = 'a value for each of the room\'s bands, "0.9 0.8", or for some, "500:0.9 1000:0.8"'
 
 OPTIONS: dict[str, Decorator] = {
     "t20": option("t20", None, f"T20 in s, without a file: {_T}."),

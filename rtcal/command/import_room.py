@@ -241,7 +241,7 @@ def _imported(
     of_sigma = f"{rule}; from the file: {', '.join(sigma)}" if sigma else f"Assumed: {rule}"
     notes = [of_sigma, air_note(room)]
     scatter = {name: (others.get(name) or listed.listed(name)).scattering for name in used}
-    print_room(room, unused, notes + of_mesh, scatter)
+    console.tell(*described(room, unused, notes + of_mesh, scatter))
 
 
 def _add_import(program: str) -> None:
@@ -545,8 +545,10 @@ def air_note(room: Room) -> str:
     return f"air {room.air.temperature:g} °C, {room.air.humidity:g} % humidity"
 
 
-def print_room(room: Room, unused: list[str], notes: list[str], scattering: dict[str, Any]) -> None:
-    """Print the room, the assumptions beyond the list, and what was left out."""
+def described(
+    room: Room, unused: list[str], notes: list[str], scattering: dict[str, Any]
+) -> tuple[str, dict[str, Any]]:
+    """Return the room, the assumptions beyond the list, and what was left out: a text and a record."""
     from rtcal.acoustics.bands import span
     from rtcal.acoustics.marks import of_input
 
@@ -574,4 +576,4 @@ def print_room(room: Room, unused: list[str], notes: list[str], scattering: dict
         "notes": notes,
         "left_out": unused,
     }
-    console.tell("\n".join(rows), record)
+    return "\n".join(rows), record

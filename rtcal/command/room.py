@@ -1,9 +1,10 @@
-"""``rtcal room``: a box of named materials, by options or questions, to a room."""
+"""``rtcal room``: a box of named materials, by options or questions, to a room, and its calibration."""
 
 from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rtcal.command import console
-from rtcal.command.import_room import AIR, NAME, SIGMA, air_note, print_room, stated_air
+from rtcal.command.import_room import AIR, NAME, SIGMA, air_note, described, stated_air
 from rtcal.files.disk import spare
 from rtcal.io import units
 from rtcal.io.text import numbers, shown
@@ -52,29 +53,41 @@ _OTHERS = 3
         metavar=_PIECE,
         help="A piece of a wall, the floor or the ceiling, in m²: west=4.5:glazing.",
     ),
-    console.option("audience", click.IntRange(1), "Persons seated on the floor, one per m²."),
+    console.option(
+        "audience",
+        click.IntRange(1),
+        "Persons (not m²) seated on the floor. Each takes 1 m² of it, so 40 persons take 40 m².",
+        metavar="PERSONS",
+    ),
     "bands",
     *AIR,
     *SIGMA,
+    "t20",
+    "t30",
     NAME,
     console.flag("ask", "Ask in the terminal for what is not given."),
     console.file("out", "Room (TOML) to write."),
 )
-def room(ask: bool, bands: str | list[float] | None, **stated: Any) -> None:
+def room(
+    ask: bool, bands: str | list[float] | None, t20: str | None, t30: str | None, **stated: Any
+) -> None:
     """Make a room of the sides of a box and of materials by name.
 
     Names are looked up in the catalogue (after Vorländer 2008). The entries that were taken are
-    printed.
+    printed. With --t20 or --t30 the room is also calibrated, as `rtcal calibrate` does: --out is the
+    room before.
 
     \b
     Example: rtcal room --dimensions 9,7,3 --floor carpet \\
         --ceiling "acoustic tile" --walls plaster \\
-        --window west=4.5:glazing --temperature 20 --out room.toml
+        --window west=4.5:glazing --temperature 20 --out room.toml \\
+        --t20 "0.9 0.8 0.7 0.7 0.6 0.6"
 
     \b
     Example: rtcal room --ask
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.bands import octaves, third_octaves
+    from rtcal.calibration import methods
 
     if bands is None or isinstance(bands, str):
         bands = [*(third_octaves(100, 5000) if bands == "third-octave" else octaves(125, 4000))]
@@ -91,8 +104,21 @@ def room(ask: bool, bands: str | list[float] | None, **stated: Any) -> None:
     spare([stated["out"]], [])
     console.fit_ending("--out", stated["out"], ".toml")
     made, notes = _made(materials, own, **stated)
+    said, record = described(made, [], notes, {})
+    times = {name: text for name, text in (("t20", t20), ("t30", t30)) if text is not None}
+    then = ""
+    if times:
+        with console.without_air_warning():
+            result = methods.calibrate(made, console.measured(made, None, **times))
+        said, record = f"{said}\n\n{result}", {**record, "calibration": result.to_dict()}
+        (option,) = times
+        second = f'rtcal calibrate {shlex.quote(stated["out"])} --{option} "{times[option]}"'
+        then = (
+            f"This stands for two commands: `rtcal room` without --{option}, and then `{second}`; "
+            "with --out calibrated, the second keeps the calibrated room."
+        )
     made.save(stated["out"])
-    print_room(made, [], notes, {})
+    console.tell(said, record, then)
 
 
 def _made(
@@ -117,8 +143,8 @@ def _made(
     from rtcal.io.text import Text
     from rtcal.simulators.geometry import Polyhedron
 
-    size = _sides(dimensions)
-    units.check_volume(math.prod(size), 1.0, "--dimensions")
+    size, unit = _sides(dimensions)
+    units.check_volume(math.prod(size), unit, "--dimensions", units.OF_SIDES)
     of_box = {"floor": materials.add("floor", floor), "ceiling": materials.add("ceiling", ceiling)}
     for wall in _WALLS:
         of_box[wall] = materials.add(
@@ -130,6 +156,9 @@ def _made(
     ]
     if audience is not None:
         patches.append(("floor", materials.add("audience", "audience"), float(audience)))
+        materials.notes.append(
+            f"{audience} persons are seated on {audience} m² of the floor, 1 m² each"
+        )
     geometry = Polyhedron.shoebox(size, of_box)
     rule = SigmaRule(**sigma)
     made = MaterialList(
@@ -142,7 +171,7 @@ def _made(
         sigma_rule=rule,
         air=stated_air(temperature, humidity),
     )
-    doubt = units.size_doubt(made.volume, size, 1.0)
+    doubt = units.size_doubt(made.volume, size, unit, advice=units.OF_SIDES)
     said = f"{units.in_words(size)}: length (x), width (y), height (z)"
     notes = [said, *filter(None, [doubt]), *materials.notes, f"Assumed: {rule}", air_note(made)]
     return made.replace(dimensions=size), notes
@@ -215,7 +244,7 @@ class _Materials:
         return replace(entries[near[0]], name=name)
 
 
-def _sides(text: str) -> tuple[float, float, float]:
+def _sides(text: str) -> tuple[tuple[float, float, float], float]:
     try:
         return units.sides(text)
     except DataError as error:
@@ -262,7 +291,7 @@ def _ask(stated: dict[str, Any], materials: _Materials, four_walls: bool) -> Non
 
     def piece(text: str) -> str:
         if text:
-            whole = Polyhedron.shoebox(_sides(stated["dimensions"]), "").surfaces
+            whole = Polyhedron.shoebox(_sides(stated["dimensions"])[0], "").surfaces
             pieces = [*map(_piece, (*stated["pieces"], text))]
             with_patches(whole, [(place, of, area) for place, area, of in pieces])
             place, _, of = pieces[-1]

@@ -203,7 +203,7 @@ class Configuration:
         if not self.name.strip():
             raise DataError(f"configuration: name = {self.name!r} must not be blank")
         checks.instance(f"{where}: measured", self.measured, Measurement)
-        self.measured.refuse_large_uncertainty()
+        self.measured.refuse_other_units()
         changes = checks.mapped(f"{where}: changes", self.changes)
         for material, change in changes.items():
             text_name(f"{where}: changes: material", material)
@@ -938,8 +938,8 @@ class StatesCase:
     def __post_init__(self) -> None:
         put = partial(object.__setattr__, self)
         checks.instance("room", self.room, Room).refuse_pieces("a case")
-        checks.instance("before", self.before, Measurement).refuse_large_uncertainty()
-        checks.instance("after", self.after, Measurement).refuse_large_uncertainty()
+        checks.instance("before", self.before, Measurement).refuse_other_units()
+        checks.instance("after", self.after, Measurement).refuse_other_units()
         checks.instance("equation", self.equation, LinearEquation)
         put("climate_uncertainty", checked_climate_uncertainty(self.climate_uncertainty))
         if self.room.air is None and self.climate_uncertainty != CLIMATE_UNCERTAINTY:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from rtcal.io.text import numbers, shown
 from rtcal.support import checks
@@ -70,13 +71,15 @@ _WORD = re.compile(r"(?!e[+-]?\d)[a-z/]+[\d²³]*")
 """What is no number and no known unit; the e of 9e3 is a number's."""
 
 
-def sides(text: str) -> tuple[float, float, float]:
-    r"""Return length, width and height in m as people write them; DataError for another text.
+def sides(text: str) -> tuple[tuple[float, float, float], float]:
+    r"""Return length, width and height in m as people write them, and the length in m of their unit.
+
+    Raises DataError for another text.
 
     Examples
     --------
     >>> sides("9,7,3"), sides("7 x 8 x 3,75 m"), sides("10' x 20' x 8'6\"")
-    ((9.0, 7.0, 3.0), (7.0, 8.0, 3.75), (3.048, 6.096, 2.5908))
+    (((9.0, 7.0, 3.0), 1.0), ((7.0, 8.0, 3.75), 1.0), ((3.048, 6.096, 2.5908), 0.3048))
     """
     plain = re.sub("[\u2019\u2032]", "'", re.sub("[\u201d\u2033]", '"', text.strip().lower()))
     plain = re.sub(r"\s*(?:[x×*]|by)\s*", ";", plain)
@@ -91,7 +94,7 @@ def sides(text: str) -> tuple[float, float, float]:
     x, y, z = (
         checks.positive("side", round(side * unit, 9), "m") for side in numbers(bare, [3], "sides")
     )
-    return x, y, z
+    return (x, y, z), unit
 
 
 VOLUME_LIMITS = (1e-3, 2e7)
@@ -115,15 +118,30 @@ class UnitError(DataError):
     """A mesh whose unit is not the stated one."""
 
 
-def check_volume(volume: float, unit: float, path: str) -> None:
+class Advice(NamedTuple):
+    """What can be done about a size: how another unit in m is stated, all of them, and the height."""
+
+    unit: str
+    units: str
+    height: str
+
+
+OF_MESH = Advice(" (unit = {:g})", "", "check whether all walls are drawn, and the unit")
+OF_SIDES = Advice(
+    "",
+    ': write the unit behind the sides, as in "9000 x 7000 x 3000 mm"',
+    "the last side is the height, in m unless a unit stands behind the sides",
+)
+
+
+def check_volume(volume: float, unit: float, path: str, advice: Advice = OF_MESH) -> None:
     """Raise UnitError for a volume in m³ that no room has; the message has it in other units."""
     low, high = VOLUME_LIMITS
     if low <= volume <= high:
         return
-    others = _in_other_units(volume, unit, VOLUME_LIMITS)
+    others = _in_other_units(volume, unit, VOLUME_LIMITS, advice)
     raise UnitError(
-        f"{path}: V = {volume:.3g} m³ must be from {low:g} to {high:g} m³; check the unit"
-        + (f"; it is {' or '.join(others)}" if others else "")
+        f"{path}: V = {volume:.3g} m³ must be from {low:g} to {high:g} m³; check the unit{others}"
     )
 
 
@@ -136,7 +154,12 @@ _LARGE = 30_000.0
 
 
 def size_doubt(
-    volume: float, size: Sequence[float], unit: float, *, is_stated: bool = False
+    volume: float,
+    size: Sequence[float],
+    unit: float,
+    *,
+    is_stated: bool = False,
+    advice: Advice = OF_MESH,
 ) -> str:
     """Return the doubt about a size that few rooms have, with that in other units; "" for others.
 
@@ -156,27 +179,24 @@ def size_doubt(
         said = "less than nearly any room has"
     elif volume > _USUAL[1]:
         said = "more than nearly any room has"
-    others = _in_other_units(volume, unit, (20.0, 20_000.0))
+    others = _in_other_units(volume, unit, (20.0, 20_000.0), advice)
     if not said and volume > _LARGE and others and not is_stated:
         said = "more than most halls have"
     if said:
-        other = f"; it is {' or '.join(others)}" if others else ""
-        return f"V = {rounded(volume, 4)} m³ is {said}{other}"
+        return f"V = {rounded(volume, 4)} m³ is {said}{others}"
     if size and size[2] < _LOWEST:
-        return (
-            f"a height of {rounded(size[2], 3)} m is less than any room has; check whether all "
-            "walls are drawn, and the unit"
-        )
+        return f"a height of {rounded(size[2], 3)} m is less than any room has; {advice.height}"
     return ""
 
 
-def _in_other_units(volume: float, unit: float, limits: tuple[float, float]) -> list[str]:
-    """Return the volume in each unit in which it lies within the limits."""
-    return [
-        f"{rounded(volume * (scale / unit) ** 3, 3)} m³ in {name} (unit = {scale:g})"
+def _in_other_units(volume: float, unit: float, limits: tuple[float, float], advice: Advice) -> str:
+    """Return the volume in each unit in which it lies within the limits, for a message's end, or ""."""
+    others = [
+        f"{rounded(volume * (scale / unit) ** 3, 3)} m³ in {name}{advice.unit.format(scale)}"
         for name, scale in _UNITS.items()
         if scale != unit and limits[0] <= volume * (scale / unit) ** 3 <= limits[1]
     ]
+    return f"; it is {' or '.join(others)}{advice.units}" if others else ""
 
 
 _UNITS = {"mm": 0.001, "cm": 0.01, "inches": 0.0254, "feet": 0.3048, "m": 1.0}

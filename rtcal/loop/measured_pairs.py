@@ -170,7 +170,7 @@ def pairs_to_match(
             "the measurement is a mean over pairs, but matching every position needs a row for "
             'each source and receiver. Use match=("t20",) to match the mean'
         )
-    measured.refuse_large_uncertainty()
+    measured.refuse_other_units()
     notes, pairs = [], simulated.pairs
     refuse_unknown(exclude, measured)
     kept = tuple(p for p in pairs if p in measured.pairs and p not in exclude)

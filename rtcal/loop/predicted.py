@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.changes import Change, Variant, changed, name_of
+from rtcal.acoustics.changes import Change, Variant, changed, name_of, uncovering
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET, observable, parameter_label
 from rtcal.acoustics.room import POSITION, Room, checked_uncertainty, refuse_repeats
 from rtcal.acoustics.room_errors import Assumptions, value_changes
@@ -284,6 +284,7 @@ class ChangedRoom:
     """
 
     def __init__(self, before: Room, changes: Sequence[Change]) -> None:
+        changes = uncovering(before, changes)
         for change in changes:
             if change.kind not in ("cover", "open", "air"):
                 raise DataError(
