@@ -453,6 +453,8 @@ def test_an_audience_that_leaves_leaves_the_floor(tmp_path: Path) -> None:
         DataError, match=r'20 m² of "carpet" is a surface .* cover = "carpet" and by'
     ):
         changed(occupied, Change(remove="carpet"))
+    more = changed(occupied, [Change(add="carpet", area=4), Change(remove="carpet", area=4)])
+    assert more.total_area == pytest.approx(occupied.total_area)
     with pytest.raises(DataError, match="is more than the 40 m²"):
         changed(occupied, Change(remove="audience", area=41))
     result = rt.calibrate(occupied, [0.9, 0.8, 0.7, 0.7, 0.6, 0.6])

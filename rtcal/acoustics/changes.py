@@ -468,40 +468,41 @@ def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
     return placed(room, (changes,) if isinstance(changes, Change) else tuple(changes)).room
 
 
-def uncovering(room: Room, changes: Iterable[Change]) -> list[Change]:
+def uncovering(room: Room, changes: Sequence[Change]) -> list[Change]:
     """Return changes in which what is removed is covered by what it lies on, where a surface says so.
 
     A piece on a surface (`rtcal.acoustics.room.lying_on`) leaves that surface; other materials are
     free-standing. Raises DataError for what is no `Change`, for a material of which only a part lies on
-    others, and for a surface of a closed box, in which nothing is free-standing.
+    others, and for a surface of a closed box, in which nothing is free-standing but what was added.
     """
     out = []
+    added = {name_of(each.add) for each in changes if isinstance(each, Change)}
     closed = False
     if room.dimensions is not None:
         x, y, z = room.dimensions
         closed = abs(room.total_area / (2 * (x * y + y * z + z * x)) - 1) < _CLOSED
     for change in changes:
-        name = checks.instance("change", change, Change).remove
-        below = {} if name is None else lying_on(room.surfaces, name)
+        is_area = checks.instance("change", change, Change).number is None
+        name = (change.remove if is_area else None) or ""
+        below = lying_on(room.surfaces, name)
         own = below.pop(None, 0.0)
-        if not below and closed and name in room.materials and name not in room.pieces:
+        if name in room.materials and closed and not below and name not in room.pieces:
             own = float(room.areas[room.material_index(name)])
-        if own and (below or closed):
+        if own and (below or (closed and name not in added)):
             raise DataError(
                 f'{change}: {own:.4g} m² of "{name}" is a surface of the room, under which nothing is '
                 f'stated: state cover = "{name}" and by'
             )
+        if not below:
+            out.append(change)
+            continue
         total = sum(below.values())
+        share = (change.area or total) / total
+        is_all = change.area is None and len(below) == 1
         out += [
-            Change(
-                cover=name,
-                by=material,
-                area=None
-                if change.area is None and area == total
-                else (change.area or total) * area / total,
-            )
+            Change(cover=name, by=material, area=None if is_all else share * area)
             for material, area in below.items()
-        ] or [change]
+        ]
     return out
 
 

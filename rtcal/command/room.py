@@ -87,7 +87,6 @@ def room(
     Example: rtcal room --ask
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.bands import octaves, third_octaves
-    from rtcal.calibration import methods
 
     if bands is None or isinstance(bands, str):
         bands = [*(third_octaves(100, 5000) if bands == "third-octave" else octaves(125, 4000))]
@@ -108,8 +107,10 @@ def room(
     times = {name: text for name, text in (("t20", t20), ("t30", t30)) if text is not None}
     then = ""
     if times:
+        from rtcal.calibration import methods
+
         with console.without_air_warning():
-            result = methods.calibrate(made, console.measured(made, None, **times))
+            result = methods.calibrate(made, console.measured(made, None, t20=t20, t30=t30))
         said, record = f"{said}\n\n{result}", {**record, "calibration": result.to_dict()}
         (option,) = times
         second = f'rtcal calibrate {shlex.quote(stated["out"])} --{option} "{times[option]}"'
