@@ -124,6 +124,24 @@ def test_what_the_equation_errs_by_is_not_blamed_on_the_room() -> None:
     assert "formula" not in finding.probabilities
 
 
+def test_a_band_and_a_parameter_that_the_run_lacks_are_left_out_as_in_compare() -> None:
+    values = values_of(hall(), 1.25)
+    run = {p: np.where(F > 125, v, np.nan) for p, v in values.items() if p != "c80"}
+    finding = found(values, run)
+    compared = rt.compare(
+        hall(), measurement(values), rt.Run(hall(), rt.Measurement.from_values(F, **run))
+    )
+    said = "Not compared: C80 and 125 Hz, which the run does not have."
+    assert compared.left_out == [said]
+    assert said in map(str, finding.notes)
+    assert finding.verdict == "none"
+    used = observe(finding.case)[0].used[0]
+    assert not used[:, 0].any()
+    assert used[0, 1:].all()
+    # Fewer parameters of the case are fewer of its run: nothing else is said to be missing.
+    assert finding.case.only("t20", "edt").configurations[0].left_out == (said,)
+
+
 def test_what_is_missing_from_the_run_is_found_all_the_same() -> None:
     run = values_of(hall(), 1.25)
     finding = found(with_absorber(run), run)
@@ -454,10 +472,7 @@ def test_what_a_second_run_lacks_is_said(absorber: Finding) -> None:
     assert "the second run does not have the data that the finding was not fitted to" in sentence(
         lacking
     )
-    assert (
-        "T30, C80 and G left out, because the second run does not have all of them."
-        in lacking.notes
-    )
+    assert "Not compared: T30, C80 and G, which the run does not have." in lacking.notes
     assert "does not have the data" not in sentence(verify(absorber, simulated=run("t20", "c80")))
     with pytest.raises(
         DataError, match="simulated has no T20, which was measured; it has only EDT"

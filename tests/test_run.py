@@ -39,12 +39,17 @@ def test_the_same_parameters_pairs_and_values_are_compared() -> None:
     measured = of_pairs(
         [*PAIRS[::-1], ("S1", "R3")], t20=[[2, 2.2], [1, np.nan], [9, 9]], t30=[[1, 1]] * 3
     )
-    for one in run.beside(measured):
+    both = run.beside(measured)
+    for one in (both.run, both.measured):
         assert one.pairs == (("S1", "R2"), ("S1", "R1"))
         assert [*one.values] == ["t20"]
         assert np.isnan(one.values["t20"]).tolist() == [[False, False], [False, True]]
-    assert run.beside(measured)[0].mean("t20").tolist() == [1.1, 1.3]
-    assert run.lacking(measured) == {"t30": "run", "c80": "measurement"}
+    assert both.run.mean("t20").tolist() == [1.1, 1.3]
+    assert both.lacking == {"t30": "run", "c80": "measurement"}
+    assert both.left_out() == [
+        "Not compared: T30 and S1 to R3, which the run does not have, and C80 and T20 from S1 to R1 at "
+        "1000 Hz, which the measurement does not have."
+    ]
 
 
 def test_bands_are_converted_and_t20_is_not_t30() -> None:
@@ -60,6 +65,97 @@ def test_bands_are_converted_and_t20_is_not_t30() -> None:
             run.beside(other)
     with pytest.raises(DataError, match=r"simulated: .* no band in common"):
         rt.Run(box(), rt.Measurement.from_values([8000], t20=[1]))
+
+
+def test_exchanged_sides_exchange_their_names_and_nothing_else() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        two = []
+        for _ in range(2):
+            pairs = [(s, r) for s in ("S1", "S2") for r in ("R1", "R2") if rng.uniform() < 0.7]
+            full = measurement(rng, pairs or PAIRS)
+            kept = {p: v for p, v in full.values.items() if p == "t20" or rng.uniform() < 0.6}
+            holes = {
+                p: np.where(rng.uniform(size=v.shape) < 0.2, np.nan, v) for p, v in kept.items()
+            }
+            two.append(rt.Measurement(centre_frequencies=F, values=holes, pairs=full.pairs))
+        try:
+            one = rt.Run(box(), two[0]).beside(two[1])
+        except DataError:
+            with pytest.raises(DataError):
+                rt.Run(box(), two[1]).beside(two[0])
+            continue
+        other = rt.Run(box(), two[1]).beside(two[0])
+        for mine, theirs in ((one.run, other.measured), (one.measured, other.run)):
+            assert mine.values.keys() == theirs.values.keys()
+            for p in mine.values:
+                np.testing.assert_array_equal(mine.mean(p), theirs.mean(p))
+        of = {"run": "measurement", "measurement": "run"}
+        assert {p: of[side] for p, side in one.lacking.items()} == other.lacking
+        # What both have lacks nothing any more, and the same is left out of it again: nothing.
+        again = rt.Run(box(), one.run).beside(one.measured)
+        assert not again.lacking
+        assert [s for s in again.left_out() if s.startswith("Not")] == []
+        for p in one.run.values:
+            np.testing.assert_array_equal(again.run.values[p], one.run.values[p])
+
+
+def test_a_band_that_the_run_lacks_is_left_out_of_comparison_and_loop_alike() -> None:
+    room = box(sigma=[[0.04, 0.04], [0.1, 0.1]])
+    said = "Not compared: 500 Hz, which the run does not have."
+    program = of_equation(rt.Millington(), room)
+    wanted = program.simulate(np.array([[0.13, 0.08], [0.3, 0.2]])).mean("t20")
+    measured = rt.Measurement.from_values(F, t20=wanted)
+    run = rt.Run(
+        room,
+        rt.Measurement.from_values(F, t20=[np.nan, program.simulate(room.alpha).mean("t20")[1]]),
+    )
+    found = rt.compare(room, measured, run)
+    assert found.left_out == [said]
+    assert np.isnan(found.deviation["t20"]).tolist() == [True, False]
+    begun = rt.loop.start(room, measured, run=run)
+    assert begun.notes == (said,)
+    assert begun.status[0] == "no measured T"
+    np.testing.assert_array_equal(begun.next_alpha[:, 0], room.alpha[:, 0])
+    ended = rt.calibrate_simulator(program, room, measured, run=run)
+    assert said in ended.notes
+    assert ended.status == ("no measured T", "converged")
+    alone = rt.Measurement.from_values(F, t20=[np.nan, wanted[1]])
+    np.testing.assert_array_equal(
+        ended.alpha, rt.calibrate_simulator(program, room, alone, run=run).alpha
+    )
+
+
+def test_a_loop_matches_t30_beside_t30_where_t20_is_not_in_both() -> None:
+    room = box(sigma=[[0.04, 0.04], [0.1, 0.1]])
+    program = of_equation(rt.Millington(), room)
+    wanted = program.simulate(np.array([[0.13, 0.08], [0.3, 0.2]])).mean("t20")
+    given = program.simulate(room.alpha).mean("t20")
+    by_t20, by_t30 = (
+        rt.loop.start(
+            room,
+            rt.Measurement.from_values(F, **{key: wanted}, **more),
+            run=rt.Run(room, rt.Measurement.from_values(F, **{key: given})),
+        )
+        for key, more in (("t20", {}), ("t30", {"t20": 2 * wanted}))
+    )
+    np.testing.assert_array_equal(by_t20.next_alpha, by_t30.next_alpha)
+    assert by_t30.notes == ("Not compared: T20, which the run does not have.",)
+    for loop, key in ((by_t20, "t20"), (by_t30, "t30")):
+        times = program.simulate(loop.next_alpha).mean("t20")
+        more = {} if key == "t20" else {"t20": 0.5 * times}
+        after = loop.record(loop.next_alpha, rt.Measurement.from_values(F, **{key: times}, **more))
+        np.testing.assert_allclose(after.gap, 0, atol=1.0)
+    other = rt.Run(room, rt.Measurement.from_values(F, t20=given))
+    with pytest.raises(DataError, match="T20 is compared with T20 alone"):
+        rt.loop.start(room, rt.Measurement.from_values(F, t30=wanted), run=other)
+    with pytest.raises(DataError, match="no EDT in common"):
+        rt.loop.start(
+            room,
+            rt.Measurement.from_values(F, t20=wanted, edt=wanted),
+            run=other,
+            weights={"t20": 1, "edt": 1},
+        )
 
 
 @pytest.mark.parametrize(
@@ -110,6 +206,8 @@ def test_laws_of_a_comparison(pairs: list[tuple[str, str]] | None) -> None:
         assert str(found).count("\n") < 40
         # The run itself, and a run with all times doubled.
         same = rt.compare(box(), one, rt.Run(box(), one))
+        assert not same.left_out
+        assert not any(np.any(off) for off in same.deviation.values())
         assert "agree with the measurement" in same.sentence
         assert not any(at.any() for at in same.disagrees.values())
         times = {p: 2 * v for p, v in one.values.items() if p in ("t20", "edt")}

@@ -6,6 +6,7 @@ the measured T each.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -25,7 +26,7 @@ from rtcal.acoustics.observables import (
 )
 from rtcal.acoustics.room import Room, is_calibrated
 from rtcal.acoustics.room_errors import of_absorption, prior_covariance
-from rtcal.acoustics.run import Lacking, Run
+from rtcal.acoustics.run import Beside, Lacking, Run
 from rtcal.files.saved import Result
 from rtcal.support import checks
 from rtcal.support.errors import DataError
@@ -57,17 +58,27 @@ class Comparison(Result):
     """Whether the run is the equation's T."""
 
     def __post_init__(self) -> None:
-        _ = self.sides  # raises where nothing is in common
+        _ = self.compared  # raises where nothing is in common
 
     @cached_property
-    def sides(self) -> tuple[Measurement, Measurement]:
-        """Run and measurement with what both have (`Run.beside`)."""
+    def compared(self) -> Beside:
+        """Run and measurement with what both have, and what one of them lacks (`Run.beside`)."""
         return self.run.beside(self.measured)
 
     @property
-    def lacking(self) -> dict[str, Lacking]:
-        """Parameters that are not compared, and the side without them (`Run.lacking`)."""
-        return {} if self.of_equation else self.run.lacking(self.measured)
+    def sides(self) -> tuple[Measurement, Measurement]:
+        """Run and measurement with what both have."""
+        return self.compared.run, self.compared.measured
+
+    @property
+    def lacking(self) -> Mapping[str, Lacking]:
+        """Parameters that are not compared, and the side without them."""
+        return {} if self.of_equation else self.compared.lacking
+
+    @property
+    def left_out(self) -> list[str]:
+        """What of a run is not compared, in sentences."""
+        return [] if self.of_equation else self.compared.left_out()
 
     @cached_property
     def pairs(self) -> tuple[Pair, ...]:

@@ -7,20 +7,25 @@ equation. "The program" is what made the run, "the run" its results.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.bands import hertz
-from rtcal.acoustics.measurement import TABLES, Measurement
+from rtcal.acoustics.bands import hertz, label
+from rtcal.acoustics.measurement import TABLES, Measurement, Pair
 from rtcal.acoustics.observables import LEVEL, OBSERVABLES, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.support import checks
 from rtcal.support.errors import DataError, OtherBandsWarning
+from rtcal.support.text import first_of, listed
+from rtcal.support.types import Array
 
 Lacking = Literal["run", "measurement", "reference"]
+Flags: TypeAlias = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,21 +98,6 @@ class Run:
         if own.air != room.air:
             raise DataError(f"{of} {own.air or 'no air'}; it must have {room.air or 'no air'}")
 
-    def lacking(self, measured: Measurement) -> dict[str, Lacking]:
-        """Return the parameters that cannot be compared, each with the side that does not have it.
-
-        T20 is compared only with T20, and T30 with T30. A relative level cannot be compared without its
-        ``"reference"``.
-        """
-        there = (m.in_bands(self.room.centre_frequencies) for m in (self.simulated, measured))
-        run, stated = (
-            {p for p, values in m.values.items() if np.isfinite(values).any()} for m in there
-        )
-        found: dict[str, Lacking] = {p: "measurement" if p in run else "run" for p in run ^ stated}
-        if LEVEL.key in run & stated:
-            found[LEVEL.key] = "reference"
-        return {p: found[p] for p in OBSERVABLES if p in found}
-
     def nothing_common(self, measured: Measurement, what: str = "value") -> DataError:
         """Return the error that there is none of ``what`` in both, with what each side has."""
         return DataError(
@@ -116,41 +106,153 @@ class Run:
             "T30, in the same band"
         )
 
-    def beside(self, measured: Measurement) -> tuple[Measurement, Measurement]:
-        """Return run and measurement with their common parameters and pairs, in the room's bands.
+    def beside(self, measured: Measurement, *, by_pair: bool = False) -> Beside:
+        """Return run and measurement with what both have, in the room's bands; all commands use it.
 
-        Both have the same parameters. Where pairs of a source and a receiver are common, both have
-        these pairs alone, and a value is NaN where the other lacks it, so that means are over the same
-        values. Else each has its own pairs, or means, and only their means can be compared.
+        Both have the same parameters; T20 is compared only with T20, and T30 with T30. Where pairs of a
+        source and a receiver are common, both have these pairs alone, and a value is NaN where the
+        other lacks it, so that means are over the same values. Else each has its own pairs, or means,
+        and only their means can be compared.
+
+        Parameters
+        ----------
+        measured : Measurement
+        by_pair : bool
+            Whether only values of common pairs count. A relative level, whose reference is that of each
+            source, can then be compared, and the run's G is one.
 
         Raises
         ------
         DataError
-            If no parameter has a value of both in any band.
+            If no parameter has a value of both in any band, or ``by_pair`` no pair is common.
         """
         run, measured = self.simulated, measured.in_bands(self.room.centre_frequencies)
-        both = measured.values.keys() & run.values.keys() - {LEVEL.key}
-        common = [p for p in OBSERVABLES if p in both]
-        if pairs := [pair for pair in measured.pairs if pair in run.pairs]:
+        own = run.pairs, measured.pairs
+        pairs = [pair for pair in measured.pairs if pair in run.pairs]
+        if by_pair and not pairs:
+            each = (first_of([*map(" to ".join, of)], 2) for of in own)
+            raise DataError(
+                "run and measurement have no pair in common: the run has "
+                f"{', the measurement '.join(each)}"
+            )
+        if pairs:
             run, measured = run.select(pairs), measured.select(pairs)
-            known = {
-                p: np.isfinite(run.values[p]) & np.isfinite(measured.values[p]) for p in common
-            }
-        else:
-            known = {p: np.isfinite(run.mean(p)) & np.isfinite(measured.mean(p)) for p in common}
-        common = [p for p in common if known[p].any()]
-        if not common:
+        key_of_run = {p: p for p in (*measured.values, *run.values)}
+        if by_pair and LEVEL.key in measured.values:
+            key_of_run[LEVEL.key] = LEVEL.key_in(run.values)
+        stood_in = {key for p, key in key_of_run.items() if p != key} - measured.values.keys()
+        names = [p for p in OBSERVABLES if p in key_of_run and p not in stood_in]
+
+        def there(of: Measurement, key: str) -> Flags:
+            if key not in of.values:
+                return np.zeros((1, 1), dtype=bool)
+            return np.isfinite(of.values[key] if pairs else of.mean(key)[np.newaxis])
+
+        known = {p: (there(run, key_of_run[p]), there(measured, p)) for p in names}
+        shared, lacking = list[str](), dict[str, Lacking]()
+        for p, (of_run, of_measured) in known.items():
+            if not (of_run.any() and of_measured.any()):
+                if of_run.any() or of_measured.any():
+                    lacking[p] = "measurement" if of_run.any() else "run"
+            elif p == LEVEL.key and not by_pair:
+                lacking[p] = "reference"
+            else:
+                shared.append(p)
+        both = {p: known[p][0] & known[p][1] for p in shared if (known[p][0] & known[p][1]).any()}
+        if not both:
             raise self.nothing_common(measured)
 
-        def only(of: Measurement) -> Measurement:
+        def only(of: Measurement, keys: Mapping[str, str]) -> Measurement:
             tables = {name: getattr(of, name) for name in TABLES}
             kept: dict[str, Any] = {
-                n: {p: t[p] for p in common if p in t} for n, t in tables.items()
+                n: {keys[p]: t[keys[p]] for p in both if keys[p] in t} for n, t in tables.items()
             }
-            kept["values"] = {p: np.where(known[p], t, np.nan) for p, t in kept["values"].items()}
+            known_at = {keys[p]: at for p, at in both.items()}
+            kept["values"] = {
+                p: np.where(known_at[p], t, np.nan) for p, t in kept["values"].items()
+            }
             return replace(of, **kept)
 
-        return only(run), only(measured)
+        missing = [[p for p in of if p not in pairs] if pairs else [] for of in own[::-1]]
+        return Beside(
+            only(run, key_of_run),
+            only(measured, {p: p for p in both}),
+            lacking,
+            dict(zip(_SIDES, missing, strict=True)),
+            {p: known[p] for p in shared},
+        )
+
+
+_SIDES: tuple[Lacking, ...] = ("run", "measurement")
+_WHY: Mapping[Lacking, str] = {
+    "run": "which the run does not have",
+    "measurement": "which the measurement does not have",
+    "reference": "which has a different reference for each source",
+}
+_MOST_NAMED = 6
+"""Names of what one side lacks that are listed; of others their number is said."""
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """A run and a measurement with what both have (`Run.beside`), and what one of them lacks."""
+
+    run: Measurement
+    measured: Measurement
+    lacking: Mapping[str, Lacking]
+    """Parameters that cannot be compared, each with the side that does not have it. A relative level
+    cannot be compared without its ``"reference"``."""
+    missing: Mapping[Lacking, Sequence[Pair]]
+    """Pairs by the side that does not have them; none where only means are compared."""
+    known: Mapping[str, tuple[Flags, Flags]]
+    """Where run and measurement have a value of the other parameters, (n_pairs, n_bands) each."""
+
+    def left_out(self, parameters: Collection[str] = OBSERVABLES) -> list[str]:
+        """Return a sentence on what is not compared of some parameters, and one on means; [] else."""
+        each, pairs = [], [" to ".join(pair) for pair in self.measured.pairs]
+        f, by_pair = self.run.centre_frequencies, self.run.pairs == self.measured.pairs
+        for why, said in _WHY.items():
+            names = [parameter_label(p) for p in parameters if self.lacking.get(p) == why]
+            names += map(" to ".join, self.missing.get(why, ()))
+            if why in _SIDES:
+                i = _SIDES.index(why)
+                of = {p: (k[i], k[1 - i]) for p, k in self.known.items() if p in parameters}
+                names += _values_in_words(of, pairs, f)
+            if names:
+                short = listed(names) if len(names) <= _MOST_NAMED else first_of(names, _MOST_NAMED)
+                each.append(f"{short}, {said}")
+        found = [f"Not compared: {', and '.join(each)}."] if each else []
+        if not (by_pair or self.run.is_summary or self.measured.is_summary):
+            found.append(
+                "Means over the pairs are compared, because run and measurement have no pair in common."
+            )
+        return found
+
+
+def _values_in_words(
+    known: Mapping[str, tuple[Flags, Flags]], pairs: Sequence[str], f: Array
+) -> list[str]:
+    """Return bands, parameters in bands, and single values that one side lacks, in words.
+
+    ``known`` is where it has a value and where the other side has one, (n_pairs, n_bands) each.
+    """
+    lost = {p: had & ~has for p, (has, had) in known.items()}
+    in_band = {p: had.any(axis=0) for p, (_, had) in known.items()}
+    gone = {p: in_band[p] & ~(has & had).any(axis=0) for p, (has, had) in known.items()}
+    whole = np.any([*gone.values()], axis=0) & np.all(
+        [gone[p] | ~there for p, there in in_band.items()], axis=0
+    )
+    said = [hertz(f[whole])] if whole.any() else []
+    for p, at in lost.items():
+        name, bands_of = parameter_label(p), gone[p] & ~whole
+        said += [f"{name} at {hertz(f[bands_of])}"] if bands_of.any() else []
+        single = np.argwhere(at & ~gone[p])
+        if len(single) == 1:
+            ((i, k),) = single
+            said.append(f"{name} from {pairs[i]} at {label(f[k])}")
+        elif len(single):
+            said.append(f"{len(single)} values of {name}")
+    return said
 
 
 def contents(of: Measurement) -> str:

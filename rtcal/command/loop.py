@@ -94,6 +94,7 @@ def start(
     if run is not None:
         worst = float(np.nanmax(np.abs(begun.gap)))
         first = [f"{simulated} is the loop's first simulation, off by {worst:.1f} JND at most."]
+        first += [line for said in begun.notes for line in text.wrapped(said)]
     record = {
         "state": state,
         "simulate": out,

@@ -36,7 +36,7 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from itertools import combinations
@@ -51,7 +51,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.changes import enough_known, facing
 from rtcal.acoustics.equations import Eyring, LinearEquation, mean_equation
-from rtcal.acoustics.measurement import Measurement, MeasurementTable
+from rtcal.acoustics.measurement import TABLES, Measurement, MeasurementTable
 from rtcal.acoustics.observables import MATCH, REVERBERATION, observable, parameter_label
 from rtcal.acoustics.room import (
     POSITION,
@@ -196,7 +196,7 @@ class Configuration:
     """What a program gave of this configuration. The model is then the run, and its changes with
     coefficients and effects are those of the equation."""
     left_out: Sequence[str] = ()
-    """Parameters that were measured and that the run lacks; `in_room` leaves them out."""
+    """Sentences on what run or measurement lacks, which `in_room` leaves out."""
 
     def __post_init__(self) -> None:
         where = f'configuration "{text_name("configuration: name", self.name)}"'
@@ -400,15 +400,15 @@ class Configuration:
             return measured, {}
         try:
             self.simulated.refuse_other(room)
-            run, both = self.simulated.beside(measured)
+            both = self.simulated.beside(measured)
         except DataError as error:
             raise DataError(f"{where}: {error}") from error
-        lost = [p for p in measured.values if p in PARAMETERS and p not in both.values]
-        made: dict[str, Any] = {"simulated": replace(self.simulated, simulated=run)}
-        made["left_out"] = tuple(dict.fromkeys([*self.left_out, *lost]))
+        made: dict[str, Any] = {"simulated": replace(self.simulated, simulated=both.run)}
+        made["left_out"] = tuple(dict.fromkeys([*self.left_out, *both.left_out(PARAMETERS)]))
         if self.distances is not None:
-            made["distances"] = self.distances[[measured.pairs.index(p) for p in both.pairs]]
-        return both, made
+            rows = [measured.pairs.index(p) for p in both.measured.pairs]
+            made["distances"] = self.distances[rows]
+        return both.measured, made
 
 
 def _read(where: str, stated: str | MeasurementTable, room: Room, folder: Path) -> Measurement:
@@ -598,12 +598,19 @@ class Case:
         for c in self.configurations:
             if configurations is not None and c.name not in configurations:
                 continue
-            tables: dict[str, Any] = {
-                name: {p: v for p, v in getattr(c.measured, name).items() if p in parameters}
-                for name in ("values", "uncertainty", "common_uncertainty", "standard_deviation")
-            }
-            kept.append(replace(c, measured=replace(c.measured, **tables)))
+            run = c.simulated
+            if run is not None:
+                run = replace(run, simulated=_only(run.simulated, parameters))
+            kept.append(replace(c, measured=_only(c.measured, parameters), simulated=run))
         return replace(self, configurations=kept)
+
+
+def _only(of: Measurement, parameters: Collection[str]) -> Measurement:
+    """Return a measurement with some of its parameters."""
+    tables: dict[str, Any] = {
+        name: {p: v for p, v in getattr(of, name).items() if p in parameters} for name in TABLES
+    }
+    return replace(of, **tables)
 
 
 def _checked_facing(room: Room, stated: Any) -> Array:
@@ -735,7 +742,8 @@ class PositionsCase:
                 )
         refuse_unknown(self.exclude, self.measured)
         absent = () if self.simulated is None else self._leave_out(self.simulated, put)
-        put("notes", (*checks.listed("notes", self.notes), *repeated, *absent))
+        notes = (*checks.listed("notes", self.notes), *repeated, *absent)
+        put("notes", tuple(dict.fromkeys(notes)))
         if history(self.room):
             raise DataError(
                 f'room "{self.room.name}" is already calibrated, so its coefficients hide what '
@@ -749,60 +757,29 @@ class PositionsCase:
         put("faces", of_room.of_geometry(self.geometry, self.surfaces))
 
     def _leave_out(self, run: Measurement, put: Callable[[str, object], None]) -> list[str]:
-        """Leave out measured pairs, parameters and values that the run lacks; return notes of it."""
-        frequencies = self.room.centre_frequencies
+        """Leave out what run or measurement lacks (`Run.beside`); return notes of it."""
+        whole, frequencies = self.measured, self.room.centre_frequencies
         if not np.array_equal(run.centre_frequencies, frequencies):
             raise DataError(
                 f"simulated has {bands.span(run.centre_frequencies)}; the room has "
                 f"{bands.span(frequencies)}"
             )
-        whole = self.measured
-        others = [pair for pair in self.pairs if pair not in run.pairs]
-        if others == list(self.pairs):
-            each = (first_of([*map(" to ".join, m.pairs)], 2) for m in (run, whole))
-            has = ", the measurement ".join(each)
-            raise DataError(
-                f"simulation and measurement have no pair in common: the simulation has {has}"
-            )
-        put("measured", whole.select([p for p in whole.pairs if p not in others]))
-        measured, match, parameters, single = self.measured.in_bands(frequencies), [], [], []
-        rows = [measured.pairs.index(pair) for pair in self.pairs]
-        values, given = dict(measured.values), run.select(self.pairs).values
-        for name in self.match:
-            kind = observable(name)
-            key = kind.key_in(values)
-            label = parameter_label(key)
-            if key not in values:
-                match.append(name)
-                continue
-            known = np.isfinite(values[key][rows])
-            of_run = given.get(key, given.get(str(kind.stand_in), np.full(known.shape, np.nan)))
-            gone = known & np.isnan(of_run)
-            if known.any() and not (known & ~gone).any():
-                parameters.append(label)
-                continue
-            match.append(name)
-            if gone.any():
-                values[key] = np.array(values[key])
-                values[key][rows] = np.where(gone, np.nan, values[key][rows])
-            in_band = gone.any(axis=0) & (gone == known).all(axis=0)
-            single += [f"{label} at {band}" for band in bands.labels(frequencies[in_band])]
-            single += [
-                f"{label} from {' to '.join(self.pairs[i])} at {bands.label(frequencies[k])}"
-                for i, k in np.argwhere(gone & ~in_band)
-            ]
-        if not any(observable(name).key_in(values) in values for name in match):
+        both = Run(self.room, run).beside(whole, by_pair=True)
+        keys = {name: observable(name).key_in(whole.values) for name in self.match}
+        if not set(keys.values()) & both.measured.values.keys():
             raise Run(self.room, run).nothing_common(whole)
-        put("match", tuple(match))
-        lacking = [*parameters, *map(" to ".join, others), *single]
-        if not lacking:
-            return []
-        notes = [f"Left out, since the run lacks it: {first_of(lacking, 6)}."]
-        if single:
-            of_bands = bands.notes(whole.centre_frequencies, frequencies, "What was measured")
-            notes += map(as_sentence, of_bands)
-            put("measured", replace(measured, values=values))
-        return notes
+        of_either = whole.values.keys() | run.values.keys()
+        kept = [
+            name
+            for name, key in keys.items()
+            if key in both.measured.values or key not in of_either  # which a later note says
+        ]
+        put("match", tuple(kept))
+        put("measured", both.measured)
+        put("simulated", both.run)
+        put("exclude", tuple(pair for pair in self.exclude if pair in both.measured.pairs))
+        of_bands = bands.notes(whole.centre_frequencies, frequencies, "What was measured")
+        return [*both.left_out((*keys.values(),)), *map(as_sentence, of_bands)]
 
     @property
     def has_run(self) -> bool:

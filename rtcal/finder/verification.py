@@ -586,12 +586,11 @@ def _noise_of_gain(
 
 
 def _lacking(case: Case, simulated: Sequence[Measurement]) -> tuple[str, ...]:
-    """Return what second runs lack of the parameters that are compared, as notes."""
+    """Return what second runs or the measurement lack of the parameters that are compared, as notes."""
     first = case.configurations[0]
     runs = [] if first.simulated is None else [Run(first.simulated.room, m) for m in simulated]
-    lost = {p for run in runs for p, by in run.lacking(first.measured).items() if by == "run"}
-    labels = [parameter_label(p) for p in FEATURES if p in lost]
-    return (str(Reason("second run lacks", {"parameters": labels})),) if labels else ()
+    said = [each for run in runs for each in run.beside(first.measured).left_out(FEATURES)]
+    return tuple(dict.fromkeys(said))
 
 
 def _second_run(case: Case, simulated: Measurement, *, corrected: bool) -> Array:
@@ -602,14 +601,14 @@ def _second_run(case: Case, simulated: Measurement, *, corrected: bool) -> Array
             "the finding was made without a simulation, so a second one cannot be compared: "
             "search with simulated first"
         )
-    run, _ = Run(first.simulated.room, simulated).beside(first.measured)
+    run = Run(first.simulated.room, simulated).beside(first.measured).run
     out = np.full((len(case.configurations), len(FEATURES), case.room.n_bands), np.nan)
     out[0] = features_of_values(run)
     time, of = first.measured.time_label, "simulated" if corrected else "calibrated"
     if run.time_label != time or np.isnan(out[0, _T20]).all():
         has = ", ".join(map(parameter_label, simulated.values))
         raise DataError(f"{of} has no {time}, which was measured; it has only {has}")
-    one, _ = first.simulated.beside(first.measured)
+    one = first.simulated.beside(first.measured).run
     if corrected and all(
         p in one.values and np.array_equal(one.values[p], run.values[p], equal_nan=True)
         for p in run.values

@@ -35,11 +35,17 @@ from rtcal.acoustics.bands import notes as notes_of_bands
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.marks import TrustMark, explained, gap_jnd, of_input, of_row, of_unit, rms
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import EARLY, TARGET, observable, parameter_label
+from rtcal.acoustics.observables import (
+    EARLY,
+    REVERBERATION,
+    TARGET,
+    observable,
+    parameter_label,
+)
 from rtcal.acoustics.room import Room, refuse_repeated_data
 from rtcal.acoustics.room_errors import in_words
 from rtcal.acoustics.run import Run, contents
-from rtcal.calibration.measured import data_history, tell_data, times_in_room
+from rtcal.calibration.measured import MeasuredTimes, data_history, tell_data, times_in_room
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
@@ -78,6 +84,7 @@ class Matched:
     measured: Mapping[str, Array]
     shares: Mapping[str, Array]
     time_label: str = TARGET.label  # of the measured reverberation time
+    kinds: tuple[str, ...] = ()  # key of the measured reverberation time, by band
 
     def __post_init__(self) -> None:
         for name in ("measured", "shares"):
@@ -87,10 +94,12 @@ class Matched:
     @property
     def label(self) -> str:
         """The matched parameters, in words."""
-        names = " and ".join(
-            self.time_label if p == TARGET.key else parameter_label(p) for p in self.shares
-        )
+        names = " and ".join(map(self.name_of, self.shares))
         return names if len(self.shares) == 1 else f"the weighted mean of {names}"
+
+    def name_of(self, parameter: str) -> str:
+        """Return a parameter's name; that of T is the measured one's."""
+        return self.time_label if parameter == TARGET.key else parameter_label(parameter)
 
     @property
     def wanted(self) -> Array:
@@ -103,6 +112,23 @@ class Matched:
         for parameter, share in self.shares.items():
             total = total * time(parameter) ** share
         return total
+
+    def of(self, simulated: Measurement) -> Measurement:
+        """Return a simulation whose T20 is its T30, if it has one, where T30 alone was measured."""
+        t20, t30 = (o.key for o in REVERBERATION)
+        if t30 not in self.kinds or t30 not in simulated.values:
+            return simulated
+        here = np.array([kind == t30 for kind in self.kinds]) & np.isfinite(simulated.mean(t30))
+        tables: dict[str, Any] = {}
+        for name in ("values", "uncertainty"):
+            table, none = (
+                dict(getattr(simulated, name)),
+                np.full(simulated.values[t30].shape, np.nan),
+            )
+            if {t20, t30} & table.keys():
+                table[t20] = np.where(here, table.get(t30, none), table.get(t20, none))
+            tables[name] = table
+        return replace(simulated, **tables)
 
     def noise(self, measurement: Measurement) -> Array:
         """Return the compromise's standard error in s, (n_bands,): 0 if none is stated, NaN if unknown.
@@ -120,9 +146,9 @@ class Matched:
 
 
 def matched_times(
-    room: Room, measured: Measurement, t20: Array, weights: Weights | None = None
+    room: Room, measured: Measurement, data: MeasuredTimes, weights: Weights | None = None
 ) -> Matched:
-    """Return what is matched for these weights; ``t20`` is the measured T in the room's bands.
+    """Return what is matched for these weights; ``data`` is the measured T in the room's bands.
 
     Raises DataError for a weight that is no number of at least 0, or of another parameter. Also if all
     weights of a band are 0, or the measurement lacks a parameter that has a weight.
@@ -131,6 +157,7 @@ def matched_times(
     for name in stated:
         checks.choice("weights: a parameter", name, PARAMETERS)
     edt = measured.in_bands(room.centre_frequencies).mean(EARLY.key)
+    t20 = data.reverberation_time
     times, weight = {TARGET.key: t20, EARLY.key: edt}, np.zeros((len(PARAMETERS), room.n_bands))
     names = labels(room.centre_frequencies)
 
@@ -158,6 +185,7 @@ def matched_times(
         measured={p: times[p] for p in kept},
         shares={p: shares[p] for p in kept},
         time_label=measured.time_label,
+        kinds=data.parameter,
     )
 
 
@@ -171,6 +199,8 @@ STATUSES = (
     "not confirmed",
 )
 """Status of a band; the last one is that of a simulation with another seed."""
+_COMPARED = tuple(dict.fromkeys([*(o.key for o in REVERBERATION), *SHOWN]))
+"""Parameters of which is said that a run or the measurement lacks them."""
 _LEFT_ALONE = STATUSES[:4]
 """Statuses of bands of which the loop asks nothing more."""
 MAX_DECIMALS = 12
@@ -297,7 +327,8 @@ class Loop(Result):
     """Coefficients of a loop that is over, (n_materials, n_bands); `alpha` has them."""
     before: Measurement | None = None
     """Simulated with the input coefficients. If some band has no T20 with them, or fewer than three
-    simulations were allowed, with those of the equation's calibration. Of a run, what it gave."""
+    simulations were allowed, with those of the equation's calibration. None if the loop began with a
+    run, which is its first step."""
     after: Measurement | None = None
     """Simulated with the coefficients returned."""
     confirmation: Measurement | None = None
@@ -438,6 +469,7 @@ class Loop(Result):
         return first, self._best if self.final is None else self._step(self.final, self.alpha)
 
     def _step(self, of: Measurement, alpha: Array, target: Array | None = None) -> Step:
+        of = self.matched.of(of)
         return Step(
             target=np.full(self.prior.n_bands, np.nan) if target is None else target,
             alpha=alpha,
@@ -701,8 +733,8 @@ class Loop(Result):
         without_t20 : sequence of int, optional
             Bands whose T20 in ``simulated`` belongs to other coefficients.
         stated : bool
-            Whether ``alpha`` is not of the loop's choice, but the prior's or a run's. Its target is the
-            equation's own T.
+            Whether ``alpha`` is not of the loop's choice, but the prior's. Its target is the equation's
+            own T.
 
         Raises
         ------
@@ -724,15 +756,27 @@ class Loop(Result):
             lost[band] = True
         target = self.next_target
         if checks.flag("stated", stated):
-            own = self.equation.time(self.prior, self.prior.areas @ check_alpha(self.prior, alpha))
-            own = np.clip(own, *self._target_limits)
-            target = np.where(np.isfinite(self.wanted), own, np.nan)
+            target = self._own_target(check_alpha(self.prior, alpha))
         step = self._step(simulated, check_alpha(self.prior, alpha), target)
         number = self.simulations + 1
         if self.finished:
             return replace(self, returned=step.alpha, after=simulated, simulations=number)
         step = replace(step, simulated=np.where(lost, np.nan, step.simulated))
         return replace(self, steps=(*self.steps, step), simulations=number)
+
+    def _own_target(self, alpha: Array) -> Array:
+        """Return the equation's T in s of any coefficients, (n_bands,), NaN without a measured T."""
+        own = np.clip(
+            self.equation.time(self.prior, self.prior.areas @ alpha), *self._target_limits
+        )
+        return np.where(np.isfinite(self.wanted), own, np.nan)
+
+    def after_run(self, run: Run, simulated: Measurement) -> Loop:
+        """Return the loop that begins with a run, of which ``simulated`` is compared."""
+        # Bands without T keep their input, or what the room modes say.
+        alpha = np.where(np.isfinite(self.wanted), run.room.alpha, self.prior.alpha)
+        step = self._step(simulated, alpha, self._own_target(alpha))
+        return replace(self, steps=(step,), simulations=1)
 
     def _lost(self, simulation: Measurement) -> NDArray[np.bool_]:
         """Return in which bands some pair of a simulation lacks what is matched, (n_bands,).
@@ -747,11 +791,12 @@ class Loop(Result):
                 f"the simulation has {span(simulation.centre_frequencies)}; the room has "
                 f"{span(frequencies)}"
             )
+        simulation = self.matched.of(simulation)
         measured, missing = np.isfinite(self.wanted), {}
         for parameter, share in self.matched.shares.items():
             if parameter not in simulation.values:
                 raise DataError(
-                    f"the simulation has no {parameter_label(parameter)}, which was measured; it "
+                    f"the simulation has no {self.matched.name_of(parameter)}, which was measured; it "
                     f"has {contents(simulation)}"
                 )
             missing[parameter] = np.isnan(simulation.values[parameter]) & measured & (share > 0)
@@ -962,14 +1007,24 @@ def start(
     tell_data(prior, measured)
     if low is not None:
         prior, measured = low.room, above_schroeder(measured, prior, low.below)
+    whole = times_in_room(prior, measured)
+    refuse_repeated_data(prior, whole.fingerprint)
+    both = None
+    if run is not None:
+        checks.instance("run", run, Run).refuse_other(prior)
+        both, asked = run.beside(measured), [[o.key for o in REVERBERATION]]
+        asked += [[EARLY.key]] if EARLY.key in (weights or ()) else []
+        for keys in asked:
+            if not {*keys} & both.measured.values.keys():
+                raise run.nothing_common(measured, " or ".join(map(parameter_label, keys)))
+        measured = both.measured
     data = times_in_room(prior, measured)
-    refuse_repeated_data(prior, data.fingerprint)
-    what = matched_times(prior, measured, data.reverberation_time, weights)
+    what = matched_times(prior, measured, data, weights)
     measured_means = means(measured.in_bands(prior.centre_frequencies))
     loop = Loop(
         prior=prior,
         matched=what,
-        data=data_history(prior, data),
+        data=data_history(prior, whole),
         rule=rule,
         method=method,
         equation=equation or Eyring(),
@@ -978,14 +1033,10 @@ def start(
         bent=data.bent,
         beside={p: mean for p, mean in measured_means.items() if p not in what.shares},
         low=low,
+        notes=() if both is None else tuple(both.left_out(_COMPARED)),
     )
     loop.calibrated(loop.wanted)  # warns of a room without air
-    if run is None:
-        return loop
-    checks.instance("run", run, Run).refuse_other(loop.prior)
-    # Bands without T keep their input, or what the room modes say.
-    alpha = np.where(np.isfinite(loop.wanted), run.room.alpha, loop.prior.alpha)
-    return loop.record(alpha, run.simulated, stated=True)
+    return loop if run is None or both is None else loop.after_run(run, both.run)
 
 
 def calibrate_simulator(
@@ -1089,8 +1140,8 @@ def calibrate_simulator(
     except RtcalError as error:
         error.loop = loop
         raise
-    first = loop.before if options.get("run") is None else options["run"].simulated
-    return replace(loop, before=first, notes=(*notes, *lost_paths(simulator)))
+    before = loop.before if options.get("run") is None else None
+    return replace(loop, before=before, notes=(*loop.notes, *notes, *lost_paths(simulator)))
 
 
 def _without(measurement: Measurement, exclude: Sequence[Pair]) -> Measurement:
@@ -1178,7 +1229,7 @@ def _judged(calls: _Calls, loop: Loop, seed: int) -> Loop:
     after = simulated[-1] if simulated else confirmation or calls.simulate(alpha, seed)
 
     def off(of: Measurement) -> float:
-        return float(rms(gap_jnd(loop.matched.combined(of.mean), loop.wanted)))
+        return float(rms(gap_jnd(loop.matched.combined(loop.matched.of(of).mean), loop.wanted)))
 
     if simulator.deterministic:
         for tried, _, measurement in calls.answers:

@@ -186,9 +186,7 @@ SENTENCES: dict[str, str] = {
     "{known:and}.",
     "curved": '"{configuration}": the decay is curved at {bands:and} (ISO 3382-2, Annex B: at most '
     "{most:.0f} %).",
-    "second run lacks": "{parameters:and} left out, because the second run does not have all of them.",
-    "run lacks": '"{configuration}": {parameters:and} left out, because the run does not have all of '
-    "them.",
+    "run lacks": "{said}",
     EQUATION_OFF: "{equation}'s T is {by:range} {side} than the program's {bands:where}.",
     "no air": "The room has no air, so the model's air absorbs nothing.",
     "means alone": "Means over positions identify {effect:name} ({probability:p}), which the "

@@ -27,11 +27,6 @@ _STRONG = 5.0  # JND
 _MULTIPLE = 1.5  # ratio of T from which the same one in all bands is a mistake of what is stated
 _BANDS = 3  # that must show it: two may be alike by chance
 _LEAST = 1e-6  # JND; equal values at all positions do not show their uncertainty
-_LACKING = {
-    "run": "which the run does not have",
-    "measurement": "which the measurement does not have",
-    "reference": "which has a different reference for each source",
-}
 
 
 def sentence(c: Comparison) -> str:
@@ -185,24 +180,6 @@ def _of_the_equation(c: Comparison) -> list[str]:
     return [said + "."]
 
 
-def _left_out(c: Comparison) -> list[str]:
-    by = {why: [p for p, of in c.lacking.items() if of == why] for why in _LACKING}
-    each = [f"{listed([*map(parameter_label, p)])}, {_LACKING[why]}" for why, p in by.items() if p]
-    said = [f"Not compared: {', and '.join(each)}."] if each else []
-    run, measured = c.run.simulated, c.measured
-    n = len(measured.pairs)
-    if c.pairs and len(c.pairs) < n:
-        said.append(
-            f"{len(c.pairs)} of {n} measured pairs are compared, because the run does not have "
-            "the others."
-        )
-    if not (c.pairs or run.is_summary or measured.is_summary):
-        said.append(
-            "Means over the pairs are compared, because run and measurement have no pair in common."
-        )
-    return said
-
-
 def _table(c: Comparison) -> Table:
     """Return the deviations; of the parameters that disagree most in standard deviations, too."""
     rows, left = list[Row](), _MOST
@@ -266,7 +243,7 @@ def blocks(c: Comparison) -> list[Block]:
     said = (_multiple, _largest_pair, _coefficients, _of_the_equation)
     first = [sentence(c), *(line for of in said for line in of(c))]
     detailed = [*_by_pair(c), _values(c)]
-    return [*map(Note, first), _table(c), *detailed, *map(Note, _left_out(c))]
+    return [*map(Note, first), _table(c), *detailed, *map(Note, c.left_out)]
 
 
 def section(c: Comparison) -> list[Any]:

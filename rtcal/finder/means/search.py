@@ -749,9 +749,8 @@ def _notes(case: Case) -> list[Reason]:
             ]
             if places:
                 out.append(Reason("curved", {**where, "bands": places, "most": _CURVED}))
-        if c.left_out:
-            lost = [parameter_label(p) for p in c.left_out]
-            out.append(Reason("run lacks", {**where, "parameters": lost}))
+        place = f'"{c.name}": ' if len(case.configurations) > 1 else ""
+        out += [Reason("run lacks", {**where, "said": place + said}) for said in c.left_out]
         if c.simulated is None:
             continue
         # Where the equation's T differs from the run's by more than 1 JND, the most bands first.
