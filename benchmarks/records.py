@@ -4,8 +4,8 @@
     python -m benchmarks.records write  # write the file
 
 Means over positions: the stored rows of `benchmarks.studies.means.judged` and of
-`benchmarks.studies.means.several_effects`. Measured rooms: the judging cases of
-`benchmarks.studies.means.real_rooms`. Positions: the stored rows of
+`benchmarks.studies.means.several_effects`, and of `benchmarks.studies.runs`. Measured rooms: the
+judging cases of `benchmarks.studies.means.real_rooms`. Positions: the stored rows of
 `benchmarks.studies.pairs.where`. Every judged room of a statement counts once.
 """
 
@@ -31,6 +31,7 @@ from benchmarks.studies.pairs.where_figures import (
     is_first,
     right_families,
 )
+from benchmarks.studies.runs import world as runs
 from rtcal.finder import records
 
 ROOT = Path(__file__).parents[1]
@@ -60,6 +61,20 @@ def of_means() -> dict[str, Any]:
             "right": {v: counted(r.truth_in_set for r in some) for v, some in claimed.items()},
         }
     return out
+
+
+def of_runs() -> dict[str, Any]:
+    """Return the counts of means beside another program's, in rooms that a third simulator gave."""
+    rows = runs.stored()
+    found = [(r["with"], bool(r["hidden"])) for r in rows]
+    some, none = ([w["verdict"] in runs.FOUND for w, h in found if h == k] for k in (True, False))
+    right = {
+        v: counted(
+            w["right"] if w["family"] else w["in_set"] for w, _ in found if w["verdict"] == v
+        )
+        for v in FLAGS[:3]
+    }
+    return {"detected": counted(some), "flagged": counted(none), "right": right}
 
 
 def of_several() -> dict[str, Counts]:
@@ -113,7 +128,7 @@ def counts() -> dict[str, Any]:
     """Return the contents of the file."""
     words = dict(zip(DATA, (records.WITHOUT_LEVEL, records.WITH_LEVEL), strict=True))
     return {
-        "means": of_means(),
+        "means": {**of_means(), records.RUN: of_runs()},
         "several": of_several(),
         "measured": of_measured(),
         "positions": {

@@ -32,7 +32,7 @@ def test_the_interval_is_that_of_the_binomial_distribution(counts: tuple[int, in
     assert high == 1 if k == n else binom.cdf(k, n, high) == pytest.approx(0.025)
 
 
-@pytest.mark.parametrize("data", [records.TIMES, records.ALL])
+@pytest.mark.parametrize("data", [records.TIMES, records.ALL, records.RUN])
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_every_record_of_means_has_counts_and_an_interval(verdict: str, data: str) -> None:
     said = record_of_means(verdict, data)

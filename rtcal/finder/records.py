@@ -20,6 +20,7 @@ from rtcal.finder.case import LEVELS, Case
 from rtcal.finder.evidence import relative_sigma
 
 TIMES, ALL = "T20, EDT and T30 of one configuration", "several configurations, C80 or G"
+RUN = "a simulation by another program"
 """Means over positions. As they are stated the rooms have several configurations, C80 or G."""
 IN_SITU, HANDBOOK = "measured in situ", "from a handbook"
 """How a room's coefficients are stated, where positions are compared."""
@@ -76,12 +77,14 @@ def record_of(*kind: str) -> dict[str, Share]:
 
 
 def data_of(case: Case) -> str:
-    """Return which of the two kinds of data a case has.
+    """Return which of the three kinds of data a case has.
 
     >>> import rtcal as rt
     >>> data_of(rt.datasets.hidden_room()[0])
     'several configurations, C80 or G'
     """
+    if case.has_run:
+        return RUN
     first, *others = case.configurations
     return ALL if others or not {*LEVELS}.isdisjoint(first.measured.values) else TIMES
 

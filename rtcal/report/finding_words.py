@@ -38,6 +38,7 @@ from rtcal.finder.finding import Finding, feature_names
 from rtcal.finder.means.planning import COSTS, Plan
 from rtcal.finder.means.recalibration import Recalibrated
 from rtcal.finder.records import (
+    RUN,
     WITH_LEVEL,
     WITHOUT_LEVEL,
     Share,
@@ -847,8 +848,10 @@ def _of(share: Share, what: str) -> str:
 def track_record(f: Finding) -> str:
     """Return how many such findings were right in rooms that were not used to make the finder."""
     rooms = "In simulated rooms that were not used to make the finder"
-    if f.kind == "states" or f.case.has_run:
+    if f.kind == "states":
         return ""
+    if f.case.has_run and (f.kind == "positions" or f.more_than_one):
+        return "It was not counted how often such findings with a simulation are right."
     if f.kind == "positions":
         return record_of_positions(f.case.room, f.parameters)
     if f.more_than_one and f.detected:
@@ -895,6 +898,8 @@ def record_of_means(verdict: str, data: str) -> str:
         "ambiguous": "sets of candidates contained the right effect",
     }
     said = f"{rooms} {_of(record[verdict], kinds[verdict])}."
+    if data == RUN:
+        return f"{said} {_of(record['flagged'], 'rooms with nothing missing were flagged')}."
     if verdict == "ambiguous":
         return said
     measured = stored()["measured"]

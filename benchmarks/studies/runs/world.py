@@ -1,12 +1,14 @@
 """Draw the rooms, search each with and without the run, and count; README.md has the rule.
 
 python -m benchmarks.studies.runs.world find 0 90 --out judged.jsonl   # goes on where it stopped
+python -m benchmarks.studies.runs.world count          # the stored rooms of seed 2
 python -m benchmarks.studies.runs.world count judged.jsonl
 """
 
 from __future__ import annotations
 
 import argparse
+import gzip
 import json
 import warnings
 from collections.abc import Callable, Sequence
@@ -36,6 +38,8 @@ HIDDEN = {
     "covered": ("less absorption", [0.04] * 6),
     "air": ("climate", []),
 }
+STORED = Path(__file__).parent / "judged.jsonl.gz"
+FOUND = ("named", "family", "ambiguous", "unknown")
 NOISE, LEVEL_NOISE = 0.02, 0.3
 
 
@@ -185,7 +189,7 @@ def judge(seed: int, number: int) -> dict[str, Any]:
     with_run = rt.find(case)
     out["with"], out["without"] = row(with_run, world), row(rt.find(world.room, measured), world)
     if with_run.verdict in ("named", "family") and world.simulators[1] != "images":
-        out["gap"] = gaps(with_run, world)
+        out["gap"], out["values"] = gaps(with_run, world)
     return out
 
 
@@ -201,23 +205,41 @@ def row(f: Finding, world: World) -> dict[str, Any]:
             "in_set": truth in held, "none": f.probabilities["none"]}  # fmt: skip
 
 
-def gaps(f: Finding, world: World) -> list[float]:
-    """Return the mean gap in JND of what was not fitted: calibrated, and corrected and run again."""
+def gaps(f: Finding, world: World) -> tuple[list[float], list[float]]:
+    """Return the mean gaps in JND of what was not fitted.
+
+    First those of EDT / T20, T30 / T20, C80 and G: calibrated (by the run's ratio), and
+    corrected and run again. Then those of EDT, T30, C80 and G themselves: as simulated, calibrated
+    and corrected, the last two run again.
+    """
     made = f.apply(effect=f.best_effect)
     make: Callable[[rt.Room], Any] = lambda room: world.simulator(1, room)  # noqa: E731
     fitted = recalibrate(made.model.case, f.discrepancy)  # type: ignore[union-attr]
-    room = made.room
-    alpha = np.array(room.alpha)
+    alpha = np.array(made.room.alpha)
     alpha[: len(fitted.room.alpha)] = fitted.room.alpha[: len(alpha)]
     second = made.simulator(make).simulate(alpha, seed=3)
-    conf = f.case.configurations[0]
+    conf, calibrated = f.case.configurations[0], plain(f.case)
     both = {p: second.mean(p) for p in conf.measured.values if p in second.values}
     measured = rt.Measurement.from_values(F, **both)
     again = Case(room=f.case.room, configurations=[Configuration(name="x", measured=measured)])
     seen, simulated = observe(f.case)[0], observe(again)[0].features
-    left = np.array([plain(f.case).features[0], simulated[0]]) - seen.features[0]
+    left = np.array([calibrated.features[0], simulated[0]]) - seen.features[0]
     jnd = np.array([np.log(1.05)] * 3 + [1.0, 1.0])[:, None]
-    return [float(np.nanmean(np.abs(g / jnd)[1:])) for g in left]
+    program = world.simulator(1, f.case.room).simulate(calibrated.room.alpha, seed=3)
+    values = []
+    for run in (conf.simulated.simulated, program, second):  # type: ignore[union-attr]
+        off = [
+            (run.mean(p) - conf.measured.mean(p)) / (0.05 * conf.measured.mean(p) if t else 1.0)
+            for p, t in (("edt", True), ("t30", True), ("c80", False), ("g", False))
+            if p in both and p in run.values
+        ]
+        values.append(float(np.nanmean(np.abs(off))))
+    return [float(np.nanmean(np.abs(g / jnd)[1:])) for g in left], values
+
+
+def stored() -> list[dict[str, Any]]:
+    """Return the judged rooms of seed 2, as `judge` returned them."""
+    return [json.loads(line) for line in gzip.decompress(STORED.read_bytes()).splitlines()]
 
 
 def count(rows: Sequence[dict[str, Any]]) -> None:
@@ -231,15 +253,14 @@ def count(rows: Sequence[dict[str, Any]]) -> None:
             return "not ordinary"
         return "image sources" if "images" in r["simulators"] else "ordinary, two tracers"
 
-    found = ("named", "family", "ambiguous", "unknown")
     for side in ("with", "without"):
         print(f"-- {side} the run")
         nothing, some = ([r for r in rows if bool(r["hidden"]) == k] for k in (False, True))
         fails = [r for r in rows if r["kind"] != "ordinary"]
-        share("flagged, nothing hidden", [r[side]["verdict"] in found for r in nothing])
+        share("flagged, nothing hidden", [r[side]["verdict"] in FOUND for r in nothing])
         for name in ("ordinary, two tracers", "image sources", "not ordinary"):
             for of, those in (("flagged, nothing hidden", nothing), ("detected", some)):
-                flags = [r[side]["verdict"] in found for r in those if group(r) == name]
+                flags = [r[side]["verdict"] in FOUND for r in those if group(r) == name]
                 share(f"{of}, {name}", flags)
         over = [np.array([r[side]["over"] for r in rs]) for rs in (some, nothing)]
         greater = np.sign(np.subtract.outer(*over)) / 2 + 0.5
@@ -252,18 +273,25 @@ def count(rows: Sequence[dict[str, Any]]) -> None:
     share("gap smaller after apply and a second run", list(gap[:, 1] < gap[:, 0]))
     if len(gap):
         print(f"median ratio of the gap: {np.median(gap[:, 1] / gap[:, 0]):.2f}")
+    for r in rows:
+        if "values" in r:
+            text = ", ".join(f"{of:.2f}" for of in r["values"])
+            print(
+                f"room {r['number']}, EDT, T30, C80, G: {text} JND as simulated, calibrated, corrected"
+            )
 
 
 def main() -> None:
     """Run the study."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=("find", "count"))
-    parser.add_argument("args", nargs="+")
+    parser.add_argument("args", nargs="*")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     if given.what == "count":
-        count([json.loads(line) for line in Path(given.args[0]).read_text().splitlines()])
+        lines = Path(given.args[0]).read_text().splitlines() if given.args else ()
+        count([json.loads(line) for line in lines] or stored())
         return
     done = given.out.read_text().splitlines() if given.out.exists() else []
     numbers = {json.loads(line)["number"] for line in done}
