@@ -16,6 +16,7 @@ import rtcal as rt
 from rtcal.command.main import main
 from rtcal.finder import Finding
 from rtcal.finder.claim import Candidate
+from rtcal.prediction import changed_time
 
 settings.register_profile("rtcal", derandomize=True, deadline=None, max_examples=60)
 settings.register_profile("quick", settings.get_profile("rtcal"), max_examples=20)
@@ -80,6 +81,12 @@ def runs_kept(kept: Path) -> Iterator[None]:
 def cr2() -> tuple[rt.Room, rt.Measurement]:
     """The shipped real room and its measurement."""
     return rt.datasets.bras_cr2()
+
+
+@pytest.fixture
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw 1024 rooms of each prediction, for what holds in every draw."""
+    monkeypatch.setattr(changed_time, "DRAWS", 1024)
 
 
 def also(*values: Any) -> list[Any]:

@@ -40,6 +40,7 @@ def test_saved_it_prints_the_same(named: Diagnosis, tmp_path: Path) -> None:
     assert str(rt.load(named.save(tmp_path))) == str(named)
 
 
+@pytest.mark.long
 def test_where_nothing_is_missing_the_model_is_calibrated_as_given(kept: Path) -> None:
     case, _ = rt.datasets.hidden_room("not_identified")
     result = rt.diagnose(case, cache=kept)
@@ -53,6 +54,7 @@ def test_where_nothing_is_missing_the_model_is_calibrated_as_given(kept: Path) -
     ]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("runs_kept")
 def test_the_command_writes_one_folder_that_apply_and_report_read(
     named: Diagnosis,

@@ -26,7 +26,7 @@ def run_line(line: str) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(n, marks=[pytest.mark.long] if n in ("change", "responses") else [])
+        pytest.param(n, marks=[pytest.mark.long] if n in ("change", "responses", "compare") else [])
         for n in _PURPOSES
         if n not in ("missing-effect", "identified", "where", "diagnose")
     ],

@@ -27,6 +27,7 @@ from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.blocks import lines as lines_of
 from rtcal.support.errors import DataError
+from tests.conftest import also
 
 F = 125.0 * 2.0 ** np.arange(6)
 FEWER = ("membrane", "resonator", "curtain", "people", "audience", "covered surface")
@@ -98,7 +99,7 @@ def test_a_run_that_is_the_measurement_agrees() -> None:
     np.testing.assert_allclose(finding.residuals, 0, atol=0.1)  # the controls' bias
 
 
-@pytest.mark.parametrize("change", [dict, with_absorber])
+@pytest.mark.parametrize("change", [with_absorber, *also(dict)])
 def test_a_run_of_the_equation_answers_as_without_one(change: object) -> None:
     values = values_of(hall())
     measured = change(values)  # type: ignore[operator]
@@ -149,6 +150,7 @@ def test_what_is_missing_from_the_run_is_found_all_the_same() -> None:
     assert finding.families["added absorption"] > 0.7
 
 
+@pytest.mark.long
 def test_run_and_measurement_with_twice_the_time_say_the_same() -> None:
     def doubled(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         return {k: 2 * v if k in ("t20", "edt", "t30") else v for k, v in values.items()}
@@ -216,6 +218,7 @@ def test_a_run_of_something_else_is_refused(
         rt.find(hall(), measurement(values), simulated=run, program=program)
 
 
+@pytest.mark.long
 def test_a_field_less_diffuse_than_the_programs_is_no_error_of_the_room() -> None:
     """Decays that are curved where the program's are straight: it scatters as it was told."""
     room, values = hall(), values_of(hall())
@@ -279,6 +282,7 @@ def test_room_and_program_are_exchangeable() -> None:
     assert same.score == pytest.approx(turned.score)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_an_absorber_is_found_beside_a_field_of_either_kind(sign: float) -> None:
     """A program without it, and with another field than the room's: only the absorber is missing."""
@@ -289,6 +293,7 @@ def test_an_absorber_is_found_beside_a_field_of_either_kind(sign: float) -> None
     assert finding.families["added absorption"] > 0.7
 
 
+@pytest.mark.long
 def test_residuals_of_rooms_without_an_error_are_as_large_as_they_should_be() -> None:
     """Chi-square is about its degrees of freedom, in rooms and programs of either field."""
     rng, run, ratios = np.random.default_rng(2), features_of_hall(), []
@@ -320,6 +325,7 @@ def test_what_positions_do_cancels_between_room_and_program(
     assert np.ptp(engine.run(alone, 0).errors, axis=0).min() > 0.1
 
 
+@pytest.mark.long
 def test_a_large_patch_is_found_beside_a_run_of_the_same_simulator() -> None:
     """The tracer is room and program: only the noise of its paths and the patch differ."""
     alpha = np.full((2, 6), 0.12)
@@ -401,7 +407,7 @@ def run_of(finding: Finding, effect: bool, off: float) -> rt.Measurement:
     return rt.Measurement.from_values(F, **values)
 
 
-@pytest.mark.parametrize("off", [0.8, 1.0, 1.15])
+@pytest.mark.parametrize("off", [0.8, *also(1.0, 1.15)])
 def test_a_second_run_is_moved_to_the_measured_time_as_the_first_one_is(
     absorber: Finding, off: float
 ) -> None:
@@ -419,7 +425,7 @@ def test_a_second_run_is_moved_to_the_measured_time_as_the_first_one_is(
     assert f"T20 {t}" in said
 
 
-@pytest.mark.parametrize("off", [0.8, 1.0, 1.15])
+@pytest.mark.parametrize("off", [0.8, *also(1.0, 1.15)])
 def test_a_second_run_that_has_what_calibrating_lacks_supports_the_finding(
     absorber: Finding, off: float
 ) -> None:
@@ -461,6 +467,7 @@ def test_the_noise_of_measurement_and_runs_counts_against_a_second_run(absorber:
     assert uncertainty(1e-3, 2.0) == pytest.approx(2.0 * np.sqrt((1 - 2 / np.pi) / 12), rel=0.15)
 
 
+@pytest.mark.long
 def test_what_a_second_run_lacks_is_said(absorber: Finding) -> None:
     values = {p: v[0] for p, v in absorber.case.configurations[0].measured.values.items()}
 

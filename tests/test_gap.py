@@ -20,6 +20,7 @@ from rtcal.finder.means.engines import FOLDER
 from rtcal.finder.search import find
 from rtcal.finder.verification import Miss, Verification, of_means
 from tests.conftest import candidates_of
+from tests.test_discrepancy import controls_of
 
 pytestmark = pytest.mark.usefixtures("runs_kept")
 
@@ -112,8 +113,9 @@ def test_a_room_and_its_measurement_are_a_case(folder: Path, tmp_path: Path) -> 
 
 
 @pytest.fixture(scope="module")
-def finding(folder: Path, kept: Path) -> Finding:
-    return find(Case.from_file(str(folder / "case.json")), cache=kept)
+def finding(folder: Path) -> Finding:
+    case = Case.from_file(str(folder / "case.json"))
+    return find(case, only=["opening", "area"], controls=controls_of(case))
 
 
 def unsure(finding: Finding) -> Finding:

@@ -11,6 +11,7 @@ import pytest
 import rtcal as rt
 from rtcal.io import mend
 from rtcal.simulators import Polyhedron
+from tests.conftest import also
 
 
 def large_room(n_materials: int, seed: int = 0, name: str = "large") -> rt.Room:
@@ -38,13 +39,14 @@ def peak_of_calibration(room: rt.Room, method: str) -> float:
     return peak
 
 
-@pytest.mark.parametrize("method", ["mle", "soft", "robust", "smooth"])
+@pytest.mark.parametrize("method", ["mle", *also("soft", "robust", "smooth")])
 def test_memory_of_a_calibration_is_linear_in_the_materials(method: str) -> None:
     rt.calibrate(large_room(5), np.full(6, 0.8), unreachable="nearest")  # imports
     small, large = (peak_of_calibration(large_room(n), method) for n in (100, 400))
     assert np.log(large / small) / np.log(4) < 1.2
 
 
+@pytest.mark.long
 def test_memory_of_an_order_of_materials_is_linear_in_them() -> None:
     """A constraint of alpha itself, which is a product of as many factors as there are coefficients."""
     order = rt.Calibration(

@@ -61,7 +61,9 @@ def imports_of(path: Path) -> set[str]:
             for alias in node.names:
                 full = f"{node.module}.{alias.name}"
                 imported.add(full if full in NAMES else node.module)
-        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "library":  # of `support`
+        elif (
+            isinstance(node, ast.Call) and getattr(node.func, "id", "") == "library"
+        ):  # of `support`
             imported |= {name.value for name in node.args[1:] if isinstance(name, ast.Constant)}
     return imported
 

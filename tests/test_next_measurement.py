@@ -104,6 +104,7 @@ def test_a_plan_proposes_what_tells_most_per_hour_and_then_goes_on() -> None:
     assert json.loads(json.dumps(before.to_dict(), allow_nan=False))["sequence"]
 
 
+@pytest.mark.long
 def test_a_plan_goes_on_from_a_finding() -> None:
     case = case_with(*BOTH).only("t20")
     found = find(case, only=FEW, controls=controls_of(case), most=3)
@@ -115,6 +116,7 @@ def test_a_plan_goes_on_from_a_finding() -> None:
     assert after.uncertainty < plan(case).uncertainty
 
 
+@pytest.mark.long
 def test_a_planned_configuration_is_among_what_can_be_measured() -> None:
     case = case_with(*BOTH)
     bare = replace(case.configurations[0], name="bare", suspect_removed=True)

@@ -7,7 +7,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.changes import placed, read_variants
-from rtcal.prediction import Assumptions, Change, changed, changed_time, predict
+from rtcal.prediction import Assumptions, Change, changed, predict
 from rtcal.prediction.changed_time import DRAWS, TimeChange, probability_within
 from rtcal.prediction.predicted import Prediction
 from rtcal.support.errors import DataError, ModelError
@@ -62,12 +62,6 @@ def at_two_positions(t: np.ndarray, u: float) -> rt.Measurement:
 def calibrated(seed: int, method: str = "mle", equation: rt.Equation | None = None, **more):
     room = a_room(seed, **more)
     return rt.calibrate(room, measured_in(room, seed, equation), method, equation)
-
-
-@pytest.fixture
-def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For what holds in every draw, however many they are."""
-    monkeypatch.setattr(changed_time, "DRAWS", 1024)
 
 
 @pytest.fixture(scope="module")

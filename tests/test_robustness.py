@@ -163,7 +163,7 @@ def test_what_numpy_would_take_is_named(call, message: str) -> None:
 
 def test_a_room_of_one_surface_is_calibrated_exactly() -> None:
     """One unknown and one equation: no error is left, and none of rounding is reported."""
-    done = studies.run([35.0], 0.05, 200, 30, seed=1)
+    done = studies.run([35.0], 0.05, 20, 30, seed=1)
     for table in (done.scores(), done.controlled_scores(), studies.analytic_scores([35], 0.05, 99)):
         calibrated = table[table["method"] != "none"]
         np.testing.assert_array_equal(calibrated["aace"], 0)
@@ -172,7 +172,7 @@ def test_a_room_of_one_surface_is_calibrated_exactly() -> None:
         assert table["aace"][0] > 0.04
     spread = done.spread()
     np.testing.assert_array_equal(spread["most"][spread["method"] != "none"], 0)
-    two = studies.run([35.0, 0.01], 0.05, 200, 30, seed=1).scores()
+    two = studies.run([35.0, 0.01], 0.05, 20, 30, seed=1).scores()
     assert (two["aace"] > 0.01).all()
 
 
@@ -186,7 +186,6 @@ def test_a_calibration_that_ignores_t_says_so() -> None:
     said = "Nothing in this calibration requires the measured T"
     ignoring = rt.Calibration(PRIOR, []).build(room()).solve([0.8, 0.75])
     assert said in str(ignoring)
-    assert "T20 NOT matched" in str(ignoring)
     assert not ignoring.matched.any()
     np.testing.assert_array_equal(ignoring.alpha, room().alpha)
     for asking in (

@@ -43,6 +43,7 @@ from rtcal.finder.records import stored
 from rtcal.finder.search import find
 from rtcal.report.finding_words import headline
 from rtcal.support.errors import DataError
+from tests.conftest import also
 from tests.test_discrepancy import alpha_covariance
 
 F = 125.0 * 2.0 ** np.arange(7)
@@ -245,7 +246,7 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert repr(found).startswith("<Finding named: ")
 
 
-@pytest.mark.parametrize("effect", BOTH, ids=lambda e: e.name)
+@pytest.mark.parametrize("effect", [BOTH[0], *also(BOTH[1])], ids=lambda e: e.name)
 def test_one_effect_is_not_taken_for_two(effect: AppliedEffect) -> None:
     case = case_with(effect)
     found = sought(case)
@@ -266,6 +267,7 @@ def test_nothing_is_claimed_where_nothing_is_missing() -> None:
         found.apply()
 
 
+@pytest.mark.long
 def test_a_family_alone_is_not_called_a_name() -> None:
     """The single search says "family" as well."""
     coupled = AppliedEffect("coupled room", {"aperture": 10.0, "volume": 400.0, "alpha": 0.05})
@@ -277,6 +279,7 @@ def test_a_family_alone_is_not_called_a_name() -> None:
     assert found.apply().case.applied
 
 
+@pytest.mark.long
 def test_an_unknown_effect_is_said_to_be_unknown() -> None:
     """Where the user's odds leave nothing else, no set of the library is called the most probable."""
     found = sought(case_with(*BOTH), prior={UNKNOWN: 1e40})  # type: ignore[arg-type]
@@ -325,6 +328,7 @@ def test_alpha_is_the_posterior_mean_of_the_linear_model() -> None:
     assert np.abs(expected - ALPHA).max() > 1e-4
 
 
+@pytest.mark.long
 def test_three_effects_are_tried_where_two_do_not_explain_the_measurement() -> None:
     air = AppliedEffect("air", {"temperature": 30.0, "humidity": 8.0})
     noise = AppliedEffect("noise floor", {"level": -45.0, "record": 2.0})
@@ -334,6 +338,7 @@ def test_three_effects_are_tried_where_two_do_not_explain_the_measurement() -> N
     assert len(sought(case, only, most=2).members) == 2
 
 
+@pytest.mark.long
 def test_odds_of_none_are_those_of_no_effect_against_a_poisson_number() -> None:
     """The evidence of sets with one number does not depend on the prior of that number."""
     case = case_with()

@@ -99,7 +99,7 @@ of_finding.correct = lambda *_, **__: ("nothing to add", {}, {})
         (2, "", [], "Usage: rtcal"),
         long(2, "", ["nonsense"], "rtcal: No such command"),
         long(2, "", ["loop"], "Usage: rtcal loop"),
-        (2, "", ["calibrate", "room.toml"], "rtcal: Missing argument"),
+        long(2, "", ["calibrate", "room.toml"], "rtcal: Missing argument"),
         long(2, "", ["calibrate", "room.toml", "none.csv"], "rtcal: none.csv: No such file"),
         (
             3,
@@ -121,6 +121,7 @@ def test_each_exit_code(tmp_path, code: int, setting: str, arguments: list[str],
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no full device")
 def test_exit_code_of_a_full_output(tmp_path) -> None:
     with open("/dev/full", "w") as full:

@@ -83,6 +83,7 @@ def test_the_wall_that_changed_is_claimed_and_no_other(finding: Finding) -> None
     np.testing.assert_allclose(sum(finding.sets.values()), 1, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_without_the_directivity_something_changed_but_no_surface_is_told(
     states: tuple[rt.Measurement, rt.Measurement],
 ) -> None:
@@ -93,6 +94,7 @@ def test_without_the_directivity_something_changed_but_no_surface_is_told(
     assert any("S1, S2, S3 and 3 more is not given" in str(note) for note in found.notes)
 
 
+@pytest.mark.long
 def test_the_changed_room_has_the_claimed_wall_as_a_material(finding: Finding, tmp_path) -> None:
     changed = finding.apply()
     assert changed.surfaces == ("east",)

@@ -133,6 +133,7 @@ def test_intervals_hold_the_answer_and_stay_in_the_box() -> None:
     assert (high > low).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("case", "score", "coverage"),
     [

@@ -193,7 +193,7 @@ def mean_t(simulator: object, alpha: np.ndarray) -> np.ndarray:
     return np.asarray(simulator.simulate(alpha, seed=2).mean("t20"))  # type: ignore[attr-defined]
 
 
-def test_every_engine_hears_the_correction(box: PositionsCase) -> None:
+def test_every_simulator_has_the_corrections_t(box: PositionsCase) -> None:
     """T falls as in Eyring's formula, within what placing the absorber on one wall changes."""
     patch = corrected_geometry(box, candidate("east", 8.0))
     wall = corrected_geometry(box, candidate("east", 8.0), "material")
@@ -213,7 +213,8 @@ def test_every_engine_hears_the_correction(box: PositionsCase) -> None:
         ImageSource(room=patch.room, **places, duration=1.5)
 
 
-def test_pyroomacoustics_hears_the_correction(box: PositionsCase) -> None:
+@pytest.mark.long
+def test_pyroomacoustics_has_the_corrections_t(box: PositionsCase) -> None:
     """The other ray tracer, which shares no code with rtcal's: the same fall of T, patch or wall."""
     pytest.importorskip("pyroomacoustics")
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from rtcal.finder.means.problem import state
 from rtcal.report import of_finding
 from rtcal.support.errors import DataError
 from tests.conftest import also
+from tests.test_discrepancy import controls_of
 from tests.test_where_page import finding_of
 
 ABOUT = {"area", "volume"}
@@ -83,9 +83,9 @@ def test_the_order_of_two_absorbers_leaves_the_total(case: Case) -> None:
     )
 
 
-def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case, kept: Path) -> None:
+def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case) -> None:
     hidden: Any = AppliedEffect("volume", {"ratio": 1.3})
-    found = rt.find(case, only=["volume", "opening"], cache=kept)
+    found = rt.find(case, only=["volume", "opening"], controls=controls_of(case))
     fit = {"effect": "volume", "parameters": hidden.parameters, "size": math.nan}
     candidate = replace(found.candidates[0], probability=0.6, **fit)
     guess = replace(

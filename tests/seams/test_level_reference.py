@@ -69,6 +69,7 @@ def test_a_gain_that_is_off_names_nothing(off: float, kept: Path) -> None:
     assert found.probabilities["volume"] < 0.2
 
 
+@pytest.mark.long
 def test_no_reference_changes_a_calibration_to_every_position(
     kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,7 +12,6 @@ from rtcal.finder import verify
 from rtcal.finder.search import find
 from rtcal.report.finding_words import title
 from rtcal.report.of_finding import rests_on, to_do
-from tests.conftest import also
 from tests.seams.turned_panels import laboratory
 from tests.test_discrepancy import controls_of
 
@@ -22,7 +21,8 @@ TURNED = 0.9
 FEW = ("covered surface", "opening", "porous", "area", "volume", "unknown")
 
 
-@pytest.mark.parametrize(("again", "drawn"), [(True, True), *also((False, False), (True, False))])
+@pytest.mark.long
+@pytest.mark.parametrize(("again", "drawn"), [(True, True), (False, False), (True, False)])
 def test_turned_panels_are_named_added_and_verified(
     again: bool, drawn: bool, tmp_path: Path, kept: Path
 ) -> None:
