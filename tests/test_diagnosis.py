@@ -71,7 +71,7 @@ def test_the_command_writes_one_folder_that_apply_and_report_read(
     assert np.allclose(rt.Room.from_file("out/room.toml").alpha, named.room.alpha)
     page = Path("out/report.html").read_text(encoding="utf-8")
     assert run("report", "out") == 0
-    assert "Added: noise floor" in page
+    assert "The corrected model contains noise floor" in page
     assert "rtcal find case.json --out found" in page
     assert run("apply", "out", "--out", "again") == 0
 

@@ -378,7 +378,7 @@ def test_three_models_are_compared_with_and_without_a_second_run(absorber: Findi
     alone = "leaves only 0.02 JND there, so a second run cannot reduce it"
     assert alone in sentence(seen)
     assert (
-        "Not tested at C80 and G: a calibration without the effect leaves only 0.00 JND"
+        "not tested at C80 and G: a calibration without the effect leaves only 0.00 JND"
         in sentence(again)
     )
     np.testing.assert_allclose(again.by_seed[1], seen.by_seed[1], atol=0.1)  # but for the bias

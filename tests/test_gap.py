@@ -62,7 +62,9 @@ def test_the_commands_find_add_and_prove(folder: Path) -> None:
     assert by_name["opening"]["low"] < 39.6 < by_name["opening"]["high"]
     out, saved = folder / "corrected", str(folder / "found.json")
     run("find", case, "--out", saved, "--quiet")
-    assert f"Added: {found['candidates'][0]['effect']} (" in run("apply", saved, "--out", str(out))
+    assert f"The corrected model contains {found['candidates'][0]['effect']} (" in run(
+        "apply", saved, "--out", str(out)
+    )
     for name in ("app.json", "app.toml"):
         refused = CliRunner().invoke(cli, ["apply", saved, "--out", str(folder / name)])
         assert isinstance(refused.exception, rt.errors.DataError)
@@ -234,7 +236,7 @@ def test_what_the_finding_was_fitted_to_tests_nothing(folder: Path) -> None:
 
 def test_a_plan_needs_no_measurement(folder: Path) -> None:
     text = run("plan", str(folder / "plan.toml"))
-    assert "Effects that could be confused with each effect" in text
+    assert "Effects between which the data would give odds of less than" in text
     assert any(
         x.startswith("  ") and "furniture" in x.split() for x in text.splitlines()
     )  # not cut

@@ -144,9 +144,9 @@ def test_what_states_no_uncertainty_gets_it_from_theory_and_reproducibility() ->
     assert spread[0, 0] == pytest.approx(np.hypot(one[0], 0.046), rel=0.05)
     assert spread[0, -1] == pytest.approx(np.hypot(one[-1], 0.013), rel=0.05)
     assert (np.diff(spread[0]) < 0).all()
-    assert "not given" in str(observed.origin)
+    assert "none is given" in str(observed.origin)
     stated, _ = observe(case_of(room(), room()))
-    assert str(stated.origin) == "Uncertainty of T20, EDT, T30: as given"
+    assert str(stated.origin) == "The uncertainty of T20, EDT and T30 is as given."
 
 
 def test_a_stated_climate_is_a_measurement() -> None:
@@ -296,7 +296,7 @@ def test_data_that_say_nothing_do_not_hide_what_t20_detects() -> None:
     whole = find(case, **tried)
     assert whole.score < whole.threshold
     assert whole.detection.deciding == "T20"
-    assert "(only T20, because all data give lower odds)" in " ".join(str(whole).split())
+    assert "(only T20, as all data give lower odds)" in " ".join(str(whole).split())
     # All data leave nothing a fair part of the probability, which makes it a hint.
     assert whole.verdict == "hint"
     assert whole.reasons[0].code == "nothing likely"

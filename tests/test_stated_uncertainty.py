@@ -97,8 +97,8 @@ def test_the_finder_takes_what_is_written_as_what_it_would_have_made() -> None:
         return np.sqrt(np.diag(observed.covariance)), str(observed.origin)
 
     made, written = seen(measured()), seen(with_uncertainty(measured()))
-    assert "not given" in made[1]
-    assert written[1] == "Uncertainty of T20, EDT: as given"
+    assert "none is given" in made[1]
+    assert written[1] == "The uncertainty of T20 and EDT is as given."
     # ISO 3382-2 counts an integrated response as ten decays: 9 % more than one decay's theory.
     assert written[0] == pytest.approx(made[0], rel=0.1)
 

@@ -180,7 +180,7 @@ def test_the_page_begins_with_the_answer_and_the_three_bars(
     write_all(page_files(of_finding.page(finding, result, "", PLACE), result, tmp_path))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     body = page[page.index("<main>") :]
-    assert body.index("The room absorbs more") < body.index("Unproven") < body.index("<img")
+    assert body.index("The room absorbs more") < body.index("is unproven") < body.index("<img")
     assert "Three bars" in body[body.index("<img") :][:40]
     assert body.count("<img") == 3
     for alt in re.findall(r'<img alt="([^"]+)"', body):

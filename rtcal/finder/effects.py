@@ -36,7 +36,7 @@ from rtcal.finder.model import (
 )
 from rtcal.support import checks
 from rtcal.support.errors import DataError, RtcalError
-from rtcal.support.text import shortened
+from rtcal.support.text import rounded, shortened
 from rtcal.support.types import Array, read_only_view
 
 Parameters = Mapping[str, float]
@@ -63,7 +63,7 @@ class Parameter:
         """Return the name and the value, or the value's word."""
         if value in range(len(self.words)):
             return self.words[int(value)]
-        return f"{name.replace('_', ' ')} {value:.3g}{' ' * bool(self.unit)}{self.unit}"
+        return f"{name.replace('_', ' ')} {rounded(value, 3)}{' ' * bool(self.unit)}{self.unit}"
 
 
 class Effect(ABC):

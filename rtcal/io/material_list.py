@@ -503,24 +503,24 @@ class ExportReport:
         rows = [
             f"{self.path}: {kind}",
             *text.wrapped(
-                f"T by {self.equation}'s equation: of the room, and of the coefficients as the program "
-                "reads them (rounded, in its bands)"
+                f"T by {self.equation}'s equation, of the room and of the coefficients as the program "
+                "reads them (rounded, in its bands):"
             ),
             *text.table(
                 [*zip(names, cells, strict=True)],
-                header=("band", ["T / s", "as read / s", "change / JND"]),
+                header=("band", ["T / s", "T as read / s", "change / JND"]),
             ),
         ]
         if self.bands_not_written:
             missing = ", ".join(bands.labels(self.bands_not_written))
-            rows.append(f"Not in the file, so not written: {missing}")
-        lost = f"Not in the file: {', '.join(self.lost)}. Keep the room's own file."
+            rows.append(f"The file does not have the bands {missing}, so they are not written.")
+        lost = f"The file cannot hold {text.listed(self.lost)}: keep the room's own file."
         again = (
             "A room made of this file can be calibrated to the same data again, which would count "
             "these data twice."
         )
         for note in (*self.notes, lost, *[again] * (RECORD in self.lost)):
-            rows += text.wrapped(note)
+            rows += text.wrapped(text.as_sentence(note))
         return "\n".join(rows)
 
 
@@ -626,7 +626,7 @@ class Format:
             if renamed:
                 pairs = [f'"{name}" is {new}' for name, new in renamed.items()]
                 some = text.first_of(pairs, MOST_NAMED)
-                notes.append(f"Renamed, as the program reads names: {some}")
+                notes.append(f"names are changed to those that the program reads: {some}")
             in_file = in_new_bands.replace(materials=names, surfaces=())
             listed = self.parse(self.new(in_file, room.materials))
         listed = listed.with_entries(entries, room)
@@ -751,10 +751,14 @@ def _in_new_bands(
         )
     converted = room.in_bands(obtainable)
     nearest = [int(np.argmin(np.abs(np.log(obtainable / f)))) for f in needed]
+    taken = dict.fromkeys(k for f, k in zip(needed, nearest, strict=True) if f in missing)
     notes = [
-        f"{bands.label(f)} is not in the room: alpha as at {bands.label(obtainable[k])}"
-        for f, k in zip(needed, nearest, strict=True)
-        if f in missing
+        f"at {bands.hertz(lacking)}, which the room does not have, alpha is that at "
+        f"{bands.label(obtainable[k])}"
+        for k in taken
+        for lacking in [
+            [f for f, n in zip(needed, nearest, strict=True) if n == k and f in missing]
+        ]
     ]
     tables = {n: getattr(converted, n) for n in ("alpha", "sigma", "alpha_min", "scattering")}
     return converted.replace(

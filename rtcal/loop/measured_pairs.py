@@ -205,13 +205,13 @@ def pairs_to_match(
         )
     if absent:
         notes.append(
-            f"Left out, since it was not measured: {', '.join(map(parameter_label, absent))}."
+            f"{', '.join(map(parameter_label, absent))} cannot be matched, as not measured."
         )
         present = [p for p in match if p not in absent]
         observations = Observations.of_measurement(in_room, present, kept)
     missing = np.count_nonzero(np.isnan(observations.values))
     if missing:
-        notes.append(f"Left out, since missing: {missing} of {observations.values.size} values.")
+        notes.append(f"Of {observations.values.size} values {missing} are missing, and left out.")
     if all(o.key in observations.parameters for o in REVERBERATION) and (copy := copied(measured)):
         notes.append(f"{copy}. Both are matched, and count twice: leave one out of match.")
     if LEVEL.key in absent:
@@ -237,7 +237,9 @@ def pairs_to_match(
 def without_place(measured: Measurement, pairs: Sequence[Pair]) -> list[str]:
     """Return a note of the measured pairs that the simulator lacks; none without any."""
     unknown = [p for p in measured.pairs if p not in pairs]
-    return [f"Left out, since the simulator has no such pair: {_names(unknown)}."] * bool(unknown)
+    return [f"Measured, but left out as pairs that the simulator lacks: {_names(unknown)}."] * bool(
+        unknown
+    )
 
 
 def refuse_unknown(exclude: Sequence[Pair], measured: Measurement) -> None:
@@ -1045,10 +1047,9 @@ class Scattering:
     def notes(self, materials: Sequence[str]) -> list[str]:
         """Return the notes on the fitted scattering; ``materials`` are the room's."""
         notes = [
-            f"Scattering: {self.in_words}, fitted with alpha. Fitted scattering is not a measurement: "
-            "another seed or more paths may give other coefficients. The fit takes the meaning of the "
-            "coefficients (random or vector) under which the measurement is more probable: here "
-            f'"{self.model}".'
+            f"Scattering was fitted with alpha: {self.in_words}. Of its two meanings, random and "
+            f'vector, the measurement is more probable with "{self.model}". Fitted scattering is no '
+            "measurement: another seed or more paths may give other coefficients."
         ]
         if self.limited:
             names = ", ".join(materials[i] for i in self.limited)

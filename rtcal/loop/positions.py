@@ -704,7 +704,7 @@ def calibrate_positions(
         *repeated,
     )
     if stated := in_words(room):
-        notes = (*notes, f"The room is uncertain, and that counts: {stated}.")
+        notes = (*notes, f"The uncertainty of the room counts: {stated}.")
     _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
     # Of too few paths a warning comes before the reference simulations.
     groups = able.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
@@ -838,7 +838,7 @@ def _first(
             if not more:
                 raise
         names = ", ".join(map(parameter_label, more))
-        note = f"Not shown, since the simulated decays do not hold it: {names}."
+        note = f"The simulated decays do not hold {names}, which cannot be shown."
         return match, observe(simulator, alpha, match, seed=seed), (note,)
     simulated = base.run(simulator, alpha, seed=seed)
     given = base.given(simulated)
@@ -850,7 +850,7 @@ def _first(
     shown = (*kept, *(p for p in more if p in given))
     first = Observations.of_measurement(simulated, shown, simulated.pairs)
     absent = ", ".join(parameter_label(p) for p in match if p not in given)
-    note = f"Left out, since the simulator does not give it: {absent}."
+    note = f"The simulator does not give {absent}, which cannot be matched."
     return kept, first, (note,) if absent else ()
 
 
@@ -920,7 +920,7 @@ def gap_table(
     pairs: Sequence[Pair],
     before: Array,
     after: Array,
-    title: str = "rms deviation / JND",
+    title: str = "deviation / JND",
     misfit: Array | None = None,
 ) -> Table:
     """Return the rms gap before and after by parameter, of each pair and of all.
@@ -930,13 +930,19 @@ def gap_table(
     columns = [parameter_label(p) for p in parameters]
     own: list[list[str]] = [[]] * (len(pairs) + 1)
     if misfit is not None:
-        columns, own = [*columns, "misfit"], [[m] for m in (*text.numbers(misfit, ".1f"), "-")]
+        columns, own = (
+            [*columns, "misfit"],
+            [[m] for m in (*text.numbers(misfit, ".1f"), "-")],
+        )
     rows = []
     for i, more in enumerate(own):
         name, chosen = ("all", slice(None)) if i == len(pairs) else (" to ".join(pairs[i]), [i])
         ends = zip(*(rms(gap[:, chosen], axis=(1, 2)) for gap in (before, after)), strict=True)
         rows.append(Row(name, [*(" to ".join(text.numbers(e, ".1f")) for e in ends), *more]))
-    return Table(columns, rows, corner=title)
+    note = "Root mean square deviations, before to after the fit."
+    if misfit is not None:
+        note = f"{note} A misfit of 1 is usual."
+    return Table(columns, rows, corner=title, note=note)
 
 
 _REFUSED = (
@@ -1183,20 +1189,30 @@ class PositionsResult(Result):
         """Return the blocks that a calibration prints."""
         ends = self.beside.gap_before, self.beside.gap_after
         more = self.beside.parameters
+        before, after = rms(self.gap_before), rms(self.gap_after)
+        verb = "reduces" if after < before else "changes"
+        fitted = text.listed([parameter_label(p) for p in self.parameters])
+        n = len(self.pairs)
+        last = len(self.every_note) - len(self.doubts)
         return [
-            *([Note(self.warning, hanging="    "), Note("")] if self.warning else []),
-            Note(f"Coefficients only for {self.simulator}"),
+            *([Note(self.warning)] if self.warning else []),
+            Note(
+                f"The fit {verb} the deviation from the measurement from {before:.1f} to {after:.1f} "
+                f"JND (root mean square over {fitted} at {n} pair{'s' * (n != 1)})."
+            ),
+            *(Note(f"Caution: {caution}") for caution in self.every_note[last:]),
             gap_table(
                 self.parameters, self.pairs, self.gap_before, self.gap_after, misfit=self.misfit
             ),
             *([gap_table(more, self.pairs, *ends, "not matched: deviation / JND")] if more else []),
             self._material_table(),
-            *(Note(note, hanging="    ") for note in self.every_note[bool(self.warning) :]),
+            Note(f"The coefficients belong to {self.simulator}, and to no other simulator."),
+            *(Note(f"Note: {note}") for note in self.every_note[bool(self.warning) : last]),
         ]
 
     def _material_table(self) -> Table:
         """Return what was learned of each material, most first, shaded by how much."""
-        columns = ["sigma before", "after", "shift / sigma", "pulled most by"]
+        columns = ["sigma before", "sigma after", "shift / sigma", "mostly from pair"]
         strength = np.abs(self.pulls).mean(axis=2)
         moved = np.sqrt((self.shift**2).mean(axis=1))
         rows = []
@@ -1258,10 +1274,10 @@ class PositionsResult(Result):
             notes.insert(0, self.warning)
         if LEVEL.key in self.parameters:
             notes.append(
-                "Level: absolute, G of a calibrated source."
+                "The level is absolute, G of a calibrated source."
                 if self.measured.level == "absolute"
-                else "Level: relative between the positions of a source. The measured one is shown "
-                "with the mean of the simulated one."
+                else "The level is relative between the positions of a source: the measured one is "
+                "shown with the mean of the simulated one."
             )
         if self.scattering is not None:
             notes += self.scattering.notes(self.prior.materials)
@@ -1287,24 +1303,24 @@ class PositionsResult(Result):
         )
         found = [
             (
-                "Contradicts all other pairs",
+                "Pair that contradicts all others",
                 ", ".join(" to ".join(pair) for pair in self.contradictions),
                 "Check the names and positions of the pair, or exclude the pair.",
             ),
             (
-                "Fits the other pairs badly",
+                "Pair that fits the others badly",
                 ", ".join(odd),
                 "A misfit of 1 is usual. Look at the decays of these pairs.",
             ),
             (
-                "Deviates more than expected",
+                "More deviation than expected",
                 unexplained
-                and f"Beyond all known errors, values deviate by {unexplained} (standard deviation).",
+                and f"beyond all known errors, values deviate by {unexplained} (standard deviation).",
                 "Check volume, mesh and sigma. Something may be missing from the model.",
             ),
             (
                 "No interval",
-                "" if self.controls else "No reference simulation shows this simulator's error.",
+                "" if self.controls else "no reference simulation shows this simulator's error.",
                 "The assumed error is 5 % of a time and 0.5 dB of a level. Use a simulator with a "
                 "geometry.",
             ),
@@ -1316,7 +1332,7 @@ class PositionsResult(Result):
             ),
             (
                 "Not settled",
-                "" if self.settled else "The last step moved alpha, or was refused.",
+                "" if self.settled else "the last step moved alpha, or was refused.",
                 "Calibrate again with more paths.",
             ),
         ]

@@ -132,7 +132,7 @@ SENTENCES: dict[str, str] = {
     "them again.",
     "nothing to distinguish": "These data leave nothing to distinguish, which does not confirm the "
     "model.",
-    "look it up": "Confirm {effect:name} where it can be looked up or measured by itself.",
+    "look it up": "Confirm {effect:name} by looking it up, or by a measurement of its own.",
     "measure without": "Confirm {effect:name}: measure once without it.",
     "confirmed": "{effect:name} was already measured with and without it; nothing else could confirm "
     "it.",
@@ -167,33 +167,33 @@ SENTENCES: dict[str, str] = {
     "volume alone undecided": "effect = volume has a probability of {probability:p}, but rtcal "
     "changes the room's volume only from {least:p} upwards. Measure the volume and enter it in the "
     "room's file.",
-    "support": "{best}; {others:and} cannot be distinguished (verdict {verdict})",
-    "sole": "{best} (verdict {verdict})",
+    "support": "{best}, which these data do not distinguish from {others:few}",
+    "sole": "{best}",
     "not predicted": "considering their uncertainty, these data give odds of {nats:odds} for it, less "
     "than the {least:odds} required",
     # What to know of the data and of the search.
     "chosen": "Effects were left out or weighted by hand, so the probabilities are relative to the "
     "effects that were tried. How often such findings are right was measured only with the "
     "whole library.",
-    "T uncertain": '"{configuration}": {band} left out: the uncertainty of T is {u:.0f} %',
-    "no T": '"{configuration}": {band} left out: it has neither T20 nor T30',
-    "uncertainties": "Uncertainty of {origins:origins}",
+    "T uncertain": '{band} of "{configuration}" is left out: the uncertainty of T is {u:.0f} %',
+    "no T": '{band} of "{configuration}" is left out: it has neither T20 nor T30',
+    "uncertainties": "The uncertainty of {origins:origins}.",
     "level off": '{parameter} of "{configuration}" is {by:.1f} dB {side} what T and the room give, by '
     "the same amount in all bands. Either its calibration or the room is off. If its reference is "
     'uncertain, name it "level".',
-    "Schroeder": '"{configuration}": {bands:and} below the Schroeder frequency ({limit:.0f} Hz), where '
+    "Schroeder": 'At {bands:and}, below the Schroeder frequency of "{configuration}" ({limit:.0f} Hz), '
     "the sound field is not diffuse.",
-    "not used": '"{configuration}": {parameters:and} not used; a search by means over positions uses '
-    "{known:and}.",
-    "curved": '"{configuration}": the decay is curved at {bands:and} (ISO 3382-2, Annex B: at most '
+    "not used": "A search by means over positions uses {known:and}, and not {parameters:and} of "
+    '"{configuration}".',
+    "curved": 'The decay of "{configuration}" is curved at {bands:and} (ISO 3382-2, Annex B: at most '
     "{most:.0f} %).",
     "run lacks": "{said}",
     EQUATION_OFF: "{equation}'s T is {by:range} {side} than the program's {bands:where}.",
     "no air": "The room has no air, so the model's air absorbs nothing.",
     "means alone": "Means over positions identify {effect:name} ({probability:p}), which the "
     "differences between positions do not confirm.",
-    "not tried": "Not tried, because they are not on a surface: {effects:and}. A search by means over "
-    "positions tries them.",
+    "not tried": "Effects that are not on a surface were not tried ({effects:and}): a search by means "
+    "over positions tries them.",
     "gains": "G agrees better with the room if its calibration may be off, by the same amount in all "
     "bands or band by band (odds of {nats:odds}), and is weighted accordingly. If its "
     'reference is uncertain, name it "level".',
@@ -275,7 +275,7 @@ _CLAUSES = (
 
 _ORIGINS = {
     "stated": "as given",
-    "made": "not given; made from scatter over pairs, theory and reproducibility",
+    "made": "made from scatter over pairs, theory and reproducibility, because none is given",
 }
 """Where uncertainties come from."""
 
@@ -290,16 +290,15 @@ class _Forms(Formatter):
             return odds(value)
         if form == "name":
             return called(value) if isinstance(value, str) else named(value)
-        if form == "few":
-            return first_of(value, _FEW)
-        if form in ("and", "or"):
-            return listed([v if isinstance(v, str) else likeliness(v) for v in value], last=form)
+        if form in ("few", "and", "or"):
+            names = [v if isinstance(v, str) else likeliness(v) for v in value]
+            return first_of(names, _FEW) if form == "few" else listed(names, last=form)
         if form == "options":  # with the names that an option takes
             some = [(v.title, v.probability) if isinstance(v, Candidate) else v for v in value]
             return listed([f"{name} ({percent(p)})" for name, p in some], last="or")
         if form == "origins":
             every = [(names, _ORIGINS[k]) for k, names in value.items() if names]
-            return "; ".join(f"{', '.join(names)}: {origin}" for names, origin in every)
+            return "; that of ".join(f"{listed(names)} is {origin}" for names, origin in every)
         if form == "unexplained":
             return unexplained(value)
         if form == "where":
@@ -345,7 +344,7 @@ def percent(probability: float) -> str:
     >>> percent(0.334), percent(0.9996), percent(1e-4), percent(0.0)
     ('33 %', 'over 99 %', 'under 1 %', '0 %')
     """
-    if 0 < probability < 0.005 or 0.995 <= probability < 1:
+    if 0 < probability < 0.005 or probability >= 0.995:
         return "under 1 %" if probability < 0.5 else "over 99 %"
     return f"{100 * probability:.0f} %"
 
@@ -396,12 +395,12 @@ def unexplained(names: Sequence[str]) -> str:
     """Return in words that these effects do not explain the measurement.
 
     >>> unexplained(["air"]), unexplained(["opening", "porous", "curtain", "people"])
-    ('air does not explain it', 'none of the effects that were tried explains it')
+    ('air does not explain the data', 'none of the effects that were tried explains the data')
     """
     if len(names) > _FEW:
-        return "none of the effects that were tried explains it"
+        return "none of the effects that were tried explains the data"
     some = listed([called(name) for name in names])
-    return f"{some} {'does' if len(names) == 1 else 'do'} not explain it"
+    return f"{some} {'does' if len(names) == 1 else 'do'} not explain the data"
 
 
 # The answer.
@@ -411,7 +410,7 @@ def headline(f: Finding) -> list[str]:
     """Return the answer in sentences, the first alone is enough; a doubt about T leads it."""
     answer, *more = _ANSWERS[f.kind](f)
     if f.leading is not None and f.verdict != "none":
-        answer = f"{f.leading} If there is none: {answer}"
+        answer = f"{f.leading} If there is no such mistake: {answer}"
     known = f.verdict == "none" or (f.verdict == "hint" and _nothing_likelier(f))
     if not known and f.probabilities.get(NONE, 0.0) >= _NOTHING:
         what = "changed" if f.kind == "states" else "is missing"
@@ -458,22 +457,28 @@ def _of_means(f: Finding) -> list[str]:
     if f.verdict == UNKNOWN:
         library = {effect.name for effect in checked_effects(None)}
         whole = library <= {*f.effects, *f.not_judged}
-        which = "no effect of the library explains it" if whole else unexplained(tuple(f.effects))
+        which = (
+            "no effect of the library explains the data" if whole else unexplained(tuple(f.effects))
+        )
         return [f"Something is missing from the model: {which}."]
     subject = _contradiction(f)
     if f.verdict != "ambiguous" and f.best is not None and f.best.absorption is not None:
         subject = absorbs(f.best.absorption, f.best.end)
     some = [(named(c), f.probabilities.get(c.effect, 0.0)) for c in f.candidates]
     if f.verdict == "ambiguous":
-        return [f"{subject}, and the data do not show what; {choice(some)}."]
+        return [f"{subject}, but the data do not show what; {choice(some)}."]
     if f.verdict == "family":
-        group = f"Group identified: {f.family} ({percent(f.families.get(str(f.family), 0.0))})."
-        return [f"{subject}; {choice(some)}.", group]
+        return [f"{subject}; {choice(some)}.", _group(f)]
     if f.best_effect == COEFFICIENTS:
         return [
             f"The input coefficients have a common error ({percent(f.probabilities[COEFFICIENTS])})."
         ]
     return [f"{subject}: {best}."]
+
+
+def _group(f: Finding) -> str:
+    """Return the group of effects that is identified, where no effect is."""
+    return f"Only the group is identified: {likely(str(f.family), f.families.get(str(f.family), 0.0))}."
 
 
 def _weak(f: Finding) -> str:
@@ -622,9 +627,10 @@ def _at_positions(f: Finding) -> list[str]:
     said = [f"{subject}{_place(f)}."]
     effects = dict.fromkeys(c.effect for c in f.candidates if c.probability >= SAID)
     if f.verdict == "family":
-        said.append(f"Group identified: {f.family} ({percent(f.families[str(f.family)])}).")
+        said.append(_group(f))
     elif f.verdict == "named":
-        said.append(f"Effect identified: {likely(str(f.effect), f.probabilities[str(f.effect)])}.")
+        effect = likely(str(f.effect), f.probabilities[str(f.effect)])
+        said.append(f"The effect is identified: {effect}.")
     elif effects:
         some = choice([one for one in f.probabilities.items() if one[0] in effects])
         said.append(f"The effect is not identified: {some}.")
@@ -652,17 +658,17 @@ def _place(f: Finding) -> str:
 
 
 def _change(f: Finding) -> str:
-    """Return the change: more or less absorption, its amount and its spectrum."""
+    """Return the change in a clause: more or less absorption, its amount and its spectrum."""
     size = f.size
     if f.family == "climate" or size is None or not np.isfinite(size.mean):
-        return "the climate of the air"
+        return "the climate of the air changed"
     more = f.families.get(f"{ADDED} absorption", 0.0) > (1 - f.probabilities[NONE]) / 2
     at = bands.label(f.middle[0])
     if len(f.middle) > 1:
         at = f"{f.middle[0]:g} to {f.middle[-1]:g} Hz"
     low, high = sorted((abs(size.low), abs(size.high)))
-    said = amount(abs(size.mean), "m²", (low, high))
-    said += f" {'more' if more else 'less'} absorption at {at}"
+    said = f"the room has {amount(abs(size.mean), 'm²', (low, high))} "
+    said += f"{'more' if more else 'less'} absorption at {at} than before"
     return f"{said}, {f.spectrum}" if f.spectrum else said
 
 
@@ -670,12 +676,12 @@ def _of_states(f: Finding) -> list[str]:
     if f.verdict == NONE:
         return ["No change was detected beyond the noise of both measurements."]
     if f.verdict == "hint":
-        return [f"No change is identified; {_change(f)} is only a weak indication."]
+        return [f"No change is identified; that {_change(f)} is only a weak indication."]
     if f.family == "climate":
         return ["The climate of the air changed, and nothing else."]
-    said = [f"The room changed: {_change(f)}."]
+    said = [as_sentence(_change(f))]
     if f.family is not None:
-        said.append(f"Group identified: {f.family} ({percent(f.families[f.family])}).")
+        said.append(_group(f))
     if f.identified_surfaces:
         places = listed([f'"{name}"' for name in f.identified_surfaces])
         said.append(f"The change is on {places}.")
@@ -721,28 +727,33 @@ def details(f: Finding) -> list[str]:
         of_kind = _details_of_means if f.kind == "means" else _details_at_positions
         return [*filter(None, of_kind(f))]
     some = [likely(f'"{n}"', p) for n, p in f.surfaces.items() if 1 - CLAIMED <= p < CLAIMED]
-    several = "several may have changed together"
-    return [f"Possibly changed as well: {listed(some)}; {several}."] if some else []
+    return (
+        [f"One or several of these surfaces may have changed as well: {listed(some)}."]
+        if some
+        else []
+    )
 
 
 def _details_of_means(f: Finding) -> list[str]:
-    said = [size_of(f, n) for n in f.names if f.probabilities.get(n, 0.0) >= SAID]
+    sizes = [size_of(f, n) for n in f.names if f.probabilities.get(n, 0.0) >= SAID]
+    said = [f"{size}." for size in sizes if size]
     if f.coefficients is not None:
         low, high = f.coefficients.ratio.min(), f.coefficients.ratio.max()
         said.append(
-            f"Common error of the coefficients: by band, the room has {low:.2f} to {high:.2f} "
-            "times the absorption area of the input. Look for another source of the coefficients."
+            f"If the coefficients have a common error, the room has {low:.2f} to {high:.2f} times the "
+            "absorption area of the input, by band: look for another source of the coefficients."
         )
     if f.more_than_one:
         said += [
-            f"{called(name)} may be {listed([called(o) for o in others], last='or')} instead"
+            f"{called(name)} may be {listed([called(o) for o in others], last='or')} instead."
             for name, others in f.stand_ins.items()
             if others and len(f.members) > 1
         ]
-        words = zip(("no effect", "one", "two", "three"), f.numbers, strict=False)
-        said.append(f"Number of effects: {', '.join(likely(*w) for w in words if w[1] >= 0.005)}.")
+        words = zip(("none", "one", "two", "three"), f.numbers, strict=False)
+        several = ", ".join(likely(*w) for w in words if w[1] >= 0.005)
+        said.append(f"The number of missing effects is {several}.")
         sets = [likely(set_of(names), p) for names, p in f.likely_sets.items()]
-        said.append(f"Sets: {', '.join(sets)}.")
+        said.append(f"The most probable sets of effects are {', '.join(sets)}.")
     library = {effect.name: effect for effect in checked_effects(None)}
     for name, reason in f.not_judged.items():
         family = library[name].family if name in library else None
@@ -753,7 +764,7 @@ def _details_of_means(f: Finding) -> list[str]:
             if alike
             else ""
         )
-        said.append(f"Not judged: {called(name)}, because {reason}.{stands}")
+        said.append(f"{called(name)} is not judged, because {reason}.{stands}")
     return said
 
 
@@ -786,13 +797,13 @@ def _details_at_positions(f: Finding) -> list[str]:
     left = [n for n in asked if n not in grouped]
     less = [n for n in left if f.surfaces[n] < least]
     if less:
-        said.append(f"{listed(less)}: less than a tenth as probable as the most probable surface.")
+        said.append(f"Less than a tenth as probable as the most probable surface: {listed(less)}.")
     if apart := [n for n in left if n not in less]:
         # The groups are those of the most probable effect on a surface.
         effect = next((c.effect for c in f.candidates if c.surface is not None), "it")
         said.append(
-            f"{listed(apart)}: {called(effect)} there was not tried, or these positions could "
-            "distinguish it; not ruled out."
+            f"Not ruled out: {listed(apart)}, where {called(effect)} was not tried, or where these "
+            "positions could distinguish it."
         )
     return said
 
@@ -800,21 +811,20 @@ def _details_at_positions(f: Finding) -> list[str]:
 def evidence(f: Finding) -> str:
     """Return the odds that something is missing, the required odds, and the verdict."""
     what = "changed" if f.kind == "states" else "is missing"
-    words, nothing = f.detection.deciding, percent(f.probabilities.get(NONE, 0.0))
+    words = f.detection.deciding
     score, threshold, of = f.score, f.threshold, ""
     if words is not None:
         part = f.detection.parts[words]
         score, threshold, of = (
             part.score,
             part.threshold,
-            f" (only {words}, because all data give lower odds)",
+            f" (only {words}, as all data give lower odds)",
         )
     required = odds(threshold)
     required = "more than even odds" if required == "even" else f"odds of more than {required}"
     said = (
-        f'Verdict "{f.verdict}": by the data alone{of}, the odds that something {what} are '
-        f"{odds(score)}; a detection requires {required}. With the prior odds of each effect, the "
-        f"probability that nothing {what} is {nothing}."
+        f"The data alone{of} give odds of {odds(score)} that something {what}; a detection requires "
+        f'{required} (verdict "{f.verdict}").'
     )
     if f.kind == "positions" and f.case.has_run:
         said += (
@@ -824,13 +834,13 @@ def evidence(f: Finding) -> str:
         if f.verdict == "hint":
             said += (
                 " Next: search without the run, or with tables of means over positions, where "
-                "--program says what made the run."
+                "--program names the kind of program."
             )
     found = f.detection
     if found.verdict is not None and found.noise is not None and found.noise > 0:
         said += f" A single noisy value is the better explanation (odds of {odds(found.noise)})."
     if found.means is not None:
-        said += f" With the means of these data over positions, the odds are {odds(found.means)}."
+        said += f" The means of these data over positions give odds of {odds(found.means)}."
     return said
 
 
@@ -874,7 +884,7 @@ def record_of_positions(room: Room, match: Sequence[str]) -> str:
     record = record_of("positions", stated, data)
     return (
         f"In simulated rooms that were not used to make the finder, with coefficients {stated}, "
-        f"an earlier version detected {_of(record['detected'], 'hidden effects')} and flagged "
+        f"an earlier version detected {_of(record['detected'], 'hidden effects')} and reported one in "
         f"{_of(record['flagged'], 'rooms with nothing missing')}. Of its results, "
         f"{_of(record['family'], 'identified effects or groups')}, "
         f"{_of(record['surface claimed'], 'identified surfaces')} and "
@@ -887,7 +897,7 @@ def record_of_means(verdict: str, data: str) -> str:
     record = record_of("means", data)
     rooms = f"In simulated rooms that were not used to make the finder, with {data},"
     if verdict == UNKNOWN:
-        return f"{rooms} {_of(record['flagged'], 'rooms with nothing missing were flagged')}."
+        return f"{rooms} an effect was reported in {_of(record['flagged'], 'rooms without one')}."
     if verdict not in record:
         missed = Share(record["detected"].of - record["detected"].count, record["detected"].of)
         said = _of(missed, "hidden effects were not detected")
@@ -906,7 +916,7 @@ def record_of_means(verdict: str, data: str) -> str:
     wrong = Share(measured["wrong"], measured["claims"])
     return (
         f"{said} In {measured['cases']} measured cases an earlier version identified {wrong.of} "
-        f"effects or groups, {wrong.count or 'none'} of them wrongly ({interval(wrong)})."
+        f"effects or groups, {wrong.count or 'none'} wrongly (errors: {interval(wrong)})."
     )
 
 
@@ -922,7 +932,7 @@ def candidates(f: Finding) -> Table | None:
             for name, p in f.probabilities.items()
             if p >= SAID
         ]
-        return Table([there, "odds against the model"], rows, corner="effect")
+        return Table([there, "odds by the data"], rows, corner="effect")
     some = [c for c in f.candidates if c.probability >= SAID and f.verdict != NONE]
     rows = [Row(named(c), [percent(c.probability), c.in_words]) for c in some[:8]]
     corner = "change" if f.kind == "states" else "effect"
@@ -939,9 +949,9 @@ def numbers(f: Finding) -> list[Table]:
     # So many decimals that the interval shows its width.
     digits = int(np.clip(np.ceil(-np.log10(known.min() / 2)), 1, 6)) if len(known) else 1
     columns = {
-        "T / s": [f"{t:.2f}" for t in case.times[0, measured]],
-        "after / s": [f"{t:.2f}" for t in case.times[1, measured]],
-        "area / m²": [f"{area:.1f}" for area in f.area[measured]],
+        "T before / s": [f"{t:.2f}" for t in case.times[0, measured]],
+        "T after / s": [f"{t:.2f}" for t in case.times[1, measured]],
+        "absorption area / m²": [f"{area:.1f}" for area in f.area[measured]],
         "change / m² (90 %)": [
             f"{mean:+.{digits}f} ({low:+.{digits}f} to {high:+.{digits}f})"
             if np.isfinite([mean, low, high]).all()
@@ -971,13 +981,13 @@ def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
     The ``verification`` stands among the cautions.
     """
     table = candidates(f)
-    last = [evidence(f), track_record(f), *(f"Note: {as_sentence(str(n))}" for n in f.notes)]
-    if step := without_measuring(f) or f.advice:
-        last.insert(0, f"Next: {step}")
+    step = without_measuring(f) or f.advice
+    last = [evidence(f), track_record(f), *(f"Note: {n}" for n in noted(f))]
     return [
         Note(" ".join(headline(f))),
         *(Note(f"Caution: {said}") for said in cautions(f)),
         *([] if verification is None else [Note(verification.sentence)]),
+        *([Note(f"Next: {step}")] if step else []),
         *([] if table is None else [table]),
         *(Note(said, "  ") for said in details(f)),
         *numbers(f),
@@ -985,14 +995,25 @@ def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
     ]
 
 
+def noted(f: Finding) -> list[str]:
+    """Return the notes in sentences, without the one that all uncertainties are as given."""
+    return [
+        as_sentence(str(n))
+        for n in f.notes
+        if isinstance(n, str) or n.code != "uncertainties" or n.values["origins"].get("made")
+    ]
+
+
 def added(f: Finding, members: tuple[str, ...]) -> str:
     """Return the effects that `Finding.apply` adds, and those that explain the data as well."""
     some = listed([likely(name_of(f, n), f.probabilities.get(n, 0.0)) for n in members])
     if len(members) > 1:
-        return f"Added: {some}, the most probable set ({percent(f.sets[members])})."
+        some += f", the most probable set ({percent(f.sets[members])})"
+    elif members != f.members:
+        some += ", as chosen"
     others = listed([likely(n, f.probabilities.get(n, 0.0)) for n in f.names if n not in members])
-    beside = f" Other candidates: {others}." if others else ""
-    return f"Added{'' if members == f.members else ', as chosen'}: {some}.{beside}"
+    beside = f" Other candidates are {others}." if others and len(members) == 1 else ""
+    return f"The corrected model contains {some}.{beside}"
 
 
 # A plan.
@@ -1003,8 +1024,8 @@ _OPEN = 0.01
 
 
 def of_plan(p: Plan) -> list[Block]:
-    """Return what each effect would show, what it may be taken for, and what to measure next."""
-    seen, taken = list[Row](), list[Block]()
+    """Return what to measure next, what each effect would show, and what it may be taken for."""
+    seen, taken, alone = list[Row](), list[Block](), list[str]()
     for name, change in p.reached.items():
         nats = p.separations[name, NONE]
         enough = "yes" if nats >= DISTINCT_NATS else "no"
@@ -1012,31 +1033,37 @@ def of_plan(p: Plan) -> list[Block]:
         others = [other for other in p.reached if other != name]
         alike = [called(n) for n in others if p.separations[name, n] < DISTINCT_NATS]
         apart = [called(n) for n in others if p.separations[name, n] >= DISTINCT_NATS]
-        said = ", ".join(alike) or "no other"
+        said = ", ".join(alike)
         if len(alike) > len(apart):
             said = f"all but {', '.join(apart)}" if apart else "all"
-        taken.append(Note(f"{called(name)}: {said}", "  "))
+        if said:
+            taken.append(Note(f"{called(name)}: {said}", "  "))
+        else:
+            alone.append(called(name))
+    if alone:
+        taken.append(Note(f"no other effect: {', '.join(alone)}", "  "))
     measured, enough = listed([parameter_label(n) for n in p.parameters]), odds(DISTINCT_NATS)
-    out: list[Block] = [
+    return [
+        *_proposed(p),
         Note(
             f"This table shows how clearly {measured} would show each effect if nothing else "
             f"were missing. Each effect has the size that changes T by about {100 * p.change:g} "
             f"%; odds of {enough} are enough to detect it.",
             hanging="",
         ),
-        Table(["change of T", "odds against the model", "detected"], seen, corner="effect"),
-        Note(
-            "Effects that could be confused with each effect (the odds between them are expected "
-            f"to be less than {enough}):",
-            hanging="",
-        ),
+        Table(["change of T", "odds by the data", "detected"], seen, corner="effect"),
+        Note(f"Effects between which the data would give odds of less than {enough}:", hanging=""),
         *taken,
     ]
+
+
+def _proposed(p: Plan) -> list[Block]:
+    """Return what to measure next, the best first; nothing where nothing is proposed."""
     if not p.proposals:
-        return out
+        return []
     if p.uncertainty < _OPEN:
-        settled = "What to measure next: the data already settle which effects are there."
-        return [*out, Note(""), Note(settled, hanging="")]
+        settled = "Measure nothing further: the data already settle which effects are there."
+        return [Note(settled, hanging=""), Note("")]
 
     def share(information: float) -> str:
         return f"{100 * information / p.uncertainty:.0f} %"
@@ -1045,21 +1072,21 @@ def of_plan(p: Plan) -> list[Block]:
         Row(str(m.measurement), [share(m.information), f"{m.cost:g} h", share(m.per_cost)])
         for m in p.proposals
     ]
+    first = p.sequence[0]
     return [
-        *out,
-        Note(""),
         Note(
-            "What to measure next: the share of the uncertainty about the effects that each "
-            "measurement is expected to remove, and the hours that it takes. The uncertainty is now "
-            f"that between {np.exp(p.uncertainty):.1f} effects of equal probability.",
+            f"Measure next: {first.measurement}. This measurement is expected to remove "
+            f"{share(first.information)} of the uncertainty about the effects. Today the data leave "
+            f"as much open as {np.exp(p.uncertainty):.1f} effects of equal probability.",
             hanging="",
         ),
-        Table(["removed", "time", "removed per hour"], rows, corner="measurement"),
-        Note("Best order of measurements:"),
+        Table(["uncertainty removed", "time", "removed per hour"], rows, corner="measurement"),
+        Note("Best order of measurements, with what each adds:"),
         *(
             Note(f"{number}. {m.measurement} ({share(m.information)} more)", "  ", "     ")
             for number, m in enumerate(p.sequence, 1)
         ),
+        Note(""),
     ]
 
 

@@ -24,6 +24,7 @@ from rtcal.report.document import (
     page_files,
 )
 from rtcal.support.blocks import Block, Note
+from rtcal.support.text import listed
 
 _MET = 0.05
 """Root mean square of T's deviation over its uncertainty up to which a model has the measured T."""
@@ -54,29 +55,30 @@ def added(result: Diagnosis) -> str:
     if corrected.added is None:
         return words.added(finding, finding.members)
     what = f"{corrected.added.title}, {corrected.added.in_words}"
-    return f'Added to the model: {what}, as the material "{corrected.material}".'
+    return f'The corrected model contains {what}, as the material "{corrected.material}".'
 
 
 def calibrated(result: Diagnosis) -> str:
     """Return how far the calibrated model is from all that was measured, before and after."""
     found = result.calibrated
-    which = "as given" if result.corrected is None else "with it"
+    which = "model as given" if result.corrected is None else "corrected model"
     if isinstance(found, PositionsResult):
         before, after = rms(found.gap_before), rms(found.gap_after)
         said = (
-            f"Calibrated to all pairs, the model {which} differs from the measurement by {after:.1f} "
+            f"Calibrated to all pairs, the {which} differs from the measurement by {after:.1f} "
             "JND, root mean square over the pairs that it was fitted to; with its input coefficients, "
             f"by {before:.1f} JND at the same pairs."
         )
         if found.scattering is None or found.start is None:
             return said
         of = found.start, found.scattering.coefficients
-        before_fit, fitted = (f"{s.min():.2f} to {s.max():.2f}" for s in of)
-        return f"{said} Scattering was fitted, too: from {before_fit}, it moved to {fitted}."
+        ends = [dict.fromkeys([f"{s.min():.2f}", f"{s.max():.2f}"]) for s in of]
+        before_fit, fitted = (" to ".join(each) for each in ends)
+        return f"{said} Its fitted scattering coefficients are {fitted} (before: {before_fit})."
     if found.off < _MET:
-        return f"Calibrated to T, the model {which} has the measured T."
+        return f"Calibrated to T, the {which} has the measured T."
     return (
-        f"Calibrated to T, the model {which} differs from the measured T by {found.off:.1f} "
+        f"Calibrated to T, the {which} differs from the measured T by {found.off:.1f} "
         "times its uncertainty, root mean square."
     )
 
@@ -87,8 +89,8 @@ def shrunk(result: Diagnosis) -> str:
     if verified is None or np.isnan(verified.before):
         return ""
     each = zip(verified.models, verified.by_seed.mean(axis=1), strict=True)
-    said = ", ".join(f"{gap:.2f} JND {model}" for model, gap in each)
-    return f"Mean deviation at data that the model was not fitted to: {said}."
+    said = listed([f"{gap:.2f} JND ({model})" for model, gap in each])
+    return f"At data that were not fitted, the mean deviation of the models is {said}."
 
 
 def blocks(result: Diagnosis) -> list[Block]:
@@ -103,7 +105,11 @@ def blocks(result: Diagnosis) -> list[Block]:
         added(result),
         calibrated(result),
     ]
-    rests_on = [words.evidence(finding), words.track_record(finding), "This stands for:"]
+    rests_on = [
+        words.evidence(finding),
+        words.track_record(finding),
+        "Single commands that do the same:",
+    ]
     return [
         *map(Note, filter(None, said)),
         *([] if table is None else [table]),

@@ -94,8 +94,8 @@ def page(
             ]
         ),
         *of_kind,
-        *([Section("Notes", "notes", 3)] if finding.notes else []),
-        Items([*map(str, finding.notes)]),
+        *([Section("Notes", "notes", 3)] if words.noted(finding) else []),
+        Items(words.noted(finding)),
         *_reproduced(finding, command),
     ]
     return Page(room.name, room.author, _SUBJECTS[finding.kind], blocks)
@@ -503,12 +503,15 @@ def correct(
         made = replace(made, caution=verification_words.misses(verification))
     lines = [" ".join(words.headline(finding)), *([made.caution] if made.caution else [])]
     if made.added is not None:
-        what = f"{made.added.title}, {made.added.in_words}, as {made.form}"
-        lines.append(f'Added: {what}, material "{made.material}" ({made.support}).')
+        what = f"{made.added.title}, {made.added.in_words}"
+        lines[0] = (
+            f"The corrected model contains {what}, as a {made.form} of the new material "
+            f'"{made.material}". {lines[0]}'
+        )
     lines += map(str, made.notes)
     for name, report in made.reports.items():
-        lines += [f"{name}: {'. '.join(report.notes)}."] if report.notes else []
-        lines += [f"{name} lacks: {', '.join(report.lost)}."] if report.lost else []
+        lines += [f"{name}: {'; '.join(report.notes)}."] if report.notes else []
+        lines += [f"{name} cannot hold {listed(report.lost)}."] if report.lost else []
     record["corrected"] = made.to_dict()
     room = made.room
     if made.model is not None:
@@ -519,9 +522,11 @@ def correct(
         lines = [
             words.added(finding, members),
             *([made.caution] if made.caution else []),
+            "",
             *lines_of(calibrated.blocks()),
-            *(f"Note: {note}" for note in finding.notes),
-            *(f"Not in the room: {note}" for note in made.notes),
+            *(f"Note: {note}" for note in words.noted(finding)),
+            *(["The room's file cannot hold:"] if made.notes else []),
+            *(f"  - {note}" for note in made.notes),
         ]
         record |= {"sentence": lines[0], "calibrated": calibrated.to_dict()}
         room = calibrated.room

@@ -103,8 +103,7 @@ def page(result: PositionsResult) -> Page:
             ),
             Section("Deviations by pair", "gaps"),
             Note(
-                "Root mean square deviation over the bands, before to after; misfit: deviation "
-                "divided by what the other pairs lead to expect (1 is usual)."
+                "Misfit is the deviation of a pair divided by what the other pairs lead to expect."
             ),
             *gaps,
             *_held_out(result),

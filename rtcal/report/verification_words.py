@@ -30,15 +30,15 @@ def of_miss(miss: Miss) -> str:
 
 
 def misses(v: Verification) -> str:
-    """Return what the corrected model misses, with the consequence; "" where it meets all."""
+    """Return the values that the corrected model misses, with the consequence; "" without any."""
     if not v.misses:
         return ""
     worst = sorted(v.misses, key=lambda miss: -abs(miss.jnd))
     said = first_of([*map(str, worst)], _SHOWN_MISSES)
-    return f"Do not simulate with the corrected model: it has {said}."
+    return f"Do not simulate with the corrected model, which has {said}."
 
 
-_UNPROVEN = "The effect is neither confirmed nor ruled out."
+_UNPROVEN = "The verification neither confirms the effect nor rules it out."
 """What a reader may conclude of a finding that is unproven."""
 
 
@@ -46,31 +46,30 @@ def sentence(v: Verification) -> str:
     """Return the verdict, the change of the gap with its standard error, and the objections."""
     if np.isnan(v.before) and v.runs and v.held_out:
         said = [
-            "Not tested: the second run does not have the data that the finding was not fitted "
-            f"to ({listed(v.held_out)}). Simulate them, too.",
+            "The correction is not tested: the second run does not have the data that the finding "
+            f"was not fitted to ({listed(v.held_out)}). Simulate them, too.",
             _as_simulated(v),
         ]
     elif v.verdict == "not tested" and v.little_left:
         left = next(str(reason) for reason in v.objections if reason.code == "little left")
-        said = [f"Not tested at {listed(v.held_out)}: {left}.", _as_simulated(v)]
+        said = [f"The correction is not tested at {listed(v.held_out)}: {left}.", _as_simulated(v)]
     elif np.isnan(v.before):
         said = [
-            "Not tested: the finding was fitted to all that was measured. Measure C80 or G, or a "
-            "second configuration."
+            "The correction is not tested: the finding was fitted to all that was measured. Measure "
+            "C80 or G, or a second configuration."
         ]
     else:
         supported = v.verdict == "supported"
-        verb = "shrinks" if v.gain > 0 else "grows"
+        verb = "reduces" if v.gain > 0 else "increases"
         grounds = [str(reason) for reason in v.objections if reason.code != MISSES]
         again, but = _found_again(v)
-        chosen = v.effect and v.effect != v.finding.best_effect
-        what = name_of(v.finding, v.effect) if chosen else "what was found"
+        found = "what was found" if v.corrected is None else name_of(v.finding, _verified(v).effect)
         by = with_uncertainty(abs(v.gain), v.uncertainty, 2)
         said = [
-            f"{v.verdict.capitalize()}{but if supported else ''}: {again}with {what}, the mean "
-            f"deviation at data that were not fitted ({listed(v.held_out)}) {verb} from "
-            f"{v.before:.2f} to {v.after:.2f} JND (by {by} JND, "
-            f"standard error{f'; required: more than {v.needed:.2f} JND' if supported else ''}).",
+            f"The correction is {v.verdict}{but if supported else ''}: {again}adding {found} to the "
+            f"model {verb} the mean deviation at data that were not fitted ({listed(v.held_out)}) "
+            f"from {v.before:.2f} to {v.after:.2f} JND (by {by} JND, standard error"
+            f"{f'; required: more than {v.needed:.2f} JND' if supported else ''}).",
             _as_simulated(v),
             as_sentence(listed(grounds)) if grounds else "",
             "The model is better, but the name of the effect may still be wrong."
@@ -113,7 +112,7 @@ def notes(v: Verification) -> list[str]:
     """Return the notes on the comparison."""
     if v.uncorrected is not None and v.corrected is not None:
         how = "found" if v.effect == v.finding.best_effect else "verified"
-        found = f"What was {how}: {support(v.finding, _verified(v))}."
+        found = f"The effect that was {how} is {support(v.finding, _verified(v))}."
         return [found, _of_runs(v) if v.runs else _of_time(v), *v.notes]
     return [*v.notes, *(_of_pairs(v) if v.halves else ())]
 
@@ -139,14 +138,13 @@ def _of_time(v: Verification) -> str:
     time, gap = v.quantities[0], v.sizes[1, 0, 0, 0]
     if v.corrected is not None and v.corrected.off > _MET:
         return (
-            f"The corrected model does not meet the fitted {time}: it is {v.corrected.off:.1f} times "
-            "as far off as the uncertainty of T allows. No coefficients near the input agree "
-            "with this effect and size."
+            f"The corrected model misses the fitted {time} by {v.corrected.off:.1f} times its "
+            "uncertainty, because no coefficients near the input agree with this effect and size."
         )
     how = "exactly" if gap < _EXACT else f"to {gap:.2f} JND"
     return (
-        f"The calibration without the effect meets the fitted {time} {how}. The calibration with "
-        "the effect meets it as closely as the uncertainty of T allows."
+        f"Calibrated without the effect, the model has the fitted {time} {how}; with the effect, as "
+        "closely as the uncertainty of T allows."
     )
 
 
@@ -156,16 +154,16 @@ def _of_pairs(v: Verification) -> list[str]:
     stated, plainly = mean_of_known(np.abs(v.gaps[:2]), (1, 2, 3, 4)).tolist()
     out = [
         f"± is the standard error over {len(v.places)} pairs and {seeds} seed{'s' * (seeds != 1)} of "
-        f"the simulator. With the input, the deviation is {stated:.2f} JND."
+        f"the simulator. The model with its input coefficients deviates by {stated:.2f} JND."
     ]
     if stated < plainly:
         out.append(
-            "The calibrated model is not better there than the input model: do not simulate with it."
+            "The calibrated model deviates no less than the input model: do not simulate with it."
         )
     for half, what in zip(v.halves, v.added, strict=True):
         names = ", ".join(" to ".join(pair) for pair in half)
         added = "nothing" if what is None else f"{what.title}, {what.in_words}"
-        out.append(f"Fitted on {names}: added {added}.")
+        out.append(f"From the pairs {names}, rtcal added {added}.")
     return out
 
 

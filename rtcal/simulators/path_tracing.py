@@ -1047,7 +1047,7 @@ class PathTracing(Tracer):
                 "level and early parameters depend on where a loudspeaker aims."
             )
         if taken := ", ".join(name for name in self.sources if name not in self.directivity):
-            notes.append(f"Without a directivity, and therefore taken as omnidirectional: {taken}.")
+            notes.append(f"Sources without a directivity are taken as omnidirectional: {taken}.")
         return tuple(notes)
 
     def with_air(self, air: Air) -> PathTracing:

@@ -27,7 +27,7 @@ IN_BANDS: dict[str, Callable[[rt.Measurement], rt.Measurement]] = {
 NOTES = {
     "alike": [],
     "one more": ["Left out, not in the room: 4000 Hz."],
-    "one fewer": ["Left out, since missing: 60 of 240 values."],
+    "one fewer": ["Of 240 values 60 are missing, and left out."],
     "thirds": [
         "T is converted from third-octaves to octaves: the mean of 1/T over the three thirds."
     ],

@@ -68,7 +68,7 @@ def test_turned_panels_are_named_added_and_verified(
         assert done.verdict == "supported"
         assert done.after < 0.2 * done.before
         assert done.sentence in words
-        assert done.sentence.startswith("Supported")
+        assert done.sentence.startswith("The correction is supported")
     else:  # alpha may be that of the one state
         assert done.verdict == "unproven"
         assert done.sentence in words

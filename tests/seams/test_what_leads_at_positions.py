@@ -48,6 +48,6 @@ def test_the_doubt_of_means_about_what_is_stated_leads(
     monkeypatch.setattr(search, "evidence_of_means", lambda *_: SimpleNamespace(mistake=doubt))
     monkeypatch.setattr(search, "find_by_positions", lambda *_: finding)
     led = rt.find(finding.case)
-    assert headline(led)[0].startswith(f"{doubt} If there is none: The room absorbs")
+    assert headline(led)[0].startswith(f"{doubt} If there is no such mistake: The room absorbs")
     assert led.to_dict()["mistake"] == doubt.to_dict()
     assert str(doubt) not in headline(finding)[0]
