@@ -145,7 +145,7 @@ def test_thirds_are_written_as_their_mean(is_new: bool, tmp_path: Path) -> None:
     # By hand, Eyring without air: the mean of -ln(1 - alpha) is not that of the mean alpha.
     thirds = -np.log(1 - room.alpha[0, :3]).mean() / -np.log(1 - 0.161)
     assert report.change[0] == pytest.approx((thirds - 1) / 0.05, rel=1e-9)
-    assert "alpha is converted from third-octaves to octaves" in str(report)
+    assert "Alpha is converted from third-octaves to octaves" in str(report)
     assert report.bands_not_written == ()
 
 

@@ -277,7 +277,7 @@ def test_any_simulator_is_calibrated_without_an_interval():
     assert result.parameters == ("t20", "edt")
     assert result.interval is None
     text = " ".join(str(result).split())
-    assert "the simulator does not give it: C80, level" in text
+    assert "The simulator does not give C80, level, which cannot be matched" in text
     assert "No interval" in text
     assert np.abs(result.gap_after).max() < np.abs(result.gap_before).max()
     np.testing.assert_array_equal(result.room.sigma, room.sigma)

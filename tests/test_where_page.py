@@ -119,7 +119,7 @@ def test_a_gap_that_changes_by_less_than_its_uncertainty_is_unproven(
 ) -> None:
     result = verification_of(PAIRS, {"before": 3.0, "plain": plain, "corrected": corrected})
     assert result.verdict == verdict
-    assert result.sentence.lower().startswith(verdict)
+    assert result.sentence.startswith(f"The correction is {verdict}")
     assert result.sentence.count("not fitted") == 1
     assert result.gain == pytest.approx(plain - corrected, abs=0.06)
     assert 0.005 < result.uncertainty < 0.05

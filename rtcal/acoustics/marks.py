@@ -780,10 +780,10 @@ def grouped(marks: Sequence[TrustMark]) -> Iterator[tuple[TrustMark, list[str]]]
         yield alike[0], facts
 
 
-def explained(marks: Sequence[TrustMark]) -> list[str]:
-    """Return the marks as sentences, grouped by advice: the facts, then the advice."""
-    out = []
-    for first, facts in grouped(marks):
-        letter = f"[{first.letter}] " if first.letter else ""
-        out.append(f"{letter}{'; '.join(facts)}. {as_sentence(first.advice)}")
-    return out
+def cautions(marks: Sequence[TrustMark]) -> list[str]:
+    """Return the marks as cautions, grouped by advice: "Caution [s] 125 Hz: facts. Advice."."""
+    return [
+        f"Caution{f' [{first.letter}]' if first.letter else ':'} {'; '.join(facts)}. "
+        f"{as_sentence(first.advice)}"
+        for first, facts in grouped(marks)
+    ]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.marks import MET, P_CONTRADICTION, TrustMark, agreement, explained, letters
+from rtcal.acoustics.marks import MET, P_CONTRADICTION, TrustMark, agreement, cautions, letters
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, parameter_label
 from rtcal.acoustics.room import Room
@@ -160,10 +160,9 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
         for cells in [zip(m["alpha_after"], m["at_bound"], strict=True)]
     ]
     heading, evidence = verdict(record)[1:]
-    cautions = explained(_trust_marks(record))
     return [
         Note(f"{heading}. {evidence}"),
-        *(Note(f"Caution{'' if said[0] == '[' else ':'} {said}") for said in cautions),
+        *map(Note, cautions(_trust_marks(record))),
         *map(Note, remarks(record)),
         Table(labels, band_rows(record), note=SIGNS),
         Table(

@@ -75,7 +75,7 @@ def start(
     Example: rtcal loop start room.toml t.csv \\
         --state loop.json --out next.toml --decimals 3
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    from rtcal.acoustics.marks import explained
+    from rtcal.acoustics.marks import cautions
     from rtcal.loop import closed
     from rtcal.support import text
 
@@ -93,7 +93,9 @@ def start(
     first = []
     if run is not None:
         worst = float(np.nanmax(np.abs(begun.gap)))
-        first = [f"{simulated} is the loop's first simulation, off by {worst:.1f} JND at most."]
+        first = [
+            f"{simulated} is the loop's first simulation: its T is off by {worst:.1f} JND at most."
+        ]
         first += [line for said in begun.notes for line in text.wrapped(said)]
     record = {
         "state": state,
@@ -102,16 +104,13 @@ def start(
         "measured": begun.matched.time_label,
         "matched": begun.matched.label,
     }
+    who = "the program" if run is not None else f"{begun.equation.name}'s equation"
+    said = f"With the coefficients in {out}, {who} is expected to give the measured "
     lines = [
-        f"{begun.matched.time_label} is taken as the measured T.",
-        *([f"Matched: {begun.matched.label}."] if weights else []),
-        *record["unreachable"],
+        *text.wrapped(f"{said}{begun.matched.label if weights else begun.matched.time_label}."),
+        *(f"{band}; the coefficients with the nearest T are taken." for band in unreachable),
         *first,
-        *(
-            line
-            for said in explained(begun.marks_of_next)
-            for line in text.wrapped(f"Caution: {said}")
-        ),
+        *(line for said in cautions(begun.marks_of_next) for line in text.wrapped(said)),
         *([] if begun.low is None else text.wrapped(begun.low.loop_note)),
         closed.write(begun, state, out),
     ]

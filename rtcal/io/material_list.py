@@ -514,7 +514,7 @@ class ExportReport:
         if self.bands_not_written:
             missing = ", ".join(bands.labels(self.bands_not_written))
             rows.append(f"The file does not have the bands {missing}, so they are not written.")
-        lost = f"The file cannot hold {text.listed(self.lost)}: keep the room's own file."
+        lost = f"The file cannot hold {', '.join(self.lost)}: keep the room's own file."
         again = (
             "A room made of this file can be calibrated to the same data again, which would count "
             "these data twice."

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics.bands import label, labels, span
 from rtcal.acoustics.bands import notes as notes_of_bands
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.marks import TrustMark, explained, gap_jnd, of_input, of_row, of_unit, rms
+from rtcal.acoustics.marks import TrustMark, cautions, gap_jnd, of_input, of_row, of_unit, rms
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import (
     EARLY,
@@ -857,8 +857,8 @@ class Loop(Result):
         gaps, goals = zip(*map(_apart, self.gap, self.goal), strict=True)
         rows = [
             Row("T wanted / s", self.wanted, ".3f"),
-            Row("first / s", first, ".3f"),
-            Row("simulated / s", last, ".3f"),
+            Row("T of first run / s", first, ".3f"),
+            Row("T simulated / s", last, ".3f"),
             Row("first deviation / JND", gap_jnd(first, self.wanted), "+.1f"),
             Row(
                 "deviation / JND",
@@ -867,7 +867,7 @@ class Loop(Result):
                 shown=gaps,
             ),
             Row("done within / JND", self.goal, shown=goals),
-            Row("z", self.outcome.plausibility.z, "+.1f"),
+            Row("missing absorption / σ", self.outcome.plausibility.z, "+.1f"),
             Row("nearest simulation", [int(b) + 1 for b in self.best], "d"),
             Row("status", self.status_now),
         ]
@@ -910,7 +910,7 @@ class Loop(Result):
                 "Not confirmed: simulated once more, the deviation exceeds tolerance plus noise, or "
                 "the noise exceeds the tolerance. Simulate with less noise (more paths)."
             )
-        notes += explained(self.trust_marks)
+        notes += cautions(self.trust_marks)
         if self.prior.is_uncertain:
             notes.append(
                 f"The room is uncertain ({in_words(self.prior)}). These coefficients serve the "

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.marks import Plausibility, TrustMark, explained, mark, plausibility
+from rtcal.acoustics.marks import Plausibility, TrustMark, cautions, mark, plausibility
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room, refuse_repeated_data
 from rtcal.acoustics.room_errors import prior_covariance
@@ -481,7 +481,7 @@ class ModesResult(Result):
             f"degree{'s' * (q.degrees_of_freedom != 1)} of freedom, "
             f"p = {q.p_value:.2g}."
         )
-        return [first, misfit, *self.notes, *explained(self.trust_marks)]
+        return [first, misfit, *self.notes, *cautions(self.trust_marks)]
 
     @property
     def each(self) -> list[dict[str, Any]]:

@@ -107,9 +107,9 @@ def _largest_pair(c: Comparison) -> list[str]:
     i = worst[p]
     z = float(_over_bands(c.at_pairs[p] / c.pair_uncertainty[p])[i])
     return [
-        f"Largest deviation at one pair: {parameter_label(p)} from {' to '.join(c.pairs[i])}, "
-        f"{number(float(each[p][i]), '+.1f')} JND or {number(z, '+.1f')} standard deviations on "
-        "the average over the bands."
+        f"The largest deviation at one pair is that of {parameter_label(p)} from "
+        f"{' to '.join(c.pairs[i])}: {number(float(each[p][i]), '+.1f')} JND or {number(z, '+.1f')} "
+        "standard deviations, mean over the bands."
     ]
 
 
@@ -159,9 +159,11 @@ def _coefficients(c: Comparison) -> list[str]:
     yes = named(lambda p: c.explained[p])
     no = named(lambda p: c.disagrees[p] & ~c.explained[p])
     if not yes:
-        return ["The uncertainty of the input coefficients does not explain it."]
+        return ["The uncertainty of the input coefficients does not explain these deviations."]
     if not no:
-        return ["The uncertainty of the input coefficients can explain all of it, band by band."]
+        return [
+            "The uncertainty of the input coefficients can explain these deviations band by band."
+        ]
     return [
         f"The uncertainty of the input coefficients can explain {listed(yes)}, but not {listed(no)}."
     ]
@@ -195,7 +197,7 @@ def _table(c: Comparison) -> Table:
                 rows.append(Row("  in standard deviations", own, "+.1f"))
             if open_.any():
                 whole = (off - centre) / np.hypot(c.known(p), open_)
-                rows.append(Row("  beyond coefficients", whole, "+.1f"))
+                rows.append(Row("  coefficients included", whole, "+.1f"))
     return Table(
         bands.labels(c.run.room.centre_frequencies),
         rows,
