@@ -489,10 +489,16 @@ class ExportReport:
 
     def __str__(self) -> str:
         if self.template is None:
-            kind = "new list, since there was no such file"
+            done = f"{self.path} is a new list"
+        elif self.template == self.path:
+            done = f"The coefficients in {self.path} were replaced"
         else:
-            name = "list" if self.template == self.path else self.template
-            kind = f"{name} with its coefficients replaced"
+            done = f"{self.path} is {self.template} with its coefficients replaced"
+        if np.isfinite(self.change).any():
+            done += (
+                f". As the program reads them (rounded, in its bands), T by {self.equation}'s equation "
+                f"changes by at most {np.nanmax(np.abs(self.change)):.2f} JND"
+            )
         cells = [
             [f"{before:.4f}", f"{after:.4f}", text.number(change, "+.2f")]
             for before, after, change in zip(
@@ -501,11 +507,7 @@ class ExportReport:
         ]
         names = bands.labels(self.room.centre_frequencies)
         rows = [
-            f"{self.path}: {kind}",
-            *text.wrapped(
-                f"T by {self.equation}'s equation, of the room and of the coefficients as the program "
-                "reads them (rounded, in its bands):"
-            ),
+            *text.wrapped(f"{done}."),
             *text.table(
                 [*zip(names, cells, strict=True)],
                 header=("band", ["T / s", "T as read / s", "change / JND"]),
