@@ -208,21 +208,28 @@ class PositionsPrediction(Result):
     def blocks(self) -> list[Block]:
         """Return the blocks of the prediction: means over the pairs by band."""
         rows, first = [], self.parameters[0]
+        labels, before = bands.labels(self.before.centre_frequencies), self.before_change(first)[-1]
+        after, ends = self.mean(first), self.interval(first)
+        said = f"{parameter_label(first)} after the change, with its 90 % interval, stands below."
+        if np.array_equal(before, after):
+            said = words.NOTHING_CHANGES
+        elif observable(first).unit == "s":
+            said = words.headline(labels, before, after, ends, parameter_label(first))
         for p in self.parameters:
             of, (low, high) = observable(p), self.interval(p)
             unit, form = f" / {of.unit}" if of.unit else "", f".{of.decimals}f"
             rows += [
                 Row(f"{of.label} before{unit}", self.before_change(p)[-1], form),
                 Row(f"{of.label} after{unit}", self.mean(p), form),
-                Row(f"{of.label} 90 %: from{unit}", low, form),
+                Row(f"{of.label} 90 % interval: from{unit}", low, form),
                 Row(f"{of.label} to{unit}", high, form),
             ]
         return words.blocks_of(
             [
-                f"{self.before.name}: {self.name}",
-                f"Mean over {len(self.pairs)} pairs, by {self.simulator}",
+                f"{self.before.name}, {self.name}: {said}",
+                f"The values are means over {len(self.pairs)} pairs, simulated by {self.simulator}.",
             ],
-            bands.labels(self.before.centre_frequencies),
+            labels,
             rows,
             (f"the interval of {parameter_label(first)}", self.parts(first)),
             self.sentences,

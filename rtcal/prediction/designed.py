@@ -511,7 +511,7 @@ class Design(Result):
             )
             for t in self.treatments
         ]
-        columns = ["covers", "area / m²", "largest / m²", "panels", "cost"]
+        columns = ["covers", "area / m²", "largest area / m²", "panels", "cost"]
         parts = [
             f"{t['area']:.1f} m² of {t['name']}"
             + (f" ({t['panels']} panels)" if t["panels"] else "")
@@ -520,27 +520,27 @@ class Design(Result):
         ]
         needed = (
             f"{listed(parts)} bring T into the target in each band with a probability of "
-            f"{np.nanmin(self.probability[target.bounded]):.2f} or more, for a cost of {self.cost:.0f}."
+            f"{np.nanmin(self.probability[target.bounded]):.2f} or more, at a cost of {self.cost:.0f}."
             if parts
             else "Nothing is needed: T is in the target in each band with the required probability."
         )
         frontier = ", ".join(
-            f"{p:g}: {'not possible' if np.isinf(cost) else f'{cost:.0f}'}"
+            f"{'not possible' if np.isinf(cost) else f'{cost:.0f}'} for {p:g}"
             for p, cost in self.frontier.items()
         )
         drawn = "" if made.known.n_measured > 1 else ", at most 0.01 off"
         return [
-            Note(f"{self.model.before.name}, target: {target.source}"),
-            *map(Note, made.heads[1:-1]),
+            *map(Note, made.heads[:-1]),
             Note(needed),
+            Note(f"The target of {self.model.before.name} is {target.source}."),
+            Note(
+                "All bands are in range at once with a probability of "
+                f"{self.probability_together:.2f}. Probabilities are means over random draws{drawn}."
+            ),
+            Note(f"Cost by probability: {frontier}."),
+            *map(Note, made.sentences),
             Table(columns, treatments, corner="treatment"),
             Table(bands.labels(made.after.centre_frequencies), [*made.rows, *made.within(target)]),
-            Note(f"Cost {self.cost:.0f}. Cost by probability: {frontier}."),
-            Note(
-                f"Probability that all bands are in range at once: {self.probability_together:.2f}. "
-                f"The probabilities are means over draws{drawn}."
-            ),
-            *map(Note, made.sentences),
         ]
 
 

@@ -244,9 +244,9 @@ class Prediction(TimeChange, Result):
 
     @property
     def heads(self) -> list[str]:
-        """What stands above the table: the names, likely typing errors, and the change."""
+        """What stands first: likely typing errors, and the change of the named variant."""
         doubts = [as_sentence(each.sentence) for each in self.known.doubts]
-        return [f"{self.before.name}: {self.name}", *doubts, self.headline]
+        return [*doubts, f"{self.before.name}, {self.name}: {self.headline}"]
 
     @property
     def sentences(self) -> list[str]:
@@ -270,7 +270,7 @@ class Prediction(TimeChange, Result):
             if apart[k] >= JND:
                 said.append(words.uneven(labels[k], two, (float(low[k]), float(high[k]))))
         if known.measured.any():
-            said.append(words.gained(self.uncalibrated.half_width, self.half_width))
+            said.append(words.gained(JND * self.uncalibrated.half_width, JND * self.half_width))
         said.append(words.to_narrow(self.parts, known.n_measured))
         return said
 
@@ -293,9 +293,7 @@ class Prediction(TimeChange, Result):
             Row("               to / s", high, ".2f"),
             Row("change / s", self.mean - self.time_before, "+.2f"),
             Row("change / %", 100 * JND * self.change, "+.1f"),
-            Row("change / JND", self.change, "+.1f"),
-            Row("half width / %", 100 * JND * self.half_width, ".1f"),
-            Row("half width / JND", self.half_width, ".1f"),
+            Row("half of the interval / %", 100 * JND * self.half_width, ".1f"),
         ]
 
     def within(self, target: Target) -> list[Row]:
@@ -303,7 +301,7 @@ class Prediction(TimeChange, Result):
         return [
             Row("target: from / s", target.low, ".2f"),
             Row("        to / s", target.high, ".2f"),
-            Row("probability", self.probability(target.low, target.high), ".2f"),
+            Row("probability of range", self.probability(target.low, target.high), ".2f"),
         ]
 
     def blocks(self) -> list[Block]:
@@ -440,9 +438,9 @@ class Predictions(Result):
         labels = bands.labels(self.predictions[0].before.centre_frequencies)
         shown = [p.shown for p in self.predictions]
         rows = [Row(p.name, s.after, ".2f") for p, s in zip(self.predictions, shown, strict=True)]
-        found: list[Block] = [Table(labels, rows, f"side by side: {shown[0].name}")]
+        found: list[Block] = [Table(labels, rows, f"All variants: {shown[0].name}")]
         if self.target is not None:
-            found.append(Note(f"Target: {self.target.source}"))
+            found.append(Note(f"The target is {self.target.source}."))
         elif all(cost is None for cost in self.costs):
             return found
         costs = ["-" if c is None else f"{c:.0f}" for c in self.costs]
@@ -453,7 +451,7 @@ class Predictions(Result):
                 self.predictions, costs, chances or [[]] * len(costs), strict=True
             )
         ]
-        columns = ["cost", "least band", "all bands"][: len(rows[0].values)]
+        columns = ["cost", "probability of the worst band", "of all bands"][: len(rows[0].values)]
         return [*found, Table(columns, rows, corner="variant")]
 
     def chances(self) -> list[tuple[float, float]]:

@@ -79,7 +79,7 @@ CALIBRATED_BEFORE = (
     "of its coefficients. For the measured T before, give the room as it was before its "
     "calibration, and the measurement."
 )
-GIVEN = "T before is given; its own uncertainty is not part of the interval."
+GIVEN = "The interval does not contain the uncertainty of the measured T before."
 UNPLACED = (
     "The room does not give the axes of the surfaces that change. The interval therefore allows "
     "for all of them on one pair of walls, where T falls less. To narrow it, give the axis of "
@@ -88,9 +88,13 @@ UNPLACED = (
 
 
 def headline(
-    labels: Sequence[str], before: Array, after: Array, interval: tuple[Array, Array]
+    labels: Sequence[str],
+    before: Array,
+    after: Array,
+    interval: tuple[Array, Array],
+    parameter: str = "T",
 ) -> str:
-    """Return the change of T in a sentence; T before and after in s, (n_bands,) each."""
+    """Return the change of a decay time in a sentence; before and after in s, (n_bands,) each."""
     change = np.round(100 * (after / before - 1))
     k = int(np.argmax(np.abs(change)))
     verb = "falls" if change.max() <= 0 else "rises" if change.min() >= 0 else "changes"
@@ -101,8 +105,8 @@ def headline(
         by = f"{format(ends[0], form)} to {by}"
     low, high = interval
     return (
-        f"T {verb} by {by} %, most at {labels[k]}: from {before[k]:.2f} to {after[k]:.2f} s (90 % "
-        f"interval {low[k]:.2f} to {high[k]:.2f} s)."
+        f"{parameter} {verb} by {by} %, most at {labels[k]}: from {before[k]:.2f} to {after[k]:.2f} s "
+        f"(90 % interval {low[k]:.2f} to {high[k]:.2f} s)."
     )
 
 
@@ -127,8 +131,8 @@ def uneven(label: str, times: Mapping[str, float], interval: tuple[float, float]
     if of_axes < even:
         why = "Arau-Puchades' is the shorter where one pair of walls absorbs nearly all"
     return (
-        f"The absorption is uneven: at {label} T after is {even:.2f} s by {own}'s equation and "
-        f"{of_axes:.2f} s by Arau-Puchades'. {why}, and the interval {allowed}."
+        f"Caution: the absorption is uneven, so at {label} T after is {even:.2f} s by {own}'s "
+        f"equation and {of_axes:.2f} s by Arau-Puchades'. {why}, and the interval {allowed}."
     )
 
 
@@ -136,18 +140,16 @@ def to_narrow(parts: Mapping[str, Array], n_states: int) -> str:
     """Return the largest of an interval's parts, (n_bands,) each, and what narrows it."""
     largest, share = next((name, float(part.mean())) for name, part in parts.items())
     return (
-        f"Largest part: {largest} ({100 * share:.0f} % of the variance). To narrow it, "
-        f"{advice(largest, n_states)}."
+        f"Next: to narrow the interval, {advice(largest, n_states)}. The largest part of its variance "
+        f"is {largest} ({100 * share:.0f} %)."
     )
 
 
 def gained(without: Array, half_width: Array) -> str:
-    """Return by how much calibrating narrowed an interval; half widths in JND, (n_bands,) each."""
-    before, after = np.median(without), np.median(half_width)
+    """Return by how much calibrating narrowed an interval; half widths over T, (n_bands,)."""
+    before, after = (100 * np.median(of) for of in (without, half_width))
     how = "narrowed" if after < before else "did not narrow"
-    return (
-        f"Calibration {how} the interval: ± {before:.1f} JND without it, ± {after:.1f} JND with it."
-    )
+    return f"Calibration {how} the interval: ± {before:.0f} % of T without it, ± {after:.0f} % with it."
 
 
 def blocks_of(
@@ -162,9 +164,9 @@ def blocks_of(
     made_of = [Row(name, [100 * s for s in share], ".0f") for name, share in shares.items()]
     return [
         *map(Note, heads),
-        Table(labels, rows),
-        Table(labels, made_of, f"what {interval} is made of / % of the variance"),
         *map(Note, sentences),
+        Table(labels, rows),
+        Table(labels, made_of, f"Parts of {interval} / % of the variance"),
     ]
 
 

@@ -28,7 +28,7 @@ def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Pag
         variants = (result,)
     if not isinstance(result, Design):
         by_equation = [v for v in variants if isinstance(v, Prediction)]
-        summary = [Note(each) for v in by_equation[:1] for each in v.heads[1:-1]]
+        summary = [Note(each) for v in by_equation[:1] for each in v.heads[:-1]]
         summary += [Note(f"{v.name}: {v.headline}") for v in by_equation]
     room = variants[0].before
     f, shown = room.centre_frequencies, [v.shown for v in variants]

@@ -51,7 +51,10 @@ def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None
     found, folder, html = designed
     assert f"Cost {found.cost:.0f}." in html
     assert f">{found.areas[0] / 1.44:.0f}</td>" in html
-    assert f"all bands are in range at once: {found.probability_together:.2f}" in html
+    assert (
+        f"All bands are in range at once with a probability of {found.probability_together:.2f}"
+        in html
+    )
     assert "Cost by probability, side by side" in html
     assert html == pages.page_of(folder)
 
