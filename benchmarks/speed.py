@@ -110,13 +110,13 @@ def find_again(folder: Path) -> Measured:
 
 
 def _places(letter: str, n: int, height: float) -> str:
-    """Return n places on a spiral about the middle of the floor, as lines of a room's file."""
-    angles = [2.4 * i + ord(letter) for i in range(n)]
-    radii = [0.8 + 2.2 * i / n for i in range(n)]
-    return "\n".join(
-        f"{letter}{i} = [{4 + r * math.cos(a):.3f}, {3.5 + r * math.sin(a):.3f}, {height}]"
-        for i, (r, a) in enumerate(zip(radii, angles, strict=True))
-    )
+    """Return n places in both arms of the L-shaped room, as lines of a room's file."""
+    rows = []
+    for i in range(n):
+        along, across = 1 + 6 * (i + 0.5) / n, 1.0 if letter == "S" else 2.2
+        x, y = (along, across) if i % 2 else (across, along)
+        rows.append(f"{letter}{i} = [{x:.3f}, {y:.3f}, {height}]")
+    return "\n".join(rows)
 
 
 def large_mesh(folder: Path) -> Measured:
