@@ -58,9 +58,7 @@ def calibrate(
     `rtcal report calibrated` makes a page of the results. The equation then has the measured T; for
     the T of your own program, `rtcal loop start --simulated` begins with what it gave.
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    from rtcal.acoustics.changes import facing
     from rtcal.calibration import methods
-    from rtcal.io import geometry_files
     from rtcal.report import figures
 
     if out is not None:
@@ -84,6 +82,9 @@ def calibrate(
         data = console.measured(prior, measured, t20=t20, t30=t30)
         result = methods.calibrate(prior, data, equation=equation, **stated)
     if prior.scene.mesh is not None:
+        from rtcal.acoustics.changes import facing
+        from rtcal.io import geometry_files
+
         with suppress(DataError):  # told by the mesh's doubt
             result = replace(result, shares=facing(prior, geometry_files.read(prior)))
     if out is not None:
