@@ -16,6 +16,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -35,6 +36,7 @@ from rtcal.support import __version__, blocks, checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
+from rtcal.support.workers import workforce
 
 __all__ = ["Archive"]
 __dir__ = __all__.copy
@@ -116,7 +118,7 @@ class Evidence:
     """The rows b_rsk of all rooms, and the model's covariance of them."""
 
     def __init__(self, rooms: Sequence[RoomData], mu: Array, sigma: Array, octaves: Array) -> None:
-        self.mu, self.sigma, self.rooms = mu, sigma, rooms
+        self.mu, self.sigma, self.rooms, self.octaves = mu, sigma, rooms, octaves
         place = [(r, *at) for r, d in enumerate(rooms) for at in np.argwhere(d.target > 0).tolist()]
         self.room, state, self.band = np.array(place, dtype=int).reshape(-1, 3).T
         self.distance = np.abs(octaves[:, np.newaxis] - octaves)
@@ -132,6 +134,10 @@ class Evidence:
         self.miss = self.target - self.expected
         self.spreads = self.areas * sigma.T[self.band]  # S sigma of each row and material
         self.shared = self.spreads @ self.spreads.T
+
+    def __reduce__(self) -> tuple[type[Evidence], tuple[Any, ...]]:
+        """Send what it is made of to a worker: it is far smaller than the matrices."""
+        return Evidence, (self.rooms, self.mu, self.sigma, self.octaves)
 
     def covariance(self, spread: Spread) -> Array:
         """Return the covariance of the rows about S'mu, in m⁴."""
@@ -550,7 +556,12 @@ def _data(result: Calibrated, places: Sequence[int], n: int, columns: Sequence[i
     return RoomData(areas, target[:, columns], covariance[np.ix_(used, used)])
 
 
-def learn(rooms: Sequence[Calibrated], names: Mapping[str, str] | None = None) -> Archive:
+def learn(
+    rooms: Sequence[Calibrated],
+    names: Mapping[str, str] | None = None,
+    *,
+    scheduler: str | None = None,
+) -> Archive:
     """Learn the absorption of the materials that calibrated rooms share.
 
     The model of alpha of a material in a room has three parts: the material's mean, a deviation in this
@@ -567,6 +578,9 @@ def learn(rooms: Sequence[Calibrated], names: Mapping[str, str] | None = None) -
     names : mapping of str to str, optional
         From a room's name of a material to the archive's, where the two differ. A name that it does not
         give is one material where the rooms' tables are near; else the later room's name stands by it.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers compare each room with the others; default: threads of
+        this machine.
 
     Returns
     -------
@@ -578,6 +592,8 @@ def learn(rooms: Sequence[Calibrated], names: Mapping[str, str] | None = None) -
     DataError
         For fewer than two rooms, one that occurs twice, rooms without common bands, an unknown name in
         ``names``, or a room in which two materials get one name.
+    ClusterError
+        From the scheduler.
 
     Examples
     --------
@@ -631,10 +647,13 @@ def learn(rooms: Sequence[Calibrated], names: Mapping[str, str] | None = None) -
     of_rooms = np.mean([(each.between * sigma) ** 2 for each, _, _ in mixed], axis=0)
     lessons: list[Lesson] = []
     suspects: list[Suspect] = []
-    for r, (room, row) in enumerate(zip(priors, called, strict=True)):
-        if not (evidence.room == r).any():
-            continue
-        lesson, suspicion = _judged(evidence, spread, r, room.name, left)
+    measured = np.unique(evidence.room).tolist()
+    task = partial(_judged, evidence, spread, left)
+    jobs = [(r, priors[r].name) for r in measured]
+    with workforce(scheduler) as workers:
+        judged = [*workers.in_order(task, jobs)]
+    for r, (lesson, suspicion) in zip(measured, judged, strict=True):
+        room, row = priors[r], called[r]
         lessons.append(lesson)
         by_material = suspicion.sum(axis=1)
         suspects += [
@@ -730,15 +749,17 @@ def _named(
 
 
 def _judged(
-    evidence: Evidence, spread: Spread, room: int, name: str, left: Array
+    evidence: Evidence, spread: Spread, left: Array, job: tuple[int, str]
 ) -> tuple[Lesson, Array]:
     """Return what one room taught, and the probability that its materials are others of the archive.
 
-    The probability (n_materials, n_materials + 1) is that the first is the second; the last column is
-    none of the archive's. The spread of the other rooms is found without this one: a room that does not
-    fit would excuse itself. ``spread`` is that of all rooms, with which the search begins, and ``left``
-    (n_materials, n_bands) the standard deviation of the entries by all rooms.
+    The job is the room's number and name. The probability (n_materials, n_materials + 1) is that the
+    first is the second; the last column is none of the archive's. The spread of the other rooms is
+    found without this one: a room that does not fit would excuse itself. ``spread`` is that of all
+    rooms, with which the search begins, and ``left`` (n_materials, n_bands) the standard deviation of
+    the entries by all rooms.
     """
+    room, name = job
     own = evidence.room == room
     n = len(evidence.mu)
     # With the spread of all rooms, so that the difference is what this room taught of the means.

@@ -116,6 +116,7 @@ moved against that of 0.1 by up to 0.38 and 1.13 of the prior sigma."""
     ),
     console.flag("keep-scattering", "Keep the room's scattering; by default it is fitted too."),
     "seed",
+    "scheduler",
     "modes",
     console.folder(
         "Folder for the calibrated room (room.toml), all numbers (result.json) and a plan (plan.png). "
@@ -132,6 +133,7 @@ def fit(
     keep_scattering: bool,
     paths: int | None,
     seed: int,
+    scheduler: str | None,
     modes: str | None,
     out: Path | None,
 ) -> None:
@@ -187,6 +189,7 @@ def fit(
                     fit_scattering=not keep_scattering,
                     seed=seed,
                     progress=progress,
+                    scheduler=scheduler,
                 )
     if out is not None and (console.has("force") or not result.refused):
         at = tracer.geometry, tracer.sources, tracer.receivers
@@ -210,6 +213,7 @@ LIBRARY_ROOM = "room.toml"
         "A room (TOML) that gets the library's coefficients: room.toml of --out.",
         "room",
     ),
+    "scheduler",
     console.folder(
         "Folder for the archive (result.json), and with --apply for the room (room.toml)."
     ),
@@ -218,6 +222,7 @@ def learn(
     folder: str,
     entries: tuple[str, ...],
     room: str | None,
+    scheduler: str | None,
     out: Path | None,
 ) -> None:
     """Learn from the results below FOLDER, as rtcal calibrate --out writes them.
@@ -244,6 +249,7 @@ def learn(
     library = archive.learn(
         calibrated,
         {m: entry for m, entry in called.items() if m in known or m not in of_room},
+        scheduler=scheduler,
     )
     said, record = str(library), library.to_dict()
     if others := len(saved) - len(calibrated):
@@ -294,6 +300,7 @@ def learn(
     ),
     "seed",
     console.whole("workers", 1, "Threads; default: all cores."),
+    "scheduler",
     console.folder("Folder for the tables (CSV) and figures (PNG)."),
 )
 def study(out: Path | None, **stated: Any) -> None:

@@ -357,6 +357,13 @@ OPTIONS: dict[str, Decorator] = {
         default="eyring",
         callback=lambda context, parameter, key: EQUATIONS[key](),
     ),
+    "scheduler": option(
+        "scheduler",
+        None,
+        "Address of a Dask scheduler, whose workers share the work (docs/cluster.md); by default the "
+        "cores of this machine do. Not worth it for less than a minute.",
+        metavar="tcp://HOST:PORT",
+    ),
     "seed": whole("seed", 0, "Seed of the random numbers.", default=0),
     "exclude": several(
         "exclude", "SOURCE:RECEIVER", "Leave a pair out. The option may be repeated."

@@ -102,7 +102,8 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
     if before is not None:
         more["before"] = console.read_measured(before, quietly=True)
         at_positions = at_positions and not more["before"].is_summary
-        others = [n for n in (*_OF_POSITIONS, *_OF_MEANS, *_OF_RUN) if n != "scattering"]
+        every = (*_OF_POSITIONS, *_OF_MEANS, *_OF_RUN, "scheduler")
+        others = [n for n in every if n != "scattering"]
         refuse(stated(options, *others), " is not of what changed between two states")
     run = console.read_run(room, options.get("simulated"), options.get("at"))
     if not at_positions:
@@ -141,8 +142,9 @@ def searched(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) -> 
     def find() -> Any:
         if options["before"] is not None:
             return search.find(case, **chosen)
+        more = stated(options, "scheduler")
         with _progress("step") as progress:
-            return search.find(case, **chosen, cache=cache, progress=progress)
+            return search.find(case, **chosen, **more, cache=cache, progress=progress)
 
     return _once(cache, case, chosen, find)
 
@@ -184,16 +186,13 @@ def refuse(stated: Mapping[str, object], why: str) -> None:
 @contextmanager
 def _progress(unit: str) -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar for each step of a computation."""
-    begun: list[str] = []
     with bar(0, unit, console.bar_wanted(), console.said()) as shown:
 
         def progress(step: str, done: int, total: int) -> None:
-            if step not in begun:
-                begun.append(step)
-                if done == 1:
-                    shown.reset(total=total)
-                shown.set_description(step)
-            shown.update(1)
+            if done < shown.n or total != shown.total:
+                shown.reset(total=total)
+            shown.set_description(step)
+            shown.update(done - shown.n)
 
         yield progress
 
@@ -218,7 +217,7 @@ def saved(path: str) -> tuple[Any, Any]:
     )
 
 
-def verified(finding: Any, cache: Path) -> Any:
+def verified(finding: Any, cache: Path, scheduler: str | None = None) -> Any:
     """Return the gaps before and after; at pairs that were not fitted over `SEEDS`."""
     from rtcal import finder
 
@@ -226,7 +225,9 @@ def verified(finding: Any, cache: Path) -> Any:
         if finding.kind != "positions":
             return finder.verify(finding)
         with _progress("model") as progress:
-            return finder.verify(finding, seeds=SEEDS, cache=cache, progress=progress)
+            return finder.verify(
+                finding, seeds=SEEDS, cache=cache, progress=progress, scheduler=scheduler
+            )
 
     return _once(cache, finding, {"seeds": SEEDS}, verify)
 
@@ -304,6 +305,7 @@ def compare(
         "most", int, "Largest number of effects that may be missing at once, up to 3.", default=1
     ),
     "seed",
+    "scheduler",
     console.option(
         "out",
         click.Path(),
@@ -350,9 +352,9 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
         console.tell(str(finding), finding.to_dict)
         return
     finding = searched(options, [target / name for name in of_finding.WRITTEN])
-    verification = (
-        verified(finding, kept_beside(options["case"])) if finding.can_be_verified else None
-    )
+    verification = None
+    if finding.can_be_verified:
+        verification = verified(finding, kept_beside(options["case"]), options["scheduler"])
     place = next(iter(_further_places(finding)), None)
     made = of_finding.page(finding, verification, command(), place)
     contents = page_files(made, verification or finding, target, heading)
@@ -525,6 +527,7 @@ def apply(found: str, out: str, **options: Any) -> None:
     "scattering",
     "paths",
     "seed",
+    "scheduler",
     console.folder(
         "Folder for one page (report.html) with its figures, the calibrated room (room.toml, with "
         "its mesh and its lists of materials where there are any) and all numbers (result.json)."
@@ -555,7 +558,9 @@ def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
     }
     finding = searched(defaults | options, [] if out is None else [out / name for name in files])
     cache = kept_beside(options["case"])
-    verification = verified(finding, cache) if finding.can_be_verified else None
+    verification = None
+    if finding.can_be_verified:
+        verification = verified(finding, cache, options["scheduler"])
     given = tuple(filter(None, (options["case"], options["measured"])))
     result = replace(diagnosis(finding, verification, cache=cache), given=given)
     if out is not None:

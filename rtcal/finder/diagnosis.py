@@ -80,13 +80,14 @@ def diagnose(
     seeds: Sequence[int] = (0,),
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
+    scheduler: str | None = None,
     **options: Any,
 ) -> Diagnosis:
     """Find the effect that a model misses, verify it on held-out data, add it, and calibrate.
 
     Parameters
     ----------
-    room, measured, simulator, cache, progress
+    room, measured, simulator, cache, progress, scheduler
         Room or case, and measurement, as `rtcal.find` takes them.
     seeds : sequence of int
         Seeds of the simulator, over which a verification at positions is repeated.
@@ -104,13 +105,12 @@ def diagnose(
     >>> case, truth = rt.datasets.hidden_room("identified")
     >>> print(rt.diagnose(case))  # doctest: +SKIP
     """
-    finding = find(room, measured, simulator, cache=cache, progress=progress, **options)
+    of_both: dict[str, Any] = {"cache": cache, "progress": progress, "scheduler": scheduler}
+    finding = find(room, measured, simulator, **of_both, **options)
     verification = None
     if finding.can_be_verified:
-        more: dict[str, Any] = {}
-        if finding.kind == "positions":
-            more = {"seeds": seeds, "cache": cache, "progress": progress}
-        verification = verify(finding, **more)
+        at_positions = {"seeds": seeds, **of_both} if finding.kind == "positions" else {}
+        verification = verify(finding, **at_positions)
     return diagnosis(finding, verification, cache=cache)
 
 

@@ -56,7 +56,7 @@ def find(
     before : Measurement, optional
         Measurement at the same positions before a change: the change is then found, instead of what
         the model lacks (`rtcal.finder.states`). The room's coefficients do not count. Neither
-        ``controls``, ``cache`` nor ``progress`` belongs to such a search.
+        ``controls``, ``cache``, ``progress`` nor ``scheduler`` belongs to such a search.
     simulated : Run, optional
         What a program gave at its coefficients. The run is then the model: the equation says how
         coefficients and effects change it, and what the equation errs by is not blamed on the room.
@@ -80,6 +80,7 @@ def find(
           earlier search.
         - ``cache``: folder in which simulations are kept, by a hash of all that they depend on.
         - ``progress``: called with what is computed, the number of finished steps and their total.
+        - ``scheduler``: address of a Dask scheduler whose workers simulate, by default this machine.
         - By means over positions ``prior`` and ``most``, as `rtcal.finder.means.search.find` takes
           them.
 

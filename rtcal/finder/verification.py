@@ -63,14 +63,16 @@ from rtcal.finder.means.search import LITTLE, fit, gap_check
 from rtcal.finder.model import FEATURES
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.finder.states import find as find_change
-from rtcal.loop.measured_pairs import Pair, gap_at_pairs, trace_ahead
+from rtcal.loop.measured_pairs import ControlRuns, Pair, gap_at_pairs, trace_ahead
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.base import Observations
 from rtcal.simulators.base import observe as observe_pairs
+from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
+from rtcal.support.workers import workforce
 
 LEAST_SHRINKAGE = 0.2
 """Decrease of the mean gap in JND that supports a finding at least, however well it is known: a gap
@@ -337,9 +339,10 @@ def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verifi
         ``simulated``, what the program gave of the corrected model. Both runs are moved to the measured
         T, as the equation says, unless ``calibrated`` is what the program gave of the model calibrated
         without the correction. Both are of the first configuration. At positions:
-        ``seeds`` of the simulator, over which the spread is the noise of the tracing; ``cache`` and
-        ``progress`` as for `rtcal.find`. Of two states: ``before`` and ``after``, of which the finding
-        predicts the pairs that it had not; ``seed`` of the samples from which the intervals come.
+        ``seeds`` of the simulator, over which the spread is the noise of the tracing; ``cache``,
+        ``progress`` and ``scheduler`` as for `rtcal.find`. Of two states: ``before`` and ``after``, of
+        which the finding predicts the pairs that it had not; ``seed`` of the samples from which the
+        intervals come.
 
     Raises
     ------
@@ -797,6 +800,7 @@ def _at_positions(
     seeds: Sequence[int] = (0,),
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
+    scheduler: str | None = None,
 ) -> Verification:
     chosen = tuple(checks.whole("seeds", s, 0) for s in checks.listed("seeds", seeds))
     if not chosen:
@@ -808,21 +812,20 @@ def _at_positions(
     _check_pairs(finding.pairs)
     case: PositionsCase = finding.case
     halves, tried = _halves_of(finding.pairs), tuple(finding.effects.values())
-    steps, done = len(halves) + len(chosen) * (1 + 2 * len(halves)), 0
-
-    def finished(what: str) -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(what, done, steps)
-
     added = list[Candidate | None]()
     for half in halves:
         again = find_by_positions(
-            case.only(half), tried, finding.controls, cache, chosen[0], finding.left_out
+            case.only(half),
+            tried,
+            finding.controls,
+            cache,
+            chosen[0],
+            finding.left_out,
+            scheduler=scheduler,
         )
         added.append(next((c for c in again.candidates if c.can_be_added), None))
-        finished("search in half of the pairs")
+        if progress is not None:
+            progress("search in half of the pairs", len(added), len(halves))
     gaps = np.full((len(MODELS), len(chosen), *finding.map.shape), np.nan)
 
     def compare(model: int, n: int, simulated: Observations, half: Sequence[Pair]) -> None:
@@ -836,34 +839,56 @@ def _at_positions(
 
     # A gap is not to be that of the tracing's noise. The paths of a seed are traced once for all models
     # in the stated geometry.
-    stated = case.simulator.denser()
-    with_added = [
-        stated if best is None else corrected_geometry(case.only(half), best).simulator().denser()
-        for half, best in zip(halves, added, strict=True)
-    ]
-    for n, seed in enumerate(chosen):
-        trace_ahead(stated, stated.room.alpha, seed)
-        as_stated = observe_pairs(stated, stated.room.alpha, finding.parameters, seed=seed)
-        finished(MODELS[0])
-        for half, simulator in zip(halves, with_added, strict=True):
-            compare(0, n, as_stated, half)
-            fitted = case.only(half)
-            for model, tracer in enumerate((stated, simulator), 1):
-                result = calibrate_positions(
-                    tracer,
-                    tracer.room,
-                    fitted.measured,
-                    finding.parameters,
-                    exclude=fitted.exclude,
-                    controls=finding.controls,
-                    more_paths=1,  # it is denser already
-                    seed=seed,
-                )
-                # Its tracer scatters as fitted, with which alpha was calibrated.
-                made = observe_pairs(result.tracer, result.alpha, finding.parameters, seed=seed)
-                compare(model, n, made, half)
-                finished(MODELS[model])
+    tracers: list[tuple[PathTracing, Sequence[Sequence[Pair]]]]
+    tracers = [(case.simulator.denser(), halves)]
+    for half, best in zip(halves, added, strict=True):
+        if best is not None:
+            corrected = corrected_geometry(case.only(half), best).simulator()
+            tracers.append((corrected.denser(), [half]))
+    jobs = [(n, seed, *each) for n, seed in enumerate(chosen) for each in tracers]
+    task = partial(_simulated, case, finding.parameters, finding.controls)
+    told = progress and partial(progress, "models")
+    with workforce(scheduler, threads=1) as workers:  # a tracing takes all cores
+        for (n, _, tracer, fitted), made in zip(
+            jobs, workers.in_order(task, jobs, told), strict=True
+        ):
+            as_stated = tracer is tracers[0][0]
+            for of, (before, calibrated) in zip(fitted, made, strict=True):
+                if as_stated:
+                    compare(0, n, before, of)
+                    compare(1, n, calibrated, of)
+                if not as_stated or added[halves.index(tuple(of))] is None:
+                    compare(2, n, calibrated, of)
     return at_positions(finding, gaps, added, halves)
+
+
+def _simulated(
+    case: PositionsCase,
+    parameters: Sequence[str],
+    controls: ControlRuns,
+    job: tuple[int, int, PathTracing, Sequence[Sequence[Pair]]],
+) -> list[tuple[Observations, Observations]]:
+    """Return what a tracer gives as it is, and calibrated to each of some halves of the pairs."""
+    _, seed, tracer, halves = job
+    tracer, made = replace(tracer), []  # without the paths of another job
+    trace_ahead(tracer, tracer.room.alpha, seed)
+    before = observe_pairs(tracer, tracer.room.alpha, parameters, seed=seed)
+    for half in halves:
+        fitted = case.only(half)
+        result = calibrate_positions(
+            tracer,
+            tracer.room,
+            fitted.measured,
+            parameters,
+            exclude=fitted.exclude,
+            controls=controls,
+            more_paths=1,  # it is denser already
+            seed=seed,
+        )
+        # Its tracer scatters as fitted, with which alpha was calibrated.
+        after = observe_pairs(result.tracer, result.alpha, parameters, seed=seed)
+        made.append((before, after))
+    return made
 
 
 def at_positions(

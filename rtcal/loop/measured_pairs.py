@@ -30,8 +30,8 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,10 +68,11 @@ from rtcal.simulators.base import Observations, Simulator, checked_parameters, c
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import DENSER, PathTracing, ScatteringModel, eyring_seconds
 from rtcal.support import __version__, checks
-from rtcal.support.errors import DataError, RtcalError, TooShortError
+from rtcal.support.errors import DataError, RtcalError
 from rtcal.support.speed import Progress
 from rtcal.support.text import as_sentence
 from rtcal.support.types import Array, read_only
+from rtcal.support.workers import workforce
 
 Pair = tuple[str, str]
 
@@ -796,6 +797,7 @@ def simulated_controls(
     progress: Progress | None = None,
     after: Sequence[tuple[Sequence[str], Simulated]] = (),
     more_paths: int = 1,
+    scheduler: str | None = None,
 ) -> ControlRuns | None:
     """Return the errors of a simulator in `RUNS` reference simulations; None without a geometry.
 
@@ -805,7 +807,8 @@ def simulated_controls(
     are stated, in m. The folder ``cache`` keeps the errors by a hash of everything they depend on, but
     none with ``after``: names and simulation of further states of the room, in the same runs, whose
     values stand behind ``match``. ``more_paths`` is a factor of the number of paths of the runs, and of
-    a simulator that traces paths.
+    a simulator that traces paths. The workers of a Dask ``scheduler`` simulate the runs, by its
+    address; by default this machine does, one after the other.
     """
     uncertainty = checked_uncertainty(position_uncertainty)
     tracing = complete(simulator).tracing
@@ -863,46 +866,107 @@ def simulated_controls(
         with suppress(RtcalError):  # another's file
             return runs(kept)
 
-    def error(
-        control: PathTracing, alpha: Array, of_run: int, again: bool
-    ) -> tuple[Observations, Array]:
-        found = control.observe(alpha, match, seed=of_run, again=again)
+    def own(alpha: Array, again: bool) -> Array:
+        """Return the simulator's own values for the alpha of a run."""
         if traced:
             values = base.observe(alpha, match, seed=seed, again=again).values
         else:
             values = observe(simulator, alpha, match, seed=seed).values
-        more = [
-            values_of(control, alpha, of_run) - values_of(simulator, alpha, seed)
-            for _, values_of in after
-        ]
-        return found, np.concatenate([found.values - values, *more])
+        return np.concatenate([values, *(of(simulator, alpha, seed) for _, of in after)])
 
     trace_ahead(simulator, room.alpha, seed)
-    errors, factors, left_out = [], list[float](), 0
-    for run, (varied, alpha) in enumerate(drawn):
-        control, of_run = replace(base, **varied), seed + 1 + run  # one run's paths at a time
-        ahead = _FIRST if run < len(MODELS) else max(factors[-4:], default=_FIRST)
-        control.trace_ahead(alpha, ahead, seed=of_run)
-        again = left_out == _LEFT_OUT
-        try:
-            try:
-                found, difference = error(control, alpha, of_run, again)
-            except DataError:  # some draws leave a decay without a parameter
-                alpha = room.alpha
-                found, difference = error(control, alpha, of_run, again)
-            factors.append(ahead_factor(match, found.values, control, alpha))
-        except (TooShortError, DataError):
-            # The paths of a run may be too few, or a place too near a source for an EDT.
-            if again:
-                raise
-            difference, left_out = np.full(shape, np.nan), left_out + 1
-        errors.append(difference)
-        if progress is not None:
-            progress(run + 1, RUNS)
+    errors, factors = list[Array](), list[float]()
+    task = partial(_of_run, base, match, [values_of for _, values_of in after], seed)
+    with workforce(scheduler, threads=1) as workers:  # a run's paths are traced on all cores
+
+        def error(job: _Job, made: _Made | None) -> Array:
+            """Return the errors of a run, (n_parameters, n_pairs, n_bands); NaN if it is left out."""
+            while made is not None:
+                number, values, factor = made
+                try:
+                    difference = values - own(job.alphas[number], job.again)
+                except DataError:
+                    if job.again and number == len(job.alphas) - 1:
+                        raise
+                    job = job._replace(first=number + 1)
+                    (made,) = workers.in_order(task, [job])
+                else:
+                    factors.append(factor)
+                    return difference
+            return np.full(shape, np.nan)
+
+        while (done := len(errors)) < RUNS:
+            again = sum(np.isnan(of_run).all() for of_run in errors) == _LEFT_OUT
+            # How long the later ones of these runs must be depends on the earlier ones. They begin as
+            # if those needed no more than the last, and are run anew where they did.
+            most = min(workers.size, RUNS - done if errors else len(MODELS))
+            jobs = [
+                _Job(run, drawn[run][0], (drawn[run][1], room.alpha), length, again)
+                for run in range(done, done + most)
+                for length in [_length(run, factors, run - done)]
+            ]
+            for job, made in zip(jobs, workers.in_order(task, jobs), strict=False):
+                left_out = sum(np.isnan(of_run).all() for of_run in errors)
+                if (job.ahead, again) != (_length(job.run, factors), left_out == _LEFT_OUT):
+                    break
+                errors.append(error(job, made))
+                if progress is not None:
+                    progress(len(errors), RUNS)
     made = np.array(errors)
     if path is not None:
         disk.write(path, made)
     return runs(made)
+
+
+class _Job(NamedTuple):
+    """A reference simulation, as a worker takes it.
+
+    ``varied`` is what differs in it. Of the ``alphas`` the first counts for which there are all values,
+    from the number ``first`` on. Paths are followed for ``ahead`` times Eyring's T, and longer ones
+    only traced if ``again``.
+    """
+
+    run: int
+    varied: dict[str, Any]
+    alphas: tuple[Array, ...]
+    ahead: float
+    again: bool
+    first: int = 0
+
+
+_Made = tuple[int, Array, float]
+"""Number of the alpha that counts, the values for it, and `ahead_factor`."""
+
+
+def _of_run(
+    base: PathTracing, match: Sequence[str], after: Sequence[Simulated], seed: int, job: _Job
+) -> _Made | None:
+    """Return what a reference simulation gives; None where no alpha gives all values."""
+    control, of_run = replace(base, **job.varied), seed + 1 + job.run
+    control.trace_ahead(job.alphas[0], job.ahead, seed=of_run)
+    last = len(job.alphas) - 1
+    for number in range(job.first, last + 1):
+        alpha = job.alphas[number]
+        try:
+            found = control.observe(alpha, match, seed=of_run, again=job.again).values
+            values = np.concatenate([found, *(of(control, alpha, of_run) for of in after)])
+        except DataError:
+            # Some draws leave a decay without a parameter. The paths of a run may be too few, or a
+            # place too near a source for an EDT.
+            if job.again and number == last:
+                raise
+        else:
+            return number, values, ahead_factor(match, found, control, alpha)
+    return None
+
+
+def _length(run: int, factors: Sequence[float], unknown: int = 0) -> float:
+    """Return for how many times Eyring's T a run is followed, by what the runs before it needed.
+
+    Of these ``factors`` the last ``unknown`` are still to come.
+    """
+    known = factors[min(unknown, 3) - 4 :]
+    return _FIRST if run < len(MODELS) else max(known, default=_FIRST)
 
 
 GROUPS = 4

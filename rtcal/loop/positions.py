@@ -600,6 +600,7 @@ def calibrate_positions(
     more_paths: int = MORE_PATHS,
     seed: int = 0,
     progress: Progress | None = None,
+    scheduler: str | None = None,
 ) -> PositionsResult:
     """Calibrate a room's coefficients so that a simulator has the values at every position.
 
@@ -643,11 +644,15 @@ def calibrate_positions(
         Seed of all simulations.
     progress : callable, optional
         Function that is called with the numbers of finished and of all reference simulations.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers run the reference simulations; default: this machine.
 
     Raises
     ------
     SimulatorError, TooShortError
         From the simulator.
+    ClusterError
+        From the scheduler.
     DataError
         If simulator and room differ in materials or bands, or an argument breaks its rule. Also if
         the measurement has no pair in common with the simulator, or none of the parameters.
@@ -719,6 +724,7 @@ def calibrate_positions(
             position_uncertainty=position_uncertainty,
             cache=cache,
             progress=progress,
+            scheduler=scheduler,
         )
     model = PairsModel(simulator, data, room.alpha, first, seed)
     prior = prior_covariance(room)

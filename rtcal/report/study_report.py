@@ -135,6 +135,7 @@ def report(
     seed: int,
     *,
     sampling: Sampling = "sigma_r",
+    scheduler: str | None = None,
     workers: int | None = None,
     progress: bool = False,
     with_files: bool = False,
@@ -147,7 +148,7 @@ def report(
         "shoebox", "lecture-hall" (keys of `AREAS`) or "halls", five halls at random, analytic.
     sigma_r : sequence of float
         Parameters of the Rayleigh distribution of sigma.
-    realisations, trials, seed, sampling, workers, progress
+    realisations, trials, seed, sampling, scheduler, workers, progress
         As for `rtcal.studies.run`; 0 trials compute only the analytic scores.
     with_files : bool
         Whether to render tables (CSV) and figures (PNG) too.
@@ -187,6 +188,7 @@ def report(
                 trials,
                 seed,
                 sampling=sampling,
+                scheduler=scheduler,
                 workers=workers,
                 progress=progress,
             )

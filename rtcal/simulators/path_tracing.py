@@ -996,6 +996,10 @@ class PathTracing(Tracer):
         if self.thinned is not None:
             checks.positive("thinned", self.thinned, "s")
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes without the paths, which the seed gives: they are long to send."""
+        return {**vars(self), "_traced": {}}
+
     @property
     def name(self) -> str:
         """Name of the simulator with its settings, to which calibrated coefficients belong."""

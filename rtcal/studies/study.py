@@ -18,8 +18,6 @@ import functools
 import io
 import operator
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,8 +37,9 @@ from rtcal.studies.paper import (
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.speed import bar as progress_bar
-from rtcal.support.speed import thread_pool
+from rtcal.support.speed import following
 from rtcal.support.types import Array
+from rtcal.support.workers import workforce
 
 _LEAST = 1e-9
 _MOST: dict[str, tuple[float, str]] = {
@@ -162,36 +161,25 @@ def _vector(weights: dict[str, float]) -> Array:
     return np.array([weights.get(name, 0.0) for name in SERIES])
 
 
-_IN_FLIGHT = 64
-"""Number of pieces that are handed out together; it bounds the memory."""
-
-
 def _sum_of_pieces(
     compute: Callable[[int], ScoreMoments],
     count: int,
-    executor: Executor | None,
+    scheduler: str | None,
     workers: int | None,
     progress: bool,
 ) -> ScoreMoments:
     """Return the sum of ``compute(0)`` to ``compute(count - 1)``, always added in that order."""
     if workers is not None:
         checks.whole("workers", workers, 1)
-    if executor is not None and (
-        isinstance(executor, type) or not callable(getattr(executor, "submit", None))
-    ):
-        raise DataError(f"executor = {executor!r} must be a concurrent.futures.Executor")
+        if scheduler is not None:
+            raise DataError(
+                f"workers = {workers} counts threads of this machine, but the scheduler has workers "
+                "of its own: leave workers out"
+            )
     shown = progress_bar(count, "piece", checks.flag("progress", progress))
-    pool = thread_pool(workers) if executor is None else nullcontext(executor)
-    with pool as workforce, shown as bar:
-
-        def pieces() -> Iterator[ScoreMoments]:
-            for first in range(0, count, _IN_FLIGHT):
-                numbers = range(first, min(first + _IN_FLIGHT, count))
-                for future in [workforce.submit(compute, number) for number in numbers]:
-                    yield future.result()
-                    bar.update(1)
-
-        return functools.reduce(operator.add, pieces())
+    with workforce(scheduler, workers) as pool, shown as bar:
+        pieces: Iterator[ScoreMoments] = pool.in_order(compute, range(count), following(bar))
+        return functools.reduce(operator.add, pieces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,7 +269,7 @@ def run(
     seed: int = 0,
     *,
     sampling: Sampling = "sigma_r",
-    executor: Executor | None = None,
+    scheduler: str | None = None,
     workers: int | None = None,
     progress: bool = False,
 ) -> Study:
@@ -300,9 +288,8 @@ def run(
     sampling : {"sigma_r", "sigma_n"}
         Whether mu keeps 2 sigma_r from 0 and 1, which gives the paper's scores, or twice the surface's
         own sigma, as the paper's text reads.
-    executor : concurrent.futures.Executor, optional
-        Whose workers compute the pieces, for example ``dask.distributed.Client(...).get_executor()``
-        or a ProcessPoolExecutor; it is left open. Default: threads.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers compute the pieces; default: threads of this machine.
     workers : int, optional
         Number of threads; default the cores of the machine.
     progress : bool
@@ -311,8 +298,10 @@ def run(
     Raises
     ------
     DataError
-        If an area, sigma_r or a number is not positive, sigma_r leaves no interval for mu,
-        ``sampling`` is no such name, or ``workers`` or ``executor`` is of the wrong kind.
+        If an area, sigma_r or a number is not positive, sigma_r leaves no interval for mu, or
+        ``sampling`` is no such name; for ``workers`` beside a scheduler.
+    ClusterError, MissingDependencyError
+        As `rtcal.support.workers.workforce`.
 
     Examples
     --------
@@ -328,7 +317,7 @@ def run(
     _check(sigma_r, seed, sampling, realisations=realisations, trials=trials)
     compute = functools.partial(_piece, s, sigma_r, realisations, trials, seed, sampling)
     count = -(-realisations // PIECE)
-    moments = _sum_of_pieces(compute, count, executor, workers, progress)
+    moments = _sum_of_pieces(compute, count, scheduler, workers, progress)
     return Study(s, sigma_r, realisations, trials, seed, sampling, moments)
 
 

@@ -3,7 +3,8 @@
 ``DataError``: mend the input.  ``ModelError``: mend the model.  ``InfeasibleError``: no absorption
 coefficients within the bounds give what was asked.  ``SolverError``: the solver failed on a sound
 problem; another solver or other settings may help.  ``SimulatorError``: a simulator failed; its
-cause says why.  ``MissingDependencyError``: install an extra.
+cause says why.  ``ClusterError``: the scheduler or its workers.  ``MissingDependencyError``: install an
+extra.
 
 Constructors, readers and commands raise these. A function that is given another type, too few or too
 many arguments, or an argument of an unknown name raises Python's own error (TypeError, AttributeError,
@@ -16,6 +17,7 @@ from collections.abc import Iterable
 from typing import Any, TypeVar
 
 __all__ = [
+    "ClusterError",
     "DataError",
     "FewPathsWarning",
     "InfeasibleError",
@@ -66,6 +68,10 @@ class SolverError(RtcalError):
 
 class SimulatorError(RtcalError):
     """A simulator raised, took too long, or returned something that is no measurement."""
+
+
+class ClusterError(RtcalError):
+    """A scheduler does not answer, is lost, or its workers cannot run what they are given."""
 
 
 class MissingDependencyError(RtcalError, ImportError):

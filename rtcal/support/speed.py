@@ -20,37 +20,46 @@ from typing import Any, TypeVar
 
 from rtcal.support.text import width
 
-_held = threading.Lock()
+_lock = threading.Lock()
+_held: list[Any] = []
 
 
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
     """Limit BLAS to one thread, as a context or as a decorator.
 
-    OpenBLAS has one limit per process. The outermost context sets and restores it. Contexts inside it
-    or in other threads have no effect meanwhile.
+    OpenBLAS has one limit per process. The first context of all threads sets it, and the last one
+    restores it.
     """
-    if not _held.acquire(blocking=False):
-        yield
-        return
-    try:
-        from threadpoolctl import threadpool_limits
+    from threadpoolctl import threadpool_limits
 
-        with threadpool_limits(1, user_api="blas"):
-            yield
+    with _lock:
+        _held.append(_held[0] if _held else threadpool_limits(1, user_api="blas"))
+    try:
+        yield
     finally:
-        _held.release()
+        with _lock:
+            limit = _held.pop()
+            if not _held:
+                limit.restore_original_limits()
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # a batch system gives a job some of a machine's
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 @contextmanager
 def thread_pool(workers: int | None) -> Iterator[ThreadPoolExecutor]:
-    """Yield an executor of threads, as many as the machine has cores where ``workers`` is None.
+    """Yield an executor of threads, as many as `cores` where ``workers`` is None.
 
     It is waited for, unless an exception ends the block: then what has not begun is dropped, and what
     has begun ends by itself. Waiting could last for ever. Ctrl-C may strike the main thread while it
     holds a future's lock, and Python never releases a lock taken in that moment.
     """
-    pool = ThreadPoolExecutor(workers or os.cpu_count() or 1)
+    pool = ThreadPoolExecutor(workers or cores())
     try:
         yield pool
     except BaseException:

@@ -13,6 +13,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
+from rtcal.support.workers import workforce
 
 SCATTERING: Mapping[ScatteringModel, tuple[float, float]] = {
     "random": (0.4, 0.9),
@@ -269,8 +271,14 @@ class Engine:
     models: Sequence[ScatteringModel] = ()
     estimates_bias: bool = True
 
-    def run(self, case: Case, seed: int, progress: TaskProgress | None = None) -> ControlRooms:
-        """Simulate the reference rooms of a case.
+    def run(
+        self,
+        case: Case,
+        seed: int,
+        progress: TaskProgress | None = None,
+        scheduler: str | None = None,
+    ) -> ControlRooms:
+        """Simulate the reference rooms of a case, each of which is a task of its own.
 
         With a run, a tracer at the run's coefficients and the same positions is the program. What the
         equation errs by cancels then, and what two geometrical programs differ by is left.
@@ -281,30 +289,37 @@ class Engine:
         ranges = dict.fromkeys(SCATTERING, OF_PROGRAMS) if case.program else SCATTERING
         scattering = self._scattering(rng, ranges)
         room, geometry, share = box(case)
-        errors = list[Array]()
-        by_run = np.array([c.simulated is not None for c in case.configurations])
-        of_runs = [
-            case.room if c.simulated is None else c.simulated.room for c in case.configurations
-        ]
-        at_runs = np.array(
-            [c.coefficients(r)[0] for c, r in zip(case.configurations, of_runs, strict=True)]
-        )
         programs = self._of_programs(rng, scattering)
+        jobs = []
         for number, (coefficient, model) in enumerate(scattering):
             source, receivers = _places(np.array(room.dimensions), places[number])
             control = ControlRoom(room, geometry, share, source, receivers, coefficient, model)
-            simulate = self.simulator(control, number)
-            duration = self.duration * float(control.time(case.room.alpha).max())
-            made = control.errors(case, alphas[number], simulate, duration)
-            if by_run.any():
-                coefficient, model = programs[number]
-                program = replace(control, scattering=coefficient, scattering_model=model)
-                tracing = _path_tracing(program, number)
-                made[by_run] -= program.errors(case, at_runs, tracing, duration)[by_run]
-            errors.append(made)
-            if progress is not None:
-                progress(self.name, number + 1, self.setups)
+            coefficient, model = programs[number]
+            program = replace(control, scattering=coefficient, scattering_model=model)
+            jobs.append((number, control, program, alphas[number]))
+        told = progress and partial(progress, self.name)
+        with workforce(scheduler) as workers:
+            errors = [*workers.in_order(partial(self._errors, case), jobs, told)]
         return ControlRooms(self.name, np.array(errors))
+
+    def _errors(self, case: Case, job: tuple[int, ControlRoom, ControlRoom, Array]) -> Array:
+        """Return the errors in a reference room, (n_configurations, n_features, n_bands).
+
+        The job is its number, the room, the program's model of it, and alpha of each configuration.
+        """
+        number, control, program, alphas = job
+        simulate = self.simulator(control, number)
+        duration = self.duration * float(control.time(case.room.alpha).max())
+        made = control.errors(case, alphas, simulate, duration)
+        of = [
+            (c, case.room if c.simulated is None else c.simulated.room) for c in case.configurations
+        ]
+        by_run = np.array([c.simulated is not None for c, _ in of])
+        if by_run.any():
+            at_runs = np.array([c.coefficients(room)[0] for c, room in of])
+            tracing = _path_tracing(program, number)
+            made[by_run] -= program.errors(case, at_runs, tracing, duration)[by_run]
+        return made
 
     def _scattering(
         self, rng: np.random.Generator, ranges: Mapping[ScatteringModel, tuple[float, float]]
@@ -404,6 +419,7 @@ def control_rooms(
     seed: int = 0,
     progress: TaskProgress | None = None,
     cache: str | os.PathLike[str] | None = None,
+    scheduler: str | None = None,
 ) -> tuple[ControlRooms, ...]:
     """Simulate the case's reference rooms with two simulators, or read them from a folder.
 
@@ -414,6 +430,8 @@ def control_rooms(
     A file of the folder ``cache`` holds the rooms of one engine. Its name is a hash of everything that
     they depend on: the case, the seed, the engine and the version of rtcal. The folder can be deleted
     at any time. If a file cannot be read or written, the rooms are simulated without an error.
+    The workers of a Dask ``scheduler`` simulate the rooms, by its address; by default threads of this
+    machine.
     """
     checks.whole("seed", seed, 0)
     where, rooms = None if cache is None else checks.path("cache", cache), []
@@ -426,7 +444,7 @@ def control_rooms(
                 if (errors := disk.read(path)) is not None:
                     (controls,) = checked_controls(case, [ControlRooms(name, errors)], least=1)
         if controls is None:
-            controls = ENGINES[name].run(case, seed, progress)
+            controls = ENGINES[name].run(case, seed, progress, scheduler)
             if where is not None:
                 disk.write(path, controls.errors)
         rooms.append(controls)

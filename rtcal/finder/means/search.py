@@ -115,6 +115,7 @@ def find(
     controls: Sequence[ControlRooms] | None = None,
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
+    scheduler: str | None = None,
 ) -> Finding:
     """Find the effects that the model of a case lacks.
 
@@ -128,7 +129,7 @@ def find(
         of "none" are against anything missing, those of "coefficients" against coefficients as stated.
         Where ``most`` is above 1, the number of effects is Poisson, and those of "none" give its mean,
         0.7 unless stated.
-    effects, without, only, controls, cache, progress
+    effects, without, only, controls, cache, progress, scheduler
         As `rtcal.find` takes them; ``without`` may have "coefficients" and "unknown".
 
     Raises
@@ -171,7 +172,7 @@ def find(
     before = prior_of(case.room, effects, odds, left_out)
     predicted = predict_hypotheses(case, effects)
     if controls is None:
-        controls = control_rooms(case, 0, progress, cache)
+        controls = control_rooms(case, 0, progress, cache, scheduler)
     else:
         controls = checked_controls(case, controls)
     limits = thresholds(null_scores(case, observed, predicted, controls, before))

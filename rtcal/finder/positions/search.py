@@ -206,13 +206,14 @@ def evidence_of_means(
     case: PositionsCase,
     effects: Sequence[Effect] | None = None,
     cache: str | os.PathLike[str] | None = None,
+    scheduler: str | None = None,
 ) -> Finding | None:
     """Return the evidence of `rtcal.find` from the means over positions.
 
     None where that finder has nothing to compare: no T, or none that can be trusted.
     """
     try:
-        return find_by_means(of_means(case), effects, cache=cache)
+        return find_by_means(of_means(case), effects, cache=cache, scheduler=scheduler)
     except DataError:
         return None
 
@@ -367,6 +368,7 @@ def find(
     only: Sequence[str] = (),
     without: Sequence[str] = (),
     progress: TaskProgress | None = None,
+    scheduler: str | None = None,
 ) -> Finding:
     """Return whether a room differs from its model, in which effect, and where; see `rtcal.find`.
 
@@ -378,8 +380,10 @@ def find(
     means = None
     if not left_out and case.simulated is None:
         # The means know neither fewer effects nor another program's values.
-        means = evidence_of_means(case, every, cache)
-    found = find_by_positions(case, every, controls, cache, seed, left_out, progress, means)
+        means = evidence_of_means(case, every, cache, scheduler)
+    found = find_by_positions(
+        case, every, controls, cache, seed, left_out, progress, means, scheduler
+    )
     return found if means is None else replace(found, mistake=means.mistake)
 
 
@@ -388,6 +392,7 @@ def controls_of(
     seed: int = 0,
     cache: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
+    scheduler: str | None = None,
 ) -> ControlRuns:
     """Return the reference simulations of a search."""
     controls = simulated_controls(
@@ -399,6 +404,7 @@ def controls_of(
         cache=cache,
         progress=progress,
         more_paths=MORE_PATHS,
+        scheduler=scheduler,
     )
     if controls is None:  # a PathTracing has reference simulations always
         raise DataError(
@@ -437,12 +443,13 @@ def find_by_positions(
     left_out: Sequence[str],
     progress: TaskProgress | None = None,
     means: Finding | None = None,
+    scheduler: str | None = None,
 ) -> Finding:
     """Return the finding of the positions; ``means`` is from `evidence_of_means`, or None."""
     if controls is None:
         reported = progress and partial(progress, "reference simulations")
-        controls = controls_of(case, seed, cache, reported)
-    made = responses_of(case, seed, cache, progress)
+        controls = controls_of(case, seed, cache, reported, scheduler)
+    made = responses_of(case, seed, cache, progress, scheduler)
     threshold = THRESHOLD if case.simulated is None else OF_PROGRAMS
 
     def searched(case: PositionsCase) -> _Search:
@@ -476,7 +483,9 @@ def find_by_positions(
             tracer = replace(tracer, directivity=stated | dict.fromkeys(indexed, UNAIMED))
             search, of_gain = searched(replace(case, simulator=tracer)), -np.inf
             evidence = search.evidence()
-            means = None if means is None else evidence_of_means(search.case, effects, cache)
+            means = (
+                None if means is None else evidence_of_means(search.case, effects, cache, scheduler)
+            )
         elif doubted:  # nothing is left that says as much whatever the source
             evidence = lobes
         else:

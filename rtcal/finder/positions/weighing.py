@@ -71,8 +71,9 @@ from rtcal.simulators.path_tracing import (
 )
 from rtcal.support import checks
 from rtcal.support.errors import DataError, TooShortError
-from rtcal.support.speed import Progress, TaskProgress
+from rtcal.support.speed import TaskProgress
 from rtcal.support.types import Array
+from rtcal.support.workers import workforce
 
 VOLUMES = (0.3, 0.9, 2.7)
 """Volumes of the second room that are tried, over that of the first."""
@@ -410,6 +411,7 @@ def responses_of(
     seed: int = 0,
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
+    scheduler: str | None = None,
 ) -> PairShifts:
     """Return the shifts in a case's room, from a folder where they are kept or newly weighed."""
     match, pairs = parameters(case), case.simulator.pairs
@@ -425,10 +427,12 @@ def responses_of(
     for _ in few.of_groups([*case.faces.values()], [min(SHARES)]):
         pass
     seconds, aimed = min(_SPARE * few.seconds, LONGEST), lobes(case.simulator)
-    tracings = []
-    for t in range(TRACINGS):
-        said = progress and partial(progress, f"surfaces, tracing {t + 1} of {TRACINGS}")
-        tracings.append(_of_tracing(case, match, TRACINGS * seed + t, seconds, aimed, said))
+    task = partial(_of_tracing, case, match, seconds, aimed)
+    seeds = range(TRACINGS * seed, TRACINGS * (seed + 1))
+    steps = len(case.divided.surfaces) + len(case.divided.parts)
+    told = progress and partial(progress, "surfaces")
+    with workforce(scheduler, threads=1) as workers:  # a tracing takes all cores
+        tracings = [*workers.in_order(task, seeds, told, steps=steps)]
     made = PairShifts(match, pairs, _mean(tracings))
     if path is not None:
         kinds = [(name, float, values.shape[-1:]) for name, values in made.columns.items()]
@@ -442,12 +446,15 @@ def responses_of(
 def _of_tracing(
     case: PositionsCase,
     match: tuple[str, ...],
-    seed: int,
     seconds: float,
     directivities: Sequence[Mapping[str, Directivity]],
-    progress: Progress | None,
+    seed: int,
+    finished: Callable[[int], None],
 ) -> dict[str, Array]:
-    """Return the shifts of one tracing, whose paths are followed for ``seconds`` at least."""
+    """Return the shifts of one tracing, whose paths are followed for ``seconds`` at least.
+
+    ``finished`` is called with the number of surfaces and parts that are done.
+    """
     room = case.room
     tracer = replace(case.simulator.denser(BASE), geometry=case.divided.geometry)
     weighing = Weighing(tracer, match, seed, seconds)
@@ -466,7 +473,7 @@ def _of_tracing(
             aimed.append(aimed[-1])
         else:
             aimed.append(replace(weighing, tracer=tracer.aimed(of)).observe(alpha) if of else base)
-    columns = _of_surfaces(case, weighing, base, progress)
+    columns = _of_surfaces(case, weighing, base, finished)
     columns |= {
         "base": base[..., np.newaxis],
         "air": shifts([weighing.observe(alpha, air) for air in airs]),
@@ -532,7 +539,7 @@ def without_noise(shifts: Array) -> Array:
 
 
 def _of_surfaces(
-    case: PositionsCase, weighing: Weighing, base: Array, progress: Progress | None
+    case: PositionsCase, weighing: Weighing, base: Array, finished: Callable[[int], None]
 ) -> dict[str, Array]:
     """Return the shifts by surfaces, parts, apertures and materials; see `PairShifts`."""
     divided, made_of = case.divided, weighing.tracer.made_of
@@ -549,8 +556,7 @@ def _of_surfaces(
         if name.startswith("surface"):
             j = int(name.split()[1])
             out[f"aperture {j}"] = _apertures(case, weighing, j, decays, base)
-        if progress is not None:
-            progress(sum(name in out for name in groups), len(groups))
+        finished(sum(name in out for name in groups))
     materials = [
         tuple(np.flatnonzero(made_of == row).tolist()) for row in range(case.room.n_materials)
     ]
