@@ -139,7 +139,6 @@ HARD_TO_SEE = [
     (lambda: room(areas=HIDDEN), "areas is a masked array with masked entries"),
     (lambda: rt.calibrate(room(), HIDDEN), "measured is a masked array with masked entries"),
     (lambda: study(workers=1.5), "workers = 1.5 must be a whole number of at least 1"),
-    (lambda: study(executor=5), "executor = 5 must be a concurrent.futures.Executor"),
     (lambda: rt.terms.PriorDeviation(material_correlation={"a": 1}), "'a' is not a pair of mat"),
     (lambda: rt.terms.AddedAbsorption("x", ["a"], 1), r'AddedAbsorption\("x"\): gain must be'),
     (

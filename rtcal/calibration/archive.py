@@ -568,7 +568,7 @@ def learn(
     room, and a factor of the room; see `rtcal.calibration.archive`. Marginal likelihood gives how much
     a material differs between rooms, and the separate and the common errors of the tables. The means
     follow in one linear step and are then limited to 0 to 1. Only the rooms' input priors and measured
-    T count, not how they were calibrated. Nothing leaves the machine.
+    T count, not how they were calibrated. Nothing leaves the machine without ``scheduler``.
 
     Parameters
     ----------

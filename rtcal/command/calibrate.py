@@ -230,7 +230,7 @@ def learn(
     Example: rtcal learn rooms --apply new.toml --out library
 
     It prints each material's coefficients, how each room compares with the others, and which
-    material is likely misnamed. Nothing leaves this machine.
+    material is likely misnamed. Nothing leaves this machine without --scheduler.
     """
     from rtcal.acoustics.room import Room
     from rtcal.calibration import archive
