@@ -216,7 +216,7 @@ def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_threads_and_a_scheduler_exclude_each_other() -> None:
-    with pytest.raises(DataError, match="workers = 2 counts threads of this machine"):
+    with pytest.raises(DataError, match="2 workers of this machine and a scheduler were given"):
         studies.run(SHOEBOX, 0.05, 2, 2, scheduler="tcp://node1:8786", workers=2)
 
 
@@ -344,7 +344,6 @@ COMMANDS: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
     "study": (lambda _: None, ("study", "--realisations", "400", "--trials", "200")),
     "learn": (archive, ("learn", ".")),
     "find": (case, ("find", "case.json")),
-    "find at positions": (room_with_pairs, ("find", *POSITIONS)),
     "fit": (room_with_pairs, ("fit", *POSITIONS)),
     "diagnose": (room_with_pairs, ("diagnose", *POSITIONS)),
 }

@@ -173,8 +173,8 @@ def _sum_of_pieces(
         checks.whole("workers", workers, 1)
         if scheduler is not None:
             raise DataError(
-                f"workers = {workers} counts threads of this machine, but the scheduler has workers "
-                "of its own: leave workers out"
+                f"{workers} workers of this machine and a scheduler were given, which has workers of "
+                "its own: leave out one of the two"
             )
     shown = progress_bar(count, "piece", checks.flag("progress", progress))
     with workforce(scheduler, workers) as pool, shown as bar:

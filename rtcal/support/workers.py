@@ -97,7 +97,7 @@ def workforce(scheduler: str | None = None, threads: int | None = None) -> Itera
         return
     if not isinstance(scheduler, str) or not _ADDRESS.fullmatch(scheduler):
         raise ClusterError(
-            f"scheduler = {checks.shown(scheduler)} must be an address with a port, such as "
+            f"the scheduler {checks.shown(scheduler)} must be an address with a port, such as "
             "tcp://node1:8786, as `dask scheduler` prints it"
         )
     with _cluster(scheduler) as workers:
