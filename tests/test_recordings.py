@@ -91,6 +91,62 @@ def test_bands_are_those_that_the_sweep_excites(tmp_path: Path) -> None:
         recordings.from_sweep(*files, bands=[250, 500])
 
 
+def image_sources(rate: int, rng: np.random.Generator) -> np.ndarray:
+    """A box of image sources to 0.3 s, of walls that absorb more at high frequencies, and noise."""
+    size = rng.uniform([3, 3, 2.4], [20, 15, 7])
+    source, receiver = rng.uniform(0.15, 0.85, (2, 3)) * size
+    kept = np.sqrt(1 - rng.uniform(0.05, 0.4, (2, 3)))
+    orders = np.stack(np.meshgrid(*[np.arange(-20, 21)] * 3, indexing="ij"), -1).reshape(-1, 1, 3)
+    sides = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), -1).reshape(1, -1, 3)
+    away = np.linalg.norm((1 - 2 * sides) * source + 2 * orders * size - receiver, axis=-1)
+    gain = np.prod(kept[0] ** np.abs(orders - sides) * kept[1] ** np.abs(orders), axis=-1)
+    near = away < 0.3 * 343
+    h = np.bincount((away[near] / 343 * rate).astype(int), (gain / away)[near], int(0.6 * rate))
+    # Above 1 kHz a screen takes 12 dB of the direct sound.
+    first = int(away.min() / 343 * rate)
+    low = np.exp(-2 * np.pi * 1000 / rate * np.arange(200)) * 2 * np.pi * 1000 / rate
+    h[first : first + 200] += 0.75 * h[first] * (low - np.eye(200)[0])
+    return h + 1e-4 * h.max() * rng.standard_normal(len(h))
+
+
+@pytest.mark.parametrize(
+    ("rooms", "rate", "noise"), [(3, 16000, 1e-4), *also((20, 44100, 1e-2), (20, 16000, 3e-2))]
+)
+def test_a_sweep_of_another_length_or_rate_is_refused_and_the_right_one_taken(
+    rooms: int, rate: int, noise: float
+) -> None:
+    rng = np.random.default_rng(15)
+    for _ in range(rooms):
+        seconds = rng.uniform(1.5, 4)
+        played = sweep(rate, seconds)
+        of = recorded(played, image_sources(rate, rng), rate, rng.uniform(0.1, 1))
+        of += noise * np.abs(of).max() * rng.standard_normal(len(of))
+        of *= rng.uniform(0.05, 1)
+        given = [played, *(sweep(rate, seconds * f) for f in (0.92, 1.08))]
+        # Read at another rate: 8 % shorter, and all frequencies 8 % higher.
+        given.append(np.interp(np.arange(0, len(played) - 1, 1.08), np.arange(len(played)), played))
+        for i, each in enumerate(given):
+            _, ends = recordings._excited(each, rate, np.array(BANDS), 1)
+            if not i:
+                recordings.impulse_response(of, each, rate, ends, "r")
+                continue
+            with pytest.raises(DataError, match=r"later in one band than in another|is not found"):
+                recordings.impulse_response(of, each, rate, ends, "r")
+
+
+def test_noise_above_the_sweep_is_not_inverted() -> None:
+    """48 kHz and a sweep to 21.6 kHz: noise above it hid the response of every third recording."""
+    rate, rng = 48000, np.random.default_rng(16)
+    played = sweep(rate, 1.0)
+    of = recorded(played, response(0.5, rate, rng), rate)
+    of += 0.02 * rng.standard_normal(len(of))
+    _, ends = recordings._excited(played, rate, np.array(BANDS), 1)
+    assert 20_500 < ends[1] < 0.455 * rate
+    h = recordings.impulse_response(of, played, rate, ends, "r")
+    peak = int(np.argmax(np.abs(h)))
+    assert np.square(h[: peak - 100]).mean() < 1e-4 * h[peak] ** 2
+
+
 def faults() -> dict[str, tuple[np.ndarray, str]]:
     """Recordings that hold no response, by kind, and what is said."""
     rate, rng = 16000, np.random.default_rng(4)

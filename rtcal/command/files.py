@@ -286,6 +286,7 @@ _PURPOSES = {
     "room": "a room and a measured T",
     "change": "variants to predict, a target to design to",
     "responses": "impulse responses and a mesh",
+    "recordings": "a recorded sweep and stopped noise",
     "program": "a CATT list and a table of T",
     "simulator": "a simulator in Python",
     "optimisation": "terms, solvers and the certificate",

@@ -562,16 +562,19 @@ def described(
     for name, source in room.sources.items():
         by_source.setdefault(source, []).append(name)
     notes += [f"alpha of {', '.join(names)}: {source}" for source, names in by_source.items()]
-    areas = dict(zip(room.materials, room.areas.tolist(), strict=True))
+    rows_of = dict(zip(room.materials, room.areas.tolist(), strict=True))
+    objects = {name: rows_of.pop(name) for name in room.pieces}
     rows = [
         f"V = {room.volume:.6g} m³, S = {room.total_area:.6g} m², {span(room.centre_frequencies)}",
-        *(f"{area:10.3f} m²  {material}" for material, area in areas.items()),
+        *(f"{area:10.3f} m²  {material}" for material, area in rows_of.items()),
+        *(f"{number:10g} x   {name}" for name, number in objects.items()),
         *notes,
         *([f"Left out, without area: {', '.join(unused)}"] if unused else []),
     ]
     record = {
         "volume": room.volume,
-        "areas": areas,
+        "areas": rows_of,
+        **({"objects": objects} if objects else {}),
         "centre_frequencies": room.centre_frequencies,
         "notes": notes,
         "left_out": unused,

@@ -26,7 +26,7 @@ from rtcal.command.finder import (
 from rtcal.command.import_room import import_room
 from rtcal.command.loop import loop
 from rtcal.command.predict import design, predict
-from rtcal.command.room import room
+from rtcal.command.room import materials, room
 from rtcal.files import disk
 from rtcal.files.schema import OtherKindError, kind_of
 from rtcal.support import __version__
@@ -81,6 +81,7 @@ def cli() -> None:
 for command in (
     example,
     room,
+    materials,
     compare,
     calibrate,
     report,

@@ -6,7 +6,7 @@ import math
 import re
 import shlex
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 _WALLS = ("west", "east", "south", "north")
 _WALL = "WALL=MATERIAL"
 _PIECE = "WALL=M2:MATERIAL"
+_OBJECT = "NAME=NUMBER"
 _STATED = "stated with the room"
 _OTHERS = 3
 """Largest number of other entries of the catalogue that are named beside the one that was taken."""
@@ -58,6 +59,12 @@ _OTHERS = 3
         click.IntRange(1),
         "Persons (not m²) seated on the floor. Each takes 1 m² of it, so 40 persons take 40 m².",
         metavar="PERSONS",
+    ),
+    console.several(
+        "object",
+        _OBJECT,
+        "Pieces that are no surface, of `rtcal materials`: 'wooden chair=40'.",
+        "objects",
     ),
     "bands",
     *AIR,
@@ -131,6 +138,7 @@ def _made(
     walls: str | None,
     pieces: tuple[str, ...],
     audience: int | None,
+    objects: tuple[str, ...],
     temperature: float | None,
     humidity: float | None,
     name: str | None,
@@ -140,6 +148,7 @@ def _made(
     """Return the room, and the notes on what was taken and assumed."""
     from rtcal.acoustics.priors import SigmaRule
     from rtcal.acoustics.room import with_patches
+    from rtcal.datasets import catalogue
     from rtcal.io.material_list import MaterialList
     from rtcal.io.text import Text
     from rtcal.simulators.geometry import Polyhedron
@@ -172,6 +181,13 @@ def _made(
         sigma_rule=rule,
         air=stated_air(temperature, humidity),
     )
+    counted = console.numbers("--object", objects, _OBJECT)
+    free = [catalogue.piece(each, n, materials.bands) for each, n in counted.items()]
+    if free:
+        for piece in free:
+            checks.positive(f'--object "{piece.name}"', piece.number)
+        rows = [*map(made.material, made.materials), *(piece.as_material() for piece in free)]
+        made = made.with_rows(rows, pieces=[piece.name for piece in free])
     doubt = units.size_doubt(made.volume, size, unit, advice=units.OF_SIDES)
     said = f"{units.in_words(size)}: length (x), width (y), height (z)"
     notes = [said, *filter(None, [doubt]), *materials.notes, f"Assumed: {rule}", air_note(made)]
@@ -243,6 +259,51 @@ class _Materials:
         others = f"; near it are {', '.join(near[1:])}" if near[1:] else ""
         self.notes.append(f"{name} is taken as the catalogue's {near[0]}{others}")
         return replace(entries[near[0]], name=name)
+
+
+_OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
+
+
+@click.command(short_help="The catalogue of materials and pieces, with their sources.")
+@console.takes(click.argument("names", nargs=-1, metavar="[NAME]..."), writes=False)
+def materials(names: tuple[str, ...]) -> None:
+    """List the catalogue's materials and pieces, or those that resemble each NAME, best first.
+
+    `rtcal room` takes the first for that name. Pieces are chairs and persons, in m² each.
+
+    Example: rtcal materials carpet "wooden chair"
+    """
+    import numpy as np
+
+    from rtcal.acoustics.bands import span
+    from rtcal.datasets import catalogue
+
+    entries = {m.name: m for m in catalogue.material_list().materials}
+    chosen, free = list(entries), list(catalogue.PIECES)
+    if names:
+        described = {name: source for name, (source, *_) in catalogue.PIECES.items()}
+        chosen = [entry for name in names for entry in catalogue.similar(name)]
+        free = [piece for name in names for piece in catalogue.similar(name, among=described)]
+    if not (chosen or free):
+        raise DataError(f'the catalogue has nothing like "{shown(" ".join(names))}"')
+    listed = [entries[name] for name in dict.fromkeys(chosen)]
+    pieces = [catalogue.piece(name, 1, _OCTAVES) for name in dict.fromkeys(free)]
+    lines = [f"alpha in {span(_OCTAVES)}; `rtcal room` takes 30 % as sigma, at least 0.01"]
+    for each in listed:
+        by_band = dict(zip(each.centre_frequencies, each.alpha, strict=True))
+        values = (f"{by_band[f]:5.2f}" if f in by_band else "    -" for f in _OCTAVES)
+        lines += [f"{''.join(values)}  {each.name}", f"  {each.source}"]
+    lines += ["m² of one piece, and its sigma, in the same bands"] if pieces else []
+    for piece in pieces:
+        for row, text in ((piece.area_per_piece, piece.name), (piece.sigma, "sigma")):
+            lines.append(f"{''.join(f'{value:5.2f}' for value in np.ravel(row))}  {text}")
+        lines.append(f"  {piece.source}")
+    keys = ("name", "centre_frequencies", "alpha", "source")
+    record = {
+        "materials": [{key: getattr(each, key) for key in keys} for each in listed],
+        "pieces": [*map(asdict, pieces)],
+    }
+    console.tell("\n".join(lines), record)
 
 
 def _sides(text: str) -> tuple[tuple[float, float, float], float]:

@@ -129,6 +129,7 @@ PIECES: dict[str, tuple[str, list[float], list[float]]] = {
 }
 """Source, and area per piece in m² at 125 to 4000 Hz, of some its least and largest. The values were
 written down without the sources at hand: they are approximate, as each piece's ``source`` says."""
+_APPROXIMATE = "approximate: from memory of {}"
 _OF_A_PIECE = 0.3
 """Relative standard deviation of an area per piece of which no range is known, a judgement."""
 
@@ -172,7 +173,7 @@ def piece(name: str, number: float, centre_frequencies: Sequence[float] | Array)
         number=number,
         area_per_piece=mean.round(4).tolist(),
         sigma=sigma.round(4).tolist(),
-        source=f"{source}; approximate",
+        source=_APPROXIMATE.format(source),
     )
 
 

@@ -18,6 +18,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.support import checks
 from rtcal.support.errors import DataError
+from rtcal.support.types import Array
 
 if TYPE_CHECKING:
     from rtcal.finder.case import Case
@@ -117,6 +118,17 @@ _EXAMPLES: Mapping[str, tuple[Mapping[str, str], tuple[str, ...]]] = {
             _REPORT,
         ),
     ),
+    "recordings": (
+        {},
+        (
+            "rtcal measure S1-R1.wav --sweep played.wav --out t.csv",
+            "rtcal measure S1-R2.wav --interrupted --out stopped.csv",
+            "rtcal room --dimensions 9,8,3 --floor 'thick carpet' --ceiling 'gypsum board' "
+            "--walls plaster --temperature 20 --out room.toml",
+            _CALIBRATE,
+            _REPORT,
+        ),
+    ),
     "program": (
         {},
         (
@@ -188,10 +200,20 @@ def example(name: str) -> Example:
         files["SOURCE.md"] = files["SOURCE.md"].replace(b"measured.csv", b"t.csv")
     own = path(f"examples/{name}")
     files |= {file.name.removesuffix(".txt"): file.read_bytes() for file in sorted(own.glob("*"))}
+    rng = np.random.default_rng(1)
     if name == "responses":
-        rng = np.random.default_rng(1)
         names = ("S1_R1.wav", "S1_R2.wav", "S2_R1.wav", "S2_R2.wav")
-        files |= {name: _response(rng) for name in names}
+        files |= {name: _wav(_response(rng)) for name in names}
+    if name == "recordings":
+        played, silence = _sweep(), np.zeros(_RATE // 2)
+        swept = np.concatenate([silence, played, np.zeros(2 * _RATE)])
+        on_and_off = np.repeat([1.0, 0.0] * 3, 2 * _RATE) * rng.standard_normal(12 * _RATE)
+        stopped = np.concatenate([silence, on_and_off])
+        files |= {
+            "played.wav": _wav(played),
+            "S1-R1.wav": _wav(_recorded(swept, rng)),
+            "S1-R2.wav": _wav(_recorded(stopped, rng)),
+        }
     return Example(files, commands)
 
 
@@ -199,10 +221,18 @@ _RATE = 16_000  # Hz
 _DECAY_TIMES = {125: 1.5, 250: 1.3, 500: 1.1, 1000: 0.95, 2000: 0.85, 4000: 0.75}  # s
 
 
-def _response(rng: np.random.Generator) -> bytes:
-    """Return a WAV file of noise that decays at `_DECAY_TIMES`, octave by octave."""
+def _wav(sound: Array) -> bytes:
+    """Return a WAV file of a sound, with its peak 1 dB below full scale."""
     from scipy.io import wavfile
 
+    stream = io.BytesIO()
+    samples = 0.9 * sound / np.abs(sound).max()
+    wavfile.write(stream, _RATE, np.round(32767 * samples).astype(np.int16))
+    return stream.getvalue()
+
+
+def _response(rng: np.random.Generator) -> Array:
+    """Return noise that decays at `_DECAY_TIMES`, octave by octave."""
     t = np.arange(int(1.5 * _RATE)) / _RATE
     frequency = np.fft.rfftfreq(t.size, 1 / _RATE)
     sound = np.zeros(t.size)
@@ -210,7 +240,22 @@ def _response(rng: np.random.Generator) -> bytes:
         in_band = (frequency >= centre / np.sqrt(2)) & (frequency < centre * np.sqrt(2))
         noise = np.fft.irfft(np.fft.rfft(rng.standard_normal(t.size)) * in_band, t.size)
         sound += noise * 10 ** (-3 * t / decay_time)
-    stream = io.BytesIO()
-    samples = 0.9 * sound / np.abs(sound).max()
-    wavfile.write(stream, _RATE, np.round(32767 * samples).astype(np.int16))
-    return stream.getvalue()
+    return sound
+
+
+def _sweep() -> Array:
+    """Return an exponential sweep of 3 s from 70 Hz to 7 kHz, faded in and out over 20 ms."""
+    t = np.arange(3 * _RATE) / _RATE
+    ratio = np.log(7000 / 70)
+    fade = np.minimum(1, 50 * np.minimum(t, t[::-1]))
+    return np.asarray(fade * np.sin(2 * np.pi * 70 * 3 / ratio * np.exp(t / 3 * ratio)))
+
+
+def _recorded(played: Array, rng: np.random.Generator) -> Array:
+    """Return what a microphone records of a sound in the room of `_response`, with some noise."""
+    response = _response(rng)
+    response[0] = 3 * np.abs(response).max()  # the direct sound
+    size = played.size + response.size
+    sound = np.fft.irfft(np.fft.rfft(played, size) * np.fft.rfft(response, size), size)
+    sound = sound[: played.size]
+    return np.asarray(sound + 3e-4 * np.abs(sound).max() * rng.standard_normal(sound.size))
