@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -245,3 +246,48 @@ def test_the_catalogue_has_pieces_with_a_source() -> None:
         catalogue.piece("sofa", 1, [1000])
     with pytest.raises(DataError, match="8000 Hz"):
         catalogue.piece("wooden chair", 1, [8000])
+
+
+def test_the_catalogue_is_listed_with_its_sources(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pyroomacoustics")
+    assert run("materials", "--json") == 0
+    whole = json.loads(capsys.readouterr().out)
+    assert [m["name"] for m in whole["materials"]] == list(catalogue.names())
+    assert [p["name"] for p in whole["pieces"]] == list(catalogue.PIECES)
+    assert all(each["source"] for each in (*whole["materials"], *whole["pieces"]))
+    assert run("materials", "vinyl", "wooden chair") == 0
+    said = capsys.readouterr().out
+    assert said.index("linoleum_on_concrete") < said.index(
+        "0.02 0.02 0.03 0.04 0.04 0.04  wooden chair"
+    )
+    assert "approximate: from memory of EN 12354-6" in " ".join(said.split())
+    assert "carpet_thin" not in said
+    assert run("materials", "xyzzy") == 2
+    assert 'nothing like "xyzzy"' in capsys.readouterr().err
+
+
+def test_a_box_has_the_pieces_of_its_options(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("pyroomacoustics")
+    box = ["room", "--dimensions", "9,7,3", "--floor", "0.1", "--ceiling", "0.1", "--walls", "0.1"]
+    path, bare = tmp_path / "room.toml", tmp_path / "bare.toml"
+    chairs = ["--object", "wooden chair=30", "--object", "person standing=2"]
+    assert run(*box, *chairs, "--out", path) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "30 × wooden chair" in said
+    assert "m² of one wooden chair: approximate" in said
+    assert run(*box, "--out", bare, "-q") == 0
+    made, without = Room.from_file(str(path)), Room.from_file(str(bare))
+    assert made.pieces == ("wooden chair", "person standing")
+    assert made.surfaces == without.surfaces
+    added = made.absorption_area - without.absorption_area
+    one = [catalogue.PIECES[name][1] for name in made.pieces]
+    assert added == pytest.approx(30 * np.array(one[0]) + 2 * np.array(one[1]))
+    for wrong, words in (
+        ("sofa=2", "not among the pieces"),
+        ("wooden chair", "must have the form NAME=NUMBER"),
+        ("wooden chair=0", 'wooden chair" = 0 must'),
+    ):
+        assert run(*box, "--object", wrong, "--out", tmp_path / "x.toml") == 2
+        assert words in capsys.readouterr().err

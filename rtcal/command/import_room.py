@@ -558,16 +558,17 @@ def described(
         notes.append(
             f"scattering left out, since {', '.join(without)} state none; --scattering gives theirs"
         )
-    by_source: dict[str, list[str]] = {}
+    by_source: dict[tuple[str, str], list[str]] = {}
     for name, source in room.sources.items():
-        by_source.setdefault(source, []).append(name)
-    notes += [f"alpha of {', '.join(names)}: {source}" for source, names in by_source.items()]
+        of = "m² of one" if name in room.pieces else "alpha of"
+        by_source.setdefault((of, source), []).append(name)
+    notes += [f"{of} {', '.join(names)}: {source}" for (of, source), names in by_source.items()]
     rows_of = dict(zip(room.materials, room.areas.tolist(), strict=True))
     objects = {name: rows_of.pop(name) for name in room.pieces}
     rows = [
         f"V = {room.volume:.6g} m³, S = {room.total_area:.6g} m², {span(room.centre_frequencies)}",
         *(f"{area:10.3f} m²  {material}" for material, area in rows_of.items()),
-        *(f"{number:10g} x   {name}" for name, number in objects.items()),
+        *(f"{number:10g} ×   {name}" for name, number in objects.items()),
         *notes,
         *([f"Left out, without area: {', '.join(unused)}"] if unused else []),
     ]

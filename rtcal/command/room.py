@@ -288,11 +288,14 @@ def materials(names: tuple[str, ...]) -> None:
         raise DataError(f'the catalogue has nothing like "{shown(" ".join(names))}"')
     listed = [entries[name] for name in dict.fromkeys(chosen)]
     pieces = [catalogue.piece(name, 1, _OCTAVES) for name in dict.fromkeys(free)]
-    lines = [f"alpha in {span(_OCTAVES)}; `rtcal room` takes 30 % as sigma, at least 0.01"]
+    origin = catalogue.origin()
+    lines = [
+        f"{origin}: alpha in {span(_OCTAVES)}; `rtcal room` takes 30 % as sigma, at least 0.01"
+    ]
     for each in listed:
         by_band = dict(zip(each.centre_frequencies, each.alpha, strict=True))
         values = (f"{by_band[f]:5.2f}" if f in by_band else "    -" for f in _OCTAVES)
-        lines += [f"{''.join(values)}  {each.name}", f"  {each.source}"]
+        lines += [f"{''.join(values)}  {each.name}", f"  {each.source.removeprefix(f'{origin}: ')}"]
     lines += ["m² of one piece, and its sigma, in the same bands"] if pieces else []
     for piece in pieces:
         for row, text in ((piece.area_per_piece, piece.name), (piece.sigma, "sigma")):

@@ -177,13 +177,17 @@ def piece(name: str, number: float, centre_frequencies: Sequence[float] | Array)
     )
 
 
+def origin() -> str:
+    """Return the source of all materials, with which each one's begins."""
+    return f"{_TABLE} {metadata.version(_TABLE)} materials.json (after Vorländer 2008)"
+
+
 @cache
 def material_list() -> MaterialList:
     """Return the catalogue as a material list, each material in the bands that it has."""
     descriptions, mounted = names(), _mounting()
     with resources.as_file(resources.files(_TABLE) / "data" / "materials.json") as path:
         listed = pyroomacoustics.read(path)
-    version = metadata.version(_TABLE)
     return replace(
         listed,
         path="the catalogue",
@@ -191,8 +195,7 @@ def material_list() -> MaterialList:
             replace(
                 m,
                 name=(name := _RENAMED.get(m.name, m.name)),
-                source=f"pyroomacoustics {version} materials.json (after Vorländer 2008): "
-                f"{descriptions[name]}; mounting: {mounted.get(name, 'not stated')}",
+                source=f"{origin()}: {descriptions[name]}; mounting: {mounted.get(name, 'not stated')}",
             )
             for m in listed.materials
         ),
