@@ -365,7 +365,7 @@ def test_questions_in_the_terminal(
     said = capsys.readouterr()
     assert "has 2 numbers, and not 3" in said.err
     assert '"xyzzy" is like no material' in said.err
-    assert "V = 189 m³" in said.out
+    assert "The room has 189 m³" in said.out
     assert '"west" has 16.5 m² left' in said.err
     options = box(
         "9,7,3", "carpet", "acoustic tile", "plaster", *("--temperature", "20", "--humidity", "55")

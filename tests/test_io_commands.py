@@ -23,14 +23,14 @@ def test_a_catt_model_in_and_out(tmp_path: Path, capsys: pytest.CaptureFixture[s
     mesh.write_bytes(fuzz.OBJ[0])
     room = tmp_path / "room.toml"
     assert run("import", "catt", hall, "--mesh", mesh, "--out", room) == 0
-    assert "V = 2 m³, S = 10 m²" in capsys.readouterr().out
+    assert "The room has 2 m³ and 10 m² of surfaces" in capsys.readouterr().out
     before = rt.Room.from_file(str(room))
     target = rt.Eyring().reverberation_time(before) * 0.8
     result = rt.calibrate(before, rt.Measurement.from_values(before.centre_frequencies, t20=target))
     result.room.save(str(tmp_path / "calibrated.toml"))
     assert run("export", "catt", tmp_path / "calibrated.toml", hall) == 0
     shown = capsys.readouterr().out
-    assert "hall.geo: list with its coefficients replaced" in " ".join(shown.split())
+    assert "hall.geo were replaced. As the program reads them" in " ".join(shown.split())
     assert "change / JND" in shown
     after = hall.read_bytes()
     assert after.startswith(b"ABS wood = <1")

@@ -238,7 +238,11 @@ def _imported(
     in_use = {listed.listed(name).name for name in used if name not in others}
     in_use |= {material.name for material in own.values()}
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
-    of_sigma = f"{rule}; from the file: {', '.join(sigma)}" if sigma else f"Assumed: {rule}"
+    of_sigma = (
+        f"{rule}; from the file: {', '.join(sigma)}"
+        if sigma
+        else f"Assumed standard deviation of alpha: {rule}"
+    )
     notes = [of_sigma, air_note(room)]
     scatter = {name: (others.get(name) or listed.listed(name)).scattering for name in used}
     console.tell(*described(room, unused, notes + of_mesh, scatter))
@@ -542,7 +546,7 @@ def air_note(room: Room) -> str:
             "No air is given, so alpha will include what the air absorbs: give --temperature and "
             "--humidity."
         )
-    return f"air {room.air.temperature:g} °C, {room.air.humidity:g} % humidity"
+    return f"The air has {room.air.temperature:g} °C and {room.air.humidity:g} % relative humidity."
 
 
 def described(
@@ -556,21 +560,24 @@ def described(
     without = [name for name, values in scattering.items() if values is None]
     if without and len(without) < len(scattering) and room.scattering is None:
         notes.append(
-            f"scattering left out, since {', '.join(without)} state none; --scattering gives theirs"
+            f"Scattering is left out, because {', '.join(without)} have none: give --scattering."
         )
     by_source: dict[tuple[str, str], list[str]] = {}
     for name, source in room.sources.items():
         of = "m² of one" if name in room.pieces else "alpha of"
         by_source.setdefault((of, source), []).append(name)
-    notes += [f"{of} {', '.join(names)}: {source}" for (of, source), names in by_source.items()]
+    notes += [
+        f"Source of {of} {', '.join(names)}: {source}" for (of, source), names in by_source.items()
+    ]
     rows_of = dict(zip(room.materials, room.areas.tolist(), strict=True))
     objects = {name: rows_of.pop(name) for name in room.pieces}
     rows = [
-        f"V = {room.volume:.6g} m³, S = {room.total_area:.6g} m², {span(room.centre_frequencies)}",
+        f"The room has {room.volume:.6g} m³ and {room.total_area:.6g} m² of surfaces, in "
+        f"{span(room.centre_frequencies)}:",
         *(f"{area:10.3f} m²  {material}" for material, area in rows_of.items()),
         *(f"{number:10g} ×   {name}" for name, number in objects.items()),
         *notes,
-        *([f"Left out, without area: {', '.join(unused)}"] if unused else []),
+        *([f"Materials without an area are left out: {', '.join(unused)}."] if unused else []),
     ]
     record = {
         "volume": room.volume,

@@ -190,7 +190,13 @@ def _made(
         made = made.with_rows(rows, pieces=[piece.name for piece in free])
     doubt = units.size_doubt(made.volume, size, unit, advice=units.OF_SIDES)
     said = f"{units.in_words(size)}: length (x), width (y), height (z)"
-    notes = [said, *filter(None, [doubt]), *materials.notes, f"Assumed: {rule}", air_note(made)]
+    notes = [
+        said,
+        *filter(None, [doubt]),
+        *materials.notes,
+        f"Assumed standard deviation of alpha: {rule}",
+        air_note(made),
+    ]
     return made.replace(dimensions=size), notes
 
 

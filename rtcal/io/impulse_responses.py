@@ -162,9 +162,11 @@ def responses_of(
 class Floor(Enum):
     """What ends the range of levels of a decay, as a sentence with a place for the range in dB."""
 
-    NOISE = "It is {} dB."
-    CUT = "It is {} dB at the end of the response, which is cut off before the noise."
-    END = "It is {} dB at the end of the response, where noise begins or the decay is cut off."
+    NOISE = "The ratio is {} dB."
+    CUT = "The ratio is {} dB at the end of the response, which is cut off before the noise."
+    END = (
+        "The ratio is {} dB at the end of the response, where noise begins or the decay is cut off."
+    )
     FLAT = "The decay begins less than 10 dB above the end of the response (noise, or a cut decay)."
     SHORT = "The response is silent or shorter than 50 ms."
     UNSTEADY = "The sound before its stop is no steady noise in this band."
@@ -196,12 +198,12 @@ class Analysis:
             for name in self.measurement.values:
                 needed.setdefault(self.minimum_range[name], []).append(parameter_label(name))
             parts = [f"{ratio:g} dB for {', '.join(names)}" for ratio, names in needed.items()]
-            rule = "Missing values. Impulse-to-noise ratio needed (ISO 3382)"
+            rule = "Values are missing where the impulse-to-noise ratio is below that of ISO 3382"
             lines += ["", *text.wrapped(f"{rule}: {'; '.join(parts)}.")]
             for sentence in missing:
                 lines += text.wrapped(sentence, indent="  ")
         for note in self.notes:
-            lines += text.wrapped(f"note: {note}")
+            lines += text.wrapped(f"Note: {text.as_sentence(note)}")
         return "\n".join(lines)
 
     @property

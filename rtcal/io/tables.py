@@ -122,8 +122,10 @@ class MeasuredTable:
     columns: tuple[str, ...]
 
     def __str__(self) -> str:
-        """Return what is in doubt, how each column was read, and the means of what was read."""
-        return "\n".join([*self.doubts, *self.columns, "", *means(self.measurement)])
+        """Return the means of what was read, what is in doubt, and how each column was read."""
+        doubts = (f"Caution: {doubt}" for doubt in self.doubts)
+        how = ["How the table was read:", *self.columns] if self.columns else []
+        return "\n".join([*means(self.measurement), "", *doubts, *how])
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -879,7 +881,7 @@ class _Table:
         elif position[1]:
             says.append(f"all values are of {self.pair[0]} to {self.pair[1]}, the table's name")
         elif "source" not in kinds and not (across and all(c.source for c in across)):
-            says.append("no source is named: all positions are treated as receivers of source S1")
+            says.append("no source is named, so all positions are receivers of source S1")
         elif "receiver" not in kinds and not across:
             says.append("no receiver is named: treated as receiver R1 of each source")
         if "channel" in kinds and not self.options.repeats:
@@ -1262,7 +1264,7 @@ def means(measurement: Measurement) -> list[str]:
         overall = kind.overall(mean, measurement.centre_frequencies)
         if np.isfinite(overall):
             of_all.append(f"{kind.label} of all bands: {overall:.{kind.decimals}f}")
-    title = f"Means over {n} pairs of source and receiver:" if n > 1 else "Values:"
+    title = f"Means over {n} pairs of source and receiver:" if n > 1 else "Values by band:"
     header = ("", bands.labels(measurement.centre_frequencies))
     return [title, *table_lines(rows, header=header), *of_all]
 
