@@ -291,7 +291,7 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "no_uncertainty": (
         "",
-        "z and Q may be too large: give T per source and receiver, or its uncertainty",
+        "the test of the input may be too strict: give T per source and receiver, or its uncertainty",
     ),
     "implausible_modes": (
         "",

@@ -485,8 +485,7 @@ class Archive(Result):
         ]
         of_rooms = {
             "all alpha off by": [f"{100 * lesson.factor:+.0f} %" for lesson in self.lessons],
-            "Q of T": [f"{lesson.q:.1f}" for lesson in self.lessons],
-            "p of T": [f"{lesson.p_value:.2g}" for lesson in self.lessons],
+            "p of its T": [f"{lesson.p_value:.2g}" for lesson in self.lessons],
             "sigma reduced by": [f"{100 * lesson.taught:.0f} %" for lesson in self.lessons],
         }
         rooms = Table.of_columns([lesson.room for lesson in self.lessons], of_rooms)
@@ -495,8 +494,7 @@ class Archive(Result):
             f"{spread.table:.2g} times its input sigma; the difference of a material between rooms is "
             f"{spread.between:.2g} times this sigma; the error that all coefficients of a room share "
             f"is {100 * spread.room:.0f} %; the error of the equation in one band is "
-            f"{100 * spread.equation:.0f} %. The correction that all tables share is "
-            f"{100 * self.together:+.0f} ± {100 * self.together_sigma:.0f} %.",
+            f"{100 * spread.equation:.0f} %.",
             *(
                 f'In room "{s.room}", "{s.material}" is likely '
                 + (f'"{s.instead}"' if s.instead else "none of the archive's materials")
@@ -507,9 +505,13 @@ class Archive(Result):
         ]
         head = f"alpha (number of rooms; *: {_OFF:g} or more standard deviations from the table)"
         return [
-            Note(f"{len(self.lessons)} rooms, {len(self.materials)} materials"),
+            Note(
+                f"{len(self.lessons)} rooms give the coefficients of {len(self.materials)} materials; "
+                f"the tables they began with are off by {100 * self.together:+.0f} ± "
+                f"{100 * self.together_sigma:.0f} % together (standard deviation)."
+            ),
             Table(labels, materials, head),
-            replace(rooms, title="each room compared with the prediction from all other rooms"),
+            replace(rooms, title="Each room compared with the prediction from all other rooms"),
             *map(Note, notes),
         ]
 

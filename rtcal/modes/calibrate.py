@@ -139,11 +139,11 @@ def calibrate_modes(
     if len(unsure := np.delete(modes.frequencies, used)):
         where = ", ".join(f"{f:.1f}" for f in unsure)
         notes.append(
-            f"Not used, because they cannot be assigned to one calculated mode: {where} Hz."
+            f"Modes that cannot be assigned to one calculated mode are not used: {where} Hz."
         )
     if not path.settled:
         notes.append(
-            "Not settled: the last step still moved a coefficient by a twentieth of its prior sigma."
+            "The fit has not settled: its last step moved a coefficient by a twentieth of its sigma."
         )
     return ModesResult(
         prior=room,
@@ -204,7 +204,7 @@ def below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:
 
 CARRIED = 3
 """Modes from which a band's mark falls away: in it, or for the lowest one up to an octave below."""
-_HEADER = ["mode / Hz", "T / s", "before", "after", "most about"]
+_HEADER = ["mode / Hz", "T measured / s", "T before / s", "T after / s", "mostly from"]
 P_MODES = 0.01
 """p-value of the modes below which they and what was stated contradict each other."""
 _ALIKE = 0.02  # share of the largest by which walls that a mode tells as much of may differ
@@ -463,25 +463,27 @@ class ModesResult(Result):
             )
             for name, *of in zip(self.prior.materials, *ends, strict=True)
         ]
-        notes = [Note(note, hanging="    ") for note in self.every_note]
+        first, *notes = map(Note, self.every_note)
         columns = bands.labels(self.prior.centre_frequencies[self.below])
         tables = [
             Table(_HEADER[1:], rows, corner=_HEADER[0]),
-            Table(columns, low, "Below the Schroeder frequency", corner="alpha (90 %)"),
+            Table(
+                columns, low, "Alpha below the Schroeder frequency, before > after (90 % interval)"
+            ),
         ]
-        return [*tables, *notes]
+        return [first, *tables, *notes]
 
     @property
     def every_note(self) -> list[str]:
         """The ``notes``, and the cautions about the result itself."""
-        first = f"Measured frequencies are {self.scale:.3f} times those calculated."
         q = self.plausibility
-        misfit = (
-            f"Misfit of the decays: Q = {q.q:.1f} with {q.degrees_of_freedom} "
-            f"degree{'s' * (q.degrees_of_freedom != 1)} of freedom, "
-            f"p = {q.p_value:.2g}."
+        first = (
+            f"{len(self.used)} of {len(self.modes.frequencies)} measured modes determine alpha below "
+            "the Schroeder frequency. If the input is right, a misfit of the decays as large as this "
+            f"has a probability of {q.p_value:.2g} (Q = {q.q:.1f})."
         )
-        return [first, misfit, *self.notes, *cautions(self.trust_marks)]
+        scale = f"Measured frequencies are {self.scale:.3f} times those calculated."
+        return [first, scale, *self.notes, *cautions(self.trust_marks)]
 
     @property
     def each(self) -> list[dict[str, Any]]:
