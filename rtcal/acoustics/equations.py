@@ -432,7 +432,7 @@ class Kuttruff(LinearEquation):
 
     @property
     def largest_mean(self) -> float:
-        """1 - exp(-1 / gamma²), where T is shortest."""
+        """Largest mean alpha of the equation, 1 - exp(-1 / gamma²), where T is shortest."""
         return float(-np.expm1(-1 / self.path_variance))
 
     def exponent(self, mean: Array) -> Array:

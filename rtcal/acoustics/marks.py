@@ -429,10 +429,11 @@ def _surface_of_box(x: float, y: float, z: float) -> float:
 
 
 def likely_slips(room: Room) -> list[tuple[str, Room]]:
-    """Return in words the value that is 10 or 100 times too large or small, and the corrected room.
+    """Return each likely slip of a decimal point: the value in words, and the corrected room.
 
-    One area, or the volume, without which the surface is likely. Empty where the surface is likely
-    already, and where more than two would explain it.
+    A slip is one area, or the volume, that is 10 or 100 times too large or too small, so that the
+    room has a likely surface once it is corrected. The list is empty where the surface is likely
+    already, and where more than two slips would explain it.
 
     Examples
     --------

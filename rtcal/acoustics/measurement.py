@@ -648,7 +648,7 @@ class Measurement:
         return np.array([each[name][k] if name else np.nan for k, name in enumerate(names)])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the measurement as plain values, None where one is missing; see `from_dict`."""
+        """Return plain values for JSON, which `from_dict` reads; None where a value is missing."""
         tables = {name: getattr(self, name) for name in TABLES}
         return {
             "centre_frequencies": json_numbers(self.centre_frequencies),

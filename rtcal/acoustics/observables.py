@@ -462,7 +462,7 @@ class DecaySlope(Relative):
         return np.where(lacking, np.nan, gradient)
 
     def decay_time(self, values: Array) -> Array:
-        """Return the values."""
+        """Return the values themselves, which are decay times in s."""
         return values
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
@@ -484,7 +484,7 @@ class DecaySlope(Relative):
         return np.asarray(a**2 * mean * (1 + b / _DECAYS) / (np.maximum(positions, 1) * bandwidth))
 
     def largest_uncertainty(self, values: Array) -> Array:
-        """Return the values."""
+        """Return the largest meaningful uncertainty of each decay time in s: the time itself."""
         return values
 
 

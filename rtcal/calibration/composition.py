@@ -55,9 +55,9 @@ class Composition:
 
     @cached_property
     def compiled(self) -> CompiledProblem:
-        """The compiled problem, which compositions of equal terms and layout share.
+        """The compiled problem; compositions with equal terms, materials and bands share one.
 
-        DataError or ModelError for terms that do not fit the rooms.
+        Raises DataError or ModelError if the terms do not fit the rooms.
         """
         rooms = self.configurations
         frequencies = tuple(rooms.rooms[0].centre_frequencies.tolist())

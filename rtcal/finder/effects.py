@@ -240,7 +240,7 @@ class AbsorbingObject(Effect):
     each: ClassVar[Sequence[float]] = (1.0,) * 8
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the limits of the parameters; the size is 0 or more."""
+        """Return the lowest and highest value of each parameter; the size is 0 or more."""
         return {self.size: (0.0, inf), **super().limits(room)}
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:

@@ -211,12 +211,12 @@ class Verification(Result):
 
     @property
     def gain(self) -> float:
-        """The decrease of the gap in JND."""
+        """Decrease of the mean deviation in JND, negative where it grows."""
         return self.before - self.after
 
     @property
     def calibrations(self) -> tuple[Recalibrated, ...]:
-        """Of means, the calibrations to all data without and with what was found; else ()."""
+        """Calibrations to all means, without and with what was found; () for pairs and two states."""
         return tuple(c for c in (self.uncorrected, self.corrected) if c is not None)
 
     @property

@@ -1388,11 +1388,11 @@ def secant(targets: Array, rates: Array, wanted: float, low: float, high: float)
 
 
 def safeguarded(targets: Array, rates: Array, wanted: float, low: float, high: float) -> float:
-    """Return the next target by a secant in logarithms, kept within its bracket.
+    """Return a band's next target by a secant step in logarithms that stays within a bracket.
 
-    The first slope is 1, later slopes are clipped. The bracket lies between the highest target
-    whose rate was too low and the lowest whose rate was too high. A step that leaves the bracket
-    goes to its middle, or to the end of the range of the equation.
+    The first slope is 1, and later slopes are clipped. The bracket reaches from the highest target
+    whose simulated rate was too low to the lowest whose rate was too high. A step that would leave
+    the bracket goes to its middle, or to the end of the range of the equation.
     """
     u, v, w = np.log(targets), np.log(rates), np.log(wanted)
     slope = 1.0

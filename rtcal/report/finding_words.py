@@ -996,7 +996,7 @@ def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
 
 
 def noted(f: Finding) -> list[str]:
-    """Return the notes in sentences, without the one that all uncertainties are as given."""
+    """Return the notes as sentences, except the note that all uncertainties are as given."""
     return [
         as_sentence(str(n))
         for n in f.notes

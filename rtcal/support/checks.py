@@ -103,7 +103,7 @@ def choice(place: str, value: object, options: Collection[str]) -> str:
 
 
 def content(place: str, value: object) -> bytes:
-    """Return the bytes of a file; DataError for anything else, also for its text."""
+    """Return the content of a file if it is bytes; DataError for text and any other type."""
     if not isinstance(value, bytes):
         raise DataError(f"{place}: content = {shown(value)} must be the bytes of a file")
     return value

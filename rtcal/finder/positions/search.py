@@ -174,7 +174,10 @@ def weights(evidence: Array, hypotheses: PositionsHypotheses, temper: float = TE
 
 
 def gain(other: Array, evidence: Array, hypotheses: PositionsHypotheses) -> float:
-    """Return the evidence in nats for another likelihood, whatever the room lacks."""
+    """Return the ln Bayes factor of another likelihood over this one, summed over all hypotheses.
+
+    ``other`` and ``evidence`` (n,) are the log evidences of the hypotheses by either likelihood.
+    """
     more, less = (logsumexp(weights(each, hypotheses)) for each in (other, evidence))
     return float(more - less + (other[0] - evidence[0]) / TEMPER)
 
