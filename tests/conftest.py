@@ -14,7 +14,6 @@ from hypothesis import settings
 
 import rtcal as rt
 from rtcal.command.main import main
-from rtcal.finder import Finding
 from rtcal.finder.claim import Candidate
 from rtcal.prediction import changed_time
 
@@ -59,12 +58,6 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "kept"
     folder.mkdir(exist_ok=True)
     return folder
-
-
-@pytest.fixture(scope="session")
-def found(kept: Path) -> Finding:
-    """What is found in the room that ships with something hidden, once for all tests of a process."""
-    return rt.find(rt.datasets.hidden_room()[0], cache=kept)
 
 
 @pytest.fixture(scope="module")

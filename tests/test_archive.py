@@ -15,6 +15,7 @@ from rtcal.calibration import archive as model
 from rtcal.calibration.archive import Evidence, RoomData, Spread
 from rtcal.command.main import cli
 from rtcal.support.errors import DataError
+from tests.conftest import also
 
 SPREAD = Spread(table=0.9, between=0.3, room=0.05, together=0.1, equation=0.02, correlation=0.6)
 
@@ -141,7 +142,7 @@ def test_the_order_of_rooms_changes_nothing(rooms: list[rt.calibration.Calibrati
     assert (archive.mean_sigma <= left.mean_sigma + 5e-3).all()
 
 
-@pytest.mark.parametrize("stated", [{}, {"volume_sigma": 0.05}])
+@pytest.mark.parametrize("stated", [{"volume_sigma": 0.05}, *also({})])
 def test_how_a_room_was_calibrated_does_not_matter(
     rooms: list[rt.calibration.CalibrationResult], stated: dict[str, float]
 ) -> None:

@@ -14,15 +14,18 @@ from rtcal.finder.means.recalibration import plain
 from rtcal.loop.positions import PositionsResult
 from rtcal.report.of_diagnosis import steps
 from tests.conftest import run
+from tests.test_discrepancy import controls_of
 
 
 @pytest.fixture(scope="module")
-def named(kept: Path) -> Diagnosis:
-    return rt.diagnose(rt.datasets.hidden_room("identified")[0], cache=kept)
+def named() -> Diagnosis:
+    case = rt.datasets.hidden_room("identified")[0]
+    return rt.diagnose(case, controls=controls_of(case))
 
 
-def test_it_is_what_the_single_steps_give(named: Diagnosis, kept: Path) -> None:
-    finding = rt.find(named.finding.case, cache=kept)
+def test_it_is_what_the_single_steps_give(named: Diagnosis) -> None:
+    case = named.finding.case
+    finding = rt.find(case, controls=controls_of(case))
     verified, truth = rt.finder.verify(finding), rt.datasets.hidden_room("identified")[1]
     assert finding.effect == named.finding.effect == truth["hidden"]
     assert named.verification is not None
@@ -57,13 +60,14 @@ def test_where_nothing_is_missing_the_model_is_calibrated_as_given(kept: Path) -
 @pytest.mark.long
 @pytest.mark.usefixtures("runs_kept")
 def test_the_command_writes_one_folder_that_apply_and_report_read(
-    named: Diagnosis,
+    kept: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra report")
     monkeypatch.chdir(tmp_path)
+    named = rt.diagnose(rt.datasets.hidden_room("identified")[0], cache=kept)
     named.finding.case.save("case.json")
     assert run("diagnose", "case.json", "--out", "out", "--json") == 0
     record = json.loads(capsys.readouterr().out)

@@ -15,6 +15,7 @@ from rtcal.calibration.qp import certify
 from rtcal.calibration.result import JointResult
 from rtcal.support.errors import SolverError
 from tests import coupled
+from tests.conftest import also
 
 
 def answers(solver: str = "clarabel") -> Iterator[tuple[JointResult, np.ndarray]]:
@@ -27,7 +28,7 @@ def answers(solver: str = "clarabel") -> Iterator[tuple[JointResult, np.ndarray]
                 yield answer, truth
 
 
-@pytest.mark.parametrize("solver", ["clarabel", "osqp"])
+@pytest.mark.parametrize("solver", ["clarabel", *also("osqp")])
 def test_the_bound_holds_for_raw_and_final_answers_and_is_small(solver: str) -> None:
     off, widest = 0, []
     for answer, truth in answers(solver):

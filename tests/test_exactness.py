@@ -15,7 +15,7 @@ from rtcal.support.errors import InfeasibleError, SolverError
 from tests import rational
 from tests.problems import Problem, problems
 
-COUNTS = [160, pytest.param(2000, marks=pytest.mark.long)]
+COUNTS = [80, pytest.param(2000, marks=pytest.mark.long)]
 OFFSET = 1e4
 
 

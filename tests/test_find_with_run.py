@@ -449,6 +449,7 @@ def test_a_second_run_that_has_what_calibrating_lacks_supports_the_finding(
     assert again.uncertainty == made.uncertainty
 
 
+@pytest.mark.long
 def test_the_noise_of_measurement_and_runs_counts_against_a_second_run(absorber: Finding) -> None:
     first = absorber.case.configurations[0]
     second = run_of(absorber, effect=True, off=1.0)

@@ -74,6 +74,7 @@ def test_a_room_calibrated_on_the_case_s_data_is_refused(tmp_path: Path) -> None
 # An effect of one's own, from finding to verification.
 
 
+@pytest.mark.long
 def test_an_effect_of_one_s_own_is_added_verified_and_simulated(tmp_path: Path) -> None:
     case = with_organ()
     effects = [Organ()]

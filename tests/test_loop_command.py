@@ -7,6 +7,7 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.support.errors import DataError
+from tests.conftest import also
 
 
 def unwrapped(output: str) -> str:
@@ -103,9 +104,10 @@ def test_a_table_that_lacks_something_is_refused_and_nothing_is_written(
     assert [(tmp_path / n).read_bytes() for n in ("loop.json", "next.toml")] == before
 
 
-@pytest.mark.parametrize("factor", [0.05, 0.1, 10, 20])
-@pytest.mark.parametrize("step", [1, 2])
-def test_a_simulation_in_another_unit_is_named_first(cr2, tmp_path, step, factor):
+@pytest.mark.parametrize(
+    ("factor", "step"), [(10, 2), (0.1, 1), *also(*((f, s) for f in (0.05, 20) for s in (1, 2)))]
+)
+def test_a_simulation_in_another_unit_is_named_first(cr2, tmp_path, factor, step):
     """It was taken in silence: alpha went to its bounds to follow a decimal point."""
     room, measured = cr2
     _, runner, command, files = begun(room, measured, tmp_path)

@@ -16,6 +16,7 @@ from rtcal.modes.room_modes import AtFrequencies, admittance_slope, box_modes
 from rtcal.report.pages import page_of
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
+from tests.conftest import also
 from tests.test_saved_results import back
 
 SIDES = np.array([5.2, 4.1, 2.6])
@@ -192,6 +193,7 @@ def test_matching_weighs_the_decay():
     assert match(modes, close, np.array([0.5, 5.0])).calculated.tolist() == [1]
 
 
+@pytest.mark.long
 def test_modes_that_contradict_are_marked():
     modes, rng = heard(TRUTH), np.random.default_rng(0)
     good = rt.calibrate_modes(ROOM, modes)
@@ -251,6 +253,7 @@ def test_random_frequencies_are_refused_or_doubted(seed):
             rt.calibrate_modes(ROOM, random)
 
 
+@pytest.mark.long
 def test_frequencies_at_the_end_of_the_search_and_wrong_sides():
     modes = heard(TRUTH)
     assert not any("Doubtful" in note for note in rt.calibrate_modes(ROOM, modes).notes)
@@ -338,7 +341,7 @@ def test_result_is_saved_whole(tmp_path):
     assert result.room.calibration.method == "modes"
 
 
-@pytest.mark.parametrize("t", [None, times(TRUTH)])
+@pytest.mark.parametrize("t", [times(TRUTH), *also(None)])
 def test_modes_count_once(t):
     once = rt.calibrate_modes(ROOM, heard(TRUTH), t).room
     with pytest.raises(DataError, match="already calibrated on these data"):

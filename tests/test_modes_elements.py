@@ -156,6 +156,7 @@ def test_too_many_planes():
         fill(Polyhedron.shoebox((50, 50, 50), "plaster"), 0.5)
 
 
+@pytest.mark.long
 def test_which_wall_absorbs_in_a_slanted_room(tmp_path):
     """Modes of the true room: unlike a box's, opposite walls are told apart."""
     geometry = slanted()

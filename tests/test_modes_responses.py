@@ -13,6 +13,7 @@ from rtcal.command.main import cli
 from rtcal.modes import find_modes
 from rtcal.modes.room_modes import box_modes
 from rtcal.support.errors import DataError
+from tests.conftest import also
 from tests.test_modes import BOX, ROOM, SHOEBOX_WALLS, SIDES, TRUTH, C, times
 
 RATE = 800.0
@@ -58,6 +59,7 @@ def test_modes_of_a_box_within_their_uncertainty():
     assert "were found" in found.notes[0]
 
 
+@pytest.mark.long
 def test_decays_do_not_hang_on_what_was_stated():
     """The first mode stands between west and east, at whose coefficients the stated ones are off."""
     _, signals = heard()
@@ -70,6 +72,7 @@ def test_decays_do_not_hang_on_what_was_stated():
     assert np.ptp(stated) > 10 * np.ptp(decays)
 
 
+@pytest.mark.long
 def test_uncertainty_covers_repeated_noise():
     """The stated uncertainty is that of noise, half as much again since a model's error is no noise."""
     poles, clean = heard(noise=np.inf)
@@ -113,7 +116,7 @@ def test_responses_to_coefficients():
     assert error[0] < 0.6 * error[1]
 
 
-@pytest.mark.parametrize("wrong", ["exchanged", "late", "other room"])
+@pytest.mark.parametrize("wrong", ["exchanged", *also("late", "other room")])
 def test_what_the_rooms_modes_do_not_explain(wrong):
     _, signals = heard()
     room = PLACED

@@ -77,6 +77,7 @@ def test_numpy_and_the_compiled_loops_give_the_same_derivatives_by_scattering(tr
     np.testing.assert_allclose(*found, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.long
 def test_the_derivative_by_scattering_is_that_of_other_paths():
     """Between hard walls, a soft floor and ceiling. The differences take other paths."""
     geometry = Polyhedron.shoebox([8.0, 6.0, 3.0], {wall: wall for wall in SHOEBOX_WALLS})

@@ -64,6 +64,7 @@ def one_verdict(
 ALL = [(order, seed) for order in range(3) for seed in SEEDS]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tried", [[(0, 0), (1, 5)], *also(ALL)], ids=len)
 def test_the_shipped_room_has_one_verdict(tried: list[tuple[int, int]], kept: Path) -> None:
     case = rt.datasets.hidden_room()[0]

@@ -60,6 +60,7 @@ def error(room, alpha, truth):
     return np.sqrt(room.areas @ ((alpha - truth) ** 2).mean(axis=1) / room.total_area)
 
 
+@pytest.mark.long
 def test_it_is_nearer_to_the_truth_than_the_prior(case, result):
     room, truth, _ = case
     assert isinstance(result, PositionsResult)
@@ -68,6 +69,7 @@ def test_it_is_nearer_to_the_truth_than_the_prior(case, result):
     assert 0.8 < np.mean((low <= truth) & (truth <= high)) <= 1
 
 
+@pytest.mark.long
 def test_gaps_shrink_in_every_parameter(result):
     before, after = (
         np.sqrt(np.mean(gap**2, axis=(1, 2))) for gap in (result.gap_before, result.gap_after)
@@ -108,6 +110,7 @@ def test_positions_that_were_not_measured_are_predicted(case, result):
     assert gaps["predicted"] < gaps["stated scattering"] < gaps["prior"]
 
 
+@pytest.mark.long
 def test_what_is_heard_after_is_what_the_returned_tracer_gives(result):
     """Its scattering was fitted, too; an expected change by derivatives would be no simulation."""
     returned = result.weighed.observe(result.alpha, MATCH).values
@@ -171,6 +174,7 @@ def test_log_odds_change_the_coefficients_but_0_and_1():
     assert other.scattering_model == "vector"
 
 
+@pytest.mark.long
 def test_the_result_says_what_was_learned_and_from_whom(case, result):
     room, _, _ = case
     ratio = [after / before for _, before, after in result.learned]

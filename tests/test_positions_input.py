@@ -106,6 +106,7 @@ def test_what_cannot_be_matched_is_refused(tracer, measured, changed, options, p
         calibrate(tracer, changed(measured), **options)
 
 
+@pytest.mark.long
 def test_stated_uncertainties_replace_the_assumed_ones(tracer, measured):
     rows, shape = list(range(len(measured.pairs))), measured.values["t20"].shape
     own, common = np.full(shape, 0.02), np.full(shape[1], 0.1)
@@ -203,6 +204,7 @@ def fit(folder: Path, *options: str):
     return CliRunner().invoke(cli, ["fit", *files, "--paths", "160", *options])
 
 
+@pytest.mark.long
 def test_a_fit_that_leads_no_nearer_writes_nothing_and_has_a_code_of_its_own(folder):
     """Nothing may move, so that the start is returned."""
     room = rt.Room.from_file(str(folder / "room.toml"))

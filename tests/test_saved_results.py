@@ -11,11 +11,11 @@ import pytest
 
 import rtcal as rt
 from rtcal.files.saved import NUMBERS, Result, plain, restored
-from rtcal.finder import Finding
 from rtcal.loop.measured_pairs import ControlRuns
 from rtcal.report.pages import page_of
 from rtcal.simulators import of_equation
 from rtcal.support.errors import DataError
+from tests.test_discrepancy import controls_of
 from tests.test_positions import HALL, MATCH, heard, tracing
 from tests.test_where_page import finding_of, verification_of
 
@@ -81,8 +81,9 @@ def test_positions_are_read_back(tmp_path: Path) -> None:
     page_of(tmp_path)
 
 
-@pytest.mark.long
-def test_findings_are_read_back(tmp_path: Path, found: Finding) -> None:
+def test_findings_are_read_back(tmp_path: Path) -> None:
+    case = rt.datasets.hidden_room()[0]
+    found = rt.find(case, controls=controls_of(case))
     again = back(found, tmp_path / "finding")
     assert again.apply().to_dict() == found.apply().to_dict()
     back(rt.finder.verify(found), tmp_path / "verification")

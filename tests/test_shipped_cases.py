@@ -15,6 +15,7 @@ from benchmarks.studies.means.shipped_cases import POPULATION, kinds
 ROOMS = ("identified", "not_identified")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ROOMS)
 def test_a_case_is_the_one_draw_of_its_seed(name: str) -> None:
     _, truth = rt.datasets.hidden_room(name)

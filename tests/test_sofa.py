@@ -16,6 +16,7 @@ from rtcal.command.main import main
 from rtcal.io import balloon as balloons
 from rtcal.io import impulse_responses, sofa
 from rtcal.support.errors import DataError, MissingDependencyError
+from tests.conftest import also
 
 RATE = 8000
 
@@ -169,7 +170,7 @@ def test_a_balloon_gives_what_it_radiates_by_octave(tmp_path: Path) -> None:
     assert read.gain(directions) == pytest.approx(lobe.gain(directions), abs=0.05)
 
 
-@pytest.mark.parametrize("convention", ["FreeFieldDirectivityTF", "GeneralTF"])
+@pytest.mark.parametrize("convention", ["FreeFieldDirectivityTF", *also("GeneralTF")])
 def test_a_balloon_is_turned_with_its_top(tmp_path: Path, convention: str) -> None:
     """The loudspeaker's left in the file is its left in the room."""
     path = balloon(tmp_path / "b.sofa", convention=convention, aim=(-1, 2, 1))

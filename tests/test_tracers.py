@@ -90,6 +90,7 @@ def test_a_decay_without_end_is_too_short(monkeypatch):
         path_tracer(room=room).simulate(np.zeros_like(room.alpha), seed=1)
 
 
+@pytest.mark.long
 def test_the_stated_noise_is_the_spread_over_seeds():
     tracer = path_tracer()
     runs = [tracer.simulate(HALL.room.alpha, seed=s) for s in range(12)]

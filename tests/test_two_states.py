@@ -99,6 +99,7 @@ def test_noise_is_no_change(noisy: int) -> None:
     assert np.median(scores) < 0
 
 
+@pytest.mark.long
 def test_the_stated_coefficients_do_not_count(panels: Finding) -> None:
     other = replace(panels.case.room, alpha=np.full((3, 6), 0.3))
     again = rt.find(other, panels.case.after, before=panels.case.before)

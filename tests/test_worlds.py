@@ -60,6 +60,7 @@ def test_a_diffuse_cube_decays_after_kuttruff(alpha: float) -> None:
 # What is stored is what the code draws, and what a finder may read holds nothing of the truth.
 
 
+@pytest.mark.long
 def test_the_first_world_draws_its_stored_rooms(monkeypatch: pytest.MonkeyPatch) -> None:
     """Renaming every kind leaves the case as it is: it holds nothing of the truth."""
     seed = (1, 2, 0)

@@ -689,13 +689,11 @@ def predict_positions(
     >>> result = rt.calibrate_positions(tracer, room, measured, ("t20", "c80"), more_paths=1)
     >>> panel = rt.Material("panel", [0.8], [0.1])
     >>> after = predict_positions(
-    ...     result, [Variant("panels", (Change(cover="plaster", by=panel, area=15),)),
-    ...              Variant("window", (Change(open="plaster", area=2),))], wanted=("t20", "c80"))
-    >>> for prediction in after.predictions:
-    ...     low, high = prediction.interval("t20")
-    ...     print(prediction.name, bool((low < high).all()), bool((prediction.change("c80") > 0).all()))
-    panels True True
-    window True True
+    ...     result, [Variant("panels", (Change(cover="plaster", by=panel, area=15),))],
+    ...     wanted=("t20", "c80"))
+    >>> low, high = after.predictions[0].interval("t20")
+    >>> print(bool((low < high).all()), bool((after.predictions[0].change("c80") > 0).all()))
+    True True
     """
     if not hasattr(result, "weighed"):
         raise DataError(

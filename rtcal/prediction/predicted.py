@@ -372,8 +372,6 @@ def predict(
     >>> low, high = after.interval
     >>> print(bool((low < after.mean).all() and (after.mean < high).all()))
     True
-    >>> print(predict(result, []).half_width)
-    [0. 0. 0. 0. 0. 0.]
     """
     room_known = known_room(known, equation)
     made: tuple[Change, ...] = ()

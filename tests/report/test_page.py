@@ -63,6 +63,7 @@ def test_the_page_reproduces_itself(html, result, tmp_path, monkeypatch) -> None
     np.testing.assert_allclose(again.measured_uncertainty, result.measured_uncertainty, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:
     """The table takes a hundred materials; a page beyond the limit is refused."""
     n, f = 130, [500.0, 1000.0]

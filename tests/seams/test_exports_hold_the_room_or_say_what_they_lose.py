@@ -282,6 +282,7 @@ def test_a_list_holds_what_it_does_not_say(
         assert np.abs(again.scattering - 0.1).max() > 0.02  # fitted, not what it began with
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["native", "catt", "pyroomacoustics"])
 def test_what_a_fit_has_gained_is_in_the_file(name: str, tmp_path: Path) -> None:
     """T of the exported room is that of the fit, whose scattering was fitted."""

@@ -45,6 +45,7 @@ def test_groups_of_paths_are_followed_for_as_long_as_they_need(
     assert np.isfinite(groups).all()
 
 
+@pytest.mark.long
 def test_derivatives_have_the_mean_of_differences_over_seeds() -> None:
     """T20 and EDT of few paths are staircases in alpha, but their derivatives have no bias.
 

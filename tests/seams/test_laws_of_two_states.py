@@ -170,6 +170,7 @@ def test_the_order_of_pairs_and_of_effects_changes_nothing() -> None:
     np.testing.assert_allclose(turned.change, there.change, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_an_option_without_effect_is_refused() -> None:
     stated, before, after = drawn(1)
     two = {"room": stated, "before": before, "after": after}

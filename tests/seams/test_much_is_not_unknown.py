@@ -87,6 +87,7 @@ def test_what_a_surface_explains_is_not_unknown_where_errors_are_larger(
     assert next(iter(said.probabilities)) == "opening"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("room", ["in_a_box", *also("searched")])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_larger_errors_alone_claim_nothing(

@@ -14,6 +14,7 @@ import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.loop import Loop
 from rtcal.report import pages
+from tests.conftest import also
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def by_hand(folder: Path, cost: float, options: Sequence[str]) -> tuple[Loop, st
     return loop, " ".join(done.output.split()), pages.page_of(names["loop.json"])
 
 
-@pytest.mark.parametrize("cost", [0.0, 30.0])
+@pytest.mark.parametrize("cost", [30.0, *also(0.0)])
 def test_a_loop_by_hand_shows_it_too(cost: float, tmp_path: Path) -> None:
     loop, printed, html = by_hand(tmp_path, cost, ())
     assert set(loop.beside) == {"edt", "c80"}
@@ -120,6 +121,7 @@ def test_a_loop_by_hand_shows_it_too(cost: float, tmp_path: Path) -> None:
         assert "EDT / s measured" in said
 
 
+@pytest.mark.long
 def test_weights_are_an_option_and_what_they_cost_is_shown(tmp_path: Path) -> None:
     options = ("--weight", "t20=1", "--weight", "edt=0.5")
     loop, printed, html = by_hand(tmp_path, 0.0, options)
@@ -135,7 +137,7 @@ def test_weights_are_an_option_and_what_they_cost_is_shown(tmp_path: Path) -> No
     assert "--weight t20=0.667 --weight edt=0.333" in html
 
 
-@pytest.mark.parametrize("cost", [0.0, 300.0])
+@pytest.mark.parametrize("cost", [300.0, *also(0.0)])
 def test_every_position_shows_it_too(cost: float) -> None:
     room, _ = rt.datasets.bras_cr2()
     simulator = AtPositions(room, cost)
@@ -159,6 +161,7 @@ def test_every_position_shows_it_too(cost: float) -> None:
         assert ("C80, which was not fitted, now deviates more" in said) == bool(cost)
 
 
+@pytest.mark.long
 def test_a_tracer_hears_at_its_end_what_was_not_matched() -> None:
     hall = rt.datasets.halls.corridor()
     tracer = rt.simulators.PathTracing(
