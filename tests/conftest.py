@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -80,6 +81,21 @@ def cr2() -> tuple[rt.Room, rt.Measurement]:
 def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw 1024 rooms of each prediction, for what holds in every draw."""
     monkeypatch.setattr(changed_time, "DRAWS", 1024)
+
+
+@pytest.fixture
+def compilations(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """Every time that cvxpy builds the chain of reductions, which is what compiling is."""
+    rt.calibration.forget()
+    seen: list[object] = []
+    original = cp.Problem._construct_chain
+
+    def counted(self: cp.Problem, *args: Any, **kwargs: Any) -> Any:
+        seen.append(self)
+        return original(self, *args, **kwargs)
+
+    monkeypatch.setattr(cp.Problem, "_construct_chain", counted)
+    return seen
 
 
 def also(*values: Any) -> list[Any]:

@@ -145,55 +145,12 @@ OTHERS = ("case in TOML", "journal")
 
 LIMIT = 10.0
 """s of processor time per file."""
-TOKENS = (
-    b"",
-    b" ",
-    b"\n",
-    b"\r",
-    b"\x00",
-    b"\xff",
-    b"\xef\xbb\xbf",
-    b"1e999",
-    b"-1",
-    b"nan",
-    b"inf",
-    b"1_0",
-    b"9" * 400,
-    b"0x1",
-    b"1,5",
-    b"1.5",
-    b"<",
-    b">",
-    b"{",
-    b"}",
-    b"[" * 2000,
-    b'"',
-    b"\\",
-    b"=",
-    b";",
-    b":",
-    b",",
-    b"\t",
-    b"#",
-    b"1e-400",
-    b"true",
-    b"[]",
-    b"{}",
-    b"''",
-    b"null",
-    b"a.b.c=1\n",
-    b"*",
-    b"RT60",
-    "\u0661\u0662".encode(),
-    "\u2028".encode(),
-    b"2020-01-01",
-    b"../precious",
-    b"v 1e308 0 0\n",
-    b"f 1 1 1\n",
-    b"\\\n",
-    struct.pack("<I", 2**32 - 1),
-    struct.pack("<I", 0),
-)
+WORDS = rb"""1e999 -1 nan inf 1_0 0x1 1,5 1.5 < > { } " \ = ; : , # 1e-400 true [] {} '' null * RT60
+2020-01-01 ../precious"""
+BLANKS = (b"", b" ", b"\n", b"\r", b"\t", b"\x00", b"\xff", b"\xef\xbb\xbf", b"\\\n")
+LONG = (b"9" * 400, b"[" * 2000, b"a.b.c=1\n", b"v 1e308 0 0\n", b"f 1 1 1\n")
+NOT_ASCII = ("\u0661\u0662".encode(), "\u2028".encode(), b"\xff\xff\xff\xff", bytes(4))
+TOKENS = (*WORDS.split(), *BLANKS, *LONG, *NOT_ASCII)
 
 
 CORPUS = Path(__file__).with_name("fuzz_corpus")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
-import cvxpy as cp
 import numpy as np
 import pytest
 
@@ -13,21 +12,6 @@ import rtcal as rt
 from tests.conftest import random_room, true_times
 
 EYRING = rt.Eyring()
-
-
-@pytest.fixture
-def compilations(monkeypatch: pytest.MonkeyPatch) -> list[object]:
-    """Every time that cvxpy builds the chain of reductions; nothing is compiled at the start."""
-    rt.calibration.forget()
-    seen: list[object] = []
-    original = cp.Problem._construct_chain
-
-    def counted(self: cp.Problem, *args: object, **kwargs: object) -> object:
-        seen.append(self)
-        return original(self, *args, **kwargs)
-
-    monkeypatch.setattr(cp.Problem, "_construct_chain", counted)
-    return seen
 
 
 def cases(count: int, n: int = 6, k: int = 4) -> list[tuple[rt.Room, np.ndarray]]:

@@ -8,7 +8,6 @@ import pytest
 import rtcal as rt
 from rtcal import loop as closed_loop
 from rtcal.acoustics.marks import gap_jnd
-from rtcal.calibration.problem import Calibration
 from rtcal.datasets import halls
 from rtcal.loop.closed import calibrate_simulator
 from rtcal.simulators.external import External, of_equation
@@ -41,15 +40,6 @@ def test_a_simulator_is_calibrated(cr2, rule):
         calibrate_simulator(bent(room, 0.85, 1.1), result.room, measured, rule)
     again = bent(room, 0.85, 1.1).simulate(result.alpha)
     assert again.mean("t20") == pytest.approx(result.after.mean("t20"), rel=0.05)
-
-
-def test_the_calibration_is_built_once(cr2, monkeypatch):
-    room, measured = cr2
-    built, build = [], Calibration.build
-    monkeypatch.setattr(Calibration, "build", lambda *args: built.append(args) or build(*args))
-    result = calibrate_simulator(bent(room, 0.7, 1.2), room, measured)
-    assert result.simulations >= 2
-    assert len(built) == 1
 
 
 def test_done_bands_move_on_while_another_needs_a_simulation(cr2):

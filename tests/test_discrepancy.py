@@ -288,7 +288,7 @@ def test_evidence_is_the_normal_density() -> None:
     assert np.exp(predicted.log_weights[1:]).sum() == pytest.approx(1)
 
 
-def test_the_bias_is_the_mean_of_those_who_can_tell_it_and_of_the_model() -> None:
+def test_the_bias_is_the_mean_of_those_who_know_it_and_of_the_model() -> None:
     case = case_with(np.ones(7))
     rng = np.random.default_rng(2)
     tracing, images, further = (
@@ -417,7 +417,7 @@ class Organ(Absorber):
         return np.interp(frequencies, [125, 500, 8000], [0.6, 0.4, 0.2])
 
 
-def test_the_plan_knows_what_cannot_be_told_apart() -> None:
+def test_the_plan_knows_what_cannot_be_distinguished() -> None:
     case = opened()
     made_plan = plan(case.only("t20"))
     assert made_plan.separations["opening", "coupled room"] < 2.3

@@ -192,15 +192,6 @@ def test_what_is_no_effect_is_refused(effects: Any, place: str) -> None:
     refused(lambda: find(case, effects=effects, controls=controls_of(case)), place)
 
 
-# The case's file.
-
-
-# Reference rooms that were simulated before.
-
-
-# Arguments of the wrong kind.
-
-
 def test_the_discrepancy_of_another_case_is_refused() -> None:
     case = opened()
     finding = find(case, effects=[Opening()], controls=controls_of(case))

@@ -239,17 +239,3 @@ def test_refused_writes_leave_the_file(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir() if not p.name.startswith(".rtcal_files")) == [
         "hall.geo"
     ]
-
-
-PANEL = {
-    "catt": (b"ABS PANEL = <%s 60 50 40 30 20>\r\n", 100.0),
-    "odeon": (b"7 panel\n0.1 %s 0.6 0.5 0.4 0.3 0.2 0.2\n", 1.0),
-    "pyroomacoustics": (
-        b'{"panel": {"description": "", "coeffs": [%s, 0.5], "center_freqs": [500, 1000]}}',
-        1.0,
-    ),
-    "bras": (b"125,250,500\n0.3,%s,0.5\n", 1.0),
-}
-
-
-FORMATS = {"catt": catt, "odeon": odeon, "pyroomacoustics": pyroomacoustics, "bras": bras}

@@ -294,7 +294,7 @@ def test_defective_meshes_are_right_or_refused_for_the_right_defect() -> None:
     assert np.mean(held) >= 0.99
 
 
-def test_rays_tell_the_volume_of_rooms_without_a_wall() -> None:
+def test_rays_determine_the_volume_of_rooms_without_a_wall() -> None:
     """Within two standard uncertainties in all of these; a guess of V would not be."""
     line = np.array([[0.0, 0, 0], [5, 0, 0], [10, 0, 0]])
     open_box = [p for _, p in walls("ceiling")]

@@ -153,7 +153,7 @@ def test_integrals_of_a_box():
     np.testing.assert_allclose(corner[1, 0], -corner[0, 0])
 
 
-def test_modes_tell_the_pairs_of_walls_apart():
+def test_modes_distinguish_the_pairs_of_walls():
     modes, t = heard(TRUTH), times(TRUTH)
     result = rt.calibrate_modes(ROOM, modes, t)
     by_t = rt.calibrate(ROOM, t)

@@ -15,7 +15,8 @@ from rtcal.finder import plan
 from rtcal.finder.means.planning import COSTS, Information, extended, possible
 from rtcal.finder.means.problem import Moments
 from rtcal.finder.search import find
-from tests.test_several_effects import BOTH, FEW, case_with, compared, controls_of
+from tests.test_discrepancy import controls_of
+from tests.test_several_effects import BOTH, FEW, case_with, compared
 
 
 def two(apart: float, correlation: float = 0.0) -> Moments:
@@ -66,7 +67,7 @@ def test_what_is_measured_already_says_the_noise_of_what_is_to_come() -> None:
     assert nothing.of(FIRST) == 0.0
 
 
-def test_hypotheses_of_one_set_are_not_told_apart() -> None:
+def test_hypotheses_of_one_set_cannot_be_distinguished() -> None:
     about = Information(two(8.0), np.full(2, 0.5), np.zeros(2, dtype=int), FIRST)
     assert about.entropy() == pytest.approx(0)
     assert about.of(SECOND) == pytest.approx(0)
@@ -87,7 +88,7 @@ def test_the_model_s_error_of_a_further_configuration_is_that_of_the_first() -> 
     assert not any((mask & measured).any() for mask in masks)
 
 
-def test_a_plan_proposes_what_tells_most_per_hour_and_then_goes_on() -> None:
+def test_a_plan_proposes_the_most_information_per_hour_and_then_goes_on() -> None:
     case = case_with(*BOTH).only("t20")
     before = plan(case)
     assert [p.per_cost for p in before.proposals] == sorted(
@@ -107,7 +108,7 @@ def test_a_plan_proposes_what_tells_most_per_hour_and_then_goes_on() -> None:
 @pytest.mark.long
 def test_a_plan_goes_on_from_a_finding() -> None:
     case = case_with(*BOTH).only("t20")
-    found = find(case, only=FEW, controls=controls_of(case), most=3)
+    found = find(case, only=FEW, controls=controls_of(case, 0.01), most=3)
     after = plan(case, finding=found)
     assert sum(p for _, p in found.likely) == pytest.approx(1)
     # A noise floor shows in the decay's shape, which T20 alone has not told.

@@ -78,11 +78,6 @@ def stored_texts(path: Path) -> list[str]:
     ]
 
 
-def printed(path: Path) -> str:
-    """Return what the stored run printed."""
-    return "".join(stored_texts(path))
-
-
 def named(paths: list[Path]) -> Any:
     return pytest.mark.parametrize("path", paths, ids=lambda p: p.stem)
 

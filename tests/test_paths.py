@@ -229,7 +229,7 @@ def test_longer_paths_start_with_the_shorter_ones_and_threads_change_nothing():
     assert not np.array_equal(long.batches[0][0].events[:50], long.batches[0][1].events[:50])
 
 
-def test_a_hidden_source_is_heard_from_its_first_reflection():
+def test_a_hidden_source_arrives_by_its_first_reflection():
     outline = np.array([[0, 0], [8, 0], [8, 2], [2, 2], [2, 8], [0, 8.0]])
     walls = [
         (f"wall {i}", "a", [[*a, 0], [*b, 0], [*b, 3], [*a, 3]])

@@ -111,7 +111,7 @@ def test_positions_that_were_not_measured_are_predicted(case, result):
 
 
 @pytest.mark.long
-def test_what_is_heard_after_is_what_the_returned_tracer_gives(result):
+def test_the_values_after_are_those_of_the_returned_tracer(result):
     """Its scattering was fitted, too; an expected change by derivatives would be no simulation."""
     returned = result.weighed.observe(result.alpha, MATCH).values
     # Its paths end where they are no longer needed.
@@ -150,7 +150,7 @@ def test_the_scattering_is_fitted_to_what_was_measured(case, result):
     assert "too few reference simulations" in str(told)
 
 
-def test_what_was_measured_tells_the_scattering_of_each_material():
+def test_measurements_determine_the_scattering_of_each_material():
     rng = np.random.default_rng(2)
     slope, true = rng.normal(0, 0.2, (200, 4)), np.array([-1.2, 0.4, 0.0, 0.9])
     of = MaterialScattering(slope=slope, traced=0.5 * true)

@@ -156,7 +156,7 @@ IN_BOX = {
     ],
     ids=["image sources", "network"],
 )
-def test_shoebox_simulators_hear_levels_and_are_calibrated(simulator):
+def test_shoebox_simulators_have_levels_and_are_calibrated(simulator):
     assert rt.simulators.base.derivatives(simulator) is simulator
     heard = simulator.observe(BOX.alpha, MATCH)
     assert heard.values.shape == (5, 2, 1)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import rtcal as rt
 from tests.conftest import random_room, true_times
+from tests.test_built_once import cases
 
 EYRING = rt.Eyring()
 seeds = st.integers(0, 10_000)
@@ -96,21 +97,10 @@ def test_a_target_at_an_end_is_that_end(end: str) -> None:
     assert np.all(force * sign <= 1e-9)
 
 
-def cases(count: int) -> list[tuple[rt.Room, np.ndarray]]:
-    """Rooms of one shape; in every other one, T pushes coefficients to their bounds."""
-    made = []
-    for seed in range(count):
-        rng = np.random.default_rng(seed)
-        room = random_room(rng, 12, 8, rt.Air())
-        t = true_times(rng, room, EYRING)
-        made.append((room, EYRING.time(room, 0.15 * room.absorption_area) if seed % 2 else t))
-    return made
-
-
 def test_every_solver_cold_or_warm_has_one_answer_to_the_last_bit() -> None:
     """The polished answer depends on the active set alone; the closed form is the start of OSQP."""
     at_bound = 0
-    for room, t in cases(12):
+    for room, t in cases(12, 12, 8):
         one = rt.calibrate(room, t)
         at_bound += bool(one.active.any())
         cold = rt.calibrate(room, t, solver="osqp", warm_start=False)
@@ -128,7 +118,7 @@ def test_the_start_is_the_closed_form_of_the_paper() -> None:
     """Without its inequalities the QP is one linear system: Bellows & Katz 2025, Eqs. 22 to 25."""
     from rtcal.calibration.qp import closed_form
 
-    (room, t), *_ = cases(1)
+    (room, t), *_ = cases(1, 12, 8)
     joint = rt.calibrate(room, t).joint
     start = joint.qp.unknowns(joint.numbers, closed_form(joint.qp).v)
     oracle = rt.exact.maximum_likelihood(

@@ -19,7 +19,6 @@ from rtcal.finder.claim import numbers_of
 from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.evidence import DEGREES, UNKNOWN, prior_of
 from rtcal.finder.means import problem
-from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import (
     MeansProblem,
     Screen,
@@ -44,7 +43,7 @@ from rtcal.finder.search import find
 from rtcal.report.finding_words import headline
 from rtcal.support.errors import DataError
 from tests.conftest import also
-from tests.test_discrepancy import alpha_covariance
+from tests.test_discrepancy import alpha_covariance, controls_of
 
 F = 125.0 * 2.0 ** np.arange(7)
 AREAS = np.array([60.0, 60.0, 30.0, 50.0])
@@ -94,27 +93,19 @@ def case_with(*effects: AppliedEffect) -> Case:
     return replace(case, configurations=[replace(blank, measured=measured(features))])
 
 
-def controls_of(case: Case) -> list[ControlRooms]:
-    """Reference rooms without an engine: what the model errs by, drawn."""
-    rng = np.random.default_rng(1)
-    shape = (40, len(case.configurations), len(FEATURES), case.room.n_bands)
-    scale = 0.01 * np.array([1, 1, 0.7, 20, 20])[:, None]
-    return [ControlRooms(name, scale * rng.standard_normal(shape)) for name in ("one", "other")]
-
-
 def compared(*effects: AppliedEffect) -> MeansProblem:
     return compared_case(case_with(*effects), library())
 
 
 def compared_case(case: Case, effects: Sequence[Effect]) -> MeansProblem:
     observed, _ = observe(case)
-    error = estimate_discrepancy(case, controls_of(case))
+    error = estimate_discrepancy(case, controls_of(case, 0.01))
     return compare(MeansProblem(case, observed, predict_hypotheses(case, effects), error))
 
 
 def sought(case: Case, only: tuple[str, ...] = FEW, **more: float) -> Finding:
     more = {"most": 3, **more}
-    return find(case, only=only, controls=controls_of(case), **more)  # type: ignore[arg-type]
+    return find(case, only=only, controls=controls_of(case, 0.01), **more)  # type: ignore[arg-type]
 
 
 def row(c: MeansProblem, name: str, place: int = 3) -> int:
@@ -144,7 +135,10 @@ def test_a_set_has_an_error_of_the_direct_sound() -> None:
     case = case_with()
     observed, _ = observe(case)
     plain = MeansProblem(
-        case, observed, predict_hypotheses(case, []), estimate_discrepancy(case, controls_of(case))
+        case,
+        observed,
+        predict_hypotheses(case, []),
+        estimate_discrepancy(case, controls_of(case, 0.01)),
     )
     added = np.diag(compare(plain).predicted.applied - plain.predicted.applied)
     base, at = state(case, case.configurations[0]), distances(case, case.configurations[0])
@@ -343,7 +337,7 @@ def test_odds_of_none_are_those_of_no_effect_against_a_poisson_number() -> None:
     """The evidence of sets with one number does not depend on the prior of that number."""
     case = case_with()
     few, many = (
-        find(case, only=FEW, controls=controls_of(case), most=2, prior={"none": odds}).numbers
+        find(case, only=FEW, controls=controls_of(case, 0.01), most=2, prior={"none": odds}).numbers
         for odds in (9.0, 1 / 9)
     )
     ratio = (few[0] / few[1]) / (many[0] / many[1])
@@ -359,7 +353,7 @@ def test_a_decay_that_the_second_room_decides_can_be_calibrated() -> None:
 
 def test_a_single_effect_is_a_set_of_one() -> None:
     case = case_with(BOTH[0])
-    found = find(case, only=FEW, controls=controls_of(case))
+    found = find(case, only=FEW, controls=controls_of(case, 0.01))
     assert found.members == ("volume",)
     assert found.numbers[1] == pytest.approx(1 - found.sets[()])
     assert all(found.sets[name,] == found.probabilities[name] for name in found.effects)

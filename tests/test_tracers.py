@@ -101,7 +101,7 @@ def test_the_stated_noise_is_the_spread_over_seeds():
         assert np.median(stated / spread) == pytest.approx(1, abs=0.33)
 
 
-def test_noise_that_cannot_be_told_is_nan():
+def test_noise_that_is_not_determined_is_nan():
     """One batch has all but the direct sound: without it there is no T20, and nothing late."""
     time = np.arange(600) * 0.002
     energy = np.tile(10 ** (-6 * time / 0.5), (4, 1, 1, 1))

@@ -84,7 +84,7 @@ def test_the_wall_that_changed_is_claimed_and_no_other(finding: Finding) -> None
 
 
 @pytest.mark.long
-def test_without_the_directivity_something_changed_but_no_surface_is_told(
+def test_without_the_directivity_something_changed_but_no_surface_is_named(
     states: tuple[rt.Measurement, rt.Measurement],
 ) -> None:
     model = simulator({})

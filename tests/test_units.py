@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,20 +17,9 @@ from rtcal.calibration.terms import SoftMatch
 from rtcal.loop.closed import start
 from rtcal.studies import analytic_scores
 from rtcal.support.errors import RtcalError
+from tests.test_robustness import room as usual
 
-
-def room(**changes: Any) -> rt.Room:
-    stated = {
-        "name": "r",
-        "volume": 200,
-        "materials": ["a", "b"],
-        "areas": [100, 120],
-        "alpha": [[0.1, 0.2], [0.3, 0.2]],
-        "sigma": [[0.02, 0.02], [0.05, 0.05]],
-        "centre_frequencies": [500, 1000],
-        "air": rt.Air(),
-    }
-    return rt.Room(**(stated | changes))
+room = partial(usual, sigma=[[0.02, 0.02], [0.05, 0.05]])
 
 
 def test_bands_between_the_nominal_ones_stay_as_they_are() -> None:

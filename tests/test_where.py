@@ -10,10 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.command.main import cli
 from rtcal.finder.claim import Detection
 from rtcal.finder.effects import library
 from rtcal.finder.positions.search import THRESHOLD, find_by_positions
@@ -269,24 +267,6 @@ def test_a_wrong_case_is_refused(changes: dict[str, Any], place: str, kept: Path
         rt.find(rt.finder.PositionsCase(**arguments), cache=kept, **options)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A user's files: room, mesh and measurement."""
-    where = tmp_path_factory.mktemp("case")
-    case = rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(True))
-    scene = rt.Scene(mesh=where / "room.obj", sources=SOURCES, receivers=RECEIVERS)
-    case.room.replace(scene=scene).save(str(where / "room.toml"))
-    case.geometry.save(where / "room.obj")
-    case.measured.save(str(where / "pairs.csv"))
-    return where
-
-
-def run(*stated: str, code: int = 0) -> str:
-    done = CliRunner().invoke(cli, [*stated], catch_exceptions=False)
-    assert done.exit_code == code, done.output
-    return str(done.stdout if code == 0 else done.output)
-
-
 @pytest.mark.long
 def test_coefficients_that_are_all_off_are_no_surface(kept: Path) -> None:
     """Half as much again of all coefficients, with the prior of a handbook, names no surface."""
@@ -297,7 +277,7 @@ def test_coefficients_that_are_all_off_are_no_surface(kept: Path) -> None:
     assert finding.surface is None
 
 
-def test_the_next_position_is_free_and_tells_something(of_openings: rt.finder.Finding) -> None:
+def test_the_next_position_is_free_and_informative(of_openings: rt.finder.Finding) -> None:
     finding = of_openings
     places = rt.finder.positions.next_position(finding, number=6)
     assert len(places) == 6 * len(SOURCES)

@@ -144,16 +144,6 @@ def box() -> PositionsCase:
     return case_in(geometry, dimensions=SIZE, surfaces=geometry.surfaces)
 
 
-@pytest.mark.parametrize("form", ["patch", "material"])
-def test_the_corrected_room_absorbs_what_was_found(box: PositionsCase, form: str) -> None:
-    made = corrected_geometry(box, candidate("east", 6.0), form)
-    assert made.form == form
-    assert made.room.total_area == pytest.approx(box.room.total_area)
-    added = made.room.absorption_area - box.room.absorption_area
-    assert added == pytest.approx(6.0 * np.full(2, 0.8 - 0.12))
-    assert np.array_equal(made.simulator().scattering, made.room.scattering)
-
-
 def test_a_patch_of_alpha_1_is_drawn_larger(box: PositionsCase) -> None:
     """So that a calibration can make it absorb more as well as less."""
     made = corrected_geometry(box, candidate("east", 6.0, 1.0))

@@ -146,7 +146,7 @@ def test_what_covers_a_whole_surface_is_even() -> None:
 
 
 @pytest.mark.long
-def test_the_hidden_worlds_tracer_hears_the_same_second_room() -> None:
+def test_the_hidden_worlds_tracer_has_the_same_second_room() -> None:
     # Room 14 of development: 3.3 m² of 48 m² to a room of 1.7 times the volume. T20 falls by 12 %; an
     # opening of that area would take 15 %.
     from benchmarks.studies.geometric_world.load import IN_SITU, load, truth, without_noise

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import rtcal as rt
@@ -18,10 +17,3 @@ def calibrated(folder: Path, **other: object) -> CalibrationResult:
         (folder / name).write_bytes(content)
     room = rt.Room.from_file(folder / "room.toml")
     return rt.calibrate(room.replace(**other), MEASURED)
-
-
-def renamed(room: rt.Room, names: list[str]) -> rt.Room:
-    """Return a room whose materials have other names."""
-    new = dict(zip(room.materials, names, strict=True))
-    surfaces = [replace(s, material=new[s.material]) for s in room.surfaces]
-    return room.replace(materials=names, surfaces=surfaces, sources={})

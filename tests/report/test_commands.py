@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 import rtcal as rt
-from rtcal.command.main import cli
 from rtcal.report import (
     document,
     figures,
@@ -55,14 +54,6 @@ def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
     document._environment.cache_clear()
     with pytest.raises(MissingDependencyError, match=r"rtcal\[report\]"):
         document.render(document.Page("x", "", "", []))
-
-
-def commands():
-    for name, command in cli.commands.items():
-        if hasattr(command, "commands"):
-            yield from ((f"{name} {n}", c) for n, c in command.commands.items())
-        else:
-            yield name, command
 
 
 def test_quiet_and_json(result, loop, tmp_path, monkeypatch, capsys) -> None:

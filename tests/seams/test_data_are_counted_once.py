@@ -112,13 +112,6 @@ def test_a_pair_is_left_out(room_and_times, entry: str, tmp_path) -> None:
             data_of(once, [0, 1], t20=1.0, edt=1.1)
 
 
-def test_a_file_keeps_the_record(room_and_times, tmp_path) -> None:
-    room, times = room_and_times
-    rt.calibrate(room, times).room.save(str(tmp_path / "room.toml"))
-    with pytest.raises(DataError, match="already calibrated on these data"):
-        rt.calibrate(rt.Room.from_file(str(tmp_path / "room.toml")), times)
-
-
 @pytest.mark.parametrize(("factor", "said"), [(1.0, True), (1.01, False)])
 def test_a_copied_decay_time_is_said_at_every_position(room_and_times, factor, said) -> None:
     room, times = room_and_times

@@ -52,9 +52,6 @@ def same(one: Any, other: Any) -> bool:
 FORMATS = {"catt": catt, "odeon": odeon, "pyroomacoustics": pyroomacoustics, "bras": bras}
 OCTAVES = [63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0]
 NAMES = ["floor", "walls"]
-AREAS = {"floor": 40.0, "walls": 150.0}
-
-
 SIZE = (6.0, 5.0, 3.2)
 WALLS = {
     "floor": "floor",

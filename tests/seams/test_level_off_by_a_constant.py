@@ -35,7 +35,7 @@ def notes(off: float, slope: float = 0.0) -> list[str]:
 
 
 @pytest.mark.parametrize("off", [-30, -5, 5, 20])
-def test_a_level_that_is_off_is_told(off: float) -> None:
+def test_a_level_that_is_off_is_said(off: float) -> None:
     said = notes(off)
     assert len(said) == 2
     for note in said:
@@ -43,12 +43,12 @@ def test_a_level_that_is_off_is_told(off: float) -> None:
         assert note.values["by"] == pytest.approx(abs(off), abs=0.5)
 
 
-def test_what_a_room_may_do_is_not_told_so() -> None:
+def test_what_a_room_may_do_is_not_said() -> None:
     assert notes(0) == []
     assert notes(5, slope=6) == []
 
 
-def test_a_level_that_fits_the_stated_room_is_not_told_so() -> None:
+def test_a_level_that_fits_the_stated_room_is_not_said() -> None:
     """A noise floor lengthens T. It had been said that G is 8 dB below what T gives."""
     case, _ = rt.datasets.hidden_room("identified")
     assert _off_levels(problem(case)) == []

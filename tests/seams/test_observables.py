@@ -41,7 +41,7 @@ def test_the_linear_scale_is_linear_in_the_absorption(key: str) -> None:
 
 
 @pytest.mark.parametrize("key", OBSERVABLES)
-def test_theory_tells_how_one_response_scatters(key: str) -> None:
+def test_theory_has_the_scatter_of_one_response(key: str) -> None:
     """Responses are drawn: bins of noise have the relative variance 1 / (B w)."""
     kind, band, time = observable(key), np.array([1000.0]), 0.8
     decay_of = exponential(6 * np.log(10) / time)
@@ -110,7 +110,7 @@ def test_new_observables_are_measured_with_their_uncertainty() -> None:
         assert 0 < common[0] < observable(key).jnd
 
 
-def test_an_observable_from_outside_is_heard() -> None:
+def test_an_observable_from_outside_is_simulated() -> None:
     """As one file would: registered, it is simulated, fitted and printed."""
 
     class Late(Observable):

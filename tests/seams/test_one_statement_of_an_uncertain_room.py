@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -43,17 +41,3 @@ def test_an_archive_counts_it(room: rt.Room) -> None:
     assert unsure.mean_sigma.mean() > 1.05 * sure.mean_sigma.mean()
     shift = [np.abs(a.alpha - a.table).mean() for a in (sure, unsure)]
     assert shift[1] < shift[0]
-
-
-def test_a_file_keeps_it(room: rt.Room, tmp_path: Path) -> None:
-    stated = room.replace(**STATED, common_area_sigma=0.02, climate_sigma=(2, 10))
-    stated.save(str(tmp_path / "room.toml"))
-    again = rt.Room.from_file(str(tmp_path / "room.toml"))
-    first, second = (rt.calibrate(r, measured(room)) for r in (stated, again))
-    np.testing.assert_allclose(first.alpha, second.alpha, rtol=0, atol=1e-12)
-    first.save(tmp_path / "result")
-    loaded = rt.load(tmp_path / "result")
-    assert loaded.plausibility.q == first.plausibility.q
-    assert (loaded.interval[0] == first.interval[0]).all()
-    assert first.room.area_sigma.tolist() == [0.05] * 5
-    assert first.plausibility.q < rt.calibrate(room, measured(room)).plausibility.q

@@ -162,7 +162,7 @@ def test_every_position_shows_it_too(cost: float) -> None:
 
 
 @pytest.mark.long
-def test_a_tracer_hears_at_its_end_what_was_not_matched() -> None:
+def test_a_tracer_has_at_its_end_what_was_not_matched() -> None:
     hall = rt.datasets.halls.corridor()
     tracer = rt.simulators.PathTracing(
         geometry=hall.geometry,

@@ -43,7 +43,7 @@ def test_in_python(measured: rt.Measurement) -> None:
         rt.calibrate_positions(tracer(160), HALL.room, measured, match=("t20", "edt"))
 
 
-def test_a_noise_that_hides_what_is_matched_is_told(measured: rt.Measurement) -> None:
+def test_a_noise_that_hides_what_is_matched_is_said(measured: rt.Measurement) -> None:
     """Decays of 100 paths hold every parameter here, with a noise of nearly a JND."""
     said = r"100 paths from each source are few: T20 .* noise of (0\.[5-9]\d*|1\.\d) JND.* Take (\d+)00"
     with pytest.warns(FewPathsWarning, match=said) as told, pytest.raises(AssertionError):
