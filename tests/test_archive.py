@@ -172,7 +172,7 @@ def test_rooms_that_differ_too_far_give_no_room(
 ) -> None:
     far = [
         rt.calibrate(rooms[i % 3].prior.replace(name=str(i)), t, "soft", unreachable="nearest")
-        for i, t in enumerate(rooms[i % 3].measured * f for i, f in enumerate([0.1, 30] * 4))
+        for i, t in enumerate(rooms[i % 3].measured * f for i, f in enumerate([0.1, 20] * 4))
     ]
     archive = rt.learn(far)
     with pytest.raises(DataError, match="the archive's rooms differ from each other"):

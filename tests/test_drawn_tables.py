@@ -32,7 +32,7 @@ def outcomes(folder: Path, seeds: range) -> dict[str, Counter[str]]:
 
 
 @pytest.mark.parametrize(
-    "seeds", [range(7000, 7030), pytest.param(range(500), marks=pytest.mark.long)], ids=len
+    "seeds", [range(7000, 7060), pytest.param(range(500), marks=pytest.mark.long)], ids=len
 )
 def test_a_drawn_table_is_read_with_its_true_values_or_refused_by_its_place(
     tmp_path: Path, seeds: range

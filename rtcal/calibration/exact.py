@@ -135,6 +135,8 @@ def solve(
         b = np.where(endless, np.nan, b)  # invalid, whatever the kernel makes of infinity
     if g.size and np.nanmin(g, initial=1.0) < LEAST_SIGMA:
         b = np.where(((g > 0) & (g < LEAST_SIGMA)).any(axis=-1), np.nan, b)
+    for x in (m, g, s, b, low, high, slack):
+        x.setflags(write=False)  # else the kernel is compiled anew for each mixture of the two
     from rtcal.calibration import exact_kernel
 
     exact_kernel.solve_rows(m, g, s, b, low, high, slack, a, d, code)
