@@ -150,6 +150,12 @@ def test_one_command_is_the_two_that_it_names(
     assert one.pop("solver").keys() == two.pop("solver").keys()  # with the time it took
     assert one == two
     assert Path("a.toml").read_text() == Path("b.toml").read_text()
+    files = [*tmp_path.iterdir()]
+    assert run("room", *described, *measured, "--json") == 0
+    alone = json.loads(capsys.readouterr().out)["calibration"]
+    alone.pop("solver")
+    assert alone == one
+    assert [*tmp_path.iterdir()] == files
 
 
 def test_a_time_beyond_reach_writes_nothing(
@@ -273,7 +279,7 @@ def test_a_file_of_others_stays(tmp_path: Path, capsys: pytest.CaptureFixture[st
         ),
         (["--dimensions", "3000x2000x1000 ft"], "--dimensions: V = 1.7e.08 m³ .* it is 6 m³ in mm"),
         (["--dimensions", "9,7,3 km"], '--dimensions "km" is neither a number nor m, cm'),
-        (["--audience", "200"], r'"floor" has 63 m² left, and audience on it has 200'),
+        (["--audience", "200"], "--audience: 200 persons take 1 m² each, and the floor has 63 m²"),
         (["--temperature", "200"], "200"),
         (["--out", "room.csv"], r"room.csv: .* use .toml"),
     ],
@@ -289,7 +295,9 @@ def test_what_is_wrong_is_named_and_nothing_is_written(
 
 def test_what_is_missing_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("room", "--floor", "carpet") == 2
-    assert "--dimensions, --ceiling, --walls, --out missing" in capsys.readouterr().err
+    assert "missing: --dimensions, --ceiling, --walls, --out" in capsys.readouterr().err
+    assert run("room", "--floor", "carpet", "--t20", "0.5") == 2
+    assert "missing: --dimensions, --ceiling, --walls. With --ask" in capsys.readouterr().err
 
 
 def test_an_audience_that_leaves_leaves_the_floor(tmp_path: Path) -> None:

@@ -81,8 +81,8 @@ def room(
     """Make a room of the sides of a box and of materials by name.
 
     Names are looked up in the catalogue (after Vorländer 2008). The entries that were taken are
-    printed. With --t20 or --t30 the room is also calibrated, as `rtcal calibrate` does: --out is the
-    room before.
+    printed. With --t20 or --t30 the room is also calibrated, as `rtcal calibrate` does, and written
+    only with --out, as it is before.
 
     \b
     Example: rtcal room --dimensions 9,7,3 --floor carpet \\
@@ -104,14 +104,16 @@ def room(
     four = len(own) == len(_WALLS)
     if ask:
         _ask(stated, materials, four)
-    needed = ("dimensions", "floor", "ceiling", *(() if four else ("walls",)), "out")
+    times = {name: text for name, text in (("t20", t20), ("t30", t30)) if text is not None}
+    needed = ("dimensions", "floor", "ceiling", *(() if four else ("walls",)))
+    needed = needed if times else (*needed, "out")
     if missing := [f"--{name}" for name in needed if not stated[name]]:
-        raise DataError(f"{', '.join(missing)} missing: give them, or --ask to be asked")
-    spare([stated["out"]], [])
-    console.fit_ending("--out", stated["out"], ".toml")
+        raise DataError(f"missing: {', '.join(missing)}. With --ask you are asked for all of it")
+    out = stated["out"]
+    spare([] if out is None else [out], [])
+    console.fit_ending("--out", out, ".toml")
     made, notes = _made(materials, own, **stated)
     said, record = described(made, [], notes, {})
-    times = {name: text for name, text in (("t20", t20), ("t30", t30)) if text is not None}
     then = ""
     if times:
         from rtcal.calibration import methods
@@ -120,12 +122,15 @@ def room(
             result = methods.calibrate(made, console.measured(made, None, t20=t20, t30=t30))
         said, record = f"{said}\n\n{result}", {**record, "calibration": result.to_dict()}
         (option,) = times
-        second = f'rtcal calibrate {shlex.quote(stated["out"])} --{option} "{times[option]}"'
+        second = f'rtcal calibrate {shlex.quote(out or "room.toml")} --{option} "{times[option]}"'
         then = (
             f"This stands for two commands: `rtcal room` without --{option}, and then `{second}`; "
             "with --out calibrated, the second keeps the calibrated room."
         )
-    made.save(stated["out"])
+    if out is None:
+        said = f"{said}\nNothing is written; --out room.toml keeps the room."
+    else:
+        made.save(out)
     console.tell(said, record, then)
 
 
@@ -142,7 +147,7 @@ def _made(
     temperature: float | None,
     humidity: float | None,
     name: str | None,
-    out: str,
+    out: str | None,
     **sigma: Any,
 ) -> tuple[Room, list[str]]:
     """Return the room, and the notes on what was taken and assumed."""
@@ -165,6 +170,12 @@ def _made(
         for place, area, text in map(_piece, pieces)
     ]
     if audience is not None:
+        if audience >= size[0] * size[1]:
+            raise DataError(
+                f"--audience: {audience} persons take 1 m² each, and the floor has "
+                f"{size[0] * size[1]:.4g} m²; for a floor full of people give the material, such as "
+                "--floor audience_wooden_chairs_2_m2"
+            )
         patches.append(("floor", materials.add("audience", "audience"), float(audience)))
         materials.notes.append(
             f"{audience} persons are seated on {audience} m² of the floor, 1 m² each"
@@ -174,7 +185,7 @@ def _made(
     made = MaterialList(
         path="the options", text=Text(""), materials=(*materials.listed.values(),)
     ).room(
-        name=Path(out).stem if name is None else name,
+        name=Path(out or "room").stem if name is None else name,
         volume=geometry.volume,
         areas=with_patches(geometry.surfaces, patches),
         centre_frequencies=materials.bands,
@@ -291,7 +302,9 @@ def materials(names: tuple[str, ...]) -> None:
         chosen = [entry for name in names for entry in catalogue.similar(name)]
         free = [piece for name in names for piece in catalogue.similar(name, among=described)]
     if not (chosen or free):
-        raise DataError(f'the catalogue has nothing like "{shown(" ".join(names))}"')
+        raise DataError(
+            f'the catalogue has nothing like "{shown(" ".join(names))}"; `rtcal materials` lists it all'
+        )
     listed = [entries[name] for name in dict.fromkeys(chosen)]
     pieces = [catalogue.piece(name, 1, _OCTAVES) for name in dict.fromkeys(free)]
     origin = catalogue.origin()

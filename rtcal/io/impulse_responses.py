@@ -514,7 +514,8 @@ _BARE = (
 )
 _LATE = (
     "no decay: the energy arrives late, as in a recording of a sweep, of interrupted noise or of two "
-    "sounds: {}. Nothing of it is evaluated; an impulse response is needed"
+    "sounds: {}. Nothing of it is evaluated: give the sweep that was played (--sweep played.wav), or "
+    "--interrupted for noise, or the impulse response"
 )
 _CLIPPED = (
     f"clipped: {{}}. Their largest value occurs {LEAST_CLIPPED} times or more, that of a decay once. "

@@ -288,6 +288,8 @@ _LEAST_FALL = 10**1.5
 """Least power by which the level falls after a stop."""
 _STEADY = 4.0
 """Largest power before the stop over that of the whole noise, or the inverse, in a band."""
+_MOST_UNSTEADY = 0.5
+"""Largest share of bands and stops without a steady noise. Of a sweep, only its last band is steady."""
 _FLAT = 1.26
 """Power of the tenth before the last over that of the last, up to which both are noise: 1 dB."""
 _BLOCKS_PER_T = 40
@@ -350,9 +352,17 @@ def interrupted(
             if clipped := ir.clipped_samples(samples):
                 doubts.append(f"clipped: {recording.place} ({clipped} samples): measure again")
             stops = stops_of(samples, rate, recording.place)
+            unsteady = 0
             for of_band, centre in zip(curves, centres.tolist(), strict=True):
                 energy = ir.filtered(samples, rate, centre, fractions)
-                of_band += [_from_steady(energy, stop, rate) for stop in stops]
+                made = [_from_steady(energy, stop, rate) for stop in stops]
+                unsteady += sum(not len(curve) for curve in made)
+                of_band += made
+            if unsteady > _MOST_UNSTEADY * len(stops) * len(centres):
+                raise DataError(
+                    f"{recording.place}: the sound before its stop is no steady noise in most bands. A "
+                    "recorded sweep goes with --sweep, an impulse response without --interrupted"
+                )
             if progress is not None:
                 progress()
         counts.append(len(curves[0]))
