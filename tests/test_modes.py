@@ -166,7 +166,7 @@ def test_modes_distinguish_the_pairs_of_walls():
     assert ((low <= result.alpha) & (result.alpha <= high)).all()
     assert (result.sigma[:, 0] < 0.08).all()
     assert result.sensitivity[0].argmax() < 2  # the first mode stands between west and east
-    assert result.blocks()[0].rows[0].values[-1] == "west, east"
+    assert result.blocks()[1].rows[0].values[-1] == "west, east"
     assert result.carried[0]
     assert not result.carried[2]
     kinds = {(m.kind, m.frequency) for m in result.trust_marks}

@@ -57,7 +57,7 @@ def test_the_next_position_is_proposed(found: Finding, capsys: pytest.CaptureFix
     claimed = replace(found, surface="floor")
     claimed.save(FOUND)
     assert run("plan", FOUND) == 0
-    assert "No surfaces are in question" in " ".join(capsys.readouterr().out.split())
+    assert "no surfaces are in question" in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_same_search_is_made_once(found: Finding, monkeypatch: pytest.MonkeyPatch) -> None:

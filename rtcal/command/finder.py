@@ -22,7 +22,7 @@ from rtcal.files.disk import command, make_folder, replace_file, spare, write_al
 from rtcal.files.saved import CannotBeSavedError, Result, load, plain
 from rtcal.files.schema import RESULT, kind_of
 from rtcal.support import __version__
-from rtcal.support.blocks import Block, Note, Row, Table, lines
+from rtcal.support.blocks import lines
 from rtcal.support.errors import DataError
 from rtcal.support.speed import bar
 
@@ -650,36 +650,14 @@ def _further_places(finding: Any) -> tuple[Place, ...]:
 
 def _tell_places(finding: Finding) -> None:
     """Print where a further receiver would distinguish the surfaces that are in question."""
-    from rtcal.report.finding_words import headline, odds
+    from rtcal.report.finding_words import of_places
 
     places = _further_places(finding)[:PROPOSED]
-    said: list[Block] = [Note(" ".join(headline(finding))), Note("")]
-    if places:
-        names = ", ".join(f'"{name}"' for name in finding.likely_surfaces)
-        rows = [
-            Row(f"{', '.join(f'{x:.2f}' for x in p.point)} m", [p.source, odds(p.nats)])
-            for p in places
-        ]
-        said += [
-            Note(
-                f"A further receiver is expected to distinguish these surfaces ({names}) with these "
-                "odds."
-            ),
-            Table(["source", "odds"], rows, corner="receiver"),
-        ]
-    else:
-        said.append(
-            Note(
-                "No surfaces are in question that a further receiver would distinguish. Plan other "
-                "measurements with means over positions: name a case that states the room, or a "
-                "measurement of means."
-            )
-        )
     record = {
         "places": [{**vars(place), "point": list(place.point)} for place in places],
         "finding": finding.to_dict(),
     }
-    console.tell("\n".join(lines(said)), record)
+    console.tell("\n".join(lines(of_places(finding, places))), record)
 
 
 def _place(stated: str | None) -> tuple[float, ...] | None:

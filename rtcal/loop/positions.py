@@ -84,7 +84,7 @@ from rtcal.simulators.base import (
 )
 from rtcal.simulators.path_tracing import PathTracing, ScatteringModel
 from rtcal.support import __version__, checks, text
-from rtcal.support.blocks import Block, Note, Row, Table
+from rtcal.support.blocks import Row
 from rtcal.support.errors import DataError, FewPathsWarning, SimulatorError, TooShortError
 from rtcal.support.speed import Progress
 from rtcal.support.types import Array
@@ -921,36 +921,6 @@ def _kept(tracer: PathTracing, beyond: BeyondPrior | None) -> str:
     return "The input scattering was kept, because there are too few reference simulations."
 
 
-def gap_table(
-    parameters: Sequence[str],
-    pairs: Sequence[Pair],
-    before: Array,
-    after: Array,
-    title: str = "deviation / JND",
-    misfit: Array | None = None,
-) -> Table:
-    """Return the rms gap before and after by parameter, of each pair and of all.
-
-    Gaps are (n_parameters, n_pairs, n_bands) in JND; ``misfit`` (n_pairs,) has a column of its own.
-    """
-    columns = [parameter_label(p) for p in parameters]
-    own: list[list[str]] = [[]] * (len(pairs) + 1)
-    if misfit is not None:
-        columns, own = (
-            [*columns, "misfit"],
-            [[m] for m in (*text.numbers(misfit, ".1f"), "-")],
-        )
-    rows = []
-    for i, more in enumerate(own):
-        name, chosen = ("all", slice(None)) if i == len(pairs) else (" to ".join(pairs[i]), [i])
-        ends = zip(*(rms(gap[:, chosen], axis=(1, 2)) for gap in (before, after)), strict=True)
-        rows.append(Row(name, [*(" to ".join(text.numbers(e, ".1f")) for e in ends), *more]))
-    note = "Root mean square deviations, before to after the fit."
-    if misfit is not None:
-        note = f"{note} A misfit of 1 is usual."
-    return Table(columns, rows, corner=title, note=note)
-
-
 _REFUSED = (
     "No step reduced the deviation from the measurement, so the start is returned and nothing was "
     "fitted. Enter larger sigmas or more paths, or look for what is missing from the model "
@@ -967,6 +937,7 @@ class PositionsResult(Result):
     """A simulator calibrated to the values at every position."""
 
     record_kind: ClassVar[str] = "positions 1"
+    words_in: ClassVar[str] = "rtcal.report.of_positions"
     in_file: ClassVar[str] = (
         "room=prior.name author=prior.author simulator simulations scattering "
         "centre_frequencies=prior.centre_frequencies parameters pairs level=measured.level matched "
@@ -1190,50 +1161,6 @@ class PositionsResult(Result):
             f'<PositionsResult of "{text.shortened(self.simulator)}": {len(self.pairs)} pairs, '
             f"{', '.join(map(parameter_label, self.parameters))}, {len(self.steps)} steps>"
         )
-
-    def blocks(self) -> list[Block]:
-        """Return the blocks that a calibration prints."""
-        ends = self.beside.gap_before, self.beside.gap_after
-        more = self.beside.parameters
-        before, after = rms(self.gap_before), rms(self.gap_after)
-        verb = "reduces" if after < before else "changes"
-        fitted = text.listed([parameter_label(p) for p in self.parameters])
-        n = len(self.pairs)
-        last = len(self.every_note) - len(self.doubts)
-        return [
-            *([Note(self.warning)] if self.warning else []),
-            Note(
-                f"The fit {verb} the deviation from the measurement from {before:.1f} to {after:.1f} "
-                f"JND (root mean square over {fitted} at {n} pair{'s' * (n != 1)})."
-            ),
-            *(Note(f"Caution: {caution}") for caution in self.every_note[last:]),
-            gap_table(
-                self.parameters, self.pairs, self.gap_before, self.gap_after, misfit=self.misfit
-            ),
-            *([gap_table(more, self.pairs, *ends, "not matched: deviation / JND")] if more else []),
-            self._material_table(),
-            Note(f"The coefficients belong to {self.simulator}, and to no other simulator."),
-            *(Note(f"Note: {note}") for note in self.every_note[bool(self.warning) : last]),
-        ]
-
-    def _material_table(self) -> Table:
-        """Return what was learned of each material, most first, shaded by how much."""
-        columns = ["sigma before", "sigma after", "shift / sigma", "mostly from pair"]
-        strength = np.abs(self.pulls).mean(axis=2)
-        moved = np.sqrt((self.shift**2).mean(axis=1))
-        rows = []
-        for name, before, after in self.learned:
-            i = self.prior.material_index(name)
-            pair = "-"
-            if strength[:, i].any():
-                pair = " to ".join(self.pairs[int(np.argmax(strength[:, i]))])
-            cells = [f"{before:.3f}", f"{after:.3f}", f"{moved[i]:.1f}", pair]
-            if (fitted := self.scattering) is not None:
-                s, sigma = (a[i].mean() for a in (fitted.coefficients, fitted.sigma))
-                cells.append(text.with_uncertainty(s, sigma, 2))
-            share = max(1 - after / before, 0.0) if before > 0 else 0.0
-            rows.append(Row(name, cells, shade=[0.0, share, *[0.0] * (len(cells) - 2)]))
-        return Table(columns + ["scattering"] * (self.scattering is not None), rows)
 
     @cached_property
     def of_input(self) -> tuple[TrustMark, ...]:

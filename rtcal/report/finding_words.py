@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from string import Formatter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -54,6 +54,9 @@ from rtcal.loop.measured_pairs import without_place
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.text import as_sentence, first_of, listed, with_uncertainty
 from rtcal.support.types import Array
+
+if TYPE_CHECKING:
+    from rtcal.finder.positions.places import Place
 
 MOST_ODDS = 1e6
 """Largest odds that are printed as a number: no model is known so well."""
@@ -1087,6 +1090,32 @@ def _proposed(p: Plan) -> list[Block]:
             for number, m in enumerate(p.sequence, 1)
         ),
         Note(""),
+    ]
+
+
+def of_places(f: Finding, places: Sequence[Place]) -> list[Block]:
+    """Return where a further receiver would distinguish the surfaces that are in question."""
+    answer = Note(" ".join(headline(f)))
+    if not places:
+        return [
+            Note(
+                "Measure no further receiver: no surfaces are in question that it would distinguish."
+            ),
+            answer,
+            Note(
+                "To plan other measurements, name a case or a measurement of means over positions."
+            ),
+        ]
+    names = listed([f'"{name}"' for name in f.likely_surfaces])
+    where = [f"{', '.join(f'{x:.2f}' for x in p.point)} m" for p in places]
+    rows = [Row(at, [p.source, odds(p.nats)]) for at, p in zip(where, places, strict=True)]
+    return [
+        Note(
+            f"Measure next with a receiver at {where[0]} and source {places[0].source}: it is expected "
+            f"to distinguish the surfaces {names} with odds of {odds(places[0].nats)}."
+        ),
+        answer,
+        Table(["source", "odds"], rows, corner="receiver"),
     ]
 
 

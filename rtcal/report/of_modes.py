@@ -30,6 +30,7 @@ def page(result: ModesResult) -> Page:
     carries = np.where(result.below, np.where(result.carried, "modes", "–"), "T")
     carried = Row("carried by", np.where(result.below | measured, carries, "–").tolist())
     blocks = result.blocks()
+    lead, *further = notes(blocks)
     cells = "Absorption coefficients: input → calibrated, with the 90 % interval"
     at_bound = np.isin(result.alpha, (0.0, 1.0))
     command = "rtcal.calibrate_modes(room, modes)"
@@ -41,16 +42,13 @@ def page(result: ModesResult) -> Page:
         "absorption coefficients that match room modes",
         [
             Section("Summary", "summary"),
-            Note(
-                f"{len(result.used)} of {len(result.modes.frequencies)} measured modes were used.",
-                kind="lead",
-            ),
+            Note(lead, kind="lead"),
             Picture(
                 lambda: figures.decays_of_modes(result),
                 "Decay time of each mode used: measured, with the input coefficients, and after the "
                 "calibration.",
             ),
-            Items(notes(blocks)),
+            Items(further),
             Section("By band", "bands"),
             Note(
                 "Below the Schroeder frequency the sound field is not diffuse, so T is not used. "

@@ -1,8 +1,9 @@
-"""The page of a calibration to every position: what its text has, for readers without Python."""
+"""The words and the page of a calibration to every position."""
 
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,8 +12,8 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
-from rtcal.loop.measured_pairs import Compared
-from rtcal.loop.positions import PositionsResult, gap_table
+from rtcal.loop.measured_pairs import Compared, Pair
+from rtcal.loop.positions import PositionsResult
 from rtcal.report import room_view
 from rtcal.report.document import (
     MOST_MATERIALS,
@@ -26,13 +27,94 @@ from rtcal.report.document import (
 )
 from rtcal.simulators.base import Observations
 from rtcal.support import __version__
-from rtcal.support.blocks import Note, Row, Table
+from rtcal.support.blocks import Block, Note, Row, Table
+from rtcal.support.text import listed, numbers, with_uncertainty
 from rtcal.support.types import Array
 
 _LEARNED = 0.9
 """Posterior over prior sigma up to which a material counts as learned in the summary."""
 _REMAINS = 1.0
 """Root mean square deviation in JND, audible, from which the page begins with what remains."""
+
+
+def gap_table(
+    parameters: Sequence[str],
+    pairs: Sequence[Pair],
+    before: Array,
+    after: Array,
+    title: str = "deviation / JND",
+    misfit: Array | None = None,
+) -> Table:
+    """Return the rms gap before and after by parameter, of each pair and of all.
+
+    Gaps are (n_parameters, n_pairs, n_bands) in JND; ``misfit`` (n_pairs,) has a column of its own.
+    """
+    columns = [parameter_label(p) for p in parameters]
+    own: list[list[str]] = [[]] * (len(pairs) + 1)
+    if misfit is not None:
+        columns, own = (
+            [*columns, "misfit"],
+            [[m] for m in (*numbers(misfit, ".1f"), "-")],
+        )
+    rows = []
+    for i, more in enumerate(own):
+        name, chosen = ("all", slice(None)) if i == len(pairs) else (" to ".join(pairs[i]), [i])
+        ends = zip(*(rms(gap[:, chosen], axis=(1, 2)) for gap in (before, after)), strict=True)
+        rows.append(Row(name, [*(" to ".join(numbers(e, ".1f")) for e in ends), *more]))
+    note = "Root mean square deviations, before to after the fit."
+    if misfit is not None:
+        note = f"{note} A misfit of 1 is usual."
+    return Table(columns, rows, corner=title, note=note)
+
+
+def blocks(result: PositionsResult) -> list[Block]:
+    """Return the blocks that a calibration prints."""
+    ends = result.beside.gap_before, result.beside.gap_after
+    more = result.beside.parameters
+    before, after = rms(result.gap_before), rms(result.gap_after)
+    verb = "reduces" if after < before else "changes"
+    fitted = listed([parameter_label(p) for p in result.parameters])
+    n = len(result.pairs)
+    last = len(result.every_note) - len(result.doubts)
+    return [
+        *([Note(result.warning)] if result.warning else []),
+        Note(
+            f"The fit {verb} the deviation from the measurement from {before:.1f} to {after:.1f} "
+            f"JND (root mean square over {fitted} at {n} pair{'s' * (n != 1)})."
+        ),
+        *(Note(f"Caution: {caution}") for caution in result.every_note[last:]),
+        gap_table(
+            result.parameters,
+            result.pairs,
+            result.gap_before,
+            result.gap_after,
+            misfit=result.misfit,
+        ),
+        *([gap_table(more, result.pairs, *ends, "not matched: deviation / JND")] if more else []),
+        _material_table(result),
+        Note(f"The coefficients belong to {result.simulator}, and to no other simulator."),
+        *(Note(f"Note: {note}") for note in result.every_note[bool(result.warning) : last]),
+    ]
+
+
+def _material_table(result: PositionsResult) -> Table:
+    """Return what was learned of each material, most first, shaded by how much."""
+    columns = ["sigma before", "sigma after", "shift / sigma", "mostly from pair"]
+    strength = np.abs(result.pulls).mean(axis=2)
+    moved = np.sqrt((result.shift**2).mean(axis=1))
+    rows = []
+    for name, before, after in result.learned:
+        i = result.prior.material_index(name)
+        pair = "-"
+        if strength[:, i].any():
+            pair = " to ".join(result.pairs[int(np.argmax(strength[:, i]))])
+        cells = [f"{before:.3f}", f"{after:.3f}", f"{moved[i]:.1f}", pair]
+        if (fitted := result.scattering) is not None:
+            s, sigma = (a[i].mean() for a in (fitted.coefficients, fitted.sigma))
+            cells.append(with_uncertainty(s, sigma, 2))
+        share = max(1 - after / before, 0.0) if before > 0 else 0.0
+        rows.append(Row(name, cells, shade=[0.0, share, *[0.0] * (len(cells) - 2)]))
+    return Table(columns + ["scattering"] * (result.scattering is not None), rows)
 
 
 def page(result: PositionsResult) -> Page:
