@@ -221,12 +221,17 @@ def test_questions_in_the_terminal(
     asked, given = tmp_path / "asked.toml", tmp_path / "given.toml"
     answers = ["9x7", "9x7x3", "xyzzy", "carpet", "acoustic tile", "plaster", "", "55"]
     answers += [str(asked), "nothing", "west=4.5:glazing", "west=17:glazing", "south=2:door", ""]
+    answers += ["0.9 0.8", "900 800 700 700 600 600", "0.9 0.8 0.7 0.7 0.6 0.6"]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(answers) + "\n"))
     assert run("room", "--ask") == 0
     said = capsys.readouterr()
     assert "has 2 numbers, and not 3" in said.err
     assert '"xyzzy" is like no material' in said.err
     assert "The room has 189 m³" in said.out
+    assert "Measured T20 / s in 6 bands, 125 to 4000 Hz, to calibrate" in said.err
+    assert "has 2 numbers, and not 6" in said.err
+    assert "900 s must be from 0.01 to 120 s" in said.err
+    assert "and then `rtcal calibrate" in " ".join(said.out.split())
     assert '"west" has 16.5 m² left' in said.err
     options = box(
         "9,7,3", "carpet", "acoustic tile", "plaster", *("--temperature", "20", "--humidity", "55")

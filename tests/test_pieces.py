@@ -276,7 +276,7 @@ def test_a_box_has_the_pieces_of_its_options(
     assert run(*box, *chairs, "--out", path) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "30 × wooden chair" in said
-    assert "m² of one wooden chair: approximate" in said
+    assert "the area per wooden chair: approximate" in said
     assert run(*box, "--out", bare, "-q") == 0
     made, without = Room.from_file(str(path)), Room.from_file(str(bare))
     assert made.pieces == ("wooden chair", "person standing")

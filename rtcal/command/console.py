@@ -181,12 +181,22 @@ def read_measured(path: str | os.PathLike[str], *, quietly: bool = False) -> Mea
     return table.measurement
 
 
+def stated_times(name: str, text: str, bands: Sequence[float]) -> Measurement:
+    """Return the measurement of --t20 or --t30, in ``bands`` or some; DataError for other texts."""
+    from rtcal.acoustics.measurement import Measurement
+
+    in_seconds = re.sub(r"(?<=\d)\s*s(?![a-z])", "", text)
+    by_band = spectrum(f"--{name}", in_seconds, bands)
+    for f, seconds in by_band.items():
+        OBSERVABLES[name].refuse(f"--{name} at {hertz([f])}", seconds)
+    ordered = sorted(by_band)
+    return Measurement.from_values(ordered, **{name: [by_band[f] for f in ordered]})
+
+
 def measured(
     room: Room, path: str | None, *, quietly: bool = False, **times: str | None
 ) -> Measurement:
     """Return the measurement of a file, or of --t20 or --t30; DataError for several of them."""
-    from rtcal.acoustics.measurement import Measurement
-
     stated = {name: text for name, text in times.items() if text is not None}
     given = [*(["MEASURED"] if path is not None else []), *(f"--{name}" for name in stated)]
     if len(given) > 1:
@@ -194,12 +204,7 @@ def measured(
     if path is not None:
         return read_measured(path, quietly=quietly)
     for name, text in stated.items():
-        in_seconds = re.sub(r"(?<=\d)\s*s(?![a-z])", "", text)
-        by_band = spectrum(f"--{name}", in_seconds, room.centre_frequencies.tolist())
-        bands = sorted(by_band)
-        for f in bands:
-            OBSERVABLES[name].refuse(f"--{name} at {hertz([f])}", by_band[f])
-        return Measurement.from_values(bands, **{name: [by_band[f] for f in bands]})
+        return stated_times(name, text, room.centre_frequencies.tolist())
     raise click.MissingParameter(param_type="argument", param_hint="MEASURED (or --t20, --t30)")
 
 

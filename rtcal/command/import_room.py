@@ -564,7 +564,7 @@ def described(
         )
     by_source: dict[tuple[str, str], list[str]] = {}
     for name, source in room.sources.items():
-        of = "m² of one" if name in room.pieces else "alpha of"
+        of = "the area per" if name in room.pieces else "alpha of"
         by_source.setdefault((of, source), []).append(name)
     notes += [
         f"Source of {of} {', '.join(names)}: {source}" for (of, source), names in by_source.items()

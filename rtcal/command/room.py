@@ -102,9 +102,9 @@ def room(
     if unknown := [name for name in own if name not in _WALLS]:
         raise DataError(f'--wall: "{unknown[0]}" is not a wall; the walls are {", ".join(_WALLS)}')
     four = len(own) == len(_WALLS)
-    if ask:
-        _ask(stated, materials, four)
     times = {name: text for name, text in (("t20", t20), ("t30", t30)) if text is not None}
+    if ask:
+        _ask(stated, times, materials, four)
     needed = ("dimensions", "floor", "ceiling", *(() if four else ("walls",)))
     needed = needed if times else (*needed, "out")
     if missing := [f"--{name}" for name in needed if not stated[name]]:
@@ -119,7 +119,8 @@ def room(
         from rtcal.calibration import methods
 
         with console.without_air_warning():
-            result = methods.calibrate(made, console.measured(made, None, t20=t20, t30=t30))
+            measured = console.measured(made, None, t20=times.get("t20"), t30=times.get("t30"))
+            result = methods.calibrate(made, measured)
         said, record = f"{said}\n\n{result}", {**record, "calibration": result.to_dict()}
         (option,) = times
         second = f'rtcal calibrate {shlex.quote(out or "room.toml")} --{option} "{times[option]}"'
@@ -351,9 +352,12 @@ def _piece(text: str) -> tuple[str, float, str]:
     return place.strip(), stated * (0.3048**2 if in_feet else 1.0), material
 
 
-def _ask(stated: dict[str, Any], materials: _Materials, four_walls: bool) -> None:
+def _ask(
+    stated: dict[str, Any], times: dict[str, str], materials: _Materials, four_walls: bool
+) -> None:
     """Put answers into the options that are not given; a wrong answer is asked for again."""
     from rtcal.acoustics.air import Air
+    from rtcal.acoustics.bands import span
     from rtcal.acoustics.room import with_patches
     from rtcal.simulators.geometry import Polyhedron
 
@@ -387,6 +391,11 @@ def _ask(stated: dict[str, Any], materials: _Materials, four_walls: bool) -> Non
         Air(**{name: value})
         return value
 
+    def measured_time(text: str) -> str:
+        if text:
+            console.stated_times("t20", text, materials.bands)
+        return text
+
     questions: tuple[tuple[str, str, Callable[[str], Any], str | None], ...] = (
         ("dimensions", "Length, width, height", lambda text: _sides(text) and text, None),
         ("floor", "Material of the floor", partial(material, "floor"), None),
@@ -406,3 +415,7 @@ def _ask(stated: dict[str, Any], materials: _Materials, four_walls: bool) -> Non
         added = answer(f"A window, a door ({_PIECE}), or nothing", piece, "")
         stated["pieces"] = (*stated["pieces"], added)
     stated["pieces"] = stated["pieces"][:-1]
+    if not times:
+        question = f"Measured T20 / s in {span(materials.bands)}, to calibrate, or nothing"
+        if text := answer(question, measured_time, ""):
+            times["t20"] = text
