@@ -311,3 +311,38 @@ def test_a_loop_that_begins_with_a_run_needs_one_simulation_less(equation: rt.Ey
     eyring = rt.Eyring().reverberation_time(room)
     target = begun.wanted * eyring / run.simulated.mean("t20")
     np.testing.assert_allclose(begun.next_target, target)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("equation", [rt.Fitzroy(), rt.ArauPuchades(), rt.Millington()])
+def test_the_run_that_one_has_saves_a_simulation_in_random_rooms(equation: rt.Equation) -> None:
+    """A program of another equation: to 1 JND from the run that is there, and without it."""
+    whole, rest = [], []
+    for seed in range(20):
+        rng = np.random.default_rng([62, 4, seed])
+        size = rng.uniform([5, 4, 2.6], [12, 9, 5])
+        walls = ("floor", "ceiling", "long", "short")
+        x, y, z = size.tolist()
+        areas = [x * y, x * y, 2 * x * z, 2 * y * z]
+        of_walls = zip(walls, areas, "zzyx", strict=True)
+        surfaces = [rt.Surface(name=w, material=w, area=a, axis=n) for w, a, n in of_walls]
+        alpha = np.exp(rng.uniform(np.log(0.05), np.log(0.4), (4, 2)))
+        room = rt.Room(
+            name="box", volume=x * y * z, materials=walls, areas=areas, alpha=alpha,
+            sigma=0.3 * alpha, centre_frequencies=F, air=rt.Air(20, 50), surfaces=surfaces,
+        )  # fmt: skip
+        program = of_equation(equation, room)
+        true = np.clip(alpha * np.exp(0.2 * rng.standard_normal(alpha.shape)), 0.02, 0.9)
+        measured = program.simulate(true)
+        made = rt.calibrate_simulator(program, room, measured)
+        run = rt.Run(room, program.simulate(room.alpha))
+        after = rt.calibrate_simulator(program, room, measured, run=run)
+        np.testing.assert_array_equal(after.alpha, made.alpha)
+        whole.append(made.simulations)
+        rest.append(after.simulations)
+    # A run that is near enough is simulated once more, as the check of what is returned.
+    assert [n - m for n, m in zip(whole, rest, strict=True)] == [int(n > 1) for n in whole]
+    assert np.mean(whole) > 1.5
+    assert (
+        np.mean(rest) <= 2.75
+    )  # what the loop needed on the average, the input's simulation beside
