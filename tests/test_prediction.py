@@ -7,6 +7,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.changes import placed, read_variants
+from rtcal.command.main import main
 from rtcal.prediction import Assumptions, Change, changed, predict
 from rtcal.prediction.changed_time import DRAWS, TimeChange, probability_within
 from rtcal.prediction.predicted import Prediction
@@ -541,3 +542,109 @@ def test_changes_keep_the_books() -> None:
         second: one,
     }
     assert after.alpha[after.materials.index(first)].tolist() == room.alpha[0].tolist()
+
+
+def of_program(t: np.ndarray) -> rt.Measurement:
+    return rt.Measurement.from_values(BANDS, t20=t)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_laws_of_a_change_that_a_program_simulated(seed: int) -> None:
+    room = a_room(seed)
+    measured = measured_in(room, seed)
+    result = rt.calibrate(room, measured)
+    before = measured.reverberation_time
+    change = Change(cover="ceiling", by=PANEL, area=0.5 * room.areas[0])
+    ratio = np.array([0.8, 0.6, 0.65])
+    run = rt.Run(room, of_program(before))
+    made = result.predict(change, run=run, run_after=of_program(ratio * before))
+    # A program with the measured T before has T after.
+    np.testing.assert_allclose(made.mean, ratio * before, rtol=1e-9)
+    assert (made.interval[0] < made.mean).all()
+    # Nothing changed: T before, without a width.
+    same = result.predict([], run=run, run_after=of_program(before))
+    np.testing.assert_allclose(same.mean, before, rtol=1e-12)
+    assert not same.half_width.any()
+    small = Change(cover="ceiling", by=PANEL, area=SMALL)
+    hardly = result.predict(small, run=run, run_after=of_program((1 - 1e-5) * before))
+    assert (hardly.half_width < 0.01 * made.half_width).all()
+    # A program that is the equation at the calibrated coefficients has the equation's ratio.
+    own = made.by_equation["Eyring"]
+    of_equation = result.predict(change, run=run, run_after=of_program(own))
+    np.testing.assert_allclose(of_equation.mean, own, rtol=1e-9)
+    # A program whose room absorbs more: the same panel shortens the real T by more than by its ratio.
+    lively = result.predict(
+        change,
+        run=rt.Run(room, of_program(0.8 * before)),
+        run_after=of_program(0.8 * ratio * before),
+    )
+    assert (lively.mean < made.mean).all()
+    # Noise that the runs state widens the interval.
+    noisy = rt.Measurement(
+        centre_frequencies=BANDS,
+        values={"t20": (ratio * before)[None]},
+        uncertainty={"t20": (0.1 * ratio * before)[None]},
+    )
+    wider = result.predict(change, run=run, run_after=noisy)
+    assert (wider.half_width > made.half_width).all()
+    np.testing.assert_allclose(wider.mean, made.mean, rtol=1e-9)
+    assert str(result.predict(change, run=run, run_after=noisy)) == str(wider)
+    assert sum(wider.parts.values()) == pytest.approx(1)
+    assert wider.parts["the program"].min() > 0
+
+
+def test_a_band_without_a_run_is_the_equations() -> None:
+    room = a_room(1)
+    measured = measured_in(room, 1)
+    result, before = rt.calibrate(room, measured), measured.reverberation_time
+    change = Change(cover="ceiling", by=PANEL, area=10)
+    run = rt.Run(room, of_program(before))
+    after = of_program(np.array([np.nan, 0.6, 0.65]) * before)
+    made, alone = result.predict(change, run=run, run_after=after), result.predict(change)
+    for one, other in ((made.mean, alone.mean), *zip(made.interval, alone.interval, strict=True)):
+        assert one[0] == other[0]
+        assert (one[1:] != other[1:]).all()
+    said = " ".join(str(made).split())
+    assert "At 250 Hz the equation predicts, because a run has no T there." in said
+    assert "The change is the program's: at 1000 Hz from" in said
+    t30 = rt.Measurement.from_values(BANDS, t30=before)
+    with pytest.raises(DataError, match="T20 is compared with T20 alone"):
+        result.predict(change, run=run, run_after=t30)
+    with pytest.raises(DataError, match="run_after is missing"):
+        result.predict(change, run=run)
+    with pytest.raises(DataError, match="calibration to a measured T"):
+        predict(room, change, run=run, run_after=after)
+
+
+def test_the_command_takes_what_a_program_gave_of_each_variant(tmp_path, capsys) -> None:
+    room = a_room(2)
+    before = measured_in(room, 2).reverberation_time
+    room.save(str(tmp_path / "room.toml"))
+    for name, factor in (("t", 1.0), ("run", 1.0), ("after", 0.6)):
+        of_program(factor * before).save(str(tmp_path / f"{name}.csv"))
+    variants = '[[material]]\nname = "panel"\nalpha = [0.8, 0.8, 0.8]\nsigma = 0.1\n'
+    for name in ("simulated", "not simulated"):
+        of = 'simulated = "after.csv"\n' * (name == "simulated")
+        variants += f'[[variant]]\nname = "{name}"\n{of}[[variant.change]]\n'
+        variants += 'cover = "ceiling"\nby = "panel"\narea = 10\n'
+    (tmp_path / "variants.toml").write_text(variants)
+    files = [str(tmp_path / n) for n in ("room.toml", "t.csv", "variants.toml", "run.csv")]
+    command = ["predict", *files[:2], "--change", files[2]]
+
+    def called(*more: str) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main([*command, *more])
+        return (ended.value.code or 0, *capsys.readouterr())
+
+    code, text, _ = called("--simulated", files[3], "--out", str(tmp_path / "out"))
+    assert code == 0
+    assert text.count("The change is the program's") == 1
+    assert "give what it gave before with --simulated" in " ".join(called()[2].split())
+    first, second = rt.load(tmp_path / "out").predictions
+    np.testing.assert_allclose(first.mean, 0.6 * before, rtol=2e-3)  # of a file's digits
+    assert second.simulated is None
+    command.remove(files[1])
+    assert "add MEASURED" in " ".join(called("--simulated", files[3])[2].split())
+    command.insert(2, files[1])
+    (tmp_path / "variants.toml").write_text(variants.replace('simulated = "after.csv"\n', ""))
+    assert "no variant has simulated" in " ".join(called("--simulated", files[3])[2].split())

@@ -134,7 +134,7 @@ def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
     finding = rt.find(case, cache=kept)
     assert finding.verdict in ("none", "hint")
     assert finding.surface is None
-    with pytest.raises(DataError, match="nothing to add"):
+    with pytest.raises(DataError, match="Nothing to add"):
         finding.apply()
 
 

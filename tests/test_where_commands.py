@@ -91,7 +91,7 @@ def test_nothing_found_is_said_and_nothing_is_written(
     assert not (tmp_path / "corrected").exists()
     capsys.readouterr()
     assert run("verify", "page") == 0
-    assert "nothing to add" in " ".join(capsys.readouterr().out.split())
+    assert "Nothing to add" in " ".join(capsys.readouterr().out.split())
     assert not (tmp_path / "page" / "gap.png").exists()
 
 

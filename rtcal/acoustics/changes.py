@@ -18,6 +18,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, product
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import (
     AXES,
     Material,
@@ -671,6 +673,7 @@ class VariantTable(FileTable):
     change: list[Change] = []
     name: str | None = None
     cost: Number | None = None
+    simulated: str | None = None
 
 
 class NewPiece(FileTable):
@@ -713,16 +716,22 @@ class Variant:
     name: str
     changes: tuple[Change, ...]
     cost: float | None = None
+    simulated: Measurement | None = None
+    """What a program gave after the changes."""
 
     def __post_init__(self) -> None:
+        if self.simulated is not None:
+            checks.instance("simulated", self.simulated, Measurement)
         if self.cost is not None and not 0 <= checks.number("cost", self.cost) < np.inf:
             raise DataError(f"cost = {self.cost:g} must be finite and 0 or more")
 
 
 def read_variants(
-    content: str, room: Room, catalogue: Catalogue | None = None
+    content: str, room: Room, catalogue: Catalogue | None = None, folder: str | Path = ""
 ) -> tuple[tuple[Variant, ...], Target | None]:
     """Return the variants of a TOML text, and its target if it states one.
+
+    Files of ``simulated`` are as seen from ``folder``.
 
     The room's bands are those of the new materials. ``catalogue`` returns a material for a name and
     bands, such as `rtcal.datasets.catalogue.material`. Raises DataError for an unknown key, a value
@@ -749,7 +758,10 @@ def read_variants(
             changed(room, made)
             of_changes = "; ".join(map(str, made)) or "no change"
             name = of_changes if table.name is None else table.name
-            variants.append(Variant(name, made, table.cost))
+            of_program = None
+            if table.simulated is not None:
+                of_program = Measurement.from_file(str(Path(folder) / table.simulated))
+            variants.append(Variant(name, made, table.cost, of_program))
         except DataError as error:
             raise DataError(f"{place}: {error}") from error
     if not variants:

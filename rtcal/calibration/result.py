@@ -29,8 +29,10 @@ from rtcal.acoustics.marks import (
     uneven_marks,
     z_within_bounds,
 )
+from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import Assumptions, of_absorption
+from rtcal.acoustics.run import Run
 from rtcal.calibration import qp, table
 from rtcal.calibration.composition import Composition
 from rtcal.calibration.feasibility import Unreachable, where_valid
@@ -803,14 +805,19 @@ class CalibrationResult(Result):
         *,
         name: str = "",
         assumptions: Assumptions | None = None,
+        run: Run | None = None,
+        run_after: Measurement | None = None,
     ) -> Prediction:
         """Predict T after a change of this room: T calibrated times the ratio that the change gives.
 
-        See `rtcal.prediction.predict`. Of several configurations all measured T count.
+        See `rtcal.prediction.predict`. Of several configurations all measured T count. The ratio is a
+        program's with its ``run`` before the change and ``run_after`` it.
 
         Raises ModelError as `known`, and as `rtcal.prediction.predict`.
         """
-        return predict(self, changes, assumptions=assumptions, name=name)
+        return predict(
+            self, changes, assumptions=assumptions, name=name, run=run, run_after=run_after
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text; None where a value is missing.

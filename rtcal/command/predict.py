@@ -61,6 +61,8 @@ def read_changes(path: str, kind: str, read: Callable[[str], Any]) -> Any:
         required=True,
     ),
     *_KNOWN,
+    "simulated",
+    "at",
 )
 def predict(
     room: str,
@@ -69,11 +71,16 @@ def predict(
     also: tuple[tuple[str, str], ...],
     equation: LinearEquation,
     out: Path | None,
+    simulated: str | None,
+    at: str | None,
 ) -> None:
     """Predict T of ROOM (TOML), MEASURED (CSV) as it is, after the changes of a file.
 
     The change is predicted: T before is given, that of the calibrated room, and nothing changed is T
     before exactly. One JND is 5 % of T. Without MEASURED the input coefficients alone predict.
+
+    With --simulated, what your program gave before the change, its ratio of T replaces the equation's
+    for each variant that names what it gave after it: simulated = "after.csv".
 
     ROOM may be the folder of an `rtcal calibrate` or of an `rtcal fit`, without MEASURED. A fit
     predicts every position: T20, EDT, C80, Ts, level, D50, STI.
@@ -96,8 +103,21 @@ def predict(
     variants, target = read_changes(
         change,
         "a file of variants",
-        lambda text: read_variants(text, before, catalogue.material),
+        lambda text: read_variants(text, before, catalogue.material, Path(change).parent),
     )
+    run = console.read_run(before, simulated, at)
+    if run is None and any(v.simulated is not None for v in variants):
+        raise DataError(
+            f"{change} has simulated, what a program gave after a change: give what it gave before "
+            "with --simulated"
+        )
+    if run is not None and (
+        isinstance(known, PositionsResult) or (known is None and measured is None)
+    ):
+        raise DataError(
+            "--simulated needs the measured T before the change, which the program's ratio multiplies: "
+            "add MEASURED, or give a folder of `rtcal calibrate`"
+        )
     if not isinstance(known, PositionsResult):
         if known is None and (measured is not None or also):
             known = calibrated(before, measured, also, equation)
@@ -108,7 +128,7 @@ def predict(
             console.warn(
                 "T is predicted by an equation; the folder of `rtcal fit` predicts every position"
             )
-        told(predict_variants(known, variants, target=target), out)
+        told(predict_variants(known, variants, target=target, run=run), out)
         return
     if target is not None:
         raise DataError(

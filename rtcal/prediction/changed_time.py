@@ -281,6 +281,11 @@ class TimeChange:
         unknown = self.areas[:, :, UNKNOWN].max(axis=0)
         return not (unknown[self.changing] > 0).any()
 
+    @property
+    def _sigma_of_new(self) -> Array:
+        """Sigma of the materials that come in, (n_new, n_bands)."""
+        return self.after.sigma[self._new]
+
     @cached_property
     def unknowns(self) -> Unknowns:
         """The draws of all unknowns, given every measured T."""
@@ -290,7 +295,7 @@ class TimeChange:
         names, rows = self.materials[len(known.materials) :], self._new
         errors = _area_errors([*_rooms(known), room], names, self.assumptions)
         bounds = room.least_alpha[rows], room.most_alpha[rows]
-        quantiles = normal_quantiles(room.alpha[rows], room.sigma[rows], *bounds)
+        quantiles = normal_quantiles(room.alpha[rows], self._sigma_of_new, *bounds)
         alpha, factor = _draws(
             names, room.alpha[rows], quantiles, errors, self.assumptions, np.eye(len(rows)), DRAWS
         )
@@ -311,22 +316,22 @@ class TimeChange:
         if unknowns is None and not self.known.measured.all():
             off = self._central(1) - after.mean(axis=1) - self._central(0) + before.mean(axis=1)
             change += np.where(self.known.measured, 0.0, off)[:, np.newaxis]
-        return self._possible(change)
+        return self.possible(change)
 
     def _central(self, state: int) -> Array:
         """Return ln T of a state at the calibrated or stated alpha, (n_bands,): its mean over u."""
         drawn = self.unknowns
-        at = replace(self._known_alpha, evenness=drawn.evenness, alone=drawn.alone)
+        at = replace(self.known_alpha, evenness=drawn.evenness, alone=drawn.alone)
         return np.asarray(self.log_time(state, at).mean(axis=1))
 
     @cached_property
-    def _known_alpha(self) -> Unknowns:
+    def known_alpha(self) -> Unknowns:
         """Unknowns with the calibrated or stated alpha, and no error of anything else."""
         alpha = np.vstack([self.known.alpha, self.after.alpha[self._new]]).T[:, :, np.newaxis]
         nothing = np.zeros((len(alpha), 1))
         return Unknowns(alpha, 0 * alpha, nothing, nothing, nothing, nothing > 0)
 
-    def _possible(self, ratio: Array) -> Array:
+    def possible(self, ratio: Array) -> Array:
         """Return ln of ratios of T in which what is only added absorbs, and what only goes did so.
 
         A longer T that an equation has with a hard piece that stands free is not taken.
@@ -360,13 +365,13 @@ class TimeChange:
         T before times the ratio of each, where T before was measured. Arau-Puchades' and Fitzroy's
         stand there where the absorption is uneven, before or after.
         """
-        known, at = self.known, self._known_alpha
+        known, at = self.known, self.known_alpha
         by_state = []
         for state in (0, 1):
             even, air = self._even(state, at)
             by_state.append(even + self._uneven_terms(state, at, air))
         given = known.measured | is_calibrated(known.room)
-        change = self._possible(by_state[1] - by_state[0])[:, :, 0]
+        change = self.possible(by_state[1] - by_state[0])[:, :, 0]
         times = np.where(given, known.time * np.exp(change), np.exp(by_state[1][:, :, 0]))
         own, *uneven = times
         if all(np.abs(t / own - 1).max() < _EVEN for t in uneven):

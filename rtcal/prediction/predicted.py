@@ -17,12 +17,23 @@ from scipy.special import ndtri
 from rtcal.acoustics import bands
 from rtcal.acoustics.changes import Change, Target, Variant, placed
 from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room, is_calibrated, refuse_repeats
 from rtcal.acoustics.room_errors import Assumptions
+from rtcal.acoustics.run import Run
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.prediction import words
-from rtcal.prediction.changed_time import KnownRoom, TimeChange, probability_within
+from rtcal.prediction.changed_time import (
+    DRAWS,
+    Flags,
+    KnownRoom,
+    TimeChange,
+    Unknowns,
+    normal_of,
+    probability_within,
+)
+from rtcal.prediction.simulated_change import SimulatedChange
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
@@ -76,12 +87,52 @@ class Prediction(TimeChange, Result):
         "reverberation_time_before=time_before uncertainty_before reverberation_time=mean "
         "interval_90=interval change_jnd=change half_width_jnd=half_width "
         "directions_known=is_placed by_equation uncalibrated=uncalibrated.mean "
-        "uncalibrated_half_width_jnd=uncalibrated.half_width parts sentences"
+        "uncalibrated_half_width_jnd=uncalibrated.half_width simulated_times parts sentences"
     )
 
     name: str
     changes: tuple[Change, ...]
     """What leads from one state to the other; empty if the changed room itself was given."""
+    simulated: SimulatedChange | None = None
+    """What a program gave of the change, in place of the equation."""
+
+    @cached_property
+    def by_program(self) -> Flags:
+        """Bands in which the program predicts: both of its runs, and the measurement, have a T."""
+        if self.simulated is None:
+            return np.zeros(self.before.n_bands, dtype=bool)
+        return np.asarray(self.known.measured & np.isfinite(self.simulated.log_ratio))
+
+    @property
+    def simulated_times(self) -> dict[str, Array]:
+        """T of a program's runs in s, (n_bands,) each, "before" and "after"; {} without them."""
+        of = self.simulated
+        return {} if of is None else {"before": of.before, "after": of.after}
+
+    @property
+    def by_equation_alone(self) -> Prediction:
+        """The same prediction without the program."""
+        return replace(self, simulated=None)
+
+    @property
+    def _sigma_of_new(self) -> Array:
+        """As stated; where the program predicts, at least what is assumed of a new material."""
+        stated = super()._sigma_of_new
+        wider = np.maximum(stated, self.assumptions.changed)
+        return np.where(self.by_program & (stated > 0), wider, stated)
+
+    @cached_property
+    def _by_program(self) -> Array | None:
+        if self.simulated is None or not self.by_program.any():
+            return None
+        return self.possible(self.simulated.draws(self))
+
+    def log_ratio(self, unknowns: Unknowns | None = None) -> Array:
+        """Return draws of ln (T after / T before), (n_bands, n_draws), by program or equation."""
+        own, simulated = super().log_ratio(unknowns), self._by_program
+        return (
+            own if simulated is None else np.where(self.by_program[:, np.newaxis], simulated, own)
+        )
 
     @cached_property
     def samples(self) -> Array:
@@ -169,6 +220,10 @@ class Prediction(TimeChange, Result):
             columns.setdefault(words.EQUATION, []).append(unknowns.factor[:, i])
         columns[words.EQUATION] += [unknowns.evenness, unknowns.alone.astype(float)]
         columns[words.SIZES] = [unknowns.air, unknowns.volume]
+        if self.by_program.any():
+            columns[words.PROGRAM] = [
+                np.broadcast_to(normal_of(words.PROGRAM, DRAWS), unknowns.air.shape)
+            ]
         if not self.known.measured.all():
             columns[words.BEFORE] = [self.log_before()]
         shares = {part: np.zeros(n_bands) for part in columns}
@@ -193,7 +248,8 @@ class Prediction(TimeChange, Result):
     @cached_property
     def uncalibrated(self) -> Prediction:
         """The same prediction from the stated coefficients alone, without any measurement."""
-        return replace(self, known=KnownRoom.stated(self.before, self.known.equation))
+        known = KnownRoom.stated(self.before, self.known.equation)
+        return replace(self, known=known, simulated=None)
 
     def probability(self, low: Array, high: Array) -> Array:
         """Return the probability that T is from ``low`` to ``high`` in s, (n_bands,).
@@ -259,7 +315,15 @@ class Prediction(TimeChange, Result):
         said = [words.GIVEN if known.measured.any() else stated]
         if known.measured.any() and not known.measured.all():
             said.append(words.not_measured([labels[k] for k in np.flatnonzero(~known.measured)]))
-        if not self.is_placed:
+        if self.simulated is not None:
+            change = np.log(self.mean / self.time_before)
+            k = int(np.argmax(np.abs(np.where(self.by_program, change, 0.0))))
+            runs, alone = self.simulated, self.by_equation_alone
+            both = (float(runs.before[k]), float(runs.after[k])), float(alone.mean[k])
+            wide, narrow = (JND * float(np.median(p.half_width)) for p in (alone, self))
+            left = [labels[i] for i in np.flatnonzero(known.measured & ~self.by_program)]
+            said.append(words.by_program(labels[k], *both, (wide, narrow), left))
+        elif not self.is_placed:
             said.append(words.UNPLACED)
         elif len(self.by_equation) > 1:
             own, arau, _ = self.by_equation.values()
@@ -269,7 +333,7 @@ class Prediction(TimeChange, Result):
             low, high = self.interval
             if apart[k] >= JND:
                 said.append(words.uneven(labels[k], two, (float(low[k]), float(high[k]))))
-        if known.measured.any():
+        if known.measured.any() and self.simulated is None:
             said.append(words.gained(JND * self.uncalibrated.half_width, JND * self.half_width))
         said.append(words.to_narrow(self.parts, known.n_measured))
         return said
@@ -338,6 +402,8 @@ def predict(
     equation: LinearEquation | None = None,
     assumptions: Assumptions | None = None,
     name: str = "",
+    run: Run | None = None,
+    run_after: Measurement | None = None,
 ) -> Prediction:
     """Predict T after a change of a room.
 
@@ -354,11 +420,15 @@ def predict(
         Assumed spreads; the usual ones by default.
     name : str
         By default what is changed.
+    run, run_after : Run and Measurement, optional
+        What a program gave before and after the change. Its ratio of T takes the place of the
+        equation's (`rtcal.prediction.simulated_change`).
 
     Raises
     ------
     DataError
-        If a change does not fit the room, or the rooms do not fit each other.
+        If a change does not fit the room, or the rooms do not fit each other. For one run without the
+        other, or without a measured T, and as `SimulatedChange.of`.
     ModelError
         If the equation gives no T for the changed room.
 
@@ -384,7 +454,19 @@ def predict(
             )
         made = (changes,) if isinstance(changes, Change) else checks.listed("changes", changes)
         default = "; ".join(map(str, made)) or "no change"
+    simulated = None
+    if run is not None or run_after is not None:
+        if run is None or run_after is None:
+            lacking = "run" if run is None else "run_after"
+            raise DataError(f"{lacking} is missing: give what the program gave before and after")
+        if not (room_known.measured.any() and room_known.exact):
+            raise DataError(
+                "run is used with a calibration to a measured T: the program's ratio of T after to T "
+                "before multiplies the measured T"
+            )
+        simulated = SimulatedChange.of(room_known.room, run, run_after)
     prediction = Prediction(
+        simulated=simulated,
         name=name or default,
         known=room_known,
         state=placed(room_known.room, changes if isinstance(changes, Room) else made),
@@ -476,11 +558,13 @@ def predict_variants(
     equation: LinearEquation | None = None,
     assumptions: Assumptions | None = None,
     target: Target | None = None,
+    run: Run | None = None,
 ) -> Predictions:
     """Predict T of several variants; the arguments and errors are those of `predict`.
 
-    A ``target`` is a range of T that they are compared with. Raises DataError also where two variants
-    have one name, and for a target of other bands.
+    A ``target`` is a range of T that they are compared with. With a ``run`` the program predicts those
+    variants that have ``simulated``. Raises DataError also where two variants have one name, for a
+    target of other bands, and for a run without such a variant.
 
     Examples
     --------
@@ -492,8 +576,21 @@ def predict_variants(
     """
     refuse_repeats("variants", variants)
     room_known = known_room(known, equation)
+    if run is not None and all(v.simulated is None for v in variants):
+        raise DataError(
+            "no variant has simulated, what the program gave after the change: add it, or leave the "
+            "run before the change out"
+        )
     made = tuple(
-        predict(room_known, v.changes, assumptions=assumptions, name=v.name) for v in variants
+        predict(
+            room_known,
+            v.changes,
+            assumptions=assumptions,
+            name=v.name,
+            run=None if v.simulated is None else run,
+            run_after=v.simulated,
+        )
+        for v in variants
     )
     n_bands = made[0].after.n_bands if made else 0
     if target is not None and target.low.shape != (n_bands,):

@@ -14,6 +14,7 @@ ALPHA = 'alpha of "{}"'
 STAYS = "alpha of what stays"
 EQUATION = "the equation"
 SIZES = "volume, areas and climate"
+PROGRAM = "the program"
 MEASUREMENT = "the measured T"
 BEFORE = "T before, which was not measured"
 MEASURED, MODEL, STATED = "measured", "calibrated model", "input coefficients"
@@ -35,6 +36,7 @@ _ADVICE = {
     MEASUREMENT: "measure T at more positions",
     ALIKE: "measure at more positions",
     CHANGED_ALONE: "measure after the first part of the change, which is the only way to determine it",
+    PROGRAM: "measure after the first part of the change, which shows the error of the program",
     COVERS: "measure the areas that are covered",
     PLACES: "specify the place of the cover: give it a material of its own in the mesh and in the room",
 }
@@ -143,6 +145,27 @@ def to_narrow(parts: Mapping[str, Array], n_states: int) -> str:
         f"Next: to narrow the interval, {advice(largest, n_states)}. The largest part of its variance "
         f"is {largest} ({100 * share:.0f} %)."
     )
+
+
+def by_program(
+    label: str,
+    times: tuple[float, float],
+    by_equation: float,
+    half_widths: tuple[float, float],
+    left: Sequence[str],
+) -> str:
+    """Return what a program gave of the change, T in s in one band, and what the equation would give.
+
+    ``half_widths`` over T are the equation's and the program's; ``left`` are bands without the program.
+    """
+    said = (
+        f"The change is the program's: at {label} from {times[0]:.2f} to {times[1]:.2f} s. By the "
+        f"equation alone T after is {by_equation:.2f} s, ± {100 * half_widths[0]:.0f} % in "
+        f"place of ± {100 * half_widths[1]:.0f} %."
+    )
+    if not left:
+        return said
+    return f"{said} At {', '.join(left)} the equation predicts, because a run has no T there."
 
 
 def gained(without: Array, half_width: Array) -> str:

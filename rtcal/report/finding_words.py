@@ -148,17 +148,17 @@ SENTENCES: dict[str, str] = {
     "look at the room": "Look at the room: {effect:name} and {rival:name} predict the same in every "
     "parameter, but you may see one of them, or measure it with a tape measure.",
     # Why nothing is added to the model, or not without a choice.
-    "nothing to add": "Nothing is identified as missing, so there is nothing to add or to verify.",
-    "too weak to add": "There is nothing to add: nothing was detected, and {best:name} is only a weak "
+    "nothing to add": "Nothing to add: nothing is identified as missing.",
+    "too weak to add": "Nothing to add: nothing was detected, and {best:name} is only a weak "
     "indication (verdict hint), which no choice of an effect changes. Measure more and search again: "
     "`rtcal plan` proposes what.",
-    "none of the library": "There is nothing to add: no effect of the library explains what is missing "
+    "none of the library": "Nothing to add: no effect of the library explains what is missing "
     "(verdict unknown).",
-    "no surface": "There is nothing to add: the effect that was found is not on a surface.",
+    "no surface": "Nothing to add: the effect that was found is not on a surface.",
     "second room": "{best:name}: {why}",
-    "no change to add": "No change was identified, so there is nothing to add or to verify.",
-    "climate changed": "There is nothing to add: the climate of the air changed. Enter temperature "
-    "and humidity in the room's file.",
+    "no change to add": "Nothing to add: no change was identified.",
+    "climate changed": "Nothing to add: the climate of the air changed. Enter temperature and humidity "
+    "in the room's file.",
     "effect undecided": "No effect is chosen, and the most probable one has a probability of less than "
     "{least:p}. Candidates: {candidates:options}. Choose one: effect = NAME.",
     "place undecided": "Neither an effect nor a place is chosen, and the most probable group on one "

@@ -97,12 +97,12 @@ def blocks(result: CalibrationResult) -> list[Any]:
         "alike, the measurement does not determine the material.",
         tall=True,
     )
-    intervals = (
-        "The intervals are exact: they lie within the bounds, and contain the uncertainty of T where "
-        "it is known"
+    posterior = (
+        "the exact posterior distribution, within the bounds, with the uncertainty of T where it "
+        "is known"
         if result.joint.is_exact
-        else "The intervals are approximate, from a normal density within the bounds for each "
-        "coefficient, because bands or rooms share errors here, or the method has no exact ones"
+        else "the linear estimate, a normal density within the bounds for each coefficient by itself: "
+        "bands or rooms share errors here, or the method has no posterior distribution"
     )
     return [
         Section("Summary", "summary"),
@@ -116,7 +116,8 @@ def blocks(result: CalibrationResult) -> list[Any]:
         Section("Tables", "tables"),
         coefficients(title, room, result.alpha, result.interval, result.active != 0, rows),
         Note(
-            f"{intervals}. The calibrated coefficient lies within its interval.",
+            f"The intervals are those of {posterior}. The calibrated coefficient lies within its "
+            "interval.",
             kind="note",
         ),
         Table(
