@@ -205,7 +205,9 @@ def test_coefficients_belong_to_their_place(tmp_path: Path, capsys: pytest.Captu
     path = tmp_path / "room.toml"
     pieces = ["--window", "west=4.5:0.1", "--window", "west=20 ft2:0.3", "--door", "west=1:0.1"]
     assert run("room", *box("30' x 20'x 10'", "0.2", "floor", "0.2", *pieces), "--out", path) == 0
-    assert "9.14 × 6.1 × 3.05 m: length (x), width (y), height (z)" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "9.14 × 6.1 × 3.05 m: length (x), width (y), height (z)" in said
+    assert f"rtcal calibrate {path} t.csv, or --t20" in " ".join(said.split())
     room = rt.Room.from_file(str(path))
     areas = dict(zip(room.materials, room.areas.tolist(), strict=True))
     pieces_of_west = {"piece of west": 5.5, "piece of west (2)": 20 * FT**2}

@@ -114,7 +114,8 @@ def room(
     console.fit_ending("--out", out, ".toml")
     made, notes = _made(materials, own, **stated)
     said, record = described(made, [], notes, {})
-    then = ""
+    path = shlex.quote(out or "room.toml")
+    then = f"Next: rtcal calibrate {path} t.csv, or --t20 in place of t.csv"
     if times:
         from rtcal.calibration import methods
 
@@ -123,7 +124,7 @@ def room(
             result = methods.calibrate(made, measured)
         said, record = f"{said}\n\n{result}", {**record, "calibration": result.to_dict()}
         (option,) = times
-        second = f'rtcal calibrate {shlex.quote(out or "room.toml")} --{option} "{times[option]}"'
+        second = f'rtcal calibrate {path} --{option} "{times[option]}"'
         then = (
             f"This stands for two commands: `rtcal room` without --{option}, and then `{second}`; "
             "with --out calibrated, the second keeps the calibrated room."
