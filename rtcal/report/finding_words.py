@@ -47,7 +47,7 @@ from rtcal.finder.records import (
     statement_of,
     stored,
 )
-from rtcal.finder.states import ADDED
+from rtcal.finder.states import ADDED, REMOVED
 from rtcal.finder.verification import Verification
 from rtcal.io.tables import unusual
 from rtcal.loop.measured_pairs import without_place
@@ -294,7 +294,7 @@ class _Forms(Formatter):
         if form == "name":
             return called(value) if isinstance(value, str) else named(value)
         if form in ("few", "and", "or"):
-            names = [v if isinstance(v, str) else likeliness(v) for v in value]
+            names = [called(v) if isinstance(v, str) else likeliness(v) for v in value]
             return first_of(names, _FEW) if form == "few" else listed(names, last=form)
         if form == "options":  # with the names that an option takes
             some = [(v.title, v.probability) if isinstance(v, Candidate) else v for v in value]
@@ -355,9 +355,12 @@ def percent(probability: float) -> str:
 def called(effect: str) -> str:
     """Return the name in print of an effect.
 
-    >>> called("porous"), called("noise floor")
-    ('porous absorber', 'noise floor')
+    >>> called("porous"), called("noise floor"), called("added porous")
+    ('porous absorber', 'noise floor', 'added porous absorber')
     """
+    side, _, kind = effect.partition(" ")
+    if side in (ADDED, REMOVED) and kind:
+        return f"{side} {'unknown absorber' if kind == UNKNOWN else NAMES.get(kind, kind)}"
     return NAMES.get(effect, effect)
 
 
@@ -679,7 +682,7 @@ def _of_states(f: Finding) -> list[str]:
     if f.verdict == NONE:
         return ["No change was detected beyond the noise of both measurements."]
     if f.verdict == "hint":
-        return [f"No change is identified; that {_change(f)} is only a weak indication."]
+        return [f"No change is identified; there is only a weak indication that {_change(f)}."]
     if f.family == "climate":
         return ["The climate of the air changed, and nothing else."]
     said = [as_sentence(_change(f))]
