@@ -81,6 +81,7 @@ def counted(folder: Path, fatal: int, times: int, job: int) -> int:
     runs = len([*folder.glob(f"{job}-*")])
     (folder / f"{job}-{runs}").touch()
     if job == fatal and runs < times:
+        time.sleep(1)  # what was finished before is fetched by then
         os.kill(os.getpid(), signal.SIGKILL)
     return job
 
