@@ -189,7 +189,7 @@ ALONE = """
 import time
 from distributed import LocalCluster
 if __name__ == "__main__":
-    settings = {"threads_per_worker": 1, "processes": False, "dashboard_address": ":0"}
+    settings = {"processes": False, "protocol": "tcp://", "dashboard_address": ":0"}
     with LocalCluster(n_workers=1, **settings) as cluster:
         print(cluster.scheduler_address, flush=True)
         time.sleep(60)

@@ -7,10 +7,11 @@ order. What a task draws belongs to its number, so that results do not depend on
 from __future__ import annotations
 
 import asyncio
+import logging
 import re
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import CancelledError, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -25,6 +26,8 @@ from rtcal.support.speed import Progress, cores, single_threaded_blas, thread_po
 _ADDRESS = re.compile(r"(tcp|tls|ucx|wss?)://[^\s/]+:\d+")
 _PATIENCE = 10.0
 """Time in s for the scheduler to answer, and for its first worker."""
+_WATCHED = 1.0
+"""Time in s after which a lost scheduler is noticed."""
 _WAITING = 4
 """Tasks that are handed out per worker: the next one begins at once, and memory is bounded."""
 
@@ -100,7 +103,10 @@ def workforce(scheduler: str | None = None, threads: int | None = None) -> Itera
             f"the scheduler {checks.shown(scheduler)} must be an address with a port, such as "
             "tcp://node1:8786, as `dask scheduler` prints it"
         )
-    with _cluster(scheduler) as workers:
+    distributed = library("a scheduler needs Dask: pip install 'rtcal[cluster]'", "distributed")
+    # What Dask logs, the errors say.
+    silent = distributed.utils.silence_logging_cmgr(logging.CRITICAL)
+    with silent, _cluster(distributed, scheduler) as workers:
         yield workers
 
 
@@ -157,9 +163,7 @@ async def _answered(address: str) -> None:
 
 
 @contextmanager
-def _cluster(address: str) -> Iterator[Workers]:
-    needed = "a scheduler needs Dask: pip install 'rtcal[cluster]'"
-    distributed = library(needed, "distributed")
+def _cluster(distributed: Any, address: str) -> Iterator[Workers]:
     killed = distributed.scheduler.KilledWorker
     try:
         # A client waits for ever where something listens that is no scheduler.
@@ -178,8 +182,11 @@ def _cluster(address: str) -> Iterator[Workers]:
         return partial(_Reporter, topic)
 
     def result(future: Future[Any]) -> Any:
+        # Dask tells not every future that its scheduler is lost.
+        while not future.done() and client.scheduler_comm is connection:
+            wait([future], _WATCHED)
         try:
-            return future.result()
+            return future.result(0)
         except RtcalError:
             raise
         except killed as error:
@@ -206,7 +213,7 @@ def _cluster(address: str) -> Iterator[Workers]:
                 f"the scheduler {address} has no workers after {_PATIENCE:g} s: start some with "
                 f"`dask worker {address}`"
             ) from error
-        size = sum(client.nthreads().values())
+        size, connection = sum(client.nthreads().values()), client.scheduler_comm
         # It fetches each result at once, so that a worker that ends takes none with it.
         submit = client.get_executor(pure=False).submit
         yield Workers(
