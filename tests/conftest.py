@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +128,14 @@ def random_room(
         centre_frequencies=np.array([63, 125, 250, 500, 1000, 2000, 4000, 8000][:k]),
         air=air,
     )
+
+
+def in_order(room: rt.Room, order: Sequence[int]) -> rt.Room:
+    """Return a room with its materials in another order."""
+    names = ("areas", "alpha", "sigma", "area_sigma", "scattering", "alpha_min")
+    rows = {name: getattr(room, name) for name in names}
+    moved = {name: np.asarray(v)[order] for name, v in rows.items() if v is not None}
+    return room.replace(materials=[room.materials[i] for i in order], **moved)
 
 
 def true_times(rng: np.random.Generator, room: rt.Room, equation: rt.Eyring) -> np.ndarray:

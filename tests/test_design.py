@@ -18,7 +18,7 @@ from rtcal.prediction import (
 )
 from rtcal.prediction.designed import can_be_had, design, design_model
 from rtcal.support.errors import DataError, InfeasibleError
-from tests.conftest import also
+from tests.conftest import also, in_order
 
 BANDS = [250.0, 500.0, 1000.0]
 
@@ -116,12 +116,7 @@ def test_panels_that_may_be_cut_are_named_where_whole_ones_will_not_do() -> None
 @pytest.mark.long
 def test_the_order_of_materials_changes_nothing() -> None:
     room = a_room()
-    turned = room.replace(
-        materials=room.materials[::-1],
-        areas=room.areas[::-1],
-        alpha=room.alpha[::-1],
-        sigma=room.sigma[::-1],
-    )
+    turned = in_order(room, [2, 1, 0])
     first, again = (design(known(each), TREATMENTS, TARGET, 0.85) for each in (room, turned))
     assert again.areas == pytest.approx(first.areas, rel=1e-6)
     assert again.probability == pytest.approx(first.probability, abs=1e-6)

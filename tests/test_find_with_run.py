@@ -43,22 +43,23 @@ def hall() -> rt.Room:
     )  # fmt: skip
 
 
+def natural(features: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the values of a model's features, (5, n_bands), by parameter."""
+    t20, edt, t30, c80, g = features
+    t = np.exp(t20)
+    return {"t20": t, "edt": t * np.exp(edt), "t30": t * np.exp(t30), "c80": c80, "g": g}
+
+
 def values_of(room: rt.Room, factor: float = 1.0) -> dict[str, np.ndarray]:
     """What the equation gives, with T so many times as long and levels to match it."""
     made = Case(
         room=room,
         configurations=[Configuration(name="a", measured=measurement({"t20": np.ones(6)}))],
     )
-    t20, edt, t30, c80, g = features_of(made)[0]
-    t = factor * np.exp(t20)
     level = 10 * np.log10(factor)
-    return {
-        "t20": t,
-        "edt": t * np.exp(edt),
-        "t30": t * np.exp(t30),
-        "c80": c80 - level,
-        "g": g + level,
-    }
+    steps = {"c80": -level, "g": level}
+    values = natural(features_of(made)[0])
+    return {p: v + steps[p] if p in steps else factor * v for p, v in values.items()}
 
 
 def measurement(values: dict[str, np.ndarray]) -> rt.Measurement:
@@ -226,9 +227,7 @@ def test_a_field_less_diffuse_than_the_programs_is_no_error_of_the_room() -> Non
     whole = Configuration(name="a", measured=measurement(values))
     stated = Case(room=room, configurations=[whole], facing=facing)
     uneven = AppliedEffect(NonDiffuse(), {"scattering": 0.05})
-    t20, edt, t30, c80, g = features_of(stated, [uneven])[0]
-    t = np.exp(t20)
-    measured = {"t20": t, "edt": t * np.exp(edt), "t30": t * np.exp(t30), "c80": c80, "g": g}
+    measured = natural(features_of(stated, [uneven])[0])
     run = rt.Run(room, rt.Measurement.from_values(F, **values))
     by_run = Configuration(name="a", measured=measurement(measured), simulated=run)
     case = Case(room=room, configurations=[by_run], facing=facing, program="geometrical")
@@ -257,14 +256,8 @@ def of_other_fields(sign: float = 1.0) -> list[ControlRooms]:
 
 def by_program(measured: np.ndarray, run: np.ndarray, sign: float = 1.0) -> Finding:
     """Search features of which a geometrical program's run is given."""
-
-    def values(features: np.ndarray) -> dict[str, np.ndarray]:
-        t20, edt, t30, c80, g = features
-        t = np.exp(t20)
-        return {"t20": t, "edt": t * np.exp(edt), "t30": t * np.exp(t30), "c80": c80, "g": g}
-
-    simulated = rt.Run(hall(), rt.Measurement.from_values(F, **values(run)))
-    return rt.find(hall(), measurement(values(measured)), simulated=simulated, without=FEWER,
+    simulated = rt.Run(hall(), rt.Measurement.from_values(F, **natural(run)))
+    return rt.find(hall(), measurement(natural(measured)), simulated=simulated, without=FEWER,
                    program="geometrical", controls=of_other_fields(sign))  # fmt: skip
 
 
@@ -361,10 +354,8 @@ def absorber() -> Finding:
     room = hall()
     whole = Configuration(name="as measured", measured=measurement(values_of(room)))
     opened = AppliedEffect(Opening(), {"area": 250.0})
-    t20, edt, t30, c80, g = features_of(Case(room=room, configurations=[whole]), [opened])[0]
-    t = np.exp(t20)
-    measured = {"t20": t, "edt": t * np.exp(edt), "t30": t * np.exp(t30), "c80": c80, "g": g}
-    return found(measured, values_of(room))
+    made = features_of(Case(room=room, configurations=[whole]), [opened])[0]
+    return found(natural(made), values_of(room))
 
 
 def test_three_models_are_compared_with_and_without_a_second_run(absorber: Finding) -> None:
@@ -401,10 +392,7 @@ def run_of(finding: Finding, effect: bool, off: float) -> rt.Measurement:
     bare = replace(
         case, room=room, configurations=[replace(case.configurations[0], simulated=None)]
     )
-    t20, edt, t30, c80, g = features_of(bare)[0]
-    t = np.exp(t20)
-    values = {"t20": t, "edt": t * np.exp(edt), "t30": t * np.exp(t30), "c80": c80, "g": g}
-    return rt.Measurement.from_values(F, **values)
+    return rt.Measurement.from_values(F, **natural(features_of(bare)[0]))
 
 
 @pytest.mark.parametrize("off", [0.8, *also(1.0, 1.15)])

@@ -55,7 +55,13 @@ def test_a_table_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path.write_bytes(b"f,RT60\n500,1.5\n")
     assert run("table", path, "--out", out) == 2
     assert "state --decay-time t20 or --decay-time t30" in capsys.readouterr().err
-    assert run("table", path, "--decay-time", "t20") == 0
+    for content in (
+        b"f,RT60\n500,1.5\n",
+        b"RT60 500 Hz,RT60 1k\n1,2\n",
+        b"parameter,500\nRT60,1\n",
+    ):
+        path.write_bytes(content)
+        assert run("table", path, "--decay-time", "T20") == 0
 
 
 def test_responses_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.support.errors import DataError
-from tests.conftest import also
+from tests.conftest import also, in_order
 
 METHODS = ("mle", "lse", "soft", "smooth", "robust")
 EQUATIONS = (rt.Sabine(), rt.Eyring(), rt.Kuttruff())
@@ -76,13 +76,7 @@ def test_twice_is_the_same_bits_and_the_order_of_materials_moves_nothing(
     assert first.alpha.tobytes() == second.alpha.tobytes()
     assert first.posterior_sigma.tobytes() == second.posterior_sigma.tobytes()
     order = np.array([2, 0, 3, 1])
-    other = given.replace(
-        materials=[given.materials[i] for i in order],
-        areas=given.areas[order],
-        alpha=given.alpha[order],
-        sigma=given.sigma[order],
-        area_sigma=given.area_sigma[order],
-    )
+    other = in_order(given, order)
     permuted = calibrated(other, t, method, equation)
     np.testing.assert_allclose(permuted.alpha, first.alpha[order], rtol=0, atol=1e-10)
     sigma = first.posterior_sigma[order]

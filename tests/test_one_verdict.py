@@ -17,7 +17,7 @@ from rtcal.finder import Case, control_rooms
 from rtcal.finder.claim import too_weak
 from rtcal.finder.means.engines import draw_alpha
 from rtcal.finder.means.search import GapCheck, gap_against
-from tests.conftest import also
+from tests.conftest import also, in_order
 
 SEEDS = range(8)
 POPULATION = 57
@@ -27,14 +27,7 @@ ROOMS += [(2, kind) for kind in ("nothing", "air", "furniture", "membrane")]
 
 def reordered(case: Case, order: list[int]) -> Case:
     """The case with its materials in another order."""
-    room = case.room
-    rows: dict[str, Any] = {
-        name: getattr(room, name)[order]
-        for name in ("areas", "alpha", "sigma", "area_sigma", "scattering", "alpha_min")
-        if getattr(room, name) is not None
-    }
-    changed = room.replace(materials=[room.materials[i] for i in order], **rows)
-    return replace(case, room=changed, facing=case.facing[order])
+    return replace(case, room=in_order(case.room, order), facing=case.facing[order])
 
 
 def orders(case: Case) -> list[list[int]]:

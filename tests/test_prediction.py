@@ -12,7 +12,7 @@ from rtcal.prediction import Assumptions, Change, changed, predict
 from rtcal.prediction.changed_time import DRAWS, TimeChange, probability_within
 from rtcal.prediction.predicted import Prediction
 from rtcal.support.errors import DataError, ModelError
-from tests.conftest import also
+from tests.conftest import also, in_order
 
 BANDS = [250.0, 1000.0, 4000.0]
 METHODS = ("mle", "soft", "lse", "smooth", "robust")
@@ -178,13 +178,7 @@ def test_a_change_in_two_steps_is_that_of_one_in_every_draw(result) -> None:
 def test_the_order_of_materials_changes_and_bands_moves_nothing(named: bool) -> None:
     room = a_room(3, named=named)
     measured = measured_in(room, 3)
-    turned = [2, 0, 1]
-    other = room.replace(
-        materials=[room.materials[i] for i in turned],
-        areas=room.areas[turned],
-        alpha=room.alpha[turned],
-        sigma=room.sigma[turned],
-    )
+    other = in_order(room, [2, 0, 1])
     felt = rt.Material("felt", [0.3] * 3, [0.1] * 3)
     changes: list[Change] = [
         Change(cover=room.materials[0], by=PANEL, area=7),

@@ -44,6 +44,7 @@ from rtcal.report.finding_words import headline
 from rtcal.support.errors import DataError
 from tests.conftest import also
 from tests.test_discrepancy import alpha_covariance, controls_of
+from tests.test_find_with_run import natural
 
 F = 125.0 * 2.0 ** np.arange(7)
 AREAS = np.array([60.0, 60.0, 30.0, 50.0])
@@ -57,14 +58,7 @@ BOTH = (
 
 def measured(features: np.ndarray) -> rt.Measurement:
     """Return what a model predicts, as a measurement of a pair at 5 m."""
-    t20 = np.exp(features[0])
-    values = {
-        "t20": t20,
-        "edt": t20 * np.exp(features[1]),
-        "t30": t20 * np.exp(features[2]),
-        "c80": features[3],
-        "g": features[4],
-    }
+    values = natural(features)
     spread = {k: 0.01 * v if k in ("t20", "edt", "t30") else 0.2 for k, v in values.items()}
     return rt.Measurement(
         centre_frequencies=F,

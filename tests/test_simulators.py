@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.simulators import base
 from rtcal.simulators.base import Simulator
 from rtcal.support.errors import DataError
 
@@ -126,3 +127,15 @@ def test_equation_simulators_take_an_equation_and_a_room():
     for equation, room in ((None, SHOEBOX), (rt.Eyring, SHOEBOX), (rt.Eyring(), None)):
         with pytest.raises(DataError):
             rt.simulators.of_equation(equation, room)
+    with pytest.raises(DataError, match="nothing absorbs"):
+        rt.simulators.of_equation(rt.Eyring(), SHOEBOX).simulate([[0.0]])
+
+
+def test_an_equation_simulator_returns_the_equations_times(cr2):
+    room, _ = cr2
+    simulator = rt.simulators.of_equation(rt.Kuttruff(), room)
+    assert isinstance(simulator, Simulator)
+    assert simulator.deterministic
+    alpha = np.minimum(1.5 * room.alpha, 1)
+    expected = rt.Kuttruff().reverberation_time(room.replace(alpha=alpha))
+    assert base.run(simulator, alpha).mean("t20") == pytest.approx(expected)

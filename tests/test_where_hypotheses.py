@@ -19,7 +19,7 @@ from rtcal.finder.positions.problem import (
     unevenness,
 )
 from rtcal.finder.positions.search import _candidate
-from rtcal.finder.positions.weighing import Aperture
+from rtcal.finder.positions.weighing import SECOND_ROOMS, Aperture
 
 WIDTH = 0.002
 
@@ -173,3 +173,14 @@ def test_the_hidden_worlds_tracer_has_the_same_second_room() -> None:
         assert abs(of_truth.mean() - of_room.mean()) < bound
     t20 = [float((x - base)[0].mean()) for x in (heard, coupled, weighing.parameters(energy))]
     assert t20[2] < t20[0] < t20[1] < -0.09  # an opening takes too much
+
+
+@pytest.mark.parametrize("parameter", ["t20", "t30"])
+def test_the_decay_with_a_second_room_holds_a_decay_time(parameter: str) -> None:
+    """Even where the paths end before the decay does."""
+    t = WIDTH * np.arange(220)
+    energy = np.exp(-13.8 * t / np.array([[0.4], [0.6]]))[np.newaxis].repeat(2, axis=0)
+    for volume, alpha in SECOND_ROOMS:
+        aperture = Aperture(2.0, volume * 200.0, alpha)
+        heard = aperture.returned_to(energy, room(), WIDTH, 2)
+        assert not observable(parameter).too_short(heard).any()
