@@ -275,7 +275,7 @@ def test_an_unknown_effect_is_said_to_be_unknown() -> None:
     assert found.verdict == "unknown"
     assert not found.can_be_added
     # Some of the library's effects were tried.
-    assert "none of the effects that were tried explains it" in headline(found)[0]
+    assert "none of the effects that were tried explains the data" in headline(found)[0]
     assert "(verdict unknown)" in str(found.refusal)
     assert "most likely" not in str(found)
     with pytest.raises(DataError, match='the verdict is "unknown"'):
