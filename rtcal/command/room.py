@@ -122,7 +122,7 @@ def room(
         with console.without_air_warning():
             measured = console.measured(made, None, t20=times.get("t20"), t30=times.get("t30"))
             result = methods.calibrate(made, measured)
-        said, record = f"{said}\n\n{result}", {**record, "calibration": result.to_dict()}
+        said, record = f"{result}\n\n{said}", {**record, "calibration": result.to_dict()}
         (option,) = times
         second = f'rtcal calibrate {path} --{option} "{times[option]}"'
         then = (
