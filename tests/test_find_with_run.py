@@ -119,7 +119,7 @@ def test_what_the_equation_errs_by_is_not_blamed_on_the_room() -> None:
     said = str(finding).split("\n\n")[0]
     first = " ".join(said.split()).split(". ")[0]
     assert first == (
-        "Eyring's T is 20 % shorter than the program's in all bands, so the equation has too little T, "
+        "Eyring's T is 20 % shorter than the program's in all bands, so the equation's T is too short, "
         "and the program agrees with the measurement"
     )
     assert finding.not_judged["formula"] == IN_RUN

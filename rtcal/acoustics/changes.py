@@ -117,7 +117,7 @@ class Target:
 
     @property
     def bounded(self) -> NDArray[np.bool_]:
-        """Which bands have a range, (n_bands,) of bool."""
+        """Bands in which T has a lower or an upper limit, (n_bands,) of bool."""
         return np.asarray(np.isfinite(self.low) | np.isfinite(self.high))
 
     def to_dict(self) -> dict[str, Any]:

@@ -66,10 +66,11 @@ class ReverberationEquation(ABC):
         """Return T in s, (n_bands,)."""
 
     def absorption_area(self, room: Room, t: Array) -> Array:
-        """Raise ModelError: T does not determine S'alpha in this equation."""
+        """Raise ModelError: T does not determine the absorption area in this equation."""
         raise ModelError(
             f"{self.name}'s equation is not a function of the mean absorption coefficient, so T does "
-            "not determine S'alpha; calibrate it in the closed loop with calibrate_simulator"
+            "not determine the absorption area; calibrate it in the closed loop with "
+            "calibrate_simulator"
         )
 
     def room_constant(self, room: Room) -> float:
@@ -351,11 +352,11 @@ class Sabine(LinearEquation):
 @register
 @dataclass(frozen=True)
 class Millington(MeanEquation):
-    """Millington and Sette: S a = -sum S_i ln(1 - alpha_i), a mean over the walls' exponents.
+    """Millington and Sette: the surfaces' exponents are averaged, S a = -sum S_i ln(1 - alpha_i).
 
-    One surface with alpha = 1
-    makes T zero. T equals Eyring's if and only if all coefficients are equal. T does not determine
-    S'alpha, so a calibration needs the closed loop.
+    One surface with alpha = 1 makes T zero. T equals Eyring's if and only if all coefficients are
+    equal. T does not determine the absorption area, the sum of S_i alpha_i, so that a calibration needs
+    the closed loop (`rtcal.calibrate_simulator`).
 
     References
     ----------

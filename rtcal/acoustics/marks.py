@@ -257,7 +257,7 @@ _ADVICE: dict[str, tuple[str, str]] = {
     "uncertain": (
         "u",
         "the deviation cannot show whether the model is right: measure at more positions, or calibrate "
-        "with method soft",
+        'with the method "soft", which fits T within its uncertainty',
     ),
     "at_bound": (
         "b",

@@ -691,9 +691,9 @@ def _relative(place: str, value: object) -> float:
 class Room:
     """A room: volume, materials with their areas, absorption coefficients and their uncertainty.
 
-    One row is one unknown of the calibration. A material that covers several surfaces is one row
-    with the sum of their areas: `Room.from_surfaces` sums them and keeps them. A mapping by material,
-    such as ``areas={"floor": 20, "rest": 74}``, is put in the room's order.
+    Each material is one row, with one unknown coefficient per band. A material that covers several
+    surfaces is one row with the sum of their areas: `Room.from_surfaces` sums them and keeps them. A
+    mapping by material, such as ``areas={"floor": 20, "rest": 74}``, is put in the room's order.
 
     Parameters
     ----------
@@ -726,7 +726,7 @@ class Room:
     scene : Scene
         Mesh, sources and receivers, for simulators; empty by default.
     sources : mapping of str to str
-        Source of the coefficients of each material.
+        Where the coefficients of each material are from; sound sources are in ``scene``.
     band_correlation : float
         Prior correlation of one material's errors in bands an octave apart, 0 to below 1; it falls as
         band_correlation ** octaves.
@@ -743,17 +743,19 @@ class Room:
     volume_sigma : float
         Relative standard deviation of the volume, 0 to below 1; 0 takes it as exact.
     area_sigma : float, or array or mapping (n_materials,)
-        Relative standard deviation of each material's area, of its own. A mapping may state some in
+        Relative standard deviation of each material's area, independent of the others. A mapping may
+        state some in
         m²: ``{"curtain": "1.5 m²"}``; materials that it lacks are exact.
     common_area_sigma : float
         Relative standard deviation that all areas have in common: the drawing's scale.
     common_alpha_sigma : float
-        Relative standard deviation that all coefficients have in common: tables off together.
+        Relative standard deviation that all coefficients have in common, as if every table were too
+        high or too low.
     climate_sigma : (temperature, humidity)
         Standard deviations of the air's temperature in K and relative humidity in %.
     pieces : sequence of str
-        Materials that are no surface but a `Piece`: ``areas`` has their number, ``alpha``, ``sigma``
-        and ``alpha_min`` the absorption area of one in m².
+        Names of the materials that are pieces (`Piece`) and not surfaces: ``areas`` has their number,
+        ``alpha``, ``sigma`` and ``alpha_min`` the absorption area of one in m².
 
     Raises
     ------

@@ -41,22 +41,22 @@ class Assumptions:
         Error of ln T that the equation makes in all states of a room alike. It also stands for
         handbook coefficients that are wrong together: T alone cannot distinguish the two.
     factor : float
-        Standard deviation of ln of what the equation errs by of each material's absorption, the same in
-        all states of the room.
+        The equation counts the absorption of each material times an unknown factor f, the same in all
+        states of the room: standard deviation of ln f.
     least : float
-        The same, as an absorption coefficient: of a small one the equation errs by more of it.
+        Least error of f as an absorption coefficient: least / alpha is a further standard deviation of
+        ln f, which is large for small alpha.
     evenness, evenness_sigma : float
-        Mean and standard deviation of u, cut to 0 to 2: how far the field is from a diffuse one where
-        the walls of one axis absorb more than the others. 0 is the equation itself, 1 Arau-Puchades',
-        2 Fitzroy's.
+        Mean and standard deviation of u, which is from 0 to 2 and interpolates ln T where the walls of
+        one axis absorb more than the others: 0 is the equation itself (diffuse field), 1
+        Arau-Puchades', 2 Fitzroy's.
     one_surface : float
-        Probability that an exchange of absorption lies on the walls of one axis, where the room does
-        not say where.
+        Probability that all exchanged surfaces face one axis, if the room does not give their axes.
     own : float
-        Relative error of a change of ln T between two measured states that no factor explains.
+        Relative error of a measured change of ln T between two states, beyond the errors of f and u.
     changed : float
-        Least sigma of alpha of a new material at positions. A coefficient with sigma 0 is exact and
-        stays so.
+        Least sigma of alpha of a new material in predictions at positions. A coefficient with sigma 0
+        is exact and stays so.
     time : float
         Relative uncertainty of a measured T that states none: one just noticeable difference.
     band_correlation : float

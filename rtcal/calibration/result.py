@@ -146,13 +146,13 @@ class JointResult(Result):
 
     @cached_property
     def raw_alpha(self) -> Array:
-        """The solver's own coefficients, (n_materials, n_bands)."""
+        """Coefficients that the solver returned, before the polish, (n_materials, n_bands)."""
         u = self.qp.unknowns(self.numbers, self.raw.v)
         return self.composition.layout.expand(u)
 
     @cached_property
     def raw_certificate(self) -> Certificate:
-        """Certificate of the solver's own answer, bounded by the distance from the final one."""
+        """Certificate of the answer before the polish, bounded by its distance from ``alpha``."""
         if not self.polished:
             return self.certificate
         bound = np.abs(self.raw_alpha - self.alpha) + self.certificate.alpha_error_bound
@@ -599,7 +599,7 @@ class CalibrationResult(Result):
 
     @property
     def raw(self) -> Iterate:
-        """The solver's own answer."""
+        """Answer that the solver returned, before the polish that gives ``alpha``."""
         return self.joint.raw
 
     @property

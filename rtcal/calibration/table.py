@@ -312,8 +312,8 @@ def certificate(record: Mapping[str, Any]) -> str:
     worst = max(abs(record["certificate"][name]) for name in _RESIDUALS)
     bound = np.max([numbers(material["error_bound"]) for material in record["materials"]])
     return (
-        f"Alpha is within {bound:.1e} of the optimum (residual {worst:.1e}, solver "
-        f"{record['solver']['name']})."
+        f"Numerical accuracy: alpha is within {bound:.1e} of the exact solution (residual {worst:.1e}, "
+        f"solver {record['solver']['name']})."
     )
 
 
@@ -454,7 +454,7 @@ def _longer(record: Mapping[str, Any]) -> str:
         return ""
     return (
         "T is longer in every band than the input coefficients give. Most often the equation then "
-        "gives too little T for this room, because its absorption is unevenly distributed or its "
+        "gives too short a T for this room, because its absorption is unevenly distributed or its "
         "surfaces scatter little, or handbook coefficients are too high. A wrong volume or area is "
         "rarer."
     )

@@ -423,7 +423,10 @@ class ExactMatch:
         return [m.absorption_area == m.target]
 
     def target_limits(self, numbers: Numbers) -> tuple[Array, Array]:
-        """Return the least and the most S'alpha in m², (n_configurations, n_bands): b twice."""
+        """Return the least and the most absorption area in m² that this match allows.
+
+        Both are (n_configurations, n_bands). An exact match allows only the target b.
+        """
         return numbers.target, numbers.target
 
     def label(self, row: int, layout: Layout) -> str:
@@ -465,9 +468,10 @@ class MatchWithin(ExactMatch):
         return [m.absorption_area >= limit(0), m.absorption_area <= limit(1)]
 
     def target_limits(self, numbers: Numbers) -> tuple[Array, Array]:
-        """Return b of the longest and of the shortest T in the tolerance.
+        """Return the absorption areas in m² of the longest and of the shortest T within the tolerance.
 
-        A target that was moved to the end of its reach widens the tolerance to that end.
+        Both are (n_configurations, n_bands). Where the measured T cannot be reached, the tolerance is
+        widened to the nearest T that can.
         """
         tolerance = TARGET.jnd * self.jnd
         low, high = (numbers.target_of(numbers.time * (1 + s * tolerance)) for s in (1, -1))

@@ -128,7 +128,7 @@ def spectrum(
             values = numbers_of(text, {len(bands), *([1] if alone else [])}, option)
         except DataError as error:
             raise DataError(
-                f'{error}; the room has {span(bands)}, and "500:0.8 1000:0.7" names the bands'
+                f'{error}; the room has {span(bands)}. For some of them, name each: "500:0.8 1000:0.7"'
             ) from error
         return dict(zip(bands, values * (len(bands) // len(values)), strict=True))
     found: dict[float, float] = {}

@@ -323,8 +323,8 @@ def _read(mesh: str, as_drawn: bool, leaks: bool, picture: str | None, options: 
                 v, u = error.unclosed.volume, error.unclosed.volume_uncertainty
                 refused += (
                     f". Estimated with rays, the volume is {rounded(v, 4)} ± {rounded(u, 2)} m³: "
-                    "`rtcal import --open` uses it, but only reverberation equations can then be "
-                    "calibrated"
+                    "`rtcal import --open` uses it, but then only the reverberation equations are "
+                    "available, and no path tracing"
                 )
             if picture is not None:
                 commit()

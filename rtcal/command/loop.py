@@ -104,8 +104,10 @@ def start(
         "measured": begun.matched.time_label,
         "matched": begun.matched.label,
     }
-    who = "the program" if run is not None else f"{begun.equation.name}'s equation"
-    said = f"With the coefficients in {out}, {who} is expected to give the measured "
+    who = "the program is expected to give"
+    if run is None:
+        who = f"{begun.equation.name}'s equation gives"
+    said = f"With the coefficients in {out}, {who} the measured "
     lines = [
         *text.wrapped(f"{said}{begun.matched.label if weights else begun.matched.time_label}."),
         *(f"{band}; the coefficients with the nearest T are taken." for band in unreachable),

@@ -273,7 +273,7 @@ class _Materials:
         if not near:
             raise DataError(
                 f'{place}: "{shown(name)}" is like no material of the catalogue; give another name, '
-                'or alpha, "0.1 0.2 0.3 0.3 0.4 0.4"'
+                'or alpha by band in its place, "0.1 0.2 0.3 0.3 0.4 0.4"'
             )
         others = f"; near it are {', '.join(near[1:])}" if near[1:] else ""
         self.notes.append(f"{name} is taken as the catalogue's {near[0]}{others}")

@@ -172,7 +172,10 @@ class Effect(ABC):
         return self.limits(room).get(self.size, (-inf, inf))
 
     def prior_odds(self, room: Room) -> float:
-        """Return the prior odds of the effect in this room against the others, by default `odds`."""
+        """Return how probable the effect is in this room before the measurement, against the others.
+
+        Most effects of the library have 1; the default is `odds`.
+        """
         return self.odds
 
     def title(self, parameters: Parameters, room: Room) -> str:

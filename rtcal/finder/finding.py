@@ -73,11 +73,11 @@ class Finding(Result):
 
     Notes
     -----
-    Two states that are exchanged have the same finding, but for "added" and "removed", which are
-    exchanged, and all changes, which have the other sign. Their score is the log evidence that
-    something changed over that nothing did. Where nothing changed, and the noise is as assumed, it
-    exceeds the threshold ln 20 in at most one of twenty cases, whatever was measured: the mean of a
-    likelihood ratio is then 1.
+    If you exchange the two states, "added" and "removed" are exchanged and every change has the
+    other sign; the finding is otherwise the same. For two states, ``score`` is the ln Bayes factor:
+    the natural logarithm of how many times more probable the measurements are if something changed
+    than if nothing did. If nothing changed and the noise is as assumed, the mean Bayes factor is 1, so
+    that the score exceeds the threshold ln 20 in at most one of twenty cases (Markov's inequality).
     """
 
     record_kind: ClassVar[str] = "finding 6"
@@ -248,17 +248,17 @@ class Finding(Result):
 
     @property
     def threshold(self) -> float:
-        """Score that few rooms with nothing missing exceed."""
+        """ln Bayes factor that at most 5 % of simulated rooms with nothing missing exceed."""
         return self.detection.threshold
 
     @property
     def detected(self) -> bool:
-        """Whether anything is missing."""
+        """Whether something is missing or has changed: the verdict is neither "none" nor "hint"."""
         return self.verdict not in ("none", "hint")
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Probabilities of 0, 1, 2, ... effects, for means over positions."""
+        """Probabilities that 0, 1, 2, ... effects are missing; for means over positions only."""
         return numbers_of(self.sets)
 
     @property

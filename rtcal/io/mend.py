@@ -795,7 +795,9 @@ _HOLE_SHARE = 0.01
 """Largest area of a hole that is closed, over the area of the shell."""
 _NEAR = 0.2
 """Distance in m within which a hole's edge and another face are meant to meet."""
-_LOOPS = "close the hole with a face, or delete the faces around it"
+_LOOPS = (
+    "close the hole with a face, or delete the faces at its edge if they are none of the room's"
+)
 
 
 def shell_of(part: FaceSet) -> tuple[FaceSet, list[FaceSet]]:

@@ -1111,14 +1111,16 @@ class Scattering:
     def notes(self, materials: Sequence[str]) -> list[str]:
         """Return the notes on the fitted scattering; ``materials`` are the room's."""
         notes = [
-            f"Scattering was fitted with alpha: {self.in_words}. Of its two meanings, random and "
-            f'vector, the measurement is more probable with "{self.model}". Fitted scattering is no '
-            "measurement: another seed or more paths may give other coefficients."
+            f"Scattering was fitted with alpha: {self.in_words}. Of the two ways of tracing "
+            f'scattering, "random" and "vector", the measurement is more probable with "{self.model}". '
+            "Fitted scattering is no measurement: another seed or more paths may give other "
+            "coefficients."
         ]
         if self.limited:
             names = ", ".join(materials[i] for i in self.limited)
             notes.append(
-                f"The scattering of {names} moved as far as it may: the data do not determine it."
+                f"The scattering of {names} moved to the end of its range: the data do not determine "
+                "it."
             )
         return notes
 

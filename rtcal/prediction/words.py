@@ -81,7 +81,7 @@ CALIBRATED_BEFORE = (
     "of its coefficients. For the measured T before, give the room as it was before its "
     "calibration, and the measurement."
 )
-GIVEN = "The interval does not contain the uncertainty of the measured T before."
+GIVEN = "The interval takes the measured T before as exact: its uncertainty is not included."
 UNPLACED = (
     "The room does not give the axes of the surfaces that change. The interval therefore allows "
     "for all of them on one pair of walls, where T falls less. To narrow it, give the axis of "

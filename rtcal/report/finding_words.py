@@ -547,7 +547,7 @@ def _nothing_missing(f: Finding) -> list[str]:
         ]
     if off:
         said = [
-            f"{said[0]}, so the equation has too {_AMOUNT[off[0].values['side']]} T, and the program "
+            f"{said[0]}, so the equation's T is too {_LENGTH[off[0].values['side']]}, and the program "
             "agrees with the measurement."
         ]
     agrees = f"The {who} agrees with the measurement{' in the mean over the pairs' * at_pairs}"
@@ -560,7 +560,7 @@ def _nothing_missing(f: Finding) -> list[str]:
     ]
 
 
-_AMOUNT = {"shorter": "little", "longer": "much"}
+_LENGTH = {"shorter": "short", "longer": "long"}
 
 
 def _of_several(f: Finding) -> list[str]:

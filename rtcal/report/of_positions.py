@@ -33,6 +33,8 @@ from rtcal.support.types import Array
 
 _LEARNED = 0.9
 """Posterior over prior sigma up to which a material counts as learned in the summary."""
+_MISFIT = "Misfit: squared deviation from what all other pairs predict; 1 is usual."
+_DEVIATION = "deviation / JND, before to after the fit"
 _REMAINS = 1.0
 """Root mean square deviation in JND, audible, from which the page begins with what remains."""
 
@@ -42,7 +44,7 @@ def gap_table(
     pairs: Sequence[Pair],
     before: Array,
     after: Array,
-    title: str = "deviation / JND",
+    title: str = f"Root mean square {_DEVIATION}",
     misfit: Array | None = None,
 ) -> Table:
     """Return the rms gap before and after by parameter, of each pair and of all.
@@ -61,10 +63,8 @@ def gap_table(
         name, chosen = ("all", slice(None)) if i == len(pairs) else (" to ".join(pairs[i]), [i])
         ends = zip(*(rms(gap[:, chosen], axis=(1, 2)) for gap in (before, after)), strict=True)
         rows.append(Row(name, [*(" to ".join(numbers(e, ".1f")) for e in ends), *more]))
-    note = "Root mean square deviations, before to after the fit."
-    if misfit is not None:
-        note = f"{note} A misfit of 1 is usual."
-    return Table(columns, rows, corner=title, note=note)
+    note = "" if misfit is None else _MISFIT
+    return Table(columns, rows, title, "pair", note)
 
 
 def blocks(result: PositionsResult) -> list[Block]:
@@ -90,7 +90,7 @@ def blocks(result: PositionsResult) -> list[Block]:
             result.gap_after,
             misfit=result.misfit,
         ),
-        *([gap_table(more, result.pairs, *ends, "not matched: deviation / JND")] if more else []),
+        *([gap_table(more, result.pairs, *ends, f"Not matched: {_DEVIATION}")] if more else []),
         _material_table(result),
         Note(f"The coefficients belong to {result.simulator}, and to no other simulator."),
         *(Note(f"Note: {note}") for note in result.every_note[bool(result.warning) : last]),
@@ -114,7 +114,8 @@ def _material_table(result: PositionsResult) -> Table:
             cells.append(with_uncertainty(s, sigma, 2))
         share = max(1 - after / before, 0.0) if before > 0 else 0.0
         rows.append(Row(name, cells, shade=[0.0, share, *[0.0] * (len(cells) - 2)]))
-    return Table(columns + ["scattering"] * (result.scattering is not None), rows)
+    columns += ["scattering"] * (result.scattering is not None)
+    return Table(columns, rows, "Standard deviation (sigma) of alpha, before and after the fit")
 
 
 def page(result: PositionsResult) -> Page:

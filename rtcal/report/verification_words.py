@@ -38,8 +38,10 @@ def misses(v: Verification) -> str:
     return f"Do not simulate with the corrected model, which has {said}."
 
 
-_UNPROVEN = "The verification neither confirms the effect nor rules it out."
-"""What a reader may conclude of a finding that is unproven."""
+def _unproven(v: Verification) -> str:
+    """Return what a reader may conclude of an unproven finding, with the reason not yet given."""
+    why = ", because the corrected model misses measured values" if v.misses else ""
+    return f"The verification neither confirms the effect nor rules it out{why}."
 
 
 def sentence(v: Verification) -> str:
@@ -75,7 +77,7 @@ def sentence(v: Verification) -> str:
             "The model is better, but the name of the effect may still be wrong."
             if supported
             else "",
-            _UNPROVEN if v.verdict == "unproven" else "",
+            _unproven(v) if v.verdict == "unproven" else "",
         ]
     return " ".join(filter(None, [*said, misses(v)]))
 

@@ -136,8 +136,8 @@ def command(
         The program and its first arguments.
     room : Room
     time_limit : float, optional
-        Limit in s. A program that exceeds it is ended together with the processes it started, but for
-        those that left its session.
+        Limit in s. A program that exceeds it is ended together with the processes it started, except
+        those that it started in a session of their own (such as daemons).
 
     Raises
     ------

@@ -154,9 +154,9 @@ def test_every_position_shows_it_too(cost: float) -> None:
     np.testing.assert_allclose(result.beside.gap_after[0], after, atol=1e-6)
     assert result.farther == (("c80",) if cost else ())
     printed = " ".join(str(result).split())
-    assert "not matched: deviation / JND C80" in printed
+    assert "Not matched: deviation / JND, before to after the fit pair C80" in printed
     html = pages.page(result)
-    assert "not matched: deviation / JND" in html
+    assert "Not matched: deviation / JND" in html
     for said in (printed, html):
         assert ("C80, which was not fitted, now deviates more" in said) == bool(cost)
 
