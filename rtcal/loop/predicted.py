@@ -671,8 +671,8 @@ def predict_positions(
     Raises
     ------
     DataError
-        For a change that the simulator does not know the place of, two variants of one name, or a
-        simulator without reference simulations.
+        For a change that the simulator does not know the place of, two variants of one name, one that
+        another program simulated, or a simulator without reference simulations.
 
     Examples
     --------
@@ -701,7 +701,10 @@ def predict_positions(
         )
     variants = checks.listed("variants", variants)
     for i, variant in enumerate(variants):
-        checks.instance(f"variants[{i}]", variant, Variant)
+        if checks.instance(f"variants[{i}]", variant, Variant).simulated is not None:
+            raise DataError(
+                f"variants[{i}] has simulated, but a fit predicts by its own simulator: leave it out"
+            )
     refuse_repeats("variants", variants)
     assumed = Assumptions() if assumptions is None else assumptions
     every = (Variant(_BEFORE, ()), *variants)

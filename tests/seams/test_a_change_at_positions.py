@@ -160,3 +160,6 @@ def test_what_can_be_checked_is_refused_before_anything_is_simulated(small) -> N
             predict_positions(small, [HALF, Variant("wrong", (change,))], progress=told)
     with pytest.raises(DataError, match="t99"):
         predict_positions(small, [HALF], wanted=("t99",), progress=told)
+    after = rt.Measurement.from_values(a_room().centre_frequencies, t20=[1.0, 1.0])
+    with pytest.raises(DataError, match=r"variants\[0\] has simulated"):
+        predict_positions(small, [Variant("run", (), simulated=after)], progress=told)
