@@ -97,7 +97,7 @@ def panels() -> Two:
 
 
 @pytest.mark.parametrize(
-    "two", [the_same_twice, *also(panels, *(partial(drawn, i) for i in range(6)))]
+    "two", [the_same_twice, panels, *also(*(partial(drawn, i) for i in range(6)))]
 )
 def test_exchanged_states_mirror_the_answer(two: Callable[[], Two]) -> None:
     """Sizes were negated to 5 %, and a climate was claimed in one order of two states alone."""
