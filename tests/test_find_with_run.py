@@ -470,6 +470,11 @@ def test_what_a_second_run_lacks_is_said(absorber: Finding) -> None:
     )
     assert "Not compared: T30, C80 and G, which the run does not have." in lacking.notes
     assert "does not have the data" not in sentence(verify(absorber, simulated=run("t20", "c80")))
+    cut = {p: np.where(F > 125, v, np.nan) for p, v in values.items()}
+    fewer = verify(absorber, simulated=rt.Measurement.from_values(F, **cut))
+    assert fewer.notes == ("Not compared: 125 Hz, which the run does not have.",)
+    assert np.isnan(fewer.again[..., 0]).all()
+    assert not np.isnan(fewer.again[..., 1:]).any()
     with pytest.raises(
         DataError, match="simulated has no T20, which was measured; it has only EDT"
     ):
