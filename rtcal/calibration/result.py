@@ -100,7 +100,7 @@ class JointResult(Result):
     certificate: Certificate
     """Error bounds of the answer: its distance from the optimum."""
     raw: Iterate
-    """The solver's own answer, before polishing."""
+    """Answer that the solver returned, before the polish."""
     polished: bool
     """Whether the answer is that of the active-set method (from the solver's guess, or from the closed
     form); else the solver's own passed the certificate."""

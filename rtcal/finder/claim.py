@@ -426,7 +426,7 @@ class Detection:
 
     score: float
     threshold: float
-    """Score that few rooms with nothing missing exceed."""
+    """ln Bayes factor that at most 5 % of simulated rooms with nothing missing exceed."""
     noise: float | None = None
     """Of positions, that a single pair is noisier than assumed and nothing else is other; None where
     that was not tried."""

@@ -351,7 +351,7 @@ class Prediction(TimeChange, Result):
         low, high = self.interval
         return [
             Row(f"T before ({self.before_is}) / s", self.time_before, ".2f"),
-            Row("its standard uncertainty / s", self.uncertainty_before, ".2f"),
+            Row("its standard uncertainty / s", self.uncertainty_before, ".3f"),
             Row("T after / s", self.mean, ".2f"),
             Row("90 % interval: from / s", low, ".2f"),
             Row("               to / s", high, ".2f"),
