@@ -20,10 +20,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from threadpoolctl import threadpool_info
 
 import rtcal as rt
 from rtcal import studies
+from rtcal.command.main import cli
 from rtcal.finder import control_rooms
 from rtcal.finder.means import engines
 from rtcal.loop import measured_pairs
@@ -159,6 +161,11 @@ def test_an_address_of_another_form_is_named(address: Any) -> None:
         ClusterError, match="must be an address with a port, such as tcp://node1:8786"
     ):
         studies.run(SHOEBOX, 0.05, 2, 2, scheduler=address)
+
+
+def test_a_command_names_an_address_of_another_form_before_it_reads_a_file() -> None:
+    refused = CliRunner().invoke(cli, ["find", "none.toml", "none.csv", "--scheduler", "node1"])
+    assert isinstance(refused.exception, ClusterError)
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

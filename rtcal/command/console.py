@@ -294,6 +294,13 @@ def option(name: str, of: Any, help: str, *names: str, **more: Any) -> Decorator
     return click.option(f"--{name}", *names, type=of, help=help, show_default=default, **more)
 
 
+def _address(context: click.Context, parameter: click.Parameter, text: str | None) -> str | None:
+    """Return a scheduler's address, checked also where kept simulations leave nothing to do."""
+    from rtcal.support.workers import checked_address  # asyncio, which few commands need
+
+    return None if text is None else checked_address(text)
+
+
 def flag(name: str, help: str, *names: str, **more: Any) -> Decorator:
     """Return an option without a value; ``names`` are further ones."""
     return click.option(f"--{name}", *names, is_flag=True, help=help, **more)
@@ -368,6 +375,7 @@ OPTIONS: dict[str, Decorator] = {
         "Address of a Dask scheduler, whose workers share the work (docs/cluster.md); by default the "
         "cores of this machine do. Not worth it for less than a minute.",
         metavar="tcp://HOST:PORT",
+        callback=_address,
     ),
     "seed": whole("seed", 0, "Seed of the random numbers.", default=0),
     "exclude": several(

@@ -98,16 +98,22 @@ def workforce(scheduler: str | None = None, threads: int | None = None) -> Itera
         with _threads(threads or cores()) as workers:
             yield workers
         return
+    address = checked_address(scheduler)
+    distributed = library("a scheduler needs Dask: pip install 'rtcal[cluster]'", "distributed")
+    # What Dask logs, the errors say.
+    silent = distributed.utils.silence_logging_cmgr(logging.CRITICAL)
+    with silent, _cluster(distributed, address) as workers:
+        yield workers
+
+
+def checked_address(scheduler: str) -> str:
+    """Return the address of a scheduler; ClusterError if it is of another form."""
     if not isinstance(scheduler, str) or not _ADDRESS.fullmatch(scheduler):
         raise ClusterError(
             f"the scheduler {checks.shown(scheduler)} must be an address with a port, such as "
             "tcp://node1:8786, as `dask scheduler` prints it"
         )
-    distributed = library("a scheduler needs Dask: pip install 'rtcal[cluster]'", "distributed")
-    # What Dask logs, the errors say.
-    silent = distributed.utils.silence_logging_cmgr(logging.CRITICAL)
-    with silent, _cluster(distributed, scheduler) as workers:
-        yield workers
+    return scheduler
 
 
 @contextmanager
