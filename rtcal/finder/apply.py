@@ -53,49 +53,52 @@ CASE, ROOM, MESH, CATT, ODEON = "case.json", "room.toml", "room.obj", "catt.txt"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Corrected:
-    """The model of a room with what was found in it."""
+    """Hold the model of a room with the effect that was found, as `Finding.apply` returns it."""
 
     case: Case | PositionsCase | StatesCase
-    """Of means with the effects in its model, to be searched and recalibrated like any other."""
+    """Case with the effects in its model, for means; you can search and recalibrate it like any
+    other."""
     room: Room
-    """Not calibrated, but of two states to the first one. Of means it has by the model's equation the
-    absorption area and T of the case's model, without what the ``notes`` list. (A calibration of
-    Millington's model uses Eyring's equation.) A material that was added or changed has a sigma of what
-    the size's interval and the spectrum leave open. With a patch a box states no dimensions, since
-    simulators of boxes know one material per wall. The mesh is ``geometry``."""
+    """Room with the effect, not yet calibrated (for two states calibrated to the first state). For
+    means it has the absorption area and T of the case's model, by its equation, without what the
+    ``notes`` list. A material that was added or changed has a sigma from the interval of the size and
+    from the spectrum. With a patch a box has no dimensions, because simulators of boxes have one
+    material per wall."""
     geometry: Polyhedron | None = None
-    """None where no surface is identified."""
+    """Geometry with the effect; None where no surface is identified."""
     surfaces: tuple[str, ...] = ()
-    """Those that have changed, each with a material of its own; empty where all materials share it."""
+    """Names of the surfaces that changed, each with a new material; empty where all materials share the
+    change."""
     notes: tuple[Reason, ...] = ()
-    """What the room does not hold: decay shape, noise, equation. Why the form is another than the one
-    that was asked for, and what was assumed."""
+    """Notes on what the room cannot represent, such as decay shape, noise or another equation, on
+    assumptions, and on why the form differs from the one that you asked for."""
     added: Candidate | None = None
-    """At positions, what was added."""
+    """Candidate that was added, at positions."""
     material: str = ""
     form: str = ""
-    """Name of its material, and "patch" where it has faces of its own, or "material" where the whole
-    surface absorbs as much."""
+    """Name of the effect's material, and "patch" if it has its own faces, or "material" if the whole
+    surface has it."""
     support: str = ""
-    """Verdict, probability and rivals of what was added, in words."""
+    """Verdict, probability and alternatives of the effect that was added, in words."""
     caution: str = ""
-    """Why it is not to be simulated with, by the finding's verification; "" where nothing says so. It
-    stands at the head of its files."""
+    """Reason not to use the model in simulations, from the check at held-out data; "" without one. It
+    is written at the head of the files."""
     model: CaseModel | None = None
-    """Of means."""
+    """Model of the case with its effects, as a simulator, for means."""
 
     def simulator(self, make: Callable[[Room], Simulator] | None = None) -> Any:
-        """Return a simulator of the corrected model; the rows of alpha are those of the ``room``.
+        """Return a simulator of the corrected model, whose alpha has the materials of ``room`` as rows.
 
-        By default it is the case's own: its path tracing in the new geometry, in which a new material
-        scatters as its surface does, or of means its equation, decay and noise.
+        By default it is the case's simulator in the new geometry, in which a new material scatters as
+        its surface does. For means it is the case's equation, with the effects on decay and noise.
 
         Parameters
         ----------
         make : function, optional
-            Of means, builds a simulator for a room of the stated materials, with the air, volume and
-            areas of the finding: ``lambda room: PathTracing(room=room, geometry=..., ...)``. Absorbers
-            are spread over all its walls, each of which absorbs the same share of what it reflected.
+            Function that makes a simulator for a room with the input materials and the finding's air,
+            volume and areas, for means: ``lambda room: PathTracing(room=room, geometry=..., ...)``. The
+            absorption that was found is then spread over all walls, as an equal share of what each
+            reflects.
 
         Raises
         ------
@@ -118,7 +121,7 @@ class Corrected:
         return replace(tracer, room=self.room, geometry=self.geometry, scattering=scattering)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what was added or changed as plain values."""
+        """Return the materials and effects that were added or changed as plain values for JSON."""
         case = self.case
         return {
             "added": disk.json_numbers(self.added),
@@ -135,7 +138,7 @@ class Corrected:
         }
 
     def contents(self, folder: Path) -> dict[Path, bytes]:
-        """Return the content of each file of the room in a folder, as `save` writes them."""
+        """Return the content of each file that `save` would write into a folder, by path."""
         head = f"# {self.caution}\n" if self.caution else ""
         made = {ROOM: (head + self._with_mesh(folder / MESH).to_text(folder)).encode()}
         if isinstance(self.case, Case):
@@ -146,12 +149,11 @@ class Corrected:
         return {folder / name: content for name, content in made.items()}
 
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write its files into a folder, all or none, and return their paths.
+        """Write the corrected room's files into a folder, all or none, and return their paths.
 
-        ``room.toml`` and, where a surface is identified, its mesh ``room.obj`` are for rtcal and any
-        program that reads a mesh; of means ``case.json`` is the case. At positions ``catt.txt``
-        and ``odeon.txt`` are lists of materials. Octaves that the room lacks have the coefficients of
-        the nearest one there.
+        ``room.toml`` is the room and, if a surface is identified, ``room.obj`` its mesh. For means,
+        ``case.json`` is the case. At positions, ``catt.txt`` and ``odeon.txt`` are lists of materials.
+        In these lists an octave that the room lacks has the coefficients of the room's nearest octave.
         """
         where = checks.path("folder", folder)
         contents = self.contents(where)
@@ -176,7 +178,7 @@ class Corrected:
 
     @property
     def reports(self) -> dict[str, ExportReport]:
-        """What the lists of materials do not hold, and notes on their bands, by file name."""
+        """Reports on what each list of materials cannot hold, and on its bands, by the file's name."""
         return {name: report for name, (_, report) in self._lists.items()}
 
     @cached_property
@@ -530,12 +532,13 @@ def _sigma(case: Case, base: Configuration, before: RoomState, after: RoomState)
 
 
 SPECTRUM_ERROR = 0.15
-"""Relative standard deviation of the alpha of what was found: by so much catalogues differ."""
+"""Relative standard deviation of the alpha of a material that was found: catalogues differ by so
+much."""
 HEADROOM = 0.9
-"""Size over area of a patch of alpha = 1. It is drawn larger, so that a calibration can make it absorb
-more as well as less."""
+"""Factor by which a patch of alpha = 1 is drawn larger than found, so that a calibration can raise its
+absorption as well as lower it."""
 DRAWN_LARGER = "patch drawn larger"
-"""Code of the note of it."""
+"""Code of the note that a patch was drawn larger."""
 _LEAST_SIGMA = 0.01
 _NOTED = 0.05
 """Share of a change that does not fit, from which on a note says so."""
@@ -661,7 +664,10 @@ def _in_geometry(
 
 
 def surface_at(case: PositionsCase, at: Sequence[float]) -> str:
-    """Return the name of the surface at a place; DataError if it is far from every surface."""
+    """Return the name of the surface at a point in m.
+
+    DataError if the point is far from every surface.
+    """
     place = point(at)
     face, distance = face_at(case.geometry, place)
     name = next((n for n, faces in case.faces.items() if face in faces), None)
@@ -673,7 +679,7 @@ def surface_at(case: PositionsCase, at: Sequence[float]) -> str:
 
 
 def point(at: Sequence[float]) -> Array:
-    """Return a place as an array (3,) in m; DataError for anything else."""
+    """Return a point (x, y, z) in m as an array (3,); raises DataError for anything else."""
     place = checks.array("at", at)
     if place.shape != (3,) or not np.isfinite(place).all():
         raise DataError(f"at = {at!r} must be three finite numbers in m")

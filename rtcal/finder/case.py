@@ -79,22 +79,26 @@ from rtcal.support.text import as_sentence, first_of, shortened
 from rtcal.support.types import Array, read_only
 
 PARAMETERS = ("t20", "edt", "t30", "c80", "g")
-"""Parameters that are compared."""
+"""Names of the room-acoustic parameters that a case of means over positions compares."""
 LEVELS = ("c80", "g")
-"""Parameters in dB. The uncertainty of the other parameters is relative."""
+"""Names of the parameters in dB, whose uncertainty is in dB. The uncertainty of the others is
+relative."""
 GEOMETRICAL = "geometrical"
-"""Kind of a program that traces rays or image sources."""
+"""Kind of a program that traces rays or image sources, as the field ``program`` of a case has it."""
 MAX_BYTES = 50_000_000
 MAX_POSITIONS = 1000
 PLANNED_UNCERTAINTY = {"time": 0.02, "level": 0.3}
 """Uncertainty assumed for planned measurements: 2 % of a decay time, 0.3 dB of C80 and G."""
 CLIMATE_UNCERTAINTY = (2.0, 10.0)
-"""Standard uncertainty of a stated climate: 2 K and 10 % of relative humidity. That is what a
-thermometer and a hygrometer on a wall leave open in a room. A judgement, without a study."""
+"""Standard uncertainty of a room's input climate: 2 K and 10 % of relative humidity. A thermometer and
+a hygrometer on a wall leave this much open in a room. The values are a judgement, without a study."""
 
 
 def checked_climate_uncertainty(value: object) -> tuple[float, float]:
-    """Return standard uncertainties in K and % of humidity; DataError unless they are 0 or more."""
+    """Return the climate's standard uncertainties in K and in % of relative humidity.
+
+    Raises DataError unless ``value`` is two numbers of 0 or more.
+    """
     climate = checks.array("climate_uncertainty", value)
     if climate.shape != (2,) or not (np.isfinite(climate) & (climate >= 0)).all():
         raise DataError(
@@ -105,19 +109,20 @@ def checked_climate_uncertainty(value: object) -> tuple[float, float]:
 
 
 class ChangedTable(FileTable):
-    """The coefficients of a material in a configuration; see `ChangedMaterial`."""
+    """Hold a file's table of a material that another configuration changes; see `ChangedMaterial`."""
 
     alpha: list[Number]
     sigma: list[Number]
 
 
 class ConfigurationTable(FileTable):
-    """A configuration; see `Configuration`.
+    """Hold a file's table of a configuration; see `Configuration`.
 
     ``measured`` is the name of a measurement's file, or plain values as `Measurement.to_dict` returns
-    them, in the room's bands unless they state theirs. ``parameters`` and ``positions`` are what is to
-    be measured. ``simulated`` is a run, as ``measured`` is stated, ``at`` the room or the alpha
-    (n_materials, n_bands) that the program had; by default the room's.
+    them, in the room's bands unless they state theirs. ``parameters`` and ``positions`` describe a
+    measurement that is only planned. ``simulated`` has a simulation program's values, in the form of
+    ``measured``. ``at`` is the room, or its alpha (n_materials, n_bands), with which the program ran;
+    by default the case's room.
     """
 
     name: str | None = None
@@ -134,14 +139,17 @@ class ConfigurationTable(FileTable):
 
 
 class Uncertainty(FileTable):
-    """The uncertainty of values that state none: relative of a time, in dB of a level."""
+    """Hold the uncertainty of values that come without one: relative for a time, in dB for a level."""
 
     time: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None
     level: Annotated[float, msgspec.Meta(gt=0, le=20)] | None = None
 
 
 class CaseTable(FileTable):
-    """A case; see `Case`. ``room`` is the name of a room's file, or its plain values."""
+    """Hold the content of a case's file.
+
+    See `Case`. ``room`` is the name of a file, or plain values.
+    """
 
     room: str | RoomFile
     configuration: list[ConfigurationTable] = []
@@ -156,9 +164,9 @@ class CaseTable(FileTable):
 
 @dataclass(frozen=True)
 class ChangedMaterial:
-    """Coefficients of one material in one configuration: alpha and sigma, (n_bands,).
+    """Hold a material's alpha in one configuration, with its standard uncertainty sigma, (n_bands,).
 
-    Raises DataError if one of them is not an array of numbers from 0 to 1.
+    Raises DataError if alpha or sigma is not an array of numbers from 0 to 1.
     """
 
     alpha: Array
@@ -174,29 +182,33 @@ class ChangedMaterial:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Configuration:
-    """One measurement of the room, and the changes of the room for it.
+    """Hold one measurement of a room, and what was changed in the room for this measurement.
 
-    Raises DataError for a value of the wrong kind; the message names place and value.
+    Examples are curtains that were closed, or chairs that were taken out. Raises DataError for a value
+    of the wrong kind; the message names the place and the value.
     """
 
     name: str
     measured: Measurement
-    """Any of T20, EDT, T30, C80, G."""
+    """Means over positions of any of T20, EDT, T30, C80 and G."""
     changes: Mapping[str, ChangedMaterial] = field(default_factory=dict)
-    """Materials whose coefficients differ from the room's."""
+    """Materials whose coefficients in this configuration differ from the room's, with these
+    coefficients."""
     suspect_removed: bool = False
-    """Whether the suspected object had been removed."""
+    """Whether the object that may be missing from the model was taken out for this measurement."""
     air: Air | None = None
-    """If the climate differed from the room's."""
+    """Climate of the air during this measurement, if it differed from the room's."""
     distances: Array | None = None
-    """From source to receiver in m, (n_pairs,); by default 0.66 times the cube root of the volume."""
+    """Distances from source to receiver in m, (n_pairs,); by default 0.66 times the cube root of the
+    volume."""
     planned: bool = False
     """Whether ``measured`` holds placeholders for a measurement that is only planned."""
     simulated: Run | None = None
-    """What a program gave of this configuration. The model is then the run, and its changes with
-    coefficients and effects are those of the equation."""
+    """Values that a simulation program gave for this configuration. These values are then the model,
+    and the reverberation equation gives only their change with coefficients and effects."""
     left_out: Sequence[str] = ()
-    """Sentences on what run or measurement lacks, which `in_room` leaves out."""
+    """Sentences on values that the program's run or the measurement lacks, and that `in_room` leaves
+    out."""
 
     def __post_init__(self) -> None:
         where = f'configuration "{text_name("configuration: name", self.name)}"'
@@ -227,7 +239,7 @@ class Configuration:
             object.__setattr__(self, "distances", read_only(distances))
 
     def coefficients(self, room: Room) -> tuple[Array, Array]:
-        """Return alpha and sigma of the room in this configuration, (n_materials, n_bands)."""
+        """Return the room's alpha and its sigma in this configuration, (n_materials, n_bands) each."""
         checks.instance("room", room, Room)
         alpha, sigma = np.array(room.alpha), np.array(room.sigma)
         for material, change in self.changes.items():
@@ -241,8 +253,8 @@ class Configuration:
     ) -> Configuration:
         """Return the configuration of a file's table; paths in it are relative to ``folder``.
 
-        Values that state no uncertainty have the ``stated`` one. Raises DataError as the class, and for
-        a table that is neither measured nor planned.
+        Values without an uncertainty get the ``stated`` one. Raises DataError as the class does, and
+        for a table with neither a measurement nor a plan of one.
         """
         where = f'configuration "{table.name}"'
         planned = table.planned or table.parameters is not None
@@ -311,7 +323,7 @@ class Configuration:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the configuration as plain values for JSON, as a `ConfigurationTable` has them."""
+        """Return the configuration as plain values for JSON, with a `ConfigurationTable`'s keys."""
         run: dict[str, Any] = {}
         if self.simulated is not None:
             run["simulated"] = self.simulated.simulated.to_dict()
@@ -333,8 +345,8 @@ class Configuration:
     def in_room(self, room: Room) -> Configuration:
         """Return the configuration with its measurement in the room's bands, as `calibrate` takes it.
 
-        Parameters that the run does not have are left out of the measurement. Warns if bands are
-        converted or left out. Raises DataError where it does not fit the room, and for values that no
+        Measured parameters that the program's run lacks are left out. Warns if bands are converted or
+        left out. Raises DataError if the configuration does not fit the room, and for values that no
         room has.
         """
         where = f'configuration "{self.name}"'
@@ -426,32 +438,33 @@ def _read(where: str, stated: str | MeasurementTable, room: Room, folder: Path) 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Case:
-    """A room, its equation and the configurations in which it was measured.
+    """Describe a room, its reverberation equation and the configurations in which it was measured.
 
-    Raises DataError if a value breaks a rule; the message names place, value and rule.
+    Means over positions are compared: see `PositionsCase` for each position, `StatesCase` for two
+    states. Raises DataError if a value breaks a rule; the message names the place, the value and the
+    rule.
     """
 
     kind: ClassVar[str] = "means"
 
     room: Room
-    """Volume, materials with area, alpha and sigma, band correlation, air or none."""
+    """Room as you enter it: volume, materials with area, alpha and sigma, and the air if it counts."""
     configurations: Sequence[Configuration]
-    """At least one."""
+    """Configurations in which the room was measured, at least one."""
     equation: str = "eyring"
-    """The equation with which the user's model calculates T: the key of a `MeanEquation`, such as
-    "eyring", "sabine", "kuttruff" or "millington"."""
+    """Reverberation equation of your model: the key of a `MeanEquation`, such as "eyring", "sabine",
+    "kuttruff" or "millington"."""
     facing: Array = None  # type: ignore[assignment]  # filled in when made
-    """Share of each material's area whose normal is along x, y and z, (n_materials, 3); NaN where
-    nothing says it. By default it follows from what the room states
-    (`rtcal.acoustics.changes.facing`)."""
+    """Share of each material's area whose normal is along x, y and z, (n_materials, 3); NaN where it is
+    unknown. By default `rtcal.acoustics.changes.facing` derives it from the room."""
     applied: Sequence[AppliedEffect] = ()
-    """Effects that `Finding.apply` has added."""
+    """Effects that `Finding.apply` has added to the room's model."""
     climate_uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
-    """Standard uncertainties of the room's climate: K, and % of relative humidity."""
+    """Standard uncertainties of the room's climate: temperature in K, and relative humidity in %."""
     program: str = ""
-    """Kind of program that made the runs. A geometrical program computes no equation
-    (`Effect.in_geometry`), and its field is as uneven as its model's (`rtcal.finder.claim.of_program`):
-    neither is the room's error."""
+    """Kind of the program that made the simulated values, "geometrical" or "". A geometrical program
+    uses no reverberation equation, and its sound field may be uneven. Neither of these differences from
+    the equation is then taken for an error of the room's model."""
 
     def __post_init__(self) -> None:
         checks.instance("room", self.room, Room).refuse_pieces("a case")
@@ -489,23 +502,23 @@ class Case:
 
     @property
     def has_run(self) -> bool:
-        """Whether a program's run replaces the equation in any configuration."""
+        """Whether a simulation program's values replace the equation in any configuration."""
         return any(c.simulated is not None for c in self.configurations)
 
     @cached_property
     def directions_known(self) -> bool:
         """Whether the directions of most of the room's absorption are known.
 
-        Without them an effect that needs them is not judged (`Effect.needs_directions`).
+        Without these directions, effects that depend on them are not tried (`Effect.needs_directions`).
         """
         return enough_known(self.room, self.facing)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: str | os.PathLike[str] = "") -> Case:
-        """Return the case of a file's content, as `to_dict` gives it; see `rtcal.finder.case`.
+        """Return the case that a mapping describes, in the form of `to_dict`; see `rtcal.finder.case`.
 
-        The files that it names are as seen from ``folder``. Raises DataError for an unknown key, for a
-        value of the wrong kind, and as `Case` does.
+        Names of files in ``data`` are relative to ``folder``. Raises DataError for an unknown key, for
+        a value of the wrong kind, and as `Case` does.
         """
         table, folder = _table(data), Path(folder)
         if isinstance(table.room, str):
@@ -525,9 +538,9 @@ class Case:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return nested plain values, as `from_dict` reads them.
+        """Return the case as nested plain values, which `from_dict` reads.
 
-        Raises DataError for an added effect that is not in the library.
+        Raises DataError if an effect that was added to the case is not in rtcal's library.
         """
         if custom := [p.name for p in self.applied if p.effect not in library()]:
             raise DataError(
@@ -546,27 +559,27 @@ class Case:
 
     @classmethod
     def from_file(cls, path: str) -> Case:
-        """Read a case: TOML or JSON, as `rtcal.finder.case` says.
+        """Return the case in a TOML or JSON file, whose keys `rtcal.finder.case` lists.
 
-        Raises DataError naming the file and the rule.
+        Raises DataError, which names the file and the rule.
         """
         with expecting("a case", path):
             return cls.from_dict(_content(path), Path(path).parent)
 
     def save(self, path: str) -> None:
-        """Write the case as JSON, whole or not at all; DataError as `to_dict`."""
+        """Write the case as a JSON file, whole or not at all; raises DataError as `to_dict` does."""
         write_text(path, self.to_json())
 
     def to_json(self, caution: str = "") -> str:
-        """Return the text that `save` writes, with a ``caution`` at its head."""
+        """Return the JSON text that `save` writes, with the text ``caution`` at its head."""
         head = {"caution": caution} if caution else {}
         return json.dumps(head | self.to_dict(), indent=1, allow_nan=False) + "\n"
 
     def require_fresh(self) -> None:
-        """Raise DataError for data that would count twice, and for a configuration only planned.
+        """Raise DataError if a measurement would count twice, or if a configuration is only planned.
 
-        The room must not have been calibrated to their T, and no two configurations may have one
-        measurement.
+        The room must not have been calibrated to the measured T of any configuration, and no two
+        configurations may have the same measurement.
         """
         for c in self.configurations:
             if c.planned:
@@ -591,7 +604,7 @@ class Case:
                 refuse_repeated_data(self.room, times_in_room(self.room, c.measured).fingerprint)
 
     def only(self, *parameters: str, configurations: Sequence[str] | None = None) -> Case:
-        """Return the case with some of its parameters, and some of its configurations."""
+        """Return the case with only the named parameters and, if given, the named configurations."""
         if configurations is not None:
             configurations = checks.texts("configurations", configurations)
         kept = []
@@ -635,10 +648,11 @@ def _checked_facing(room: Room, stated: Any) -> Array:
 
 
 LEVEL_LIMITS = {"c80": (-30.0, 60.0), "g": (-40.0, 60.0)}
-"""Limits that no room exceeds, in dB. C80: -30 is 10 dB below that of T = 120 s, and 60 is the range of
+"""Limits in dB that no room exceeds. C80: -30 is 10 dB below that of T = 120 s, and 60 is the range of
 a good decay. G: -40 is 20 dB below the direct sound at 100 m, and 60 is 20 dB above that at 10 cm."""
 VOLUMES = (1e-3, 1e8)
-"""Accepted volumes in m³, from a scale model of a litre; the largest halls have some 1e7."""
+"""Smallest and largest accepted volume in m³: a litre for scale models; the largest halls have some
+1e7."""
 _OFF_BOX = 0.1
 """Share by which the volume may differ from that of the stated dimensions."""
 
@@ -676,7 +690,7 @@ def _table(content: Mapping[str, Any]) -> CaseTable:
 
 
 def files_of_case(path: str) -> list[Path]:
-    """Return the paths that a valid case file refers to, itself included."""
+    """Return the paths of a valid case file and of every file that it refers to."""
     with expecting("a case", path):
         table = _table(_content(path))
     of = [(c.measured, c.simulated, c.at) for c in table.configuration]
@@ -686,39 +700,42 @@ def files_of_case(path: str) -> list[Path]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PositionsCase:
-    """A simulator of a room, and the measurement at its source-receiver pairs.
+    """Describe a room by its simulator, and its measurement at each source-receiver pair.
 
-    Raises DataError if the measurement is a mean over pairs, if ``simulated`` has nothing that was
-    measured, if the room was calibrated already, if a pair of ``exclude`` was not measured, or for a
-    surface, parameter or number that breaks its rule.
+    Raises DataError if the measurement is a mean over pairs, if ``simulated`` has no measured
+    parameter, if the room was calibrated already, if a pair of ``exclude`` was not measured, or if a
+    surface, parameter or number breaks its rule.
     """
 
     kind: ClassVar[str] = "positions"
 
     simulator: PathTracing
-    """Geometry, sources, receivers, and the room with the prior of its coefficients."""
+    """Simulator with the room's geometry, sources, receivers, and materials with their input
+    coefficients."""
     measured: Measurement
-    """A row per pair. Its pairs have the simulator's names of sources and receivers. Pairs at one place
-    are repeats: the case has their mean, as one pair."""
+    """Measurement with a row per pair, named as the simulator names sources and receivers. Repeated
+    measurements of one pair are averaged, and the case has their mean as one pair."""
     match: Sequence[str] = MATCH
-    """Parameters that are compared; T30 in place of T20 where T30 alone was measured. Where a source's
-    directivity is unknown, reverberation times alone. The level is G of a calibrated source where ``g``
-    was measured. A measured ``level`` has any reference that all receivers of a source share."""
+    """Names of the parameters that are compared; T30 in place of T20 where only T30 was measured. Where
+    a source's directivity is unknown, only reverberation times are compared. The level is G of a
+    calibrated source where ``g`` was measured. A measured ``level`` may have any reference that all
+    receivers of a source share."""
     simulated: Measurement | None = None
-    """Values that another program gave for the input, in the room's bands. The disagreement is then
-    that program's. How it depends on the surfaces is still what the simulator says. Measured pairs,
-    parameters and values that it lacks are left out, which a note says."""
+    """Values that another program gave for the input coefficients, in the room's bands. They replace
+    the simulator's values, and the simulator gives only their change with each surface. Measured values
+    that the program lacks are left out, which a note says."""
     exclude: Sequence[Pair] = ()
-    """Measured pairs that are left out."""
+    """Measured source-receiver pairs that are left out."""
     surfaces: Mapping[str, Sequence[str]] | None = None
-    """Names of each surface's faces. By default the coplanar faces of one material are one surface."""
+    """Names of the faces of each surface. By default the coplanar faces of one material are one
+    surface."""
     position_uncertainty: float = POSITION
-    """Root mean square error of the positions of sources and receivers, in m."""
+    """Standard uncertainty of the positions of sources and receivers, in m."""
     notes: Sequence[str] = ()
-    """Sentences on the data, which the finding prints; which pairs are repeats of one place is
-    added."""
+    """Sentences on the data, which the finding prints. rtcal adds which pairs are repeated
+    measurements."""
     faces: dict[str, Faces] = field(init=False)
-    """Numbers of each surface's faces."""
+    """Numbers of the faces of each surface."""
 
     def __post_init__(self) -> None:
         checks.instance("simulator", self.simulator, PathTracing)
@@ -783,27 +800,27 @@ class PositionsCase:
 
     @property
     def has_run(self) -> bool:
-        """Whether another program's values replace those of the simulator."""
+        """Whether the values of another program replace those of the simulator."""
         return self.simulated is not None
 
     @property
     def room(self) -> Room:
-        """The simulator's room: materials and the prior of their coefficients."""
+        """Room of the simulator: its materials with their input coefficients."""
         return self.simulator.room
 
     @property
     def geometry(self) -> Polyhedron:
-        """The simulator's geometry."""
+        """Geometry of the simulator."""
         return self.simulator.geometry
 
     @cached_property
     def divided(self) -> Divided:
-        """The geometry with its long surfaces divided."""
+        """Geometry of the simulator, in which long surfaces are divided into parts."""
         return of_room.divided(self.geometry, self.faces)
 
     @cached_property
     def surfaces_of_materials(self) -> dict[int, list[int]]:
-        """Numbers of the surfaces with only one material, by the material's number."""
+        """Numbers of the surfaces that consist of one material, by the number of this material."""
         made_of = self.simulator.made_of
         out: dict[int, list[int]] = {}
         for j, faces in enumerate(self.faces.values()):
@@ -813,7 +830,7 @@ class PositionsCase:
 
     @cached_property
     def kinds(self) -> tuple[str, ...]:
-        """The kind of each surface: "floor", "wall" or "ceiling"."""
+        """Kind of each surface: "floor", "wall" or "ceiling"."""
         return tuple(of_room.kind(self.geometry, faces) for faces in self.faces.values())
 
     @cached_property
@@ -831,18 +848,21 @@ class PositionsCase:
 
     @cached_property
     def in_room(self) -> Measurement:
-        """The measurement in the room's bands, NaN where it has none of them."""
+        """Measurement in the room's bands, NaN in bands that were not measured."""
         return self.measured.in_bands(self.room.centre_frequencies)
 
     @property
     def pairs(self) -> tuple[Pair, ...]:
-        """The measured pairs that are used, in the simulator's order."""
+        """Measured source-receiver pairs that are used, in the simulator's order."""
         return tuple(
             p for p in self.simulator.pairs if p in self.measured.pairs and p not in self.exclude
         )
 
     def only(self, pairs: Sequence[Pair]) -> PositionsCase:
-        """Return the case with only these measured pairs; DataError for one that is not in it."""
+        """Return the case with only these measured pairs.
+
+        Raises DataError for a pair that it does not have.
+        """
         wanted = checks.pairs("pairs", pairs)
         if lacking := [p for p in wanted if p not in self.pairs]:
             raise DataError(f"pairs has {' to '.join(lacking[0])}, which is not in the case")
@@ -862,12 +882,12 @@ _LEAST = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StatesCase:
-    """A room that was measured twice, at the same positions and with the same equipment.
+    """Compare two measurements of a room, at the same positions, before and after it changed.
 
-    Two measurements are compared with each other, so that neither the coefficients' prior nor a
-    configuration counts: the first state calibrates. Raises DataError if no pair, or no T20 or T30 in a
-    band of the room, is in both; if the simulator is of another room, or lacks a measured pair; for an
-    uncertainty of a climate that the room does not have.
+    Both must be made with the same equipment. They are compared with each other, so that the input
+    coefficients do not count: the measurement before calibrates the model. Raises DataError if the two
+    measurements share no pair, or no T20 or T30 in a band of the room; if the simulator is of another
+    room or lacks a measured pair; or for an uncertainty of the climate if the room has no air.
 
     Examples
     --------
@@ -884,33 +904,35 @@ class StatesCase:
     kind: ClassVar[str] = "states"
 
     room: Room
-    """Its volume, areas and air."""
+    """Room whose volume, areas and air are used."""
     before: Measurement
     after: Measurement
-    """Means over positions, or pairs. The pairs that both have are compared, source by source."""
+    """Measurements before and after, as means over positions or for each source-receiver pair. Pairs
+    that both have are compared, source by source."""
     equation: LinearEquation = field(default_factory=Eyring)
-    """Turns T into an absorption area; Eyring's unless given. Sabine's overstates the change of a room
-    that absorbs much."""
+    """Equation that turns T into an absorption area, by default Eyring's. Sabine's overstates the
+    change in a room that absorbs much."""
     simulator: PathTracing | None = None
-    """Simulator of the same room, with every source's directivity: surfaces are then compared, by the
-    parameters of `MATCH` that both states have. Both levels have one reference."""
+    """Simulator of the same room, with the directivity of every source. With it each surface is tried,
+    by the parameters of `MATCH` that both states have. The levels of both must have the same
+    reference."""
     climate_uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
-    """Standard uncertainties of the room's climate in K and in % of relative humidity, in each of the
-    two states. A room without air may have any indoor climate in either."""
+    """Standard uncertainties of the climate in K and in % of relative humidity, in each of the two
+    states. If the room has no air, the climate in either state may be any indoor climate."""
     states: tuple[Measurement, Measurement] = field(init=False)
-    """Pairs that both measurements have, in the room's bands."""
+    """Both measurements, at the pairs that both have, in the room's bands."""
     times: Array = field(init=False)
-    """Mean T20, or else T30, in s over these pairs, before and after, (2, n_bands)."""
+    """Mean over these pairs of T20, or else of T30, in s, before and after, (2, n_bands)."""
     change: Array = field(init=False)
-    """ln(T after / T before), (n_pairs, n_bands); NaN where one is missing."""
+    """Natural logarithm ln(T after / T before), (n_pairs, n_bands); NaN where either T is missing."""
     variance: Array = field(init=False)
-    """Variance of the noise of ``change``, of both states, (n_pairs, n_bands): for each pair the larger
-    of the given one and of what theory expects of one decay, 0.88 / sqrt(B T) for T20. The noise of a
-    decay does not cancel: another absorption is another field. In a laboratory whose panels were
-    turned, the differences scatter by 0.9 to 1.3 times the theory of both states."""
+    """Noise variance of ``change``, from both states, (n_pairs, n_bands). For each pair it is the
+    larger of the given variance and that expected of one decay: for T20 a relative standard deviation
+    of 0.88 / sqrt(B T), with the bandwidth B in Hz and T in s. The decays' noise does not cancel
+    between the states, because another absorption makes another field."""
     notes: tuple[str, ...] = field(init=False)
-    """Bands and pairs that one state lacks, what is converted, and where the uncertainties come
-    from."""
+    """Sentences on bands and pairs that one state lacks, on converted values, and on the uncertainties'
+    source."""
 
     def __post_init__(self) -> None:
         put = partial(object.__setattr__, self)
@@ -1004,7 +1026,7 @@ class StatesCase:
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Pairs measured in both states; ``(("*", "*"),)`` for means over positions."""
+        """Source-receiver pairs measured in both states; ``(("*", "*"),)`` for means over positions."""
         return tuple(self.states[0].pairs)
 
     @property
@@ -1014,14 +1036,14 @@ class StatesCase:
 
     @property
     def same(self) -> bool:
-        """Whether every pair has the same T in both states, as if one file was given twice."""
+        """Whether every pair has the same T in both states, as when one file is given twice."""
         return not np.nan_to_num(self.change).any()
 
     @property
     def falls(self) -> bool:
-        """Whether T is shorter after than before, in the mean of ln T as far as each is known.
+        """Whether T is shorter after than before, by the mean of ``change`` weighted by its certainty.
 
-        Where the mean is 0, the first T that changed decides, so that states that are exchanged differ.
+        If this mean is 0, the first T that changed decides.
         """
         mean = np.nansum(self.change / self.variance)
         if mean == 0 and not self.same:
@@ -1030,7 +1052,7 @@ class StatesCase:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """In which bands there is a difference, (n_bands,)."""
+        """Bands in which ``change`` is known, (n_bands,) of bool."""
         return np.asarray(np.isfinite(self.change).any(axis=0))
 
 
@@ -1048,32 +1070,35 @@ def case_of(
     program: str = "",
     **stated: Any,
 ) -> AnyCase:
-    """Return the case of a room and its measurement, whose kind decides what is compared.
+    """Return a room and its measurement as a case, whose type depends on the data given.
 
-    Measured before as well, it is that of two states. Measured pair by pair, in a room with a simulator
-    or that states its mesh, sources and receivers, it is that of its positions. Else means over
-    positions are compared.
+    With a measurement before a change, it is a `StatesCase`. With a measurement of each source-receiver
+    pair, and a simulator or a room that has its mesh, sources and receivers, it is a `PositionsCase`.
+    Any other data make a `Case`, which compares means over positions.
 
     Parameters
     ----------
     room : Room
+        Room with its input coefficients.
     measured, before : Measurement
+        Measurement of the room and, optionally, an earlier one before the room was changed.
     simulator : PathTracing, optional
         Simulator of the room; by default a path tracing of the room's scene, if it has one.
     tracing : mapping, optional
         Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, where the scene is traced.
     simulated : Run, optional
-        Values of a program, in place of the equation or, at the room's coefficients, of the tracing.
+        Values of a simulation program, which replace those of the equation or of the path tracing. For
+        a path tracing, the program must have used the room's coefficients.
     program : str
-        Kind of program, as of a `Case` of means.
+        Kind of the simulation program, "geometrical" or "": see `Case.program`.
     **stated
-        Further parameters of `PositionsCase`.
+        Further parameters of a `PositionsCase`.
 
     Raises
     ------
     DataError
-        For a simulator of another room, ``tracing`` where nothing is traced, what is stated of another
-        kind of case; as `rtcal.io.geometry_files.path_tracing` and the cases do.
+        For a simulator of another room, for ``tracing`` if no path tracing is made, for an argument
+        that this type of case does not have; and as `geometry_files.path_tracing` and the cases do.
 
     Examples
     --------

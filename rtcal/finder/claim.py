@@ -23,26 +23,27 @@ from rtcal.support.types import Array
 
 Key = TypeVar("Key")
 CLAIMED = 0.9
-"""Probability from which an effect, a family or a surface is claimed."""
+"""Probability from which an effect, a group of effects or a surface is identified."""
 SAID = 0.03
 """Probability below which an effect is not printed."""
 CREDIBLE = 0.9
-"""Probability, given that something is missing, that the candidates hold together."""
+"""Probability that the listed candidates have together, if something is missing."""
 LIKELY = 0.7
-"""Probability that the likely surfaces hold."""
+"""Probability that the listed surfaces have together."""
 MOST = 0.5
-"""Probability, or share of one, from which something holds most."""
+"""Probability, or share of a probability, that counts as most of it."""
 DISTINCT_NATS = 2.3
-"""Evidence in nats from which two effects, or two surfaces, are distinguished: odds of ten to one."""
+"""Difference of ln Bayes factors from which two effects or surfaces are distinguished: odds of ten to
+one."""
 _ABSORPTION = "added absorption"
 _ALIKE = 1.25
 """Ratio of both ends of the line through the bands, below which these are alike."""
 
 
 def over_frequency(values: Array) -> str:
-    """Return how the size of values (n_bands,) goes with frequency, by a straight line through them.
+    """Return in words how the magnitude of values (n_bands,) depends on frequency, by a fitted line.
 
-    The line is the least squares' over the bands in their order. A single band is alike.
+    The line is fitted by least squares over the numbers of the bands. A single band gives "alike".
 
     Examples
     --------
@@ -58,9 +59,10 @@ def over_frequency(values: Array) -> str:
 
 
 def posterior(evidence: Mapping[str, float], prior: Prior) -> dict[str, float]:
-    """Return the probability of "none", "coefficients", "unknown" and each effect; they sum to 1.
+    """Return the probability after the measurement of each effect, "none" and the other explanations.
 
-    It is evidence times prior, to the power `Prior.sharpness`.
+    It is the Bayes factor times the probability before the measurement, to a power (`Prior.sharpness`).
+    The probabilities sum to 1.
     """
     log = {k: prior.sharpness * (v + prior.log_probability[k]) for k, v in evidence.items()}
     total = float(logsumexp(list(log.values())))
@@ -70,16 +72,16 @@ def posterior(evidence: Mapping[str, float], prior: Prior) -> dict[str, float]:
 def by_family(
     probabilities: Mapping[str, float], effects: Mapping[str, Effect]
 ) -> dict[str, float]:
-    """Return the probability of each family, the most probable first.
+    """Return the probability of each group of effects, the most probable first.
 
-    "none", "coefficients" and "unknown" are families of their own. "added absorption" is the sum of the
-    families whose names begin with it.
+    "none", "coefficients" and "unknown" are groups by themselves. "added absorption" is the sum of all
+    groups whose names begin with it.
     """
     return with_added(summed((family_of(name, effects), p) for name, p in probabilities.items()))
 
 
 def with_added(families: Mapping[str, float]) -> dict[str, float]:
-    """Return the families with the sum of all added absorption, the most probable first."""
+    """Return the probabilities of groups and of all added absorption, the most probable first."""
     out = dict(families)
     absorption = [p for family, p in out.items() if family.startswith(f"{_ABSORPTION},")]
     if len(absorption) > 1:
@@ -96,39 +98,42 @@ def summed(parts: Iterable[tuple[Key, float]]) -> dict[Key, float]:
 
 
 def most_probable_first(values: Mapping[Key, float]) -> dict[Key, float]:
-    """Return probabilities in their order."""
+    """Return the same probabilities, sorted so that the most probable comes first."""
     return dict(sorted(values.items(), key=lambda kv: -kv[1]))
 
 
 def family_of(name: str, effects: Mapping[str, Effect]) -> str:
-    """Return the family of an effect, or of "none", "coefficients" or "unknown"."""
+    """Return the name of the group of an effect, or of "none", "coefficients" or "unknown"."""
     return name if name in (NONE, COEFFICIENTS, UNKNOWN) else effects[name].family
 
 
 def wide(family: str) -> str:
-    """Return the family of a kind: "added absorption" of "added absorption, rising"."""
+    """Return the first part of a group's name: "added absorption" for "added absorption, rising"."""
     return family.split(",")[0]
 
 
 Names = tuple[str, ...]
-"""A set of effects or of families."""
+"""Names of several effects, or of several groups of effects, that are there together."""
 
 
 def families_of(names: Names, effects: Mapping[str, Effect]) -> Names:
-    """Return the families of a set, sorted; every family of "added absorption" is one."""
+    """Return the names of the effects' groups, sorted.
+
+    All groups of "added absorption" count as one.
+    """
     return tuple(sorted(wide(family_of(name, effects)) for name in names))
 
 
 def numbers_of(sets: Mapping[Names, float]) -> tuple[float, ...]:
-    """Return the probabilities of 0, 1, 2, ... effects."""
+    """Return the probabilities that 0, 1, 2, ... effects are missing."""
     by_number = summed((len(names), p) for names, p in sets.items())
     return tuple(by_number.get(n, 0.0) for n in range(1 + max(by_number, default=0)))
 
 
 def narrowest_family(families: Mapping[str, float], least: float) -> str | None:
-    """Return the family of at least this probability, the narrower of two; None without one.
+    """Return the most specific group of effects with a probability of at least ``least``, or None.
 
-    A comma leads from a family to one of its kinds: "added absorption, rising".
+    "added absorption, rising" is more specific than "added absorption".
     """
     probable = [f for f, p in families.items() if p >= least and f != NONE]
     return max(probable, key=lambda family: family.count(",")) if probable else None
@@ -136,10 +141,9 @@ def narrowest_family(families: Mapping[str, float], least: float) -> str | None:
 
 @dataclass(frozen=True)
 class Reason:
-    """Why something is identified or not, what to do, or what to know: a code with its values.
+    """Hold a reason, caution or advice as a code with its values, which ``str`` makes a sentence.
 
-    ``values`` are numbers, names and sizes. `rtcal.report.finding_words` has a sentence for each code,
-    which ``str`` returns.
+    ``values`` are numbers, names and sizes. `rtcal.report.finding_words` has the sentence of each code.
     """
 
     code: str
@@ -151,35 +155,36 @@ class Reason:
         return words
 
     def to_dict(self) -> dict[str, Any]:
-        """Return code, values and sentence for JSON."""
+        """Return the code, the values and the sentence for JSON."""
         return {"code": self.code, "values": json_numbers(self.values), "text": str(self)}
 
 
 WORDS = "rtcal.report.finding_words"
 """The module that makes the words of a finding."""
 LEADING, MISTAKE = "T far off, effect stands", "T far off"
-"""Codes of the reasons that T is about twice or half the model's; the first stands before a claim."""
+"""Codes of the reasons that T is about twice or half the model's; the first is printed before the
+result."""
 EQUATION_OFF = "equation off"
-"""Code of the reason that the equation's T is not that of a program's run."""
+"""Code of the reason that the equation's T differs from that of a program's run."""
 OWN_FIELD = "field of the program"
-"""Code of the reason that what differs may be the field of a geometrical program."""
+"""Code of the reason that the difference may be the sound field of a geometrical program."""
 LEAVES: Mapping[str, str] = {
     **dict.fromkeys(("size unbounded", "too large", "not explained", "gap may grow"), "family"),
     LEADING: "family",
     **dict.fromkeys((MISTAKE, "gap grows", "contradicted", "below Schroeder"), "hint"),
     "not the climate alone": "ambiguous",
 }
-"""The verdict that a reason leaves of a claim. Doubts about the size, the fit or an input value leave
-the family as probable as it is; doubts about the effect leave nothing of it identified."""
+"""Verdict that each reason leaves. Doubts about the size, the fit or an input value leave the group of
+effects identified; doubts about the effect leave nothing identified."""
 FAIR = 1 / 3
-"""A fair part of the probability. Where nothing missing has it, as before the measurement
-(`rtcal.finder.evidence.NO_EFFECT`), or no effect and no family does, the data do not suffice to call
-something missing. Chosen on development rooms."""
+"""Probability from which data suffice to call something missing: they do not if "none" still has as
+much (`rtcal.finder.evidence.NO_EFFECT` before the measurement), or if no effect and no group has as
+much. Chosen on development rooms."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """What is identified: the fields of a `Finding` that `conclude` decides."""
+    """Hold what is identified: the fields of a `Finding` that `conclude` decides."""
 
     verdict: str
     family: str | None = None
@@ -195,14 +200,14 @@ def conclude(
     reasons: Sequence[Reason] = (),
     weak: Reason | None = None,
 ) -> Claim:
-    """Return what is identified from any kind of data.
+    """Return what is identified, by rules that are the same for every kind of data.
 
-    ``detected`` is the verdict where nothing is detected, "none" or "hint"; None where something is.
-    The probabilities of each effect and family are the most probable first. Effects that are not
-    identified by their own names (`Effect.alone`) are ``by_family_alone``. Of doubts about the most
-    probable effect, ``reasons``, `LEAVES` has what they leave. Where data are ``weak`` (`too_weak`),
-    nothing but a name or a family is more than a hint. Where that is the field of a program
-    (`of_program`), nothing is, and a field that is likelier than all else is said in any case.
+    ``detected`` is "none" or "hint" if nothing is detected, and None if something is. The probabilities
+    of effects and of groups have the most probable first. ``by_family_alone`` are effects that are only
+    identified as a group (`Effect.alone`). ``reasons`` are doubts about the most probable effect, and
+    `LEAVES` has the verdict after each. If the data are ``weak`` (`too_weak`), the verdict is a hint
+    unless an effect or a group is identified. If the difference may be the field of a geometrical
+    program (`of_program`), nothing is identified.
     """
     own = weak is not None and weak.code == OWN_FIELD
     if weak is not None and own and (detected is None or next(iter(families)) == FIELD):
@@ -232,7 +237,7 @@ def conclude(
 
 
 def too_weak(probabilities: Mapping[str, float], families: Mapping[str, float]) -> Reason | None:
-    """Return why nothing is said to be missing although the score exceeds its threshold, or None."""
+    """Return the reason why the data are too weak although the score exceeds its threshold, or None."""
     nothing = probabilities.get(NONE, 0.0)
     if nothing >= FAIR:
         return Reason("nothing likely", {"probability": nothing})
@@ -241,14 +246,14 @@ def too_weak(probabilities: Mapping[str, float], families: Mapping[str, float]) 
 
 
 FIELD = "field"
-"""The family of effects that a geometrical program has by itself, if it scatters as the room does."""
+"""Name of the group of effects that a geometrical program includes, if it scatters as the room does."""
 
 
 def of_program(families: Mapping[str, float]) -> Reason | None:
-    """Return why nothing is said of a room where a geometrical program's field may be what differs.
+    """Return the reason why a geometrical program's own sound field may be the difference, or None.
 
-    A program scatters as it is told, and a second room is in it if it was drawn. So its own field is
-    no error of the room, and counts as nothing missing.
+    The program uses the scattering that you enter, and has a second room if you drew it. A difference
+    in its field is therefore no error of the room's model, and counts as nothing missing.
 
     Examples
     --------
@@ -263,7 +268,7 @@ def of_program(families: Mapping[str, float]) -> Reason | None:
 
 
 def credible_set(probabilities: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the most probable hypotheses but "none" that hold `CREDIBLE` of the probability."""
+    """Return the most probable explanations but "none", whose probabilities add up to `CREDIBLE`."""
     some = {k: p for k, p in probabilities.items() if k != NONE}
     total, held, out = sum(some.values()), 0.0, []
     for name, p in some.items():
@@ -275,19 +280,11 @@ def credible_set(probabilities: Mapping[str, float]) -> tuple[str, ...]:
 
 
 End = Literal["", "least", "most"]
-"""At which end of what is tried the data allow any size."""
+"""End of the sizes that were tried at which the data allow any size: "least", "most" or ""."""
 
 
 def amount(value: float, unit: str, interval: tuple[float, float] | None = None) -> str:
-    """Return a size with its unit and its 90 % interval; a ratio as so many times.
-
-    Examples
-    --------
-    >>> amount(2.0, "of the input area"), amount(12.3, "m²", (8.0, 17.0))
-    ('2 times the input area', '12.3 m² (90 %: 8 to 17)')
-    >>> amount(0.875, "of its area covered", (0.47, 1.0))
-    '0.875 of its area covered (90 %: 0.47 to 1)'
-    """
+    """Return a size with its unit and its 90 % interval as text; a ratio as "2 times"."""
     times = unit.replace("of the input ", "times the input ")
     ends = "" if interval is None else f" (90 %: {interval[0]:.3g} to {interval[1]:.3g})"
     return f"{value:.3g} {times}{ends}"
@@ -295,10 +292,10 @@ def amount(value: float, unit: str, interval: tuple[float, float] | None = None)
 
 @dataclass(frozen=True)
 class Size:
-    """Size of an effect: mean and 90 % interval, in ``unit``.
+    """Hold the size of an effect: its mean and the ends of its 90 % interval, in ``unit``.
 
-    ``end`` is "least" where the data allow any size above ``low``, "most" where they allow any below
-    ``high``: the evidence does not fall within what is tried, and physics does not end there.
+    ``end`` is "least" if the data allow any size above ``low``, and "most" if they allow any size below
+    ``high``: the largest or smallest size that was tried then fits nearly as well as the best one.
     """
 
     mean: float
@@ -309,15 +306,7 @@ class Size:
 
     @property
     def words(self) -> str:
-        """The size with its interval.
-
-        Examples
-        --------
-        >>> Size(12.3, 8.0, 17.0, "m²").words
-        '12.3 m² (90 %: 8 to 17)'
-        >>> Size(61.0, 26.0, 109.0, "m²", "least").words
-        'at least 26 m² (95 %)'
-        """
+        """Size with its interval, as text."""
         if self.end:
             value = self.low if self.end == "least" else self.high
             return f"at {self.end} {amount(value, self.unit)} (95 %)"
@@ -325,116 +314,117 @@ class Size:
 
     @property
     def fields(self) -> dict[str, Any]:
-        """The fields of a `Candidate` of this size."""
+        """Fields of a `Candidate` that has this size."""
         return {"size": self.mean, **{k: v for k, v in vars(self).items() if k != "mean"}}
 
 
 Point = tuple[float, float, float]
 LOCATED = 0.5
-"""Share of a candidate's probability from which a part of its surface is where it stands."""
+"""Share of a candidate's probability from which the object is located on one part of its surface."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """An effect that explains the data; at positions, in one place."""
+    """Hold an effect that explains the data, with its probability, size and, at positions, place."""
 
     effect: str
     family: str
     probability: float
     surface: str | None = None
-    """None for the whole room, the measurement, and of means over positions."""
+    """Name of the surface. None for the whole room, for an error of the measurement, and for means."""
     place: str = ""
-    """The surface's name; of means a material in quotes, where the effect is about one; of the
-    measurement's errors "receiver R1", "source S1" or "S1 to R1"; "" for the whole room."""
+    """Name of the surface at positions; for means the material in quotes if the effect is about one. An
+    error of the measurement has "receiver R1", "source S1" or "S1 to R1". "" for the whole room."""
     size: float = math.nan
     low: float = math.nan
     high: float = math.nan
-    """Posterior mean and 90 % interval, in ``unit``; NaN for coefficients off together and for
-    "unknown"."""
+    """Mean of the size, and lower and upper end of its 90 % interval, in ``unit``. NaN for a common
+    error of the coefficients and for "unknown"."""
     unit: str = ""
     end: End = ""
     parameters: Mapping[str, float] = field(default_factory=dict)
-    """The most probable ones."""
+    """Most probable values of the effect's parameters."""
     spectrum: Array = field(default_factory=lambda: np.zeros(0))
-    """Posterior mean alpha of what stands on the surface, (n_bands,)."""
+    """Most probable absorption coefficient alpha of the object on the surface, (n_bands,)."""
     parts: tuple[tuple[Point, float], ...] = ()
-    """Of a large surface: the middle (x, y, z) of each part in m, and the probability that it stands on
-    this part alone. With the rest of its probability it is spread over the surface."""
+    """Middle (x, y, z) in m of each part of a large surface, and the probability that the object is on
+    this part alone. The rest of the probability is that of an object spread over the surface."""
     coefficients: OffTogether | None = None
-    """Of means, coefficients that are off in common, where they are likely beside it."""
+    """Common error of the input coefficients, for means, if it is likely beside the effect."""
     absorption: Array | None = None
-    """Of means, what an effect of absorption adds over the room's mean absorption, (3, n_bands): of the
-    size's mean and of both ends of its interval."""
+    """Absorption area that the effect adds, for means, over the room's mean absorption area, (3,
+    n_bands): for the mean of the size, and for the lower and upper end of its interval."""
 
     @property
     def extent(self) -> Size | None:
-        """The size with its interval; None where there is none."""
+        """Size of the effect with its interval; None for an effect without a size."""
         if not np.isfinite(self.size):
             return None
         return Size(self.size, self.low, self.high, self.unit, self.end)
 
     def applied(self, effect: Effect) -> AppliedEffect:
-        """Return the effect with its size and interval, to be put into a case."""
+        """Return the effect with its parameters, size and interval, for the model of a case."""
         ends = None if self.extent is None else (self.low, self.high)
         return AppliedEffect(effect, self.parameters, ends)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return the candidate as plain values for JSON."""
         left_out = ("coefficients", "absorption")
         return {k: json_numbers(v) for k, v in vars(self).items() if k not in left_out}
 
     @property
     def middle(self) -> Point | None:
-        """Middle in m of the part that holds at least half of the probability; None without one."""
+        """Middle (x, y, z) in m of the part with at least half of the probability; None without one."""
         middle, probability = max(self.parts, key=lambda part: part[1], default=(None, 0.0))
         return middle if probability >= LOCATED * self.probability else None
 
     @property
     def title(self) -> str:
-        """Effect and place, as a sentence names them."""
+        """Name of the effect and its place, as part of a sentence."""
         return f"{self.effect} {self.where}".rstrip()
 
     @property
     def where(self) -> str:
-        """The place of the candidate as a sentence has it; "" for the whole room."""
+        """Place of the effect as part of a sentence; "" for the whole room."""
         if self.surface is not None:
             return f'on "{self.surface}"'
         return f"of {self.place}" if self.place else ""
 
     @property
     def kind(self) -> str:
-        """The family; every family of added absorption is one."""
+        """Name of the effect's group; all groups of added absorption have one name."""
         return wide(self.family)
 
     @property
     def can_be_added(self) -> bool:
-        """Whether the candidate stands on a surface, and a room of one geometry can have it."""
+        """Whether the effect is on a surface and can be added to the model of a single room."""
         return self.surface is not None and self.effect != CoupledRoom.name
 
     @property
     def in_words(self) -> str:
-        """Size with its interval; "" where there is none."""
+        """Size of the effect with its interval, in words; "" for an effect without a size."""
         return "" if self.extent is None else self.extent.words
 
 
 @dataclass(frozen=True)
 class Detection:
-    """Evidence in nats that anything differs from the model.
+    """Hold the score that anything differs from the model, a ln Bayes factor, and its threshold.
 
-    Raises ModelError for a score that is no finite number.
+    Raises ModelError for a score that is not a finite number.
     """
 
     score: float
     threshold: float
     """ln Bayes factor that at most 5 % of simulated rooms with nothing missing exceed."""
     noise: float | None = None
-    """Of positions, that a single pair is noisier than assumed and nothing else is other; None where
-    that was not tried."""
+    """ln Bayes factor that a single pair is noisier than assumed and nothing else differs, at
+    positions; None where this was not tried."""
     means: float | None = None
-    """Of means over positions, where positions decide; None where they were not compared."""
+    """Detection from means over positions, where positions decide; None where means were not
+    compared."""
     parts: Mapping[str, Detection] = field(default_factory=dict)
-    """Of means over positions, the same from a part of the data, by what it is: what a part detects is
-    detected. The score and threshold above are those of all data."""
+    """Detection from a part of the data, for means, by the part's name. What one part detects is
+    detected. The score and the threshold above are those of all data."""
 
     def __post_init__(self) -> None:
         for name in ("score", "noise", "means"):
@@ -447,14 +437,17 @@ class Detection:
 
     @property
     def deciding(self) -> str | None:
-        """The part of the data that detects most where all data detect nothing; None without one."""
+        """Name of the part of the data that detects most, if all data together detect nothing.
+
+        None without one.
+        """
         excess = {words: part.score - part.threshold for words, part in self.parts.items()}
         most = max(excess, key=lambda words: excess[words], default="")
         return most if self.score <= self.threshold and excess.get(most, 0.0) > 0 else None
 
     @property
     def verdict(self) -> str | None:
-        """The verdict where nothing is detected, "none" or "hint"; None where something is."""
+        """Verdict "none" or "hint" where nothing is detected; None where something is."""
         if self.score > self.threshold or self.deciding is not None:
             return None
         return "hint" if max(self.score, self.noise or 0.0) > 0 else "none"

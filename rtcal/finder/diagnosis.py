@@ -27,34 +27,35 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Diagnosis(Result):
-    """Where model and measurement disagree, what was found and added, and what is left."""
+    """Hold an effect found missing from the model, its check on held-out data, and the new model."""
 
     record_kind: ClassVar[str] = "diagnosis 1"
     words_in: ClassVar[str] = "rtcal.report.of_diagnosis"
 
     finding: Finding
     verification: Verification | None
-    """The deviations at data that were held out; None where nothing could be verified."""
+    """Deviations with and without the effect, at data that were held out; None if no check was
+    possible."""
     calibrated: PositionsResult | Recalibrated
-    """The model with what was added, calibrated to all data; the model as given where nothing was."""
+    """Model with the added effect, calibrated to all data; the model as given if nothing was added."""
     given: tuple[str, ...] = ("room.toml", "measured.csv")
-    """Names of the files that were read, the case or room first."""
+    """Names of the files that were read, first that of the case or room."""
 
     @cached_property
     def corrected(self) -> Corrected | None:
-        """The model with the effect that was found, not yet calibrated; None if nothing was added."""
+        """Model with the effect that was found, before it is calibrated; None if nothing was added."""
         return _corrected(self.finding, self.verification)
 
     @property
     def room(self) -> Room:
-        """The calibrated room with the effect that was added."""
+        """Calibrated room with the effect that was added."""
         return self.calibrated.room
 
     def __repr__(self) -> str:
         return f"<Diagnosis of {self.finding!r}>"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return the diagnosis as plain values for JSON."""
         verified, corrected = self.verification, self.corrected
         return {
             "finding": self.finding.to_dict(),
@@ -83,21 +84,21 @@ def diagnose(
     scheduler: str | None = None,
     **options: Any,
 ) -> Diagnosis:
-    """Find the effect that a model misses, verify it on held-out data, add it, and calibrate.
+    """Find the effect that is missing from a model, check it on held-out data, add it, and calibrate.
 
     Parameters
     ----------
     room, measured, simulator, cache, progress, scheduler
-        Room or case, and measurement, as `rtcal.find` takes them.
+        Room or case, its measurement, and options of the computation: see `rtcal.find`.
     seeds : sequence of int
-        Seeds of the simulator, over which a verification at positions is repeated.
+        Seeds of the simulator's random numbers. A check at positions is repeated with each seed.
     **options
-        Further ones of `rtcal.find`.
+        Further options of `rtcal.find`.
 
     Raises
     ------
     DataError
-        As `rtcal.find`, and for a case of two states.
+        As `rtcal.find` does, and for a `StatesCase`.
 
     Examples
     --------
@@ -120,7 +121,7 @@ def diagnosis(
     *,
     cache: str | os.PathLike[str] | None = None,
 ) -> Diagnosis:
-    """Add what was found and verified to the model, and calibrate it; see `diagnose`."""
+    """Return the diagnosis of a finding: add the verified effect to the model, and calibrate it."""
     if finding.kind == "states":
         raise DataError(
             "a diagnosis compares a model with one measurement, not with two configurations"

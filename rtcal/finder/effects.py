@@ -41,154 +41,165 @@ from rtcal.support.types import Array, read_only_view
 
 Parameters = Mapping[str, float]
 Limits = Mapping[str, tuple[float, float]]
-"""Least and largest possible value of each parameter."""
+"""Smallest and largest possible value of each parameter of an effect, by the parameter's name."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect."""
+    """Describe a parameter of an effect: the values that are tried, its limits, unit and words."""
 
     tried: Sequence[float] = ()
-    """The values that are tried; none where the effect's grid follows from the room."""
+    """Values of the parameter that are tried; empty where the effect derives them from the room."""
     within: tuple[float, float] = (-inf, inf)
-    """Where its physics ends in any room."""
+    """Smallest and largest value that are physically possible in any room."""
     unit: str = ""
-    """Text that follows the value."""
+    """Unit of the parameter, as text that follows its value."""
     words: Sequence[str] = ()
-    """Words for the values 0, 1, ...."""
+    """Words that are printed in place of the values 0, 1, ...."""
     discrete: bool = False
-    """Whether there are no values between those of the grid."""
+    """Whether the parameter has no values between those that are tried."""
 
     def shown(self, name: str, value: float) -> str:
-        """Return the name and the value, or the value's word."""
+        """Return the parameter's name and value as text, or the word for its value."""
         if value in range(len(self.words)):
             return self.words[int(value)]
         return f"{name.replace('_', ' ')} {rounded(value, 3)}{' ' * bool(self.unit)}{self.unit}"
 
 
 class Effect(ABC):
-    """Something that a model may lack.
+    """Describe something that may be missing from a room's model, such as an opening or a curtain.
 
-    An effect states its parameters, how it changes a room's state (`change`), its words and its form
-    in a corrected room. A new effect is a subclass in one file.
+    An effect has parameters, a change of the room's acoustic state (`change`), words for a report, and
+    a form in a corrected room. To add an effect of your own, write a subclass.
     """
 
     name: ClassVar[str]
     size: ClassVar[str]
-    """The parameter that says how much of the effect there is."""
+    """Name of the parameter that gives the amount of the effect, such as its area."""
     unit: ClassVar[str]
-    """The size's unit, as text that follows the value."""
+    """Unit of this amount, as text that follows the value."""
     parameters: ClassVar[Mapping[str, Parameter]] = {}
-    """Parameters that are listed with every effect that is added."""
+    """Parameters of the effect, by name, which are listed with every effect that is added to a
+    model."""
     neutral: ClassVar[float] = 0.0
-    """The size that changes nothing. NaN where there is none: the effect then has no size interval."""
+    """Amount with which the effect changes nothing. NaN where there is none; no interval of the amount
+    is then given."""
     removable: ClassVar[bool] = False
-    """Whether it can be taken out of the room."""
+    """Whether the object can be taken out of the room."""
     size_error: ClassVar[float] = 0.25
-    """Standard deviation of ln size that the effect's physics leaves open (of the size itself where it
-    can be negative): where an opening is, how an object scatters. Chosen on the development rooms
-    (benchmarks/studies/hidden_world, population 0), so that 90 % intervals hold the true size."""
+    """Standard deviation of ln size (of the size itself where it can be negative) that the simplified
+    physics of the effect adds, for example because the position of an opening is unknown. Chosen on the
+    development rooms of benchmarks/studies/hidden_world, so that 90 % intervals contain the true
+    size."""
     family: ClassVar[str] = "of your own"
-    """The effects that change the measurement alike; "added absorption, ..." names three of one
-    kind."""
+    """Name of the group of effects that change the measurement in a similar way. The name "added
+    absorption, ..." begins the names of several groups of added absorption."""
     alone: ClassVar[bool] = True
-    """Whether the effect is identified by its own name. Otherwise its group is: in rooms of
-    benchmarks/studies/second_world, a coupled room and a non-diffuse field pass for each other at any
-    probability, since both formulas are rough."""
+    """Whether the effect may be identified by its own name. If not, only its group is identified: for
+    example, the equations for a coupled room and for a non-diffuse field are too rough to distinguish
+    them."""
     odds: ClassVar[float] = 1.0
-    """Prior odds against the other effects of the library, most of which have 1."""
+    """Odds of the effect before the measurement, relative to the library's other effects; most have
+    1."""
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.106, 0.0, 0.0)
-    """Standard deviations of the relative error of the effect's change: common to all bands, a tilt per
-    octave from 1 kHz, and rough, of which half is left an octave away."""
+    """Three standard deviations of the relative error of the effect's change: an error common to all
+    bands, an error that grows per octave from 1 kHz, and an error per band, of which half is left an
+    octave away."""
     formula_error: ClassVar[float] = 0.106
-    """Standard deviation of the relative error of the change of each feature by itself: errors of the
-    formula that no two features share. From the prototype, of half of a variance of 0.15²."""
+    """Standard deviation of the relative error of the effect's change in a single parameter such as T20
+    or C80, from errors of the equation that no two parameters share."""
     takes_wall: ClassVar[bool] = False
-    """Whether its size is an area of wall that it takes."""
+    """Whether the size of the effect is an area of wall that it replaces."""
     largest_share: ClassVar[float] = 0.25
-    """Largest share of all surfaces that the effect is believed to take."""
+    """Largest share of all surfaces of the room that the effect is assumed to cover."""
     stands_on: ClassVar[Sequence[str]] = ()
-    """The kinds of surfaces on which it may stand, of "floor", "wall" and "ceiling". With positions it
-    is sought on each of them; an effect without any is sought by means over positions alone."""
+    """Kinds of surfaces on which the effect may stand: "floor", "wall" and "ceiling". With a
+    measurement of each position it is tried on each of them. An effect without any is tried only for
+    means over positions."""
     shares: ClassVar[Sequence[float]] = ()
-    """Shares of a surface that are tried, of an effect that takes absorption away from it."""
+    """Shares of a surface that are tried, for an effect that takes absorption away from the surface."""
     needs_directions: ClassVar[bool] = False
-    """Whether it acts by the directions in which surfaces face. In a room of which nothing says them it
-    is not judged."""
+    """Whether the effect depends on the directions in which surfaces face. If the room does not have
+    these directions, the effect is not tried."""
     in_geometry: ClassVar[bool] = False
-    """Whether nothing of the kind can be missing from a geometrical program's run."""
+    """Whether a geometrical program already includes the effect, so that it cannot be missing from its
+    run."""
     not_in_simulator: ClassVar[str | None] = (
         "it bends the decay, which no material of a simulator does; without make the case's own "
         "model is the simulator"
     )
-    """Why a simulator of a room cannot have the effect; None where it can, or has it already. Asked
-    only of effects that no material can represent."""
+    """Reason why a simulator of a room cannot have the effect; None where it can, or already has it.
+    Used only for effects that no material can represent."""
 
     @property
     def discrete(self) -> list[str]:
-        """Names of the parameters that have no values between those of the grid."""
+        """Names of the parameters that have no values between those that are tried."""
         return [name for name, of in self.parameters.items() if of.discrete]
 
     @property
     def kinds(self) -> list[Parameters]:
-        """Every combination of the values of parameters that are tried; a single set without any."""
+        """Every combination of the parameter values that are tried.
+
+        One empty combination without any.
+        """
         tried = {name: of.tried for name, of in self.parameters.items() if len(of.tried)}
         return [dict(zip(tried, values, strict=True)) for values in product(*tried.values())]
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return the parameters to try: `kinds`, unless a subclass has others."""
+        """Return the sets of parameters to try in a room: `kinds`, unless a subclass has others."""
         return self.kinds
 
     @abstractmethod
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room with the effect in it."""
+        """Return the state of the room with the effect added."""
 
     def changes(self, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
-        """Return one room per set of parameters in ``grid``, with the effect in it."""
+        """Return the states of the room with the effect, one per set of parameters in ``grid``."""
         return [self.change(state, theta) for theta in grid]
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
-        """Return the variants of the effect on a surface: parameters and alpha, (n_bands,)."""
+        """Return the forms that the effect has on a surface: parameters and alpha (n_bands,) each."""
         return []
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
-        """Return the prior density of parameters, each (n,), up to a factor; by default 1.
+        """Return the probability density of parameters before the measurement, up to a factor.
 
-        It is a density per unit of ln of each parameter that is above 0, and of any other parameter
-        itself; of a discrete parameter, a probability.
+        Each parameter has n values, (n,). The density is per unit of ln of a parameter that is always
+        above 0, and per unit of any other one. For a discrete parameter it is a probability. By default
+        it is 1.
         """
         return 1.0
 
     def limits(self, room: Room | None) -> Limits:
         """Return the physical limits of the parameters in this room, or in any room if None.
 
-        A size is sought within them, and a case refuses parameters outside. A parameter
-        that is not among them may have any value.
+        The size is searched within its limits, and a case refuses parameters outside theirs. A
+        parameter without limits may have any value.
         """
         return {name: of.within for name, of in self.parameters.items()}
 
     def size_limits(self, room: Room) -> tuple[float, float]:
-        """Return the least and the largest possible size in this room."""
+        """Return the smallest and the largest possible size of the effect in this room."""
         return self.limits(room).get(self.size, (-inf, inf))
 
     def prior_odds(self, room: Room) -> float:
-        """Return how probable the effect is in this room before the measurement, against the others.
+        """Return the effect's odds before the measurement in this room, relative to the other effects.
 
-        Most effects of the library have 1; the default is `odds`.
+        Most effects of the library have 1. The default is `odds`.
         """
         return self.odds
 
     def title(self, parameters: Parameters, room: Room) -> str:
-        """Return the effect's name in a sentence: ``area of "plaster"``."""
+        """Return the effect's name for a sentence, such as ``area of "plaster"``."""
         material = self.material(parameters, room)
         return self.name if material is None else f'{self.name} of "{material}"'
 
     def material(self, parameters: Parameters, room: Room) -> str | None:
-        """Return the material that the parameters refer to, None without one."""
+        """Return the name of the room's material that the parameters refer to; None without one."""
         return None
 
     def describe(self, parameters: Parameters, without: str = "") -> str:
-        """Return the parameters in words, except ``without`` and the material, which a title has."""
+        """Return the parameters in words, without the material and the parameter ``without``."""
         known = {self.size: Parameter(unit=self.unit), **self.parameters}
         in_order = [*self.parameters, *(name for name in parameters if name not in self.parameters)]
         return ", ".join(
@@ -198,18 +209,18 @@ class Effect(ABC):
         )
 
     def contradicts(self, room: Room) -> bool:
-        """Return whether the effect replaces a value of the room, such as an area."""
+        """Return whether the effect replaces an input value of the room, such as an area."""
         return False
 
     def air(self, stated: Air | None, parameters: Parameters) -> Air | None:
-        """Return the air of the corrected room."""
+        """Return the air of the corrected room; by default the room's input air."""
         return stated
 
     def errors_over_bands(self, frequencies: Array) -> Array:
-        """Return the relative errors of the effect's change, one standard deviation each.
+        """Return independent relative errors of the effect's change, as standard deviations per band.
 
-        (n_bands, 2 + n_bands): one error common to all bands, one tilt over frequency, and one error
-        per band, correlated between neighbouring bands.
+        The columns of (n_bands, 2 + n_bands) are an error common to all bands, an error that grows with
+        frequency, and errors per band, which are correlated between neighbouring bands.
         """
         common, tilt, rough = self.spectrum_error
         octaves = np.log2(frequencies / 1000)
@@ -223,16 +234,16 @@ class Effect(ABC):
         return np.asarray(errors @ errors.T)
 
     def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
-        """Return the absorption area in m² that the effect adds, (n_bands,), or None."""
+        """Return the absorption area in m² that the effect adds, (n_bands,); None if it adds none."""
         return None
 
 
 class AbsorbingObject(Effect):
-    """An effect that adds absorption in proportion to its size, and can be taken out of the room.
+    """Describe objects whose absorption is proportional to a size, and that can be taken out.
 
-    Sizes are tried that have from ``least`` to ``most`` times the room's absorption area at 500 to
-    2000 Hz, where one has ``of_one`` m². Objects need no wall, so that any size is possible. A size of
-    1 has the absorption area ``each`` in m², at 63 Hz to 8 kHz.
+    An object of size 1 has the absorption area ``each`` in m² at the octaves from 63 Hz to 8 kHz, and
+    ``of_one`` in m² at 500 to 2000 Hz. Sizes are tried that give ``least`` to ``most`` times the room's
+    absorption area there. Objects need no wall, so that any size is possible.
     """
 
     removable: ClassVar[bool] = True
@@ -243,28 +254,31 @@ class AbsorbingObject(Effect):
     each: ClassVar[Sequence[float]] = (1.0,) * 8
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the lowest and highest value of each parameter; the size is 0 or more."""
+        """Return the smallest and largest value of each parameter; the size is 0 or more."""
         return {self.size: (0.0, inf), **super().limits(room)}
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return every combination of `kinds` and sizes."""
+        """Return every combination of `kinds` with the sizes that are tried in this room."""
         sizes = np.geomspace(self.least, self.most, self.steps) * middle_absorption(state)
         sizes = (sizes / self.of_one).tolist()
         return [{**kind, self.size: a} for kind, a in product(self.kinds, sizes)]
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room with the objects."""
+        """Return the state of the room with the objects added."""
         each = interpolate_octaves(state.frequencies, self.each)
         return state.with_objects(parameters[self.size] * each)
 
     def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
-        """Return the difference of the absorption areas in m², (n_bands,)."""
+        """Return the absorption area in m² that the objects add, (n_bands,)."""
         added = with_effect.surface_absorption - without.surface_absorption
         return np.asarray(added + with_effect.objects - without.objects)
 
 
 class Absorber(AbsorbingObject):
-    """A surface with its own spectrum in place of wall; a subclass has ``name`` and `spectrum`."""
+    """Describe a surface that replaces an area of wall.
+
+    A subclass has its ``name`` and its `spectrum`.
+    """
 
     size: ClassVar[str] = "area"
     unit: ClassVar[str] = "m²"
@@ -273,14 +287,14 @@ class Absorber(AbsorbingObject):
 
     @abstractmethod
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
-        """Return alpha, (n_bands,), which the size does not change."""
+        """Return alpha of the absorber, (n_bands,), which does not depend on its area."""
 
     def limits(self, room: Room | None) -> Limits:
         """Return the limits of all parameters; the size is an area from 0 to that of all surfaces."""
         return {**super().limits(room), self.size: (0.0, all_surfaces(room))}
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
-        """Return each of `kinds` with its alpha."""
+        """Return each combination of `kinds` with its alpha, (n_bands,)."""
         return [(kind, self._checked_alpha(frequencies, kind)) for kind in self.kinds]
 
     def _checked_alpha(self, frequencies: Array, parameters: Parameters) -> Array:
@@ -298,11 +312,11 @@ class Absorber(AbsorbingObject):
         return alpha
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room with the absorber in place of wall."""
+        """Return the state of the room with the absorber in place of an equal area of wall."""
         return self.changes(state, [parameters])[0]
 
     def changes(self, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
-        """Return one room per set of parameters in ``grid``, with the absorber in place of wall."""
+        """Return the states of the room with the absorber, one per set of parameters in ``grid``."""
         if type(self).change is not Absorber.change:
             return super().changes(state, grid)
         others = [name for name in grid[0] if name != self.size]
@@ -316,18 +330,21 @@ class Absorber(AbsorbingObject):
 
 
 def all_surfaces(room: Room | None) -> float:
-    """Return the area of all surfaces in m²; of any room, the largest that a room may have."""
+    """Return the area of all surfaces of a room in m².
+
+    For None, the largest area that a room may have.
+    """
     return LARGEST if room is None else room.total_area
 
 
 def middle_absorption(state: RoomState) -> float:
-    """Return S'alpha at 500 to 2000 Hz in m², averaged over bands; over all bands if it has none."""
+    """Return the mean absorption area in m² from 500 to 2000 Hz, or else over all bands."""
     area = state.areas @ state.alpha
     return float(area[bands.is_middle(state.frequencies)].mean())
 
 
 def interpolate_octaves(frequencies: Array, octaves: Sequence[float]) -> Array:
-    """Interpolate values at 63 Hz to 8 kHz, linearly over the logarithm of the frequency."""
+    """Return octave values from 63 Hz to 8 kHz at other frequencies, linear in the log frequency."""
     centres = np.log(62.5 * 2.0 ** np.arange(8))
     return np.asarray(np.interp(np.log(frequencies), centres, octaves))
 
@@ -337,9 +354,10 @@ _SPEED = 343.2
 
 @dataclass(frozen=True)
 class Porous(Absorber):
-    """A porous layer on a rigid wall, locally reacting, diffuse incidence up to 78° (Miki 1990).
+    """Describe a porous layer on a rigid wall that is missing from the model (Miki 1990).
 
-    A curtain is not such a layer: it hangs free.
+    The layer is locally reacting, with diffuse incidence up to 78°. For a curtain, which hangs free,
+    see `Curtain`.
     """
 
     name: ClassVar[str] = "porous"
@@ -355,7 +373,7 @@ class Porous(Absorber):
     }
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
-        """Return the statistical alpha."""
+        """Return alpha of the layer at diffuse incidence, (n_bands,)."""
         # Averaged over the octave, as a measurement averages the narrow resonance of a thin layer.
         inside = frequencies[:, None] * 2.0 ** np.array([-0.33, 0.0, 0.33])
         ratio = inside / parameters["flow_resistivity"]
@@ -384,7 +402,7 @@ _IMPEDANCE_OF_AIR = 413.0
 
 @dataclass(frozen=True)
 class Curtain(Absorber):
-    """A curtain with air behind it: flow resistance, mass and airspace (Ingard 1994; Kuttruff 2016).
+    """Describe a missing curtain by flow resistance, mass and airspace (Ingard 1994; Kuttruff 2016).
 
     The fabric's impedance is r and i omega m in parallel; behind it stands -i cot(k d cos theta), of
     plane waves in the airspace. Far from a wall the mean over a band is that of a curtain that hangs
@@ -404,7 +422,7 @@ class Curtain(Absorber):
     }
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
-        """Return the statistical alpha, averaged over each octave."""
+        """Return alpha of the curtain at diffuse incidence, averaged over each octave, (n_bands,)."""
         inside = frequencies[:, None, None] * 2.0 ** np.linspace(-0.45, 0.45, 9)[:, None]
         omega, resistance = 2 * np.pi * inside, parameters["flow_resistance"]
         mass = 1j * omega * _MASS / _IMPEDANCE_OF_AIR
@@ -417,7 +435,7 @@ class Curtain(Absorber):
 
 @dataclass(frozen=True)
 class Resonator(Absorber):
-    """A membrane or Helmholtz absorber: a0 / (1 + Q² (f/f0 - f0/f)²) (Cox & D'Antonio)."""
+    """Describe a missing resonance absorber: alpha = a0 / (1 + Q² (f/f0 - f0/f)²) (Cox & D'Antonio)."""
 
     name: ClassVar[str] = "resonator"
     family: ClassVar[str] = "added absorption, low"
@@ -431,7 +449,7 @@ class Resonator(Absorber):
     }
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
-        """Return alpha, averaged over each octave."""
+        """Return alpha of the resonator, averaged over each octave, (n_bands,)."""
         return _resonance(frequencies, parameters["resonance"], parameters["quality"], 0.8)
 
 
@@ -449,7 +467,7 @@ _QUALITY = 1.2
 
 @dataclass(frozen=True)
 class Membrane(Absorber):
-    """A panel before an airspace: resonance 60 / sqrt(m d) Hz (Kuttruff 2016; Cox & D'Antonio)."""
+    """Describe a missing panel before an airspace, resonant at 60 / sqrt(m d) Hz (Cox & D'Antonio)."""
 
     name: ClassVar[str] = "membrane"
     family: ClassVar[str] = "added absorption, low"
@@ -464,7 +482,7 @@ class Membrane(Absorber):
     }
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
-        """Return alpha, averaged over each octave."""
+        """Return alpha of the panel, averaged over each octave, (n_bands,)."""
         resonance = 60 / (parameters["mass"] * parameters["airspace"]) ** 0.5
         return _resonance(frequencies, resonance, _QUALITY, _PEAK)
 
@@ -478,9 +496,9 @@ AT_1_KHZ = PER_PERSON[4]
 
 @dataclass(frozen=True)
 class People(AbsorbingObject):
-    """People as objects, each with an absorption area (Vorländer 2008).
+    """Describe people who are missing from the model, each with an absorption area (Vorländer 2008).
 
-    Seats and rows are not among them: an `Audience` covers floor.
+    For people in rows of seats, which cover an area of the floor, see `Audience`.
     """
 
     name: ClassVar[str] = "people"
@@ -497,13 +515,13 @@ class People(AbsorbingObject):
 
 
 SEATED_ALPHA = 0.86
-"""alpha of a seated audience at 1 kHz (Beranek 1996)."""
+"""Absorption coefficient of a seated audience at 1 kHz (Beranek 1996)."""
 _AREA_AT_1_KHZ = "m² of absorption area at 1 kHz"
 
 
 @dataclass(frozen=True)
 class Audience(AbsorbingObject):
-    """People in upholstered rows, as an area of floor that they cover (Beranek 1996)."""
+    """Describe a missing audience in upholstered seats, by the floor area covered (Beranek 1996)."""
 
     name: ClassVar[str] = "audience"
     family: ClassVar[str] = "added absorption, rising"
@@ -522,19 +540,19 @@ class Audience(AbsorbingObject):
         return {self.size: (0.0, SEATED_ALPHA * all_surfaces(room))}
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room with the audience."""
+        """Return the state of the room with the audience added."""
         ((_, alpha),) = self.on_surface(state.frequencies)
         return state.covered(parameters["absorption_area"] / SEATED_ALPHA, alpha)
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
-        """Return the audience's alpha."""
+        """Return the audience's alpha, (n_bands,), as the only combination of parameters."""
         seated = interpolate_octaves(frequencies, self.SEATED)
         return [({}, np.minimum(SEATED_ALPHA * seated, 1.0))]
 
 
 @dataclass(frozen=True)
 class Furniture(AbsorbingObject):
-    """Objects: A = V_obj^(2/3) each (EN 12354-6), less where they are small beside a wavelength."""
+    """Describe missing hard objects: A = V_obj^(2/3) each, less at low frequencies (EN 12354-6)."""
 
     name: ClassVar[str] = "furniture"
     family: ClassVar[str] = "added absorption, flat"
@@ -548,7 +566,7 @@ class Furniture(AbsorbingObject):
 
 @dataclass(frozen=True)
 class Opening(Absorber):
-    """An opening: the energy that leaves does not return (Sabine; Kuttruff)."""
+    """Describe a missing opening, whose sound energy does not return: alpha = 1 (Sabine; Kuttruff)."""
 
     name: ClassVar[str] = "opening"
     family: ClassVar[str] = "added absorption, flat"
@@ -556,42 +574,49 @@ class Opening(Absorber):
     steps: ClassVar[int] = 14
 
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
-        """Return alpha = 1."""
+        """Return alpha = 1 in each band, (n_bands,)."""
         return np.ones_like(frequencies)
 
 
 _LAST = 500.0
 """Decay of the energy in nepers after which it is too little for a double number."""
 RATIOS = (5e-4, 2e3)
-"""Ratios of a true area or volume to the stated one: a unit taken for another is a factor of 1000."""
+"""Smallest and largest ratio of a true area or volume to the input value: a wrong unit is a factor of
+1000."""
 _MATERIAL = Parameter(within=(0.0, inf), discrete=True)
 
 
 class WrongStatement(Effect):
-    """An effect that contradicts an input of the room; ``material`` names the material concerned."""
+    """Describe a wrong input value of the room.
+
+    The parameter ``material`` is the material concerned.
+    """
 
     family: ClassVar[str] = "scale"
 
     def contradicts(self, room: Room) -> bool:
-        """Return True."""
+        """Return True, because the effect replaces an input value."""
         return True
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the limits of the parameters; a material is a row of the room's materials."""
+        """Return the limits of the parameters.
+
+        The material is the number of one of the room's materials.
+        """
         limits = super().limits(room)
         if room is None or "material" not in limits:
             return limits
         return {**limits, "material": (0.0, room.n_materials - 1.0)}
 
     def material(self, parameters: Parameters, room: Room) -> str | None:
-        """Return the name of the material."""
+        """Return the name of the material whose input value is wrong."""
         number = int(parameters.get("material", -1))
         return room.materials[number] if 0 <= number < room.n_materials else None
 
 
 @dataclass(frozen=True)
 class WrongArea(WrongStatement):
-    """The true area of one material, as a ratio of the stated one."""
+    """Describe a wrong input area of one material, by the ratio of the true area to the input area."""
 
     name: ClassVar[str] = "area"
     size: ClassVar[str] = "ratio"
@@ -604,17 +629,17 @@ class WrongArea(WrongStatement):
     size_error: ClassVar[float] = 0.0
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return each material with 0.35 to 2.9 times its area."""
+        """Return each material of the room with 0.35 to 2.9 times its input area."""
         ratios = [r for r in np.geomspace(0.35, 2.9, 12) if abs(r - 1) > 0.05]
         both = product(range(len(state.areas)), ratios)
         return [{"material": float(j), "ratio": float(r)} for j, r in both]
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
-        """Return a normal density of ln ratio, of standard deviation 0.5."""
+        """Return the ratio's probability before the measurement: ln ratio is normal, of spread 0.5."""
         return np.asarray(np.exp(-0.5 * (np.log(parameters["ratio"]) / 0.5) ** 2))
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room with that area."""
+        """Return the state of the room with the other area."""
         areas = state.areas.copy()
         areas[int(parameters["material"])] *= parameters["ratio"]
         return replace(state, areas=areas)
@@ -622,10 +647,10 @@ class WrongArea(WrongStatement):
 
 @dataclass(frozen=True)
 class WrongVolume(WrongStatement):
-    """The true volume, as a ratio of the stated one.
+    """Describe a wrong input volume, by the ratio of the true volume to the input volume.
 
-    A stated volume is believed within its standard deviation (`RoomState.volume_sigma`). Beyond it only
-    a gross mistake is, which is a factor: a half that was not drawn, a length for another, feet for
+    Small errors follow the input volume's standard deviation (`RoomState.volume_sigma`). Larger errors
+    are gross mistakes by a factor: half of the room was not drawn, a length is wrong, or feet stand for
     metres.
     """
 
@@ -637,16 +662,17 @@ class WrongVolume(WrongStatement):
         35.3: 0.0125,
         1000.0: 0.0125,
     }
-    """Factors of gross mistakes with their shares of these: of a half or a third of the room, of
-    lengths twice as large, of cubic feet and of a unit. Their inverses have the same."""
+    """Factors of gross mistakes, with their shares of all gross mistakes: half or a third of the room,
+    lengths twice as large, cubic feet, and another wrong unit. The inverse factors have the same
+    shares."""
     odds: ClassVar[float] = 1 / 3
     GROSS: ClassVar[float] = 0.9
-    """Probability that a wrong volume is a gross mistake: within its standard deviation it is right."""
+    """Probability that a wrong volume is a gross mistake, and not a small error."""
     WIDTH: ClassVar[float] = 0.05
-    """Standard deviation of ln of a gross mistake about its factor."""
+    """Standard deviation of the ln of a gross mistake about the ln of its factor."""
     UNEVEN: ClassVar[float] = 0.01
-    """Factor of the probability of a volume two to four times as large where no directions are known:
-    an uneven field, which is not judged then, makes T as much longer."""
+    """Factor on the probability of a volume two to four times as large, where the directions of
+    surfaces are unknown: an uneven sound field, which cannot be tried then, lengthens T as much."""
     steps: ClassVar[int] = 18
     name: ClassVar[str] = "volume"
     size: ClassVar[str] = "ratio"
@@ -656,7 +682,7 @@ class WrongVolume(WrongStatement):
     size_error: ClassVar[float] = 0.04
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return ratios within four standard deviations, and those about the `FACTORS`."""
+        """Return volume ratios within four standard deviations of 1, and ratios about the `FACTORS`."""
         near = self.near(state)
         about = self._mistakes()[:, np.newaxis] + self.WIDTH * np.linspace(-3, 3, self.steps // 2)
         end = np.log(near[-1]["ratio"]) + self.WIDTH
@@ -667,7 +693,7 @@ class WrongVolume(WrongStatement):
         return sorted(every, key=lambda theta: theta["ratio"])
 
     def near(self, state: RoomState) -> list[Parameters]:
-        """Return ratios within four standard deviations."""
+        """Return volume ratios within four standard deviations of 1."""
         return [
             {"ratio": float(r)} for r in np.exp(state.volume_sigma * np.linspace(-4, 4, self.steps))
         ]
@@ -678,7 +704,7 @@ class WrongVolume(WrongStatement):
         return np.concatenate([logs, -logs])
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
-        """Return the density of ln ratio: normal about 0, and with `GROSS` about ln of the factors."""
+        """Return how probable the ratio is before the measurement, as a density of its ln."""
         logs = np.log(parameters["ratio"])
 
         def normal(about: Array | float, sigma: float) -> Array:
@@ -695,13 +721,13 @@ class WrongVolume(WrongStatement):
         return np.asarray((1 - self.GROSS) * right + self.GROSS * of_mistakes)
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room with that volume."""
+        """Return the state of the room with the other volume."""
         return replace(state, volume=state.volume * parameters["ratio"])
 
 
 @dataclass(frozen=True)
 class WrongFormula(WrongStatement):
-    """Another equation than the model's: Sabine's, Eyring's or Millington's."""
+    """Describe a reverberation equation other than the model's: Sabine's, Eyring's or Millington's."""
 
     name: ClassVar[str] = "formula"
     size: ClassVar[str] = "equation"
@@ -720,23 +746,23 @@ class WrongFormula(WrongStatement):
     in_geometry: ClassVar[bool] = True  # it computes no equation
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return the equations that the model does not use."""
+        """Return each of these equations that the model does not use."""
         return [
             {"equation": float(i)} for i, e in enumerate(self.EQUATIONS) if e.key != state.equation
         ]
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room under that equation."""
+        """Return the state of the room with the other equation."""
         return replace(state, equation=self.EQUATIONS[int(parameters["equation"])].key)
 
 
 HARD = 0.04
-"""alpha of what covers the material: wood, plaster or glass at middle frequencies."""
+"""Absorption coefficient of a hard cover: wood, plaster or glass at middle frequencies."""
 
 
 @dataclass(frozen=True)
 class CoveredSurface(WrongStatement):
-    """A share of one material that is covered by something hard, so that the share does not absorb."""
+    """Describe a hard cover over a share of one material, so that this share hardly absorbs."""
 
     name: ClassVar[str] = "covered surface"
     family: ClassVar[str] = "less absorption"
@@ -756,18 +782,18 @@ class CoveredSurface(WrongStatement):
     shares: ClassVar[Sequence[float]] = (0.12, 0.2, 0.33, 0.55, 0.9)
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return each material that is softer than the cover, covered by 0.12 to 0.9."""
+        """Return each material softer than the cover, with a covered share of 0.12 to 0.9."""
         middle = state.alpha.mean(1)
         rows = np.flatnonzero(middle > 2 * HARD)
         rows = rows if len(rows) else np.array([int(np.argmax(middle))])
         return [{"material": float(j), "share": s} for j, s in product(rows, self.shares)]
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
-        """Return the cover's alpha."""
+        """Return the cover's alpha, (n_bands,), as the only combination of parameters."""
         return [({}, np.full(len(frequencies), HARD))]
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room with that share of the material covered."""
+        """Return the state of the room with this share of the material covered."""
         alpha, row = np.array(state.alpha), int(parameters["material"])
         share = parameters["share"]
         alpha[row] = (1 - share) * alpha[row] + share * np.minimum(HARD, alpha[row])
@@ -776,7 +802,7 @@ class CoveredSurface(WrongStatement):
 
 @dataclass(frozen=True)
 class NoiseFloor(Effect):
-    """Noise in the measured decays that was not subtracted: S(t) + N (t_end - t) (ISO 3382)."""
+    """Describe noise N that was not subtracted from the decays: S(t) + N (t_end - t) (ISO 3382)."""
 
     name: ClassVar[str] = "noise floor"
     family: ClassVar[str] = "measurement"
@@ -793,13 +819,13 @@ class NoiseFloor(Effect):
     )
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room with this noise in its decays."""
+        """Return the state of the room with this noise in its decays."""
         return replace(state, floor_db=parameters["level"], record=parameters["record"])
 
 
 @dataclass(frozen=True)
 class DirectSound(Effect):
-    """A source that is not omnidirectional: its direct sound, in C80 and G alone."""
+    """Describe a source that is not omnidirectional, whose direct sound changes only C80 and G."""
 
     name: ClassVar[str] = "direct sound"
     family: ClassVar[str] = "measurement"
@@ -815,13 +841,13 @@ class DirectSound(Effect):
     not_in_simulator: ClassVar[str | None] = None
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room with the direct sound so much stronger."""
+        """Return the state of the room with the direct sound changed by this number of dB."""
         return replace(state, direct_db=state.direct_db + parameters["gain"])
 
 
 @dataclass(frozen=True)
 class OmittedAir(Effect):
-    """Air absorption that the model lacks, or has for another climate (ISO 9613-1)."""
+    """Describe air absorption that the model lacks, or has for a wrong climate (ISO 9613-1)."""
 
     name: ClassVar[str] = "air"
     family: ClassVar[str] = "climate"
@@ -842,7 +868,7 @@ class OmittedAir(Effect):
     }
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
-        """Return the density of an indoor climate: even over `INDOORS`, normal tails beyond it."""
+        """Return a climate's probability before the measurement: even over `INDOORS`, less beyond."""
         out: Array | float = 1.0
         for name, (low, high, tail) in self.INDOORS.items():
             value = np.asarray(parameters[name])
@@ -851,29 +877,29 @@ class OmittedAir(Effect):
         return out
 
     def prior_odds(self, room: Room) -> float:
-        """Return 3 where the room states no climate, and 0.3 where it does.
+        """Return the odds before the measurement: 3 if the input has no climate, 0.3 if it has one.
 
-        Every room has air. A stated climate was measured, and its uncertainty is in the covariance of
-        every hypothesis (`Case.climate_uncertainty`).
+        Every room has air. The uncertainty of an input climate is `Case.climate_uncertainty`, which
+        counts for every effect.
         """
         return 3.0 if room.air is None else 0.3
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room with this air: its attenuation and its speed of sound."""
+        """Return the state of the room with the attenuation and the speed of sound of this climate."""
         attenuation, speed = _climate(
             tuple(state.frequencies), parameters["temperature"], parameters["humidity"]
         )
         return replace(state, air=attenuation, speed_of_sound=speed)
 
     def describe(self, parameters: Parameters, without: str = "") -> str:
-        """Return the climate in words, with its known values."""
+        """Return the climate in words, with the values that the parameters have."""
         return (
             f"{super().describe(parameters, without)} (found together: only the attenuation that "
             "they give is known well)"
         )
 
     def contradicts(self, room: Room) -> bool:
-        """Return whether the room states another climate."""
+        """Return whether the room's input has a climate, which this effect then replaces."""
         return room.air is not None
 
     def air(self, stated: Air | None, parameters: Parameters) -> Air | None:
@@ -892,7 +918,7 @@ def _climate(
 
 @dataclass(frozen=True)
 class NonDiffuse(Effect):
-    """Uneven absorption and little scattering: each direction decays at its own rate."""
+    """Describe a non-diffuse field: uneven absorption, and a different decay in each direction."""
 
     name: ClassVar[str] = "non-diffuse field"
     family: ClassVar[str] = "field"
@@ -911,13 +937,16 @@ class NonDiffuse(Effect):
     not_in_simulator: ClassVar[str | None] = None
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room with this scattering."""
+        """Return the state of the room with this scattering."""
         return replace(state, shape=DirectionalDecay(**parameters))
 
 
 @dataclass(frozen=True)
 class CoupledRoom(Effect):
-    """A second room behind an aperture: two energy balances (Kuttruff; Cremer & Mueller)."""
+    """Describe a missing second room behind an aperture, coupled by energy (Kuttruff.
+
+    Cremer & Mueller).
+    """
 
     name: ClassVar[str] = "coupled room"
     family: ClassVar[str] = "field"
@@ -942,7 +971,11 @@ class CoupledRoom(Effect):
     )
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return apertures of 0.05 to 1.2 A, rooms of 0.2 to 3 V, alpha of 0.02 to 0.3."""
+        """Return combinations of aperture, volume and alpha of the second room that are tried.
+
+        The aperture is 0.05 to 1.2 times the first room's absorption area, the volume 0.2 to 3 times
+        its volume, and alpha 0.02 to 0.3.
+        """
         area = middle_absorption(state)
         return [
             {"aperture": float(a * area), "volume": float(v * state.volume), "alpha": float(e)}
@@ -956,16 +989,18 @@ class CoupledRoom(Effect):
         return {**super().limits(room), "aperture": (0.0, all_surfaces(room))}
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the room coupled to the other one."""
+        """Return the state of the room coupled to the second one."""
         return replace(state, shape=CoupledDecay(**parameters))
 
 
 @dataclass(frozen=True)
 class CoupledDecay:
-    """The decay with a second room of ``volume`` in m³ and ``alpha`` behind an ``aperture`` in m².
+    """Describe the decay of a room with a second room behind an aperture (Kuttruff 2016, Sect. 5.8).
 
-    V1 dE1/dt = -(c/4) (A1 + S) E1 + (c/4) S E2, and the same with 1 and 2 exchanged. The second room
-    has the surface of a cube (Kuttruff 2016, Sect. 5.8; Cremer & Mueller 1982).
+    The second room has a ``volume`` in m³, a mean absorption coefficient ``alpha``, and the surface of
+    a cube; the ``aperture`` S is in m². With energy densities E1, E2 and absorption areas A1, A2, V1
+    dE1/dt = -(c/4) (A1 + S) E1 + (c/4) S E2, and the same with 1 and 2 exchanged (Cremer & Mueller
+    1982).
     """
 
     aperture: float
@@ -974,7 +1009,7 @@ class CoupledDecay:
 
     @staticmethod
     def together(states: Sequence[RoomState], shapes: Sequence[CoupledDecay]) -> Decay:
-        """Return the decays of many states, each with its shape: (n, n_bands, 2)."""
+        """Return the decays of n rooms, each with its own coupled room: (n, n_bands, 2) values."""
         c, opening = speeds(states)[:, None], np.ones_like(states[0].frequencies)
         aperture = np.array([[s.aperture] for s in shapes])
         volume = np.array([[s.volume] for s in shapes])
@@ -1011,7 +1046,7 @@ _RULES = {
 
 
 def library() -> tuple[Effect, ...]:
-    """Return every effect that rtcal has."""
+    """Return every effect that rtcal can try when it looks for what is missing from a model."""
     return (
         OmittedAir(),
         Opening(),
@@ -1034,9 +1069,9 @@ def library() -> tuple[Effect, ...]:
 
 
 def checked_effects(effects: object | None) -> tuple[Effect, ...]:
-    """Return the effects, the whole library for None.
+    """Return the effects as a tuple after checking them; the whole library for None.
 
-    Raises DataError unless each is complete and has a name of its own.
+    Raises DataError unless each effect is complete and no two have the same name.
     """
     if effects is None:
         return library()
@@ -1084,15 +1119,15 @@ def _check(place: str, effect: Any) -> None:
 
 
 IN_RUN = "a geometrical program computes none"
-"""Why an effect is not judged beside a run."""
+"""Reason, as a sentence, why an effect is not tried beside the run of a geometrical program."""
 
 
 def judged_effects(
     effects: Sequence[Effect], directions_known: bool, geometrical: bool = False
 ) -> tuple[tuple[Effect, ...], dict[str, str]]:
-    """Return the effects that can be judged, and by name why others cannot.
+    """Return the effects that can be tried, and by name the reasons why others cannot.
 
-    A run of a ``geometrical`` program has some of them in it. Raises DataError where none is left.
+    A run of a ``geometrical`` program already includes some effects. Raises DataError if none is left.
     """
     lacking = {e.name: NOT_KNOWN for e in effects if e.needs_directions and not directions_known}
     lacking |= {e.name: IN_RUN for e in effects if e.in_geometry and geometrical}
@@ -1104,16 +1139,17 @@ def judged_effects(
 
 
 def columns(grid: Sequence[Parameters]) -> dict[str, Array]:
-    """Return the values of each parameter over a grid, (n,) each."""
+    """Return the values of each parameter over n combinations of parameters, (n,) each."""
     return {name: np.array(list(map(itemgetter(name), grid))) for name in grid[0]}
 
 
 def checked_grid(
     effect: Effect, state: RoomState, room: Room | None = None
 ) -> Sequence[Parameters]:
-    """Return the effect's grid: at least one set of the same finite numbers, its size among them.
+    """Return the combinations of parameters that an effect tries in a room, after checking them.
 
-    Sets outside the limits of the room (`Effect.limits`) are left out, if others are within.
+    There must be at least one. Each must have the same parameters, with the size, as finite numbers.
+    Combinations outside the room's limits (`Effect.limits`) are left out if others are within.
     """
     where = f'effect "{effect.name}": grid'
     grid = checks.listed(where, _run(where, lambda: effect.grid(state)))
@@ -1143,9 +1179,10 @@ def checked_grid(
 def beyond(
     effect: Effect, grid: Sequence[Parameters], likeliest: Parameters, room: Room
 ) -> list[Parameters]:
-    """Return the grid, `_MORE` sizes longer where the ``likeliest`` parameters have its last size.
+    """Return the combinations of parameters to try, extended if the largest or smallest size fits best.
 
-    It goes on in its own steps, away from the size that changes nothing, to the limits of the room.
+    If the ``likeliest`` parameters have the last size, `_MORE` sizes are added in the same steps, away
+    from the size that changes nothing, up to the limits of the room.
     """
     every, value = list(grid), likeliest[effect.size]
     sizes = np.unique([theta[effect.size] for theta in grid])
@@ -1174,10 +1211,10 @@ def check_parameters(
     room: Room | None = None,
     interval: tuple[float, float] | None = None,
 ) -> None:
-    """Refuse parameters that are missing or outside the effect's `Effect.limits`.
+    """Raise DataError for parameters that are missing or outside the effect's `Effect.limits`.
 
-    ``room`` narrows the limits; without one, they are those that hold in any room. The size's
-    ``interval`` lies within them, too.
+    Without a ``room``, the limits are those of any room. The ``interval`` of the size must be within
+    its limits, too.
     """
     where, limits = f'effect "{effect.name}"', _limits(effect, room)
     for name, (least, most) in limits.items():
@@ -1200,7 +1237,7 @@ def _limits(effect: Effect, room: Room | None) -> Limits:
 
 
 def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
-    """Return the state with the effect in it, by parameters; DataError if a state is impossible."""
+    """Return states of the room with the effect, by parameters; DataError if a state is impossible."""
     where, state = f'effect "{effect.name}": change', state.locked()
     made = added(effect, state, grid)
     for after in made:
@@ -1242,7 +1279,7 @@ def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters])
 
 
 def added(effect: Effect, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
-    """Return the state with the effect in it, by parameters, where `changed_states` passed it alone."""
+    """Return states of the room with the effect, by parameters, not checked by `changed_states`."""
     where, locked = f'effect "{effect.name}": change', state.locked()
     return _run(where, lambda: effect.changes(locked, grid), grid[0])
 
@@ -1281,17 +1318,17 @@ def _run(where: str, call: Callable[[], T], parameters: Parameters | None = None
 
 @dataclass(frozen=True)
 class AppliedEffect:
-    """An effect that was added to the model.
+    """Hold an effect that was added to the model, with its parameters and the interval of its size.
 
     Raises DataError if the library has no effect of this name, or if a parameter is missing or outside
     the effect's `Effect.limits`.
     """
 
     effect: Any
-    """An effect of the library by its name, or another one. A case with one that is not in the library
-    cannot be saved."""
+    """Effect, given by its name in the library or as an object. A case with an effect that is not in
+    the library cannot be saved."""
     parameters: Mapping[str, float]
-    """Values of the effect's parameters."""
+    """Values of the effect's parameters, by name."""
     size_interval: tuple[float, float] | None = None
     """90 % interval of the effect's size."""
 
@@ -1316,12 +1353,12 @@ class AppliedEffect:
 
     @property
     def name(self) -> str:
-        """The effect's name."""
+        """Name of the effect."""
         return str(self.effect.name)
 
     @property
     def size(self) -> float:
-        """The value of the parameter that says how much of the effect there is."""
+        """Value of the parameter that gives the amount of the effect."""
         return float(self.parameters[self.effect.size])
 
     def resized(self, size: float) -> AppliedEffect:
@@ -1330,12 +1367,12 @@ class AppliedEffect:
 
     @property
     def size_sigma(self) -> float:
-        """Standard deviation of the size; 0 if the effect has none."""
+        """Standard deviation of the effect's size, from its 90 % interval; 0 without an interval."""
         if self.size_interval is None:
             return 0.0
         return (self.size_interval[1] - self.size_interval[0]) / (2 * NORMAL_90)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return the effect as plain values for JSON."""
         ends = None if self.size_interval is None else list(self.size_interval)
         return {"effect": self.name, "parameters": dict(self.parameters), "size_interval": ends}

@@ -55,10 +55,11 @@ from rtcal.support.text import listed
 from rtcal.support.types import Array
 
 LEAST_ADDED = 0.3
-"""Probability below which ``apply`` adds an effect only where it is stated by its name. Of first
-candidates with less 9 of 41 were right."""
+"""Probability below which `Finding.apply` adds an effect only if you name it. Of the most probable
+candidates with a lower probability 9 of 41 were right."""
 LEAST_PAIRS = 4
-"""Fewest pairs of a verification at held-out pairs: half of them have to find it again."""
+"""Smallest number of pairs for a check at held-out pairs: half of the pairs must find the effect
+again."""
 _CHOICE = 6
 """Most candidates of which a sentence gives the choice."""
 _LEAST = 1e-3
@@ -69,12 +70,13 @@ DATA = {"means": "means over positions", "positions": "positions", "states": "tw
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Finding(Result):
-    """The result of a search: in means over positions, at every position or between two states.
+    """Hold what `rtcal.find` found: what is missing from a room's model, or what changed in the room.
 
     Notes
     -----
-    If you exchange the two states, "added" and "removed" are exchanged and every change has the
-    other sign; the finding is otherwise the same. For two states, ``score`` is the ln Bayes factor:
+    The data are means over positions, values at every position, or two states of the room. If you
+    exchange the two states, "added" and "removed" are exchanged and every change has the other sign;
+    the finding is otherwise the same. For two states, ``score`` is the ln Bayes factor:
     the natural logarithm of how many times more probable the measurements are if something changed
     than if nothing did. If nothing changed and the noise is as assumed, the mean Bayes factor is 1, so
     that the score exceeds the threshold ln 20 in at most one of twenty cases (Markov's inequality).
@@ -84,122 +86,125 @@ class Finding(Result):
     words_in: ClassVar[str] = WORDS
 
     case: Any
-    """A `Case`, `PositionsCase` or `StatesCase`."""
+    """Room and data that were compared: a `Case`, `PositionsCase` or `StatesCase`."""
     verdict: str
-    """``named``: an effect whose probability is at least 0.9, and that passes every check; of two
-    states the climate alone, where it explains T by chi-square. ``family``: a family has this
-    probability, but none of its effects, or the effect's size or fit is doubtful. ``ambiguous``:
-    something is missing, and effects of several families explain it. ``unknown``: the model lacks
-    something that no effect of the library explains. ``hint``: the score does not exceed the threshold
-    but is above 0, nothing missing has a third of the probability, no effect and no family has (both of
-    means over positions), or a check has failed (``reasons``)."""
+    """Result in one word. ``named``: one effect is identified, with a probability of at least 0.9, and
+    it passes every check; for two states this may be the climate alone. ``family``: a group of effects
+    is identified, but no single one. ``ambiguous``: something is missing, and effects of several groups
+    explain it. ``unknown``: something is missing that no effect of the library explains. ``hint``: a
+    weak indication, because the ``score`` is above 0 but not above its threshold, no probability is
+    high enough, or a check failed (see ``reasons``). ``none``: nothing is missing."""
     family: str | None
-    """The family whose probability is at least 0.9."""
+    """Group of effects whose probability is at least 0.9, None without one."""
     probabilities: Mapping[str, float]
     families: Mapping[str, float]
-    """Of "none", "coefficients", "unknown" and each effect, and of each family, that it is there; the
-    most probable first. "added absorption" has the families whose names begin with it."""
+    """Probability of "none", "coefficients", "unknown" and each group of effects, the most probable
+    first. "added absorption" is the sum of all groups whose names begin with it."""
     detection: Detection
-    """ln Bayes factor for a model that differs from the input, and its threshold."""
+    """Score, the ln Bayes factor for a room that differs from its model, with the threshold of this
+    score."""
     reasons: tuple[Reason, ...]
-    """Why what is most probable is not identified, or not by its name; `rtcal.finder.claim.LEAVES` has
-    what each leaves. ``str`` of a reason is its sentence."""
+    """Reasons why the most probable effect is not identified, or only its group.
+    `rtcal.finder.claim.LEAVES` has the verdict after each reason. ``str`` of a reason is its
+    sentence."""
     notes: tuple[Reason | str, ...]
-    """Notes on what was left out and assumed, and reasons to doubt the result. A text is a note of the
-    measurement's or of the simulator's."""
+    """Notes on what was left out or assumed, and cautions. A note that is a text comes from the
+    measurement or the simulator."""
     effects: Mapping[str, Effect]
-    """The effects that were tried, by name."""
+    """Effects that were tried, by name."""
     candidates: tuple[Candidate, ...]
-    """Candidates, the most probable first. Of means, the members, then what explains the data in place
-    of one, or single effects that hold 0.9 of what is not "none". At positions, every effect in every
-    place. Of two states, the kinds of change with 0.03 and more: "added porous", each with the change
-    of the absorption area in m², mean over the bands of ``middle``."""
+    """Effects that explain the data, the most probable first. For means: the missing effects, and those
+    that could replace one of them. At positions: every effect in every place. For two states: each kind
+    of change with a probability of 0.03 or more, such as "added porous", with its change of the
+    absorption area in m² as a mean over the bands ``middle``."""
     named: Names = ()
-    """The effects that are identified."""
+    """Names of the effects that are identified."""
     modelled: tuple[Measurement, ...] = ()
-    """What the model gives at the stated coefficients, with a run what the run gave: of means by
-    configuration, at positions one, by pair; of two states none."""
+    """Values of the model at the input coefficients, or the values of a program's run if one was given.
+    There is one entry per configuration for means, one entry with a row per pair at positions, none for
+    two states."""
     left_out: Names = ()
-    """Names that were left out on request; of means they are among the ``notes``."""
+    """Names of the effects that were left out on your request."""
     mistake: Reason | None = None
-    """The doubt that T is twice or half the model's, of means also among the ``reasons``."""
+    """Caution that the measured T is about twice or half the model's; None without it."""
     surfaces: Mapping[str, float] = field(default_factory=dict)
-    """At positions, the probability of each surface, given that something stands on one. Of two states,
-    that something changed on it; empty where none is identified."""
+    """Probability of each surface: at positions that the missing object is on it if it is on any; for
+    two states that the surface changed, empty if no surface is identified."""
     sets: Mapping[Names, float] = field(default_factory=dict)
-    """Of means, the sets of effects, () being none; of two states, the surfaces that changed
-    together."""
+    """Probability of each combination of effects for means, () being none; for two states, of each
+    combination of surfaces that changed."""
     size: Size | None = None
-    """Of the best effect; of two states the change of the absorption area in m², mean over the bands of
-    ``middle``."""
+    """Size of the most probable effect; for two states the change of the absorption area in m², as a
+    mean over the bands ``middle``."""
 
     named_families: Names = ()
     named_set: Names = ()
     members: Names = ()
-    """Of means. The groups that are identified; those of two or three that are identified together
-    (`rtcal.finder.means.search.TWO`); the effects of the most probable set, in the order in which they
-    act: what `apply` adds."""
+    """Names of the missing effects in the most probable combination, in the order in which `apply` adds
+    them, for means only. ``named_families`` are the groups that are identified, ``named_set`` the two
+    or three groups that are identified together."""
     stand_ins: Mapping[str, Names] = field(default_factory=dict)
-    """Effects that explain the data as well as a member in its place, by member."""
+    """Effects that explain the data as well as a missing effect, by the name of that effect."""
     evidence: Mapping[str, float] = field(default_factory=dict)
-    """ln Bayes factor over "none", by effect alone, of "coefficients" and of "unknown"."""
+    """Natural logarithm of the Bayes factor over "none", of each effect alone, "coefficients" and
+    "unknown"."""
     likely: Sequence[tuple[tuple[AppliedEffect, ...], float]] = ()
-    """The most probable sets with their parameters, and their probabilities, which sum to 1: what
-    `rtcal.finder.plan` goes on from."""
+    """Most probable combinations of effects with their parameters, and their probabilities, which sum
+    to 1. `rtcal.finder.plan` starts from them."""
     alpha: Array = field(default_factory=partial(np.zeros, 0))
-    """Posterior mean of the coefficients, averaged over all sets, (n_materials, n_bands): what `apply`
-    cannot give, since it adds one set."""
+    """Most probable absorption coefficients, averaged over all combinations of effects by their
+    probability, (n_materials, n_bands)."""
     prior: Any = None
     advice: Reason | None = None
-    """The next measurement that would decide; None where the data show nothing that is missing."""
+    """Next measurement that would decide; None where the data show nothing that is missing."""
     residuals: Array = field(default_factory=partial(np.zeros, 0))
-    """Modelled less measured, over its standard deviation, (n_configurations, n_features, n_bands):
-    amount (ln T20), shape (EDT/T20, T30/T20), level (C80, G). NaN where nothing was measured."""
+    """Modelled minus measured values over their standard deviation, (n_configurations, n_features,
+    n_bands). The features are ln T20, EDT/T20, T30/T20, C80 and G. NaN where nothing was measured."""
     discrepancy: Any = None
-    """Bias and covariance of the model's error: a `ModelDiscrepancy`."""
+    """Error of the model itself, as bias and covariance: a `ModelDiscrepancy`."""
     not_judged: Mapping[str, str] = field(default_factory=dict)
-    """Effects that were not tried, since the room does not state what they act by: each with the
-    reason."""
+    """Names of effects that were not tried, each with the reason, such as unknown directions of
+    surfaces."""
 
     surface: str | None = None
-    """At positions, the surface that is identified: something stands on it with a probability of 0.9 or
-    more, and the checks agree."""
+    """Surface that is identified at positions: the probability that something is missing on it is at
+    least 0.9, and all checks agree."""
     groups: tuple[Names, ...] = ()
-    """Surfaces that these positions do not distinguish."""
+    """Groups of surfaces that these positions do not distinguish."""
     map: Array = field(default_factory=partial(np.zeros, 0))
-    """Simulated less measured in standard deviations of what prior, simulator and measurement leave
-    open, (n_parameters, n_pairs, n_bands); NaN where nothing was measured. ``parameters`` and ``pairs``
-    are its axes."""
+    """Simulated minus measured values at positions, (n_parameters, n_pairs, n_bands), over the standard
+    deviation from coefficients, simulator and measurement together. NaN where nothing was measured.
+    ``parameters`` and ``pairs`` name the first two axes."""
     parameters: tuple[str, ...] = ()
     pairs: tuple[tuple[str, str], ...] = ()
     controls: Any = None
-    """The simulator's error, to be given to another search or calibration: `ControlRuns`."""
+    """Error of the simulator, as `ControlRuns` that you can give to another search or calibration."""
     unexplained: float = 0.0
-    """Probability that the model differs by something that no effect explains, alone or beside one."""
+    """Probability that the room differs from its model by something that no effect of the library
+    explains."""
 
     area: Array = field(default_factory=partial(np.zeros, 0))
-    """Of two states, the surfaces' absorption area before in m², by the equation, (n_bands,); NaN where
-    T is missing."""
+    """Absorption area of all surfaces before a change in m², by the equation, (n_bands,); NaN where T
+    is missing. For two states only."""
     change: Array = field(default_factory=partial(np.zeros, 0))
-    """Its change in m², if absorption was added or removed, (3, n_bands): mean and both ends of the 90
-    % interval. NaN where that was not tried."""
+    """Change of the absorption area in m² if absorption was added or removed, (3, n_bands): mean, and
+    lower and upper end of the 90 % interval. NaN where this was not tried."""
     shift: Array = field(default_factory=partial(np.zeros, 0))
     """Mean of ln(T after / T before) if something changed, by absorption and by climate, (n_bands,)."""
     middle: tuple[float, ...] = ()
-    """Bands in Hz: those of 500 Hz to 2 kHz, or all where none of them was measured."""
+    """Bands in Hz over which means are taken: 500 Hz to 2 kHz, or all if none of these was measured."""
     climate: float = 0.0
-    """Probability that the climate of the air is another as well, if absorption was added or
-    removed."""
+    """Probability that the climate of the air changed as well, if absorption was added or removed."""
 
     @property
     def kind(self) -> Kind:
-        """What was compared: means over positions, every position, or two states."""
+        """Kind of data that was compared: means over positions, every position, or two states."""
         of: Kind = self.case.kind
         return of
 
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:
-        """Comparisons of the ``modelled`` values with the measured ones, by their uncertainty."""
+        """Comparisons of the ``modelled`` with the measured values, relative to their uncertainty."""
         case = self.case
         if not self.modelled:
             return ()
@@ -216,88 +221,103 @@ class Finding(Result):
 
     @property
     def differs(self) -> bool:
-        """Whether model or run and measurement disagree, whether or not coefficients explain it."""
+        """Whether model and measurement disagree, even if coefficients could explain it."""
         return any(at.any() for c in self.comparisons for at in c.disagrees.values())
 
     @property
     def best(self) -> Candidate | None:
-        """The most probable candidate; None where the verdict is "none"."""
+        """Most probable candidate; None where the verdict is "none"."""
         return self.candidates[0] if self.candidates and self.verdict != "none" else None
 
     @property
     def best_effect(self) -> str | None:
-        """The most probable effect, "coefficients" or "unknown"; None where the verdict is "none"."""
+        """Name of the most probable effect, "coefficients" or "unknown".
+
+        None where the verdict is "none".
+        """
         return None if self.best is None else self.best.effect
 
     @property
     def effect(self) -> str | None:
-        """The effect that is named; of means, else the best, but of a family none."""
+        """Name of the effect that is identified.
+
+        For means otherwise the most probable one, but None for a group.
+        """
         if self.named or self.kind != "means" or self.verdict == "family":
             return self.named[0] if self.named and self.verdict not in ("none", "family") else None
         return self.best_effect
 
     @property
     def names(self) -> Names:
-        """The candidates' effects; "coefficients" and "unknown" may be among them."""
+        """Names of the candidates' effects, which may include "coefficients" and "unknown"."""
         return tuple(c.effect for c in self.candidates)
 
     @property
     def score(self) -> float:
-        """ln Bayes factor for something missing, which must exceed the ``threshold``."""
+        """Natural logarithm of the Bayes factor that something is missing or changed.
+
+        See ``threshold``.
+        """
         return self.detection.score
 
     @property
     def threshold(self) -> float:
-        """ln Bayes factor that at most 5 % of simulated rooms with nothing missing exceed."""
+        """Value that ``score`` exceeds in at most 5 % of simulated rooms with nothing missing."""
         return self.detection.threshold
 
     @property
     def detected(self) -> bool:
-        """Whether something is missing or has changed: the verdict is neither "none" nor "hint"."""
+        """Whether something is missing or changed, so that the verdict is neither "none" nor "hint"."""
         return self.verdict not in ("none", "hint")
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Probabilities that 0, 1, 2, ... effects are missing; for means over positions only."""
+        """Probability that 0, 1, 2, ... effects are missing from the model.
+
+        For means over positions only.
+        """
         return numbers_of(self.sets)
 
     @property
     def more_than_one(self) -> bool:
-        """Whether sets of two and more effects were compared."""
+        """Whether combinations of two or more effects were tried."""
         return self.kind == "means" and len(self.numbers) > 2
 
     @property
     def likely_sets(self) -> dict[Names, float]:
-        """Sets of effects that are probable enough to be printed; empty if each has one effect."""
+        """Probability of each combination of effects that is printed; empty if each has one effect."""
         return {s: p for s, p in self.sets.items() if p >= SAID} if self.more_than_one else {}
 
     @property
     def family_sets(self) -> dict[Names, float]:
-        """Probabilities of sets of families, for means; every family of "added absorption" is one."""
+        """Probability of each combination of groups, for means.
+
+        All groups of "added absorption" count as one.
+        """
         sets = self.sets if self.kind == "means" else {}
         return summed((families_of(names, self.effects), p) for names, p in sets.items())
 
     @property
     def coefficients(self) -> OffTogether | None:
-        """The common error of the coefficients, if likely in addition to the most probable set."""
+        """Common error of the input coefficients, if likely beside the most probable effects."""
         of = self.candidate(self.members[-1]) if self.members else None
         return None if of is None else of.coefficients
 
     def candidate(self, effect: str | None) -> Candidate | None:
-        """Return the most probable candidate of an effect, or None."""
+        """Return the most probable candidate of the effect with this name, or None."""
         return next((c for c in self.candidates if c.effect == effect), None)
 
     @property
     def located(self) -> Candidate | None:
-        """The most probable candidate on the most probable surface, None without one."""
+        """Most probable candidate on the most probable surface; None without one."""
         first = next(iter(self.surfaces), None)
         return next((c for c in self.candidates if c.surface == first and first), None)
 
     @property
     def likely_surfaces(self) -> Names:
-        """The fewest surfaces that hold `LIKELY` of the probability; none where hardly anything does.
+        """Names of the most probable surfaces, whose probabilities together reach `LIKELY`.
 
-        Where something stands on a surface with less than `SAID`, no effect on one is printed either.
+        Empty if the probability that anything is missing on a surface is below `SAID`.
         """
         if sum(c.probability for c in self.candidates if c.surface is not None) < SAID:
             return ()
@@ -306,10 +326,10 @@ class Finding(Result):
 
     @property
     def likeliest(self) -> Candidate | None:
-        """The most probable candidate of the library, which `apply` adds; None without one.
+        """Most probable candidate that is an effect of the library, which `apply` adds, or None.
 
-        Where the verdict at positions is "unknown", the candidate's surface or its family must hold at
-        least half of the rest.
+        If the verdict at positions is "unknown", the candidate's surface or its group must have at
+        least half of the probability that is left.
         """
         known = [c for c in self.candidates if c.effect != UNKNOWN] if self.best else []
         if not known or self.verdict != UNKNOWN:
@@ -322,22 +342,22 @@ class Finding(Result):
 
     @property
     def identified_surfaces(self) -> Names:
-        """The surfaces that changed between two states, each with a probability of 0.9."""
+        """Names of the surfaces that changed between two states, with a probability of 0.9 each."""
         return tuple(name for name, p in self.surfaces.items() if p >= CLAIMED)
 
     @property
     def spectrum(self) -> str:
-        """The trend of a change over frequency: rising, falling or constant; "" for a single band."""
+        """Trend of a change over frequency: rising, falling or constant; "" for a single band."""
         change = np.atleast_2d(self.change)[0]
         change = change[np.isfinite(change)]
         return over_frequency(change) if len(change) > 1 else ""
 
     @property
     def can_be_added(self) -> bool:
-        """Whether `apply` has something to add.
+        """Whether `apply` has an effect that it can add to the model.
 
-        Of means a member of the library; at positions what is detected and stands on a surface, and is
-        no second room; of two states absorption that changed.
+        For means this is an effect of the library. At positions something must be detected and be on a
+        surface, and it must not be a second room. For two states it is absorption that changed.
         """
         if self.kind == "means":
             return self.verdict in ("named", "family", "ambiguous") and bool(self.members)
@@ -349,7 +369,8 @@ class Finding(Result):
     def can_be_verified(self) -> bool:
         """Whether `rtcal.finder.verify` can compare the deviation with and without what was found.
 
-        By means: one probable effect. At positions: enough pairs for half to predict the others.
+        For means there must be one probable effect; at positions, enough pairs for half to predict the
+        others.
         """
         if self.kind == "means":
             return self.can_be_added and len(self.members) == 1 and self._least >= LEAST_ADDED
@@ -364,7 +385,7 @@ class Finding(Result):
 
     @property
     def leading(self) -> Reason | None:
-        """The caution that precedes the answer, because T is far off; None without one."""
+        """Caution that must be read before the result, because T is far off; None without one."""
         if self.kind == "positions":
             return self.mistake
         first = next(iter(self.reasons), None)
@@ -373,7 +394,7 @@ class Finding(Result):
 
     @property
     def refusal(self) -> Reason | None:
-        """Why there is nothing to add; None where there is something."""
+        """Reason why there is no effect to add; None if there is one."""
         if self.can_be_added:
             return None
         if self.kind == "states":
@@ -390,10 +411,10 @@ class Finding(Result):
 
     @property
     def undecided(self) -> Reason | None:
-        """Why `apply` needs the name of an effect; None where it does not.
+        """Reason why you must give `apply` the name of an effect; None if you need not.
 
-        What stands on a surface counts with its family: which porous absorber it is changes little.
-        Where the verdict is "unknown", the shares are those of the rest.
+        Effects of one group on one surface count together, because they change the model alike. If the
+        verdict is "unknown", probabilities are shares of what is left.
         """
         best, known = self.likeliest, [c for c in self.candidates if c.effect != UNKNOWN]
         if not self.can_be_added or self.kind == "states" or best is None:
@@ -428,33 +449,34 @@ class Finding(Result):
         form: str | None = None,
         at: Sequence[float] | None = None,
     ) -> Corrected:
-        """Return the model with the effect that was found: room, simulator and, for means, case.
+        """Return the model with the effect that was found, as room, simulator and, for means, case.
 
-        Of means the most probable effects are added, each with its size beside the others; of an
-        ambiguous finding and a family the best candidate. Where the coefficients are off together, the
-        room's alpha is moved and its sigma widened. An effect that the case has already is left as it
-        is. At positions the most probable candidate becomes a patch on its surface. Of two states the
-        room is that of the second one. What has a probability of less than 0.3 is added only where it
-        is stated.
+        For means, the most probable combination of effects is added, each with its size; if only a
+        group or nothing is identified, the most probable candidate. If the input coefficients have a
+        common error, the room's alpha is corrected and its sigma widened. An effect that the case has
+        already is not changed. At positions, the most probable candidate becomes a patch on its
+        surface. For two states, the room is that of the second state. An effect with a probability
+        below 0.3 is added only if you name it as ``effect``.
 
         Parameters
         ----------
         effect : str, optional
-            The candidate to add instead of the most probable one.
+            Name of the candidate to add instead of the most probable one.
         form : {"patch", "material"}, optional
-            At positions, by default a patch of the candidate's size as a new material; or the whole
-            surface as a new material that absorbs as much. A patch that does not fit becomes a
-            material: see `Corrected.notes`.
+            Form of the effect at positions. "patch", the default, adds an area of the candidate's size
+            with a new material. "material" gives the whole surface a new material with the same
+            absorption. A patch that does not fit becomes a material: see `Corrected.notes`.
         at : (x, y, z), optional
-            At positions, the middle of the patch in m; by default the candidate's ``middle``, or
-            without one the middle of the surface. The surface is the one at this place.
+            Middle of the patch in m, at positions; by default the candidate's ``middle``, or the middle
+            of the surface. The patch is on the surface at this point.
 
         Raises
         ------
         DataError
-            If there is nothing to add; if ``effect`` is no candidate; if none is chosen and the most
-            probable one has less than 0.3; for a volume that is not identified; if ``at`` is on no
-            surface, or on one on which nothing was found; for what belongs to another kind of data.
+            If there is nothing to add; if ``effect`` is not a candidate; if ``effect`` is not given and
+            the most probable candidate has less than 0.3; for a volume that is not identified; if
+            ``at`` is on no surface, or on one on which nothing was found; for an argument of another
+            kind of data.
 
         Examples
         --------
@@ -503,7 +525,10 @@ class Finding(Result):
         return replace(made, support=str(support(self, best)))
 
     def chosen(self, effect: str | None = None) -> Names:
-        """Return the effects that `apply` adds, for means; DataError as `apply` raises it."""
+        """Return the names of the effects that `apply` adds, for means.
+
+        Raises DataError as `apply` does.
+        """
         if not self.can_be_added:
             raise DataError(f'the verdict is "{self.verdict}", so there is no effect to add')
         found = self.candidate(effect)
@@ -519,9 +544,9 @@ class Finding(Result):
     def with_effects(
         self, case: Case | None = None, added: Sequence[Candidate] | None = None
     ) -> Case:
-        """Return the case with candidates in its model; by default those of the most probable set.
+        """Return a case whose model has the most probable effects, or the candidates ``added``.
 
-        It is what a verification compares with the case, however probable the effects are.
+        `verify` compares this case with the original one, however probable the effects are.
         """
         base: Case = self.case if case is None else case
         present = {a.name for a in base.applied}
@@ -541,7 +566,7 @@ class Finding(Result):
         return f"<Finding {self.verdict}: {import_module(WORDS).headline(self)[0]}>"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return the finding as plain values for JSON."""
         named = f"{_RECORDED['all']} {_RECORDED[self.kind]}".split()
         paths = {key: path or key for key, _, path in (name.partition("=") for name in named)}
         record = {key: json_numbers(attrgetter(path)(self)) for key, path in paths.items()}
@@ -567,13 +592,13 @@ _RECORDED = {
 
 
 def feature_names(measured: Measurement) -> tuple[str, ...]:
-    """Return the features' names as printed, by the reverberation time that was measured."""
+    """Return the names of the compared parameters as printed, with the T that was measured."""
     time = measured.time_label
     return time, f"EDT/{time}", "T30/T20", "C80", "G"
 
 
 def rivals(f: Finding, best: Candidate | None = None) -> tuple[Candidate, ...]:
-    """Return the candidates beside the most probable set, or beside another one."""
+    """Return the candidates that are not in the most probable combination, or are not ``best``."""
     if f.kind == "means":
         if best is not None and best.effect not in f.names[: max(1, len(f.members))]:
             return tuple(c for c in f.candidates if c is not best)
@@ -584,7 +609,7 @@ def rivals(f: Finding, best: Candidate | None = None) -> tuple[Candidate, ...]:
 
 
 def support(f: Finding, best: Candidate) -> Reason:
-    """Return the verdict, the best effect, and the others that explain the data."""
+    """Return a reason with the verdict, the best effect, and the others that explain the data."""
     others = rivals(f, best)
     values = {"verdict": f.verdict, "best": best, "others": others}
     return Reason("support" if others else "sole", values)

@@ -38,51 +38,52 @@ def find(
     seed: int = 0,
     **options: Any,
 ) -> Finding:
-    """Find what the model of a room lacks and, where the positions show it, on which surface.
+    """Find what is missing from a room's model and, if positions were measured, on which surface.
 
-    Two models of what is observed, one library of effects. With a simulator, or a room that states its
-    mesh, sources and receivers, and a measurement of each pair, every pair is compared with traced
-    paths. Otherwise means over positions are compared with closed forms.
+    With a measurement of each source-receiver pair, and a simulator or a room that has its mesh,
+    sources and receivers, every pair is compared with a path tracing. Otherwise means over positions
+    are compared with reverberation equations. The same library of effects is tried for both.
 
     Parameters
     ----------
     room : Room, or a case
-        A `rtcal.finder.Case` has several configurations or another equation, a
-        `rtcal.finder.PositionsCase` a simulator; both hold what was measured.
+        Room, or a case that contains the measurement: a `rtcal.finder.Case` with several configurations
+        or another equation, or a `rtcal.finder.PositionsCase` with a simulator.
     measured : Measurement
-        In a `Room`.
+        Measurement of the room; not given with a case.
     simulator : PathTracing, optional
         Simulator of the room; by default a path tracing of the room's scene, if it has one.
     before : Measurement, optional
-        Measurement at the same positions before a change: the change is then found, instead of what
-        the model lacks (`rtcal.finder.states`). The room's coefficients do not count. Neither
-        ``controls``, ``cache``, ``progress`` nor ``scheduler`` belongs to such a search.
+        Measurement at the same positions before a change. rtcal then finds this change, instead of what
+        the model lacks (`rtcal.finder.states`), and does not use the room's coefficients. ``controls``,
+        ``cache``, ``progress`` and ``scheduler`` cannot be given with it.
     simulated : Run, optional
-        What a program gave at its coefficients. The run is then the model: the equation says how
-        coefficients and effects change it, and what the equation errs by is not blamed on the room.
+        Values that a simulation program gave, with the coefficients that it used. They are then the
+        model, and the equation gives only their change with coefficients and effects. Errors of the
+        equation are then not taken for errors of the room.
     program : {"", "geometrical"}
-        By means: a geometrical program computes no equation, and an uneven field, or a second room, is
-        in it if it was told so. Neither is taken for an error of the room.
+        Kind of this program, for means over positions. A geometrical program uses no equation, and
+        includes an uneven sound field, or a second room that you drew. Neither is taken for an error.
     tracing : mapping, optional
-        Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, where the room's scene is
-        traced: in place of a ``simulator``.
+        Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, if rtcal traces the room's
+        mesh and you give no ``simulator``.
     seed : int
-        Seed of the random numbers at positions and of two states. A search by means over positions
-        draws nothing: reference rooms and null rooms are fixed sequences.
+        Seed of the random numbers at positions and for two states. For means over positions it has no
+        effect, because their simulated rooms are fixed sequences.
     **options
         - ``effects``: sequence of `Effect`; the effects to try, by default the whole library. At
-          positions those that stand on surfaces are sought on each of them (`Effect.stands_on`). Of two
-          states those that add absorption give the spectra that are tried, added and removed, besides
-          one that no effect has.
-        - ``only``, ``without``: names of the effects to try alone, or to leave out; of two states "air"
-          for the climate and "unknown" for a spectrum that no effect has.
-        - ``controls``: `ControlRuns`, or a sequence of `ControlRooms`; the model's own error, of an
-          earlier search.
-        - ``cache``: folder in which simulations are kept, by a hash of all that they depend on.
-        - ``progress``: called with what is computed, the number of finished steps and their total.
+          positions, an effect on surfaces is tried on each surface (`Effect.stands_on`). For two
+          states, the spectra of effects that add absorption are tried, as added and as removed.
+        - ``only``, ``without``: names of the effects to try alone, or to leave out; for two states also
+          "air" for the climate and "unknown" for a spectrum that no effect has.
+        - ``controls``: `ControlRuns`, or a sequence of `ControlRooms`; the model's error from an
+        earlier
+          search, which is otherwise simulated.
+        - ``cache``: folder in which simulations are kept for the next search.
+        - ``progress``: function that is called with the name of the step, and with the numbers of
+          finished and of all steps.
         - ``scheduler``: address of a Dask scheduler whose workers simulate, by default this machine.
-        - By means over positions ``prior`` and ``most``, as `rtcal.finder.means.search.find` takes
-          them.
+        - ``prior`` and ``most``, for means over positions only: see `rtcal.finder.means.search.find`.
 
     Returns
     -------
@@ -92,7 +93,7 @@ def find(
     ------
     DataError
         If a room is given without ``measured``, or a case with it; for an unknown effect, an option
-        that such a search does not have, and too few pairs; and as the cases do.
+        that does not apply to these data, or too few pairs; and as the cases do.
 
     Examples
     --------

@@ -75,8 +75,8 @@ from rtcal.support.types import Array
 from rtcal.support.workers import workforce
 
 LEAST_SHRINKAGE = 0.2
-"""Decrease of the mean gap in JND that supports a finding at least, however well it is known: a gap
-that goes from 1.75 to 1.74 JND supports nothing."""
+"""Smallest decrease of the mean deviation in JND that supports a finding, however certain the decrease
+is."""
 _CONFIDENCE = 0.95
 """Of a gap over pairs that is said to shrink or to grow: one-sided, by Student's t."""
 _SURE = 1.645
@@ -92,24 +92,24 @@ _LEVEL_ROWS = [FEATURES.index(name) for name in LEVELS]
 WORDS = "rtcal.report.verification_words"
 """The module that makes the words of a verification."""
 MISSES = "misses"
-"""Code of the reason that the corrected model misses what it was matched to."""
+"""Code of the reason that the corrected model does not have the values to which it was calibrated."""
 
 
 @dataclass(frozen=True)
 class Miss:
-    """A band in which the corrected model does not have the values that it was matched to."""
+    """Hold a band in which the corrected model does not have the values to which it was calibrated."""
 
     quantity: str
     place: str
-    """Such as "T20", and the name of a configuration; "" where there is one."""
+    """Name of the parameter, such as "T20", and name of the configuration; "" if there is only one."""
     frequency: float
     """Centre frequency in Hz."""
     model: float
     measured: float
     uncertainty: float
-    """In the quantity's ``unit``; the standard uncertainty of what was measured."""
+    """Modelled and measured value, and the standard uncertainty of the measurement, in ``unit``."""
     jnd: float
-    """The gap in JND, signed."""
+    """Modelled minus measured value in JND."""
     unit: str
 
     def __str__(self) -> str:
@@ -132,7 +132,7 @@ def _missed(
 
 
 def mean_of_known(values: Array, axis: int | tuple[int, ...]) -> Array:
-    """Return the mean of the known values; NaN without any."""
+    """Return the mean over ``axis`` of the values that are known; NaN without any."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         return np.asarray(np.nanmean(values, axis=axis))
@@ -140,92 +140,98 @@ def mean_of_known(values: Array, axis: int | tuple[int, ...]) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Verification(Result):
-    """The gap with and without the finding, at data that the finding was not fitted to."""
+    """Hold the deviations with and without the effect that was found, at data that were held out."""
 
     record_kind: ClassVar[str] = "verification 8"
     words_in: ClassVar[str] = WORDS
 
     finding: Finding
     models: tuple[str, ...]
-    """How each model is called; the last has what was found, the one before it has not."""
+    """Names of the compared models. The last one has the effect that was found; the one before it has
+    not."""
     held_out: tuple[str, ...]
-    """What was held out, in words; () where nothing could be."""
+    """Data that were held out, in words; () if no data could be."""
     quantities: tuple[str, ...]
     places: tuple[str, ...]
-    """Parameters, and pairs or configurations."""
+    """Names of the compared parameters, and of the pairs or configurations."""
     gaps: Array
-    """Model less measured in JND, NaN where nothing was measured, (n_models, n_seeds, n_quantities,
-    n_places, n_bands). Of two states in steps of ln T, so that states that are exchanged have the same
-    means and gains."""
+    """Deviations, modelled minus measured, in JND, (n_models, n_seeds, n_quantities, n_places,
+    n_bands). NaN where nothing was measured. For two states they are in equal steps of ln T, so that
+    exchanged states have the same mean deviations."""
     counted: NDArray[np.bool_]
-    """Of which no model was fitted to it, (n_quantities, n_places)."""
+    """Whether the values were held out, so that no model was calibrated to them, (n_quantities,
+    n_places)."""
     uncertainty: float
-    """Standard error of the gain in JND."""
+    """Standard error of ``gain`` in JND."""
     needed: float
     endured: float
-    """The decrease of the gap in JND that supports the finding, and the increase that withdraws it."""
+    """Decrease of the deviation in JND from which the finding is supported, and increase from which it
+    is withdrawn."""
     predictive: float = float("nan")
-    """Of means, the nats by which what was held out is more probable with what was found; NaN where the
-    program simulated it, so that nothing was predicted."""
+    """Natural logarithm of how many times more probable the held-out values are with the effect, for
+    means. NaN where a program simulated the corrected model, so that nothing was predicted."""
     misses: tuple[Miss, ...] = ()
-    """What the model with what was found was matched to, and misses."""
+    """Values to which the model with the effect was calibrated and which it still does not have."""
     halves: tuple[tuple[Pair, ...], ...] = ()
-    """At positions, the pairs to which each model was fitted."""
+    """Pairs to which each model was fitted, at positions."""
     added: tuple[Candidate | None, ...] = ()
-    """At positions, what each half of the pairs added to its model, or None."""
+    """Effects that each half of the pairs added to its model, at positions; None for a half without
+    one."""
     notes: tuple[str, ...] = ()
-    """Of two states, notes of the case that was held out; of means, what the second run lacks."""
+    """Notes: for two states on the case that was held out, for means on what the second run lacks."""
     uncorrected: Recalibrated | None = None
     corrected: Recalibrated | None = None
-    """Of means, the calibrations to all data without and with what was found."""
+    """Calibrations to all data without and with the effect, for means."""
     runs: tuple[str, ...] = ()
-    """Of means, which of the ``models`` are runs of a program as they are; others were moved."""
+    """Names of those ``models`` that are a program's run as it is, for means; the others were scaled to
+    the measured T."""
     features: Array = field(default_factory=partial(np.zeros, 0))
-    """Of means, those of the last model, with the model's bias, (n_configurations, n_features,
+    """Features that the last model predicts for means, with its bias, (n_configurations, n_features,
     n_bands)."""
     again: Array = field(default_factory=partial(np.zeros, 0))
-    """Of means, the gaps in JND of a second run as it is, before it is moved to the measured T,
+    """Deviations in JND of a program's second run before it is scaled to the measured T, for means,
     (n_quantities, n_places, n_bands)."""
     effect: str = ""
-    """Of means, the one that is verified."""
+    """Name of the effect that is verified, for means."""
 
     @property
     def sizes(self) -> Array:
-        """Mean absolute gap in JND over the bands, (n_models, n_seeds, n_quantities, n_places)."""
+        """Mean absolute deviation in JND over bands, (n_models, n_seeds, n_quantities, n_places)."""
         return mean_of_known(np.abs(self.gaps), 4)
 
     @property
     def by_seed(self) -> Array:
-        """Mean absolute gap at what was held out, by model and seed, (n_models, n_seeds)."""
+        """Mean absolute deviation in JND at held-out data, by model and seed, (n_models, n_seeds)."""
         return mean_of_known(np.where(self.counted, self.sizes, np.nan), (2, 3))
 
     @property
     def before(self) -> float:
-        """Mean absolute gap without the finding; NaN where nothing was held out."""
+        """Mean absolute deviation in JND without the effect; NaN if no data were held out."""
         return float(self.by_seed[-2].mean())
 
     @property
     def after(self) -> float:
-        """Mean absolute gap with the finding."""
+        """Mean absolute deviation in JND with the effect."""
         return float(self.by_seed[-1].mean())
 
     @property
     def gain(self) -> float:
-        """Decrease of the mean deviation in JND, negative where it grows."""
+        """Decrease of the mean absolute deviation in JND by the effect, negative if it grows."""
         return self.before - self.after
 
     @property
     def calibrations(self) -> tuple[Recalibrated, ...]:
-        """Calibrations to all means, without and with what was found; () for pairs and two states."""
+        """Calibrations to all means, without and with the effect; () for pairs and two states."""
         return tuple(c for c in (self.uncorrected, self.corrected) if c is not None)
 
     @property
     def verdict(self) -> str:
-        """``supported``: the gap shrinks by more than is `needed`, and there is no objection.
+        """Result in one word, such as ``supported``: the deviation decreases by more than `needed`.
 
-        ``withdrawn``: it grows. ``unproven``: it changes by less, or there are `objections`.
-        ``not tested``: nothing was measured that the finding was not fitted to, or calibrating alone
-        leaves less than is `needed`, so that no second run can support the finding.
+        ``supported`` also requires that there are no `objections`. ``withdrawn``: the deviation grows.
+        ``unproven``: it changes less, or there are `objections`. ``not tested``: no data could be held
+        out, or calibration alone leaves a deviation so small that no second run can support the
+        finding.
         """
         if np.isnan(self.before):
             return "not tested"
@@ -237,7 +243,7 @@ class Verification(Result):
 
     @property
     def little_left(self) -> bool:
-        """Whether the first run, moved to the measured T, leaves too small a gap for a second run."""
+        """Whether the first run, scaled to the measured T, deviates too little for a second test."""
         return (
             self.uncorrected is not None
             and self.finding.case.has_run
@@ -246,7 +252,7 @@ class Verification(Result):
 
     @property
     def objections(self) -> tuple[Reason, ...]:
-        """Why the finding is not supported; () where it is."""
+        """Reasons why the finding is not supported; () if it is."""
         code = "little left" if self.little_left else "gains little"
         limits = {"least": self.needed, "before": self.before}
         out = [] if self.gain > self.needed else [Reason(code, limits)]
@@ -268,10 +274,11 @@ class Verification(Result):
 
     @property
     def found_elsewhere(self) -> tuple[list[Candidate | None], bool]:
-        """What halves of the pairs found that is other than what all found, and whether in kind.
+        """Different effects that halves of the pairs found, and whether their group differs.
 
-        The same thing is of the same family, all of added absorption as one; where a surface is
-        claimed, also on that surface, or on one that these positions do not tell from it.
+        An effect counts as the same if its group is the same, with all added absorption as one group.
+        If a surface is identified, it must also be on that surface, or on one that these positions do
+        not distinguish from it.
         """
         found = self.finding.likeliest if self.added else None
         if found is None:
@@ -289,7 +296,7 @@ class Verification(Result):
 
     @property
     def sentence(self) -> str:
-        """The verdict, the change of the gap with its standard error, and what speaks against it."""
+        """Verdict, change of the deviation with its standard error, and objections, as a sentence."""
         words: str = import_module(WORDS).sentence(self)
         return words
 
@@ -300,7 +307,10 @@ class Verification(Result):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON: ``gaps_jnd`` are `sizes`, mean over the seeds."""
+        """Return the verification as plain values for JSON.
+
+        ``gaps_jnd`` are `sizes`, averaged over the seeds.
+        """
         calibrated = {"uncorrected": self.uncorrected, "corrected": self.corrected}
         return {
             "verdict": self.verdict,
@@ -326,31 +336,32 @@ class Verification(Result):
 
 
 def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verification:
-    """Verify a finding with data to which it was not fitted.
+    """Check whether an effect that was found also improves the model at data that were held out.
 
     Parameters
     ----------
     finding : Finding
+        Result of `rtcal.find` that is checked.
     case : Case, optional
-        Of means: with further parameters or bands of the same configurations, which are then held out;
-        by default the finding's own, parts of which are held out in turn.
+        Case with further parameters or bands of the same configurations, which are then held out; for
+        means only. By default parts of the finding's case are held out in turn.
     **options
-        Of means ``effect``, the candidate in place of the most probable one. With a run, too:
-        ``simulated``, what the program gave of the corrected model. Both runs are moved to the measured
-        T, as the equation says, unless ``calibrated`` is what the program gave of the model calibrated
-        without the correction. Both are of the first configuration. At positions:
-        ``seeds`` of the simulator, over which the spread is the noise of the tracing; ``cache``,
-        ``progress`` and ``scheduler`` as for `rtcal.find`. Of two states: ``before`` and ``after``, of
-        which the finding predicts the pairs that it had not; ``seed`` of the samples from which the
-        intervals come.
+        For means: ``effect``, the name of a candidate in place of the most probable one. With a
+        program's run also ``simulated``, the program's values for the corrected model, in the first
+        configuration. Both runs are scaled by the equation to the measured T, unless you give
+        ``calibrated``, the program's values for the model that was calibrated without the correction.
+        At positions: ``seeds`` of the simulator, whose spread shows its noise, and ``cache``,
+        ``progress`` and ``scheduler`` as for `rtcal.find`. For two states: measurements ``before`` and
+        ``after`` with further pairs, which the finding then predicts, and the ``seed`` of the random
+        numbers.
 
     Raises
     ------
     DataError
-        Where there is nothing to add; of two or more effects; for fewer than four pairs, or fewer than
-        two that are new; where one of two states is missing, or ``case`` has other configurations or
-        bands; for an option that such a finding does not have; for runs beside a finding without one;
-        for a second run that is the first one; for an ``effect`` that is no candidate.
+        If the finding has no effect to add, or two or more; for fewer than four pairs, or fewer than
+        two new ones; if one of two states is missing, or ``case`` has other configurations or bands;
+        for an option that does not apply to this finding; for runs with a finding that has none; if the
+        second run equals the first; if ``effect`` is not a candidate.
 
     Examples
     --------
@@ -420,9 +431,9 @@ def _parts_of(case: Case, used: NDArray[np.bool_], fitted: NDArray[np.bool_]) ->
 
 
 MODELS = ("input", "calibrated", "corrected and calibrated")
-"""The models whose gaps are compared."""
+"""Names of the models whose deviations are compared."""
 OF_RUNS = ("as simulated", "calibrated", "corrected")
-"""The same, where the corrected model was simulated by the user's program."""
+"""Names of the models whose deviations are compared, if your program simulated the corrected model."""
 
 
 @single_threaded_blas()

@@ -45,10 +45,11 @@ below 0.5 turn the paths towards the walls' normals at each reflection. In a fla
 a fifth shorter than by any equation.
 """
 OF_PROGRAMS = (0.1, 0.9)
-"""The same, of either model, where the model is a geometrical program's run: neither its scattering nor
-the room's is known, and a field less diffuse than the program's is no error of the room."""
+"""Scattering coefficients of reference rooms where a geometrical program's run is the model, for either
+scattering model. Neither the program's scattering nor the room's is known."""
 GUESSED = 2.0
-"""Factor within which a program's scattering is the room's: it is guessed from the walls' looks."""
+"""Factor within which a program's scattering agrees with the room's, because users guess it from
+walls."""
 _RECEIVERS = 4
 _PATHS = 3000
 _IMAGES = 300_000
@@ -59,10 +60,11 @@ _BIN = 0.001
 
 @dataclass(frozen=True, eq=False)
 class ControlRooms:
-    """The model's errors in the reference rooms of one engine.
+    """Hold the equation's errors in reference rooms, which one simulator computed for comparison.
 
-    ``errors`` (n_controls, n_configurations, n_features, n_bands) are the engine's features minus the
-    model's for the same alpha; of a configuration with a run less those of the program there.
+    ``errors`` (n_controls, n_configurations, n_features, n_bands) are the simulated features, such as
+    ln T20, minus those of the equation for the same alpha. In a configuration with a program's run they
+    are minus those of a simulation that stands for the program.
     """
 
     engine: str
@@ -70,12 +72,12 @@ class ControlRooms:
 
     @property
     def estimates_bias(self) -> bool:
-        """Whether their mean is an estimate of the model's bias: image sources' is none."""
+        """Whether the mean of the errors estimates the equation's bias; image sources do not."""
         return self.engine not in ENGINES or ENGINES[self.engine].estimates_bias
 
     @property
     def mean(self) -> Array:
-        """Mean error over the rooms with a finite value; 0 without any."""
+        """Mean of the errors over the reference rooms with a finite value; 0 without any."""
         finite = np.isfinite(self.errors)
         total = np.where(finite, self.errors, 0).sum(0)
         return np.asarray(total / np.maximum(finite.sum(0), 1))
@@ -423,15 +425,15 @@ def control_rooms(
 ) -> tuple[ControlRooms, ...]:
     """Simulate the case's reference rooms with two simulators, or read them from a folder.
 
-    They are a fixed sequence: positions and scattering are spread evenly, and what is drawn for a
-    material belongs to its name. `rtcal.find` takes that of the seed 0. Another one shows how much a
-    verdict depends on it: ``find(case, controls=control_rooms(case, seed=1))``.
+    Reference rooms show how far the equation errs for rooms of this kind. `rtcal.find` uses those of
+    seed 0. Another seed shows how much a verdict depends on them:
+    ``find(case, controls=control_rooms(case, seed=1))``.
 
-    A file of the folder ``cache`` holds the rooms of one engine. Its name is a hash of everything that
-    they depend on: the case, the seed, the engine and the version of rtcal. The folder can be deleted
-    at any time. If a file cannot be read or written, the rooms are simulated without an error.
-    The workers of a Dask ``scheduler`` simulate the rooms, by its address; by default threads of this
-    machine.
+    Each file in the folder ``cache`` holds the rooms of one simulator, for this case, seed and version
+    of rtcal. The folder can be deleted at any time. If a file cannot be read or written, the rooms are
+    simulated without an error.
+    ``scheduler`` is the address of a Dask scheduler whose workers simulate; by default threads of this
+    machine do.
     """
     checks.whole("seed", seed, 0)
     where, rooms = None if cache is None else checks.path("cache", cache), []

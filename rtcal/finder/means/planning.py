@@ -47,63 +47,65 @@ from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
 
 STEPS = 3
-"""Measurements that are proposed one after the other."""
+"""Number of measurements in the proposed sequence."""
 _OF_EACH = 5
 """Parameter sets of each effect that stand for it where nothing was measured."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A measurement that could be made next."""
+    """Hold a proposed measurement, with its expected information and its cost in hours."""
 
     measurement: Reason
-    """One of `COSTS`, with its values; ``str`` of it is its words."""
+    """Measurement, as a key of `COSTS` with its values; ``str`` of it is its words."""
     information: float
-    """Expected information about which effects are there, in nats. In a sequence: what it adds to the
-    measurements before it."""
+    """Expected information on which effects are missing, in nats (1 nat = 1.44 bit). In a sequence, the
+    information that it adds to the measurements before it."""
     cost: float
-    """Hours."""
+    """Cost of the measurement in hours."""
 
     @property
     def kind(self) -> str:
-        """Its name among the costs."""
+        """Name of the measurement among the `COSTS`."""
         return self.measurement.code
 
     @property
     def per_cost(self) -> float:
-        """Nats per hour."""
+        """Expected information in nats per hour."""
         return self.information / self.cost
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return the proposal as plain values for JSON."""
         more = {"kind": self.kind, "measurement": str(self.measurement)}
         return vars(self) | more | {"per_cost": self.per_cost}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Result):
-    """The effects that a case's data could distinguish, and what to measure next."""
+    """Hold the effects that a case's data could distinguish, and proposals for the next measurement."""
 
     record_kind: ClassVar[str] = "plan 2"
 
     parameters: tuple[str, ...]
-    """Those that are measured."""
+    """Names of the parameters that the case has."""
     change: float
-    """Relative change of T. Each effect has the size whose change of T is nearest to it."""
+    """Relative change of T that was asked for. Each effect has the size whose change of T is nearest to
+    it."""
     reached: Mapping[str, float]
-    """The change of T by each effect at this size."""
+    """Relative change of T by each effect at this size."""
     separations: Mapping[tuple[str, str], float]
-    """The evidence in nats to be expected for the first effect against the most similar size of the
-    second."""
+    """Expected ln Bayes factor for the first effect against the second, at the second's most similar
+    size."""
     proposals: tuple[Proposal, ...] = ()
-    """The measurements that could be made next, the most information per hour first."""
+    """Measurements that could be made next, with the most information per hour first."""
     sequence: tuple[Proposal, ...] = ()
-    """The three that a greedy choice takes one after the other."""
+    """Three measurements in order, each the most informative per hour after those before it."""
     uncertainty: float = 0.0
-    """Entropy of what is known of the effects now, in nats: no measurement gives more."""
+    """Uncertainty about the missing effects now, as entropy in nats; no measurement gives more
+    information."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return the plan as plain values for JSON."""
         return {
             "parameters": list(self.parameters),
             "change": self.change,
@@ -120,13 +122,13 @@ class Plan(Result):
         return f"<Plan with {', '.join(self.parameters)}: {len(self.reached)} effects>"
 
     def blocks(self) -> list[Block]:
-        """Return what each effect would show, what it may be taken for, and what to measure next."""
+        """Return tables of what each effect would show, similar effects, and what to measure next."""
         made: list[Block] = import_module(WORDS).of_plan(self)
         return made
 
 
 GENERIC_UNCERTAINTY = (0.04, 0.04, 0.02, 0.7, 0.7)
-"""Standard deviation of the model's error before any engine has run, by feature."""
+"""Standard deviation of the equation's error by feature, if no reference rooms are simulated."""
 
 
 @single_threaded_blas()
@@ -141,22 +143,22 @@ def plan(
 ) -> Plan:
     """Return the effects that the case's data could distinguish, and what to measure next.
 
-    Without a finding the proposals are made before anything is measured: each effect of the library has
-    its prior probability. With one they go on from the probabilities that the data have left.
+    Without a finding, each effect of the library has its usual probability, as before a measurement.
+    With a finding, the proposals start from the probabilities that it gives.
 
     Parameters
     ----------
     case : Case
-        Of its measurements, only the parameters and their uncertainties are used.
+        Room and its measurements, of which only the parameters' names and uncertainties are used.
     effects : sequence of Effect, optional
-        By default the whole library. Without known directions, those that need them are left out
-        (`Effect.needs_directions`).
+        Effects to compare, by default the whole library. If the directions of surfaces are unknown,
+        effects that depend on them are left out (`Effect.needs_directions`).
     change : float
-        Relative change of T20 in the band that the effect changes most, above 0 and at most 1. Each
-        effect has the size that comes nearest to it.
+        Relative change of T20 that is assumed for each effect, in the band that it changes most; above
+        0 and at most 1. Each effect gets the size whose change is nearest to it.
     finding : Finding, optional
-        Of this case, as `find` returns it; its reference rooms show how far the model errs, which is
-        `GENERIC_UNCERTAINTY` without.
+        Result of `rtcal.find` for this case, whose reference rooms give the equation's error. Without
+        it the error is `GENERIC_UNCERTAINTY`.
     costs : mapping of str to float, optional
         Hours that a measurement takes, in place of `rtcal.finder.means.planning.COSTS`:
         ``{"G": 0.5, "another climate": 40}``.
@@ -166,8 +168,8 @@ def plan(
     Raises
     ------
     DataError
-        If ``change`` is no such number, an effect breaks a rule, ``costs`` has another name or a number
-        that is not above 0, or the finding is of another case.
+        If ``change`` is outside its limits, an effect breaks a rule, ``costs`` has an unknown name or a
+        number that is not above 0, or the finding is of another case.
 
     Examples
     --------
@@ -371,9 +373,9 @@ class Information:
 
 
 USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
-"""Standard uncertainty of a mean over four positions that is not measured yet, by feature."""
+"""Standard uncertainty, by feature, assumed for a mean over four positions that is not measured yet."""
 FURTHER = {"EDT and T30": ("edt", "t30"), "C80": ("c80",), "G": ("g",)}
-"""Parameters that may be measured further in the configurations that there are."""
+"""Names of parameters that could also be measured in the case's configurations."""
 
 
 def separations(problem: MeansProblem, first: int, further: Sequence[str] = ()) -> dict[str, float]:
@@ -437,8 +439,8 @@ COSTS: Mapping[str, float] = {
     "removed": 3.0,
     "planned": 4.0,
 }
-"""Hours that a measurement takes: a judgement, settable. EDT, T30 and C80 are evaluated from responses
-that there are. G needs a calibrated source. "planned" are configurations that a user states."""
+"""Hours that each kind of measurement takes, by judgement. EDT, T30 and C80 are evaluated from existing
+responses. G needs a calibrated source. "planned" are configurations that you add."""
 MORE_POSITIONS = 4
 SAME_ERROR = 0.85
 """Correlation of the model's error between two configurations of a room. Of reference rooms of twelve

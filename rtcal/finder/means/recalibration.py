@@ -49,41 +49,43 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recalibrated(Result):
-    """The calibrated coefficients of a case, and the model's prediction with them."""
+    """Hold the calibrated coefficients of a case, and the values that the model predicts with them."""
 
     record_kind: ClassVar[str] = "recalibration 1"
 
     case: Case
     alpha: Array
-    """The room's coefficients, (n_materials, n_bands); those that a configuration changes are in
-    ``changed``."""
+    """Calibrated coefficients of the room, (n_materials, n_bands). Coefficients that a configuration
+    changes are in ``changed``."""
     changed: Mapping[tuple[str, str], Array]
-    """By configuration and material, (n_bands,) each."""
+    """Calibrated coefficients that a configuration changes, by configuration and material, (n_bands,)
+    each."""
     features: Array
-    """Predicted, (n_configurations, n_features, n_bands): ln T20, ln EDT/T20, ln T30/T20, C80 and G in
-    dB, the model's bias left out."""
+    """Predicted ln T20, ln EDT/T20, ln T30/T20, and C80 and G in dB, without the model's bias,
+    (n_configurations, n_features, n_bands)."""
     off: float
-    """Root mean square of the fitted ln T less the measured one, over its standard deviation."""
+    """Root mean square of the fitted minus the measured ln T, over its standard deviation."""
     joint: JointResult
-    """The QP's answer, in which a configuration's changed materials are further ones."""
+    """Result of the calibration, which has further rows for the materials that configurations
+    change."""
 
     @cached_property
     def sigma(self) -> Array:
-        """Standard deviation of alpha, (n_materials, n_bands): the QP's `posterior_sigma`.
+        """Standard uncertainty of the calibrated alpha, (n_materials, n_bands).
 
-        It holds if the effects in the model are right, with their parameters and sizes.
+        It is right only if the effects in the model are right, with their parameters and sizes.
         """
         return np.asarray(self.joint.posterior_sigma[: self.case.room.n_materials])
 
     @property
     def interval(self) -> tuple[Array, Array]:
-        """Ends of alpha's 90 % interval, (n_materials, n_bands) each: `JointResult.interval`."""
+        """Lower and upper end of the 90 % interval of alpha, (n_materials, n_bands) each."""
         low, high = self.joint.interval
         return low[: len(self.alpha)], high[: len(self.alpha)]
 
     @cached_property
     def room(self) -> Room:
-        """The corrected room with the calibrated coefficients, their sigma, and the record of it."""
+        """Corrected room with the calibrated coefficients, their sigma, and a record of it."""
         stated = self.case.room
         data = [times_in_room(stated, c.measured) for c in self.case.configurations]
         calibrated = stated.replace(
@@ -103,11 +105,11 @@ class Recalibrated(Result):
 
     @property
     def sizes(self) -> dict[str, float]:
-        """Sizes of the effects that have one, in the effect's unit."""
+        """Sizes of the effects that have one, by the effect's name, in the effect's unit."""
         return {p.name: p.size for p in self.case.applied if np.isfinite(p.effect.neutral)}
 
     def blocks(self, plain: Recalibrated | None = None) -> list[Block]:
-        """Return each material's alpha, as stated and as calibrated, and the effects."""
+        """Return tables of each material's input and calibrated alpha, and of the effects."""
         made: list[Block] = import_module(WORDS).of_recalibration(self, plain)
         return made
 
@@ -118,7 +120,7 @@ class Recalibrated(Result):
         return f'<Recalibrated "{name}": {len(self.alpha)} materials, with {effects}>'
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return the result as plain values for JSON."""
         room = self.case.room
         tables = {"alpha": self.alpha, "sigma": self.sigma}
         tables |= dict(zip(("low", "high"), self.interval, strict=True))
@@ -191,20 +193,22 @@ def recalibrate(
     *,
     left_out: Sequence[int] = (),
 ) -> Recalibrated:
-    """Calibrate the case with its effects, to T20 of every configuration.
+    """Calibrate a case's coefficients, with the effects in its model, to T20 of every configuration.
 
     Parameters
     ----------
     case : Case
+        Case whose room is calibrated, for example `Corrected.case`.
     discrepancy : ModelDiscrepancy, optional
-        The model's error, from reference rooms, whose bias is subtracted.
+        Error of the model from reference rooms, as `Finding.discrepancy` has it; its bias is
+        subtracted.
     left_out : sequence of int
-        Numbers of configurations that are predicted and not fitted; not the first.
+        Numbers of configurations that are predicted and not calibrated to; the first one must not be.
 
     Raises
     ------
     DataError
-        If the room was calibrated to one of the case's T before, or ``discrepancy`` belongs to another
+        If the room was already calibrated to one of the case's T, or ``discrepancy`` belongs to another
         case.
     """
     case.require_fresh()

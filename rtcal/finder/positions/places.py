@@ -16,17 +16,17 @@ from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 MARGIN = 0.7
-"""Least distance in m of a proposed place from walls, and from sources."""
+"""Smallest distance in m between a proposed position and any wall or source."""
 _RIVALS = 3
 """Most surfaces that are compared."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """A place for a further receiver: a ``point`` in m, at the mean height of the receivers.
+    """Hold a proposed position for a further receiver: a ``point`` in m, at the receivers' mean height.
 
-    ``nats`` is what a measurement from the ``source`` is expected to add to the evidence between the
-    two most probable surfaces.
+    ``nats`` is the expected ln Bayes factor between the two most probable surfaces that a measurement
+    from the ``source`` to this point adds.
     """
 
     point: tuple[float, float, float]
@@ -35,20 +35,21 @@ class Place:
 
 
 def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple[Place, ...]:
-    """Return places for a further receiver, the most informative first.
+    """Return the positions for a further receiver that best show which surface differs, best first.
 
     Parameters
     ----------
     finding : Finding
-        With at least two surfaces that may be it.
+        Result of `rtcal.find` at positions, with at least two probable surfaces.
     number : int
-        Places that are tried, on a grid over the room.
+        Number of positions that are tried, on a grid over the room.
     seed : int
+        Seed of the random numbers of the simulation.
 
     Raises
     ------
     DataError
-        If at most one surface is in question, or no place of the grid is free.
+        If at most one surface is probable, or no position of the grid is free.
     """
     checks.whole("number", number, 1)
     # The most probable candidate on each surface that is in question.
