@@ -103,7 +103,7 @@ def shipped() -> list[rt.Room]:
 def test_ten_times_each_value_of_a_shipped_room_is_named_where_it_can_be(
     room: rt.Room, factor: float
 ) -> None:
-    """The table of docs/reading_a_result.md: which are named, and which nobody can see."""
+    """Which slips of a decimal point are named, and which nobody can see."""
     t = rt.Eyring().reverberation_time(room)
     assert not any(mark.is_error for mark in of_input(room, t))
     assert of_input(room, factor * t)[0].kind == "unit_error"
