@@ -75,10 +75,10 @@ Weights = Mapping[str, float | Sequence[float]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Matched:
-    """Decay times that are matched at once, means over the pairs.
+    """Hold the mean decay times over the pairs that a loop matches: T20 alone, or T20 and EDT together.
 
-    ``measured`` are in s, (n_bands,) by parameter, NaN where missing; T20 (or T30 in its place) is
-    first. ``shares`` are the weights, divided by their sum in each band.
+    ``measured`` has the measured times of each parameter in s, (n_bands,), NaN where missing; T20 (or
+    T30 in its place) is first. ``shares`` are the parameters' weights, which sum to 1 in each band.
     """
 
     measured: Mapping[str, Array]
@@ -93,28 +93,28 @@ class Matched:
 
     @property
     def label(self) -> str:
-        """The matched parameters, in words."""
+        """Names of the matched parameters, as text."""
         names = " and ".join(map(self.name_of, self.shares))
         return names if len(self.shares) == 1 else f"the weighted mean of {names}"
 
     def name_of(self, parameter: str) -> str:
-        """Return a parameter's name; that of T is the measured one's."""
+        """Return the name of a parameter as it was measured, such as T30 in place of T20."""
         return self.time_label if parameter == TARGET.key else parameter_label(parameter)
 
     @property
     def wanted(self) -> Array:
-        """The measured compromise in s, (n_bands,), NaN where it is missing."""
+        """Measured time in s to match, (n_bands,): T20, or its weighted geometric mean with EDT."""
         return read_only(self.combined(self.measured.__getitem__))
 
     def combined(self, time: Callable[[str], Array]) -> Array:
-        """Return the compromise of the times in s that ``time`` gives for each parameter."""
+        """Return the weighted geometric mean in s of the parameters' times, which ``time`` returns."""
         total = np.ones(len(self.shares[TARGET.key]))
         for parameter, share in self.shares.items():
             total = total * time(parameter) ** share
         return total
 
     def of(self, simulated: Measurement) -> Measurement:
-        """Return a simulation whose T20 is its T30, if it has one, where T30 alone was measured."""
+        """Return the simulation, with its T30 as T20 if only T30 was measured."""
         t20, t30 = (o.key for o in REVERBERATION)
         if t30 not in self.kinds or t30 not in simulated.values:
             return simulated
@@ -131,9 +131,10 @@ class Matched:
         return replace(simulated, **tables)
 
     def noise(self, measurement: Measurement) -> Array:
-        """Return the compromise's standard error in s, (n_bands,): 0 if none is stated, NaN if unknown.
+        """Return the standard error in s of the simulated time that is compared, (n_bands,).
 
-        T20 and EDT come from the same paths. Their errors are added, which no correlation exceeds.
+        It is 0 if the simulator gives none, and NaN if it is unknown. T20 and EDT come from the same
+        paths, so that their errors are added as if fully correlated.
         """
         time = self.combined(measurement.mean)
         total = np.zeros(len(time))
@@ -148,10 +149,10 @@ class Matched:
 def matched_times(
     room: Room, measured: Measurement, data: MeasuredTimes, weights: Weights | None = None
 ) -> Matched:
-    """Return what is matched for these weights; ``data`` is the measured T in the room's bands.
+    """Return the measured times that a loop matches, with these weights of T20 and EDT.
 
-    Raises DataError for a weight that is no number of at least 0, or of another parameter. Also if all
-    weights of a band are 0, or the measurement lacks a parameter that has a weight.
+    ``data`` is the measured T in the room's bands. Raises DataError for a weight below 0 or of another
+    parameter, if all weights of a band are 0, or if a parameter with a weight was not measured.
     """
     stated = {TARGET.key: 1.0} if weights is None else checks.mapped("weights", weights)
     for name in stated:
@@ -198,13 +199,14 @@ STATUSES = (
     "not converging",
     "not confirmed",
 )
-"""Status of a band; the last one is that of a simulation with another seed."""
+"""Names of a band's status. The last one means that a simulation with another seed did not confirm
+it."""
 _COMPARED = tuple(dict.fromkeys([*(o.key for o in REVERBERATION), *SHOWN]))
 """Parameters of which is said that a run or the measurement lacks them."""
 _LEFT_ALONE = STATUSES[:4]
 """Statuses of bands of which the loop asks nothing more."""
 MAX_DECIMALS = 12
-"""Largest number of decimals of alpha that a program reads."""
+"""Largest number of decimals of alpha that a simulation program can be said to read."""
 _CLOSE_TARGETS = np.log(1.1)
 """If log targets with and without a simulated T20 are closer, another simulation gains little: T is
 then known within 10 %, two JND."""
@@ -224,18 +226,21 @@ _STRONGEST_SHADE = 5.0  # JND
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
-    """One simulation."""
+    """Hold one simulation of a loop: the coefficients, and the T that the simulator gave with them."""
 
     target: Array
-    """T in s that the equation was calibrated to, NaN without a measured T, (n_bands,)."""
+    """T in s to which the equation was calibrated for this simulation, (n_bands,); NaN without a
+    measured T."""
     alpha: Array
-    """Coefficients as simulated, (n_materials, n_bands)."""
+    """Coefficients that were simulated, (n_materials, n_bands)."""
     simulated: Array
-    """Simulated T in s of what is matched, NaN if these coefficients give none, (n_bands,)."""
+    """Simulated T20, or its weighted mean with EDT, in s, (n_bands,); NaN if these coefficients give
+    none."""
     noise: Array
-    """Standard error of it in s, (n_bands,); 0 if the simulator states none, NaN if it is unknown."""
+    """Standard error of ``simulated`` in s, (n_bands,); 0 if the simulator gives none, NaN if it is
+    unknown."""
     means: Mapping[str, Array] = field(default_factory=dict)
-    """Means of all parameters that are shown, as simulated, matched or not, (n_bands,)."""
+    """Simulated means over the pairs of all parameters that are shown, by parameter, (n_bands,)."""
 
     def __post_init__(self) -> None:
         alpha = checks.shaped("step: alpha", self.alpha, "n_materials", "n_bands")
@@ -255,12 +260,12 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class ParameterGap:
-    """A parameter before and after the loop, in means over the pairs; each (n_bands,).
+    """Hold the deviations of one parameter before and after the loop, as means over the pairs.
 
-    ``means`` are its values "measured", "before" and "after", NaN where there is none, and ``before``
-    and ``after`` its gaps in JND. Of one that is matched, ``share`` is its weight over the sum of the
-    weights, and ``lost`` by how many JND its gap exceeds that of the weighted mean: what it gave up for
-    the others. Matched alone, it is 0.
+    Arrays are (n_bands,). ``means`` are the values "measured", "before" and "after", NaN where there is
+    none. ``before`` and ``after`` are deviations from the measurement in JND. For a matched parameter,
+    ``share`` is its weight over the sum of the weights. ``lost`` is the number of JND by which its
+    deviation exceeds that of the weighted mean, 0 for a single matched parameter.
     """
 
     means: Mapping[str, Array]
@@ -272,11 +277,11 @@ class ParameterGap:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Loop(Result):
-    """A closed loop: its simulations so far, the coefficients to simulate next, and the result.
+    """Hold a closed loop with a simulator: its simulations, the next coefficients and the result.
 
-    A loop does not change: `record` returns the loop after a simulation. `start` returns a new
-    loop. `save`, given a file's name, and `load` keep it between two runs of a program.
-    `rtcal.calibrate_simulator` returns the loop with the simulations that judge it.
+    `start` returns a new loop, and `record` the loop after a further simulation; a loop itself does not
+    change. `save` and `load` keep it in a file between two runs of a program.
+    `rtcal.calibrate_simulator` runs a whole loop, with the simulations before and after it.
 
     Examples
     --------
@@ -297,43 +302,44 @@ class Loop(Result):
     )
 
     prior: Room
-    """Its alpha and sigma are the prior."""
+    """Room as it was given, with your input alpha and sigma."""
     matched: Matched
-    """Target: the measured T20, or its compromise with EDT."""
+    """Measured times that the loop matches: T20 alone, or T20 and EDT together."""
     data: str
-    """Fingerprints of the data, for the record of the calibrated room."""
+    """Fingerprint of the measurement, which the calibrated room keeps, so that data cannot count
+    twice."""
     rule: Rule
-    """See `RULES`."""
+    """Rule for the next target: a key of `RULES`."""
     method: str = "mle"
-    """Method of the equation's calibration; see `rtcal.calibrate`."""
+    """Method of the equation's calibration: see `rtcal.calibrate`."""
     equation: LinearEquation = field(default_factory=Eyring)
     decimals: int | None = None
-    """Decimals of alpha that the program reads. The loop simulates the rounded coefficients."""
+    """Number of decimals of alpha that the program reads. The loop rounds the coefficients to them."""
     tolerance: float = 1.0
-    """In JND."""
+    """Largest deviation in JND with which a band is converged."""
     steps: tuple[Step, ...] = ()
     bent: tuple[TrustMark, ...] = ()
-    """Bands whose measured decay is not straight."""
+    """Cautions for bands whose measured decay is curved."""
     beside: Mapping[str, Array] = field(default_factory=dict)
-    """Measured means of what is shown and not matched, (n_bands,)."""
+    """Measured means over the pairs of parameters that are shown and not matched, (n_bands,)."""
     low: ModesResult | None = None
-    """Result of the room modes for the bands below the Schroeder frequency."""
+    """Result of room modes, which replaces T in the bands below the Schroeder frequency."""
     simulator: str = ""
     """Name of the simulator that Python called; "" for a program that is run by hand. The coefficients
     belong to no other."""
     simulations: int = 0
-    """Number of all calls of the simulator."""
+    """Number of simulations so far, including those before and after the loop."""
     returned: Array | None = None
-    """Coefficients of a loop that is over, (n_materials, n_bands); `alpha` has them."""
+    """Calibrated coefficients of a finished loop, (n_materials, n_bands); see `alpha`."""
     before: Measurement | None = None
-    """Simulated with the input coefficients. If some band has no T20 with them, or fewer than three
-    simulations were allowed, with those of the equation's calibration. None if the loop began with a
-    run, which is its first step."""
+    """Simulation with your input coefficients. If some band has no T20 with them, or fewer than three
+    simulations were allowed, simulation with the coefficients of the equation's calibration. None if
+    the loop began with a run that you made, which is the first step."""
     after: Measurement | None = None
-    """Simulated with the coefficients returned."""
+    """Simulation with the calibrated coefficients."""
     confirmation: Measurement | None = None
-    """Simulated with the coefficients returned and another seed. None for a deterministic simulator,
-    and if no band converged."""
+    """Simulation with the calibrated coefficients and another seed. None for a simulator without random
+    numbers, and if no band converged."""
     notes: tuple[str, ...] = ()
     """Notes on data and simulations, such as paths that left through gaps of the mesh."""
     _problems: list[CalibrationProblem[CalibrationResult]] = field(
@@ -350,15 +356,14 @@ class Loop(Result):
 
     @cached_property
     def wanted(self) -> Array:
-        """Measured T in s of what is matched, (n_bands,), NaN where it is missing."""
+        """Measured T in s that the loop matches, (n_bands,), NaN where it is missing."""
         return self.matched.wanted
 
     def calibrated(self, target: Array) -> CalibrationResult:
-        """Return the equation's calibration to a target T in s, (n_bands,).
+        """Return the calibration of the reverberation equation to a target T in s, (n_bands,).
 
-        Where the bounds forbid it, to the nearest T within reach. The problem is built once, and shared
-        with the loops that `record` returns. Volume, areas and climate count as exact: else the
-        coefficients would carry the share of each target that the loop tries.
+        If no alpha within 0 and 1 gives the target, the nearest possible T is used. Volume, areas and
+        climate count as exact, so that each target changes only the coefficients.
         """
         if not self._problems:
             room = self.prior.as_exact
@@ -379,7 +384,7 @@ class Loop(Result):
 
     @property
     def best(self) -> NDArray[np.int64]:
-        """Number of the step with the smallest deviation, per band, (n_bands,)."""
+        """Number of the step with the smallest deviation in each band, (n_bands,)."""
         return np.asarray(np.argmin(np.nan_to_num(np.abs(self._gaps), nan=np.inf), axis=0))
 
     @cached_property
@@ -401,15 +406,15 @@ class Loop(Result):
 
     @property
     def best_alpha(self) -> Array:
-        """Coefficients of each band's best step, (n_materials, n_bands)."""
+        """Coefficients of the step with the smallest deviation in each band, (n_materials, n_bands)."""
         return self._best.alpha
 
     @property
     def goal(self) -> Array:
-        """Gap in JND at which each band is done, (n_bands,): the tolerance less the simulator's noise.
+        """Deviation in JND at which a band is done, (n_bands,): tolerance minus the simulator's noise.
 
-        At least half the tolerance, since no deviation below a large noise can be shown. Unknown noise
-        counts as large.
+        It is at least half the tolerance, because a deviation below the noise cannot be shown. Unknown
+        noise counts as large.
         """
         noise = self.steps[-1].noise / TARGET.jnd_of(self.wanted)
         return np.fmax(self.tolerance - noise, self.tolerance / 2)
@@ -440,24 +445,24 @@ class Loop(Result):
 
     @property
     def finished(self) -> bool:
-        """Whether no band would gain from another simulation."""
+        """Whether no band would improve with another simulation."""
         return bool(self.steps) and "not converging" not in self._status_of_steps
 
     # What came of it
 
     @property
     def final(self) -> Measurement | None:
-        """The simulation that gives the result: `confirmation` if there is one, else `after`."""
+        """Simulation that gives the result: `confirmation` if there is one, otherwise `after`."""
         return self.confirmation or self.after
 
     @property
     def alpha(self) -> Array:
-        """The calibrated coefficients, (n_materials, n_bands)."""
+        """Calibrated coefficients, (n_materials, n_bands)."""
         return self.best_alpha if self.returned is None else self.returned
 
     @cached_property
     def ends(self) -> tuple[Step, Step]:
-        """The first simulation, and the last: `final`, or what each band has in its best step."""
+        """First step, and last step: that of `final`, or a step with the best values of each band."""
         if not self.steps:
             raise DataError(
                 "the loop has no simulation yet, so there is no deviation; simulate and report "
@@ -480,12 +485,12 @@ class Loop(Result):
 
     @cached_property
     def outcome(self) -> CalibrationResult:
-        """The equation's calibration to the targets of each band's best step."""
+        """Calibration of the reverberation equation to the targets of each band's best step."""
         return self.calibrated(self._best.target)
 
     @cached_property
     def room(self) -> Room:
-        """The room with the calibrated coefficients, their posterior sigma, and a record."""
+        """Room with the calibrated coefficients, their uncertainty sigma, and a record of the loop."""
         found, by = self.outcome.room, self.simulator or "a program run by hand"
         record = found.calibration and replace(
             found.calibration,
@@ -496,10 +501,10 @@ class Loop(Result):
 
     @cached_property
     def of_uncertain_room(self) -> CalibrationResult | None:
-        """The calibration to the targets of `outcome`, with the room's own uncertainties.
+        """Calibration to the targets of `outcome` that also adjusts volume, areas and climate.
 
-        Its coefficients leave their share to volume, areas and climate. The simulator, which
-        has the stated room, does not have the measured T with them. None for an exact room.
+        Its coefficients change less than those of the loop. The simulator has the input room and would
+        not give the measured T with them. None for a room whose volume, areas and climate are exact.
         """
         if not self.prior.is_uncertain or not self.steps:
             return None
@@ -508,15 +513,18 @@ class Loop(Result):
 
     @property
     def gap(self) -> Array:
-        """Deviation from the matched T after the last simulation, in JND, (n_bands,); NaN without T."""
+        """Deviation of the last simulation from the matched T in JND, (n_bands,).
+
+        NaN without a measured T.
+        """
         return gap_jnd(self.ends[1].simulated, self.wanted)
 
     @property
     def status(self) -> tuple[str, ...]:
-        """Status of each band: one of `STATUSES`.
+        """Status of each band, such as "converged": one of `STATUSES`.
 
         A converged band is confirmed if the noise of `final` is within the tolerance, and the deviation
-        is within tolerance plus noise. A larger noise would confirm any deviation.
+        is within the tolerance plus the noise.
         """
         status = self._status_of_steps
         if self.final is None:
@@ -528,7 +536,7 @@ class Loop(Result):
 
     @cached_property
     def gaps(self) -> dict[str, ParameterGap]:
-        """Each parameter that is measured or simulated, and shown: its means, gaps and share."""
+        """Means, deviations and weight of each parameter that is shown, by name."""
         none = np.full(self.prior.n_bands, np.nan)
         measured, of_mean, found = {**self.beside, **self.matched.measured}, np.abs(self.gap), {}
         for p in SHOWN:
@@ -546,43 +554,44 @@ class Loop(Result):
 
     @property
     def compromise(self) -> dict[str, ParameterGap]:
-        """The matched parameters of `gaps`, with the accuracy that each lost."""
+        """Deviations of the matched parameters, with the accuracy that each loses to the others."""
         return {p: self.gaps[p] for p in self.matched.shares}
 
     @property
     def gaps_beside(self) -> Gaps:
-        """Gaps before and after of each parameter that was measured, is shown and is not matched."""
+        """Deviations in JND, before and after, of each measured parameter that is not matched."""
         return {p: (self.gaps[p].before, self.gaps[p].after) for p in self.beside}
 
     @property
     def farther(self) -> tuple[str, ...]:
-        """Unmatched parameters that moved away from the measurement by more than one JND."""
+        """Names of unmatched parameters whose deviation grew by more than one JND in some band."""
         return left(self.gaps_beside)
 
     @property
     def parameters(self) -> dict[str, Mapping[str, Array]]:
-        """Means over the pairs: measured, before and after, of each parameter that is simulated."""
+        """Means over the pairs, measured, before and after, of each parameter that is simulated."""
         return {p: g.means for p, g in self.gaps.items() if np.isfinite(g.means["before"]).any()}
 
     @cached_property
     def doubts(self) -> tuple[TrustMark, ...]:
-        """The marks of the input: likely typing errors of the room and of the matched data."""
+        """Cautions about the input: likely typing errors in the room and in the matched data."""
         name = self.matched.label.removeprefix("the ")
         mistyped = of_row(self.prior.centre_frequencies, self.wanted, name, " s")
         return of_input(self.prior, self.wanted, mistyped)
 
     @property
     def trust_marks(self) -> tuple[TrustMark, ...]:
-        """The `doubts`, and marks of bands whose coefficients are at a bound or have |z| over 2.
+        """Cautions about input and result, such as coefficients at 0 or 1 or far from your input.
 
-        Bands whose measured decay is curved have a mark, too, and bands of `low` that too few modes
-        determine. A small deviation confirms nothing, because a simulator can have almost any T.
+        They are the `doubts`, and cautions for coefficients that moved by more than two sigma, for
+        curved measured decays, and for bands of `low` with too few modes. A small deviation alone
+        confirms nothing, because a simulator can give almost any T.
         """
         return self._marks_of(self.outcome)
 
     @property
     def marks_of_next(self) -> tuple[TrustMark, ...]:
-        """The same marks of the coefficients to simulate next."""
+        """Cautions, as `trust_marks`, about the coefficients to simulate next."""
         return self._marks_of(self.calibrated(self.next_target))
 
     def _marks_of(self, outcome: CalibrationResult) -> tuple[TrustMark, ...]:
@@ -602,18 +611,19 @@ class Loop(Result):
         return last.simulated * own / self.equation.time(self.prior, self.prior.areas @ last.alpha)
 
     def unit_of(self, step: Step, last: Step | None) -> list[TrustMark]:
-        """Return the caution for a simulated T that is off by a power of ten, or [].
+        """Return a caution if a simulated T is wrong by a power of ten, as with a wrong unit, else [].
 
-        ``last`` is the step before, from which T is expected, or None for the equation's T.
+        The expected T follows from the step before, ``last``, or from the equation if it is None.
         """
         of = "the one that the coefficients give by the equation"
         return of_unit(step.simulated, self._expected(step, last), "simulated T", of)
 
     def follows(self, step: Step, last: Step) -> bool:
-        """Whether T of a step followed its coefficients, where these change T by more than a JND.
+        """Return whether a step's simulated T changed as its coefficients did.
 
-        Followed: by a tenth of the equation's change at least, all bands together. In halls with
-        concentrated absorption it is a half (`_SLOPES`).
+        If the coefficients change the equation's T by more than a JND, simulated T must change by at
+        least a tenth of this, all bands together. In halls with concentrated absorption it changes by
+        about half.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             wanted = np.log(self._expected(step, last) / last.simulated)
@@ -627,12 +637,11 @@ class Loop(Result):
 
     @property
     def next_target(self) -> Array:
-        """T in s to calibrate the equation to next, (n_bands,), NaN without a measured T.
+        """T in s to which the equation is calibrated next, (n_bands,), NaN without a measured T.
 
         If any band needs another simulation, converged bands with a deviation above half their goal are
-        moved too. That costs no simulation, and each band keeps its best step. A band without any T20
-        so far takes the equation's T for the prior. A target goes at most halfway towards one without a
-        T20.
+        moved too; each band keeps its best step. A band without any T20 so far gets the equation's T
+        for the input coefficients. A target goes at most halfway towards one that gave no T20.
         """
         if not self.steps:
             return self.wanted.copy()
@@ -668,7 +677,7 @@ class Loop(Result):
         return np.where(self._moving, alpha, self.best_alpha) if self.steps else alpha
 
     def rounded(self, alpha: Array) -> Array:
-        """Return a copy with ``decimals`` decimals, rounded up if it would fall below alpha_min."""
+        """Return alpha with ``decimals`` decimals, rounded up where it would fall below alpha_min."""
         if self.decimals is None:
             return alpha.copy()
         rounded = np.round(alpha, self.decimals)
@@ -720,21 +729,19 @@ class Loop(Result):
     ) -> Loop:
         """Return the loop after a simulation of `next_alpha`, or of the input coefficients.
 
-        A band may lack a T20 that it had in an earlier step. Its target then moves back towards one
-        with a T20. Once the loop is finished, one more simulation of the coefficients at which it ended
-        confirms them, as ``after``.
+        If a band has lost the T20 that it had in an earlier step, its target moves back towards that
+        step. After the loop is finished, one more simulation with its final coefficients confirms them.
 
         Parameters
         ----------
         alpha : array (n_materials, n_bands)
-            The coefficients that were simulated: `next_alpha`.
+            Coefficients that were simulated: `next_alpha`.
         simulated : Measurement
-            In the room's bands, with T20.
+            Values that the simulator gave, in the room's bands, with T20.
         without_t20 : sequence of int, optional
-            Bands whose T20 in ``simulated`` belongs to other coefficients.
+            Numbers of the bands whose T20 in ``simulated`` belongs to other coefficients.
         stated : bool
-            Whether ``alpha`` is not of the loop's choice, but the prior's. Its target is the equation's
-            own T.
+            Whether ``alpha`` are your input coefficients, and not `next_alpha`.
 
         Raises
         ------
@@ -772,7 +779,7 @@ class Loop(Result):
         return np.where(np.isfinite(self.wanted), own, np.nan)
 
     def after_run(self, run: Run, simulated: Measurement) -> Loop:
-        """Return the loop that begins with a run, of which ``simulated`` is compared."""
+        """Return the loop that begins with a run you made, of which ``simulated`` is compared."""
         # Bands without T keep their input, or what the room modes say.
         alpha = np.where(np.isfinite(self.wanted), run.room.alpha, self.prior.alpha)
         step = self._step(simulated, alpha, self._own_target(alpha))
@@ -812,7 +819,7 @@ class Loop(Result):
         return np.asarray(lost)
 
     def back(self) -> Loop:
-        """Return the loop before its last simulation; DataError if it has none."""
+        """Return the loop without its last simulation; raises DataError if it has none."""
         if not self.steps:
             raise DataError("the loop has no simulation yet that could be taken back")
         steps = self.steps if self.after is not None else self.steps[:-1]
@@ -821,9 +828,9 @@ class Loop(Result):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], room: Room | None = None) -> Loop:
-        """Read a loop from the file that `save` wrote.
+        """Return the loop in a file that `save` wrote.
 
-        Raises DataError if the file holds no loop, or if the loop belongs to another room.
+        Raises DataError if the file holds no loop, or a loop of another room than ``room``.
         """
         loop = load(path)
         if not isinstance(loop, Loop):
@@ -847,12 +854,12 @@ class Loop(Result):
 
     @property
     def status_now(self) -> tuple[str, ...]:
-        """Status of each band as printed; while the loop is unfinished, no band has failed."""
+        """Status of each band as it is printed; while the loop is unfinished, no band has failed."""
         on = self.final is None and not self.finished
         return tuple("not yet" if on and s == "not converging" else s for s in self.status)
 
     def blocks(self) -> list[Block]:
-        """Return the tables that are printed; DataError without a simulation."""
+        """Return the tables that are printed; raises DataError for a loop without a simulation."""
         first, last = (step.simulated for step in self.ends)
         gaps, goals = zip(*map(_apart, self.gap, self.goal), strict=True)
         rows = [
@@ -903,7 +910,7 @@ class Loop(Result):
 
     @property
     def every_note(self) -> list[str]:
-        """The ``notes``, and the cautions about the loop itself."""
+        """Notes on data and simulations, and cautions about the loop itself."""
         notes = [*sentences(self.gaps_beside, self.prior.centre_frequencies)]
         if "not confirmed" in self.status:
             notes.append(
@@ -920,7 +927,7 @@ class Loop(Result):
         return [*notes, *([] if self.low is None else [self.low.loop_note]), *self.notes]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the steps and their results as plain numbers, lists and text."""
+        """Return the steps and their results as plain values for JSON."""
         found = {name: json_numbers(getattr(self, name)) for name in _SETTINGS}
         found["equation"] = {"name": self.equation.name, **asdict(self.equation)}
         return found | super().to_dict() if self.steps else found
@@ -968,39 +975,40 @@ def start(
     weights: Weights | None = None,
     run: Run | None = None,
 ) -> Loop:
-    """Return a loop before its first simulation, or after a run that was already made.
+    """Return a new loop that calibrates a room's coefficients with a simulation program.
 
     Parameters
     ----------
     room : Room or ModesResult
-        Its alpha and sigma are the prior. A result of ``calibrate_modes(room, ...)`` without T stands
-        in place of T below the Schroeder frequency: coefficients stay there as it left them. In large
-        rooms with hard walls, sigma should be
-        proportional to alpha: equal sigmas drive large hard walls to alpha = 0.
-    measured : Measurement
+        Room with your input alpha and sigma. A result of ``calibrate_modes(room, ...)`` without T
+        replaces T below the Schroeder frequency, and its coefficients stay there. In large rooms with
+        hard walls, make sigma proportional to alpha, because equal sigmas drive hard walls to alpha =
+        0. measured : Measurement
+            Measurement of the room, whose mean T20, or T30, over the pairs is matched.
     rule : {"secant", "safeguarded"}
-        See `RULES`.
+        Rule for the next target: see `RULES`.
     method, equation
-        Method of the equation's calibration; see `rtcal.calibrate`.
+        Method and reverberation equation of the calibration in each step; see `rtcal.calibrate`.
     decimals : int, optional
-        Decimals of alpha that the program reads.
+        Number of decimals of alpha that the program reads.
     tolerance : float
-        In JND. A band is done if its deviation is within the tolerance less the simulator's noise, and
-        confirmed if its deviation with another seed is within the tolerance plus the noise.
+        Largest deviation in JND. A band is done if its deviation is within the tolerance minus the
+        simulator's noise. It is confirmed if its deviation with another seed is within the tolerance
+        plus the noise.
     weights : mapping of "t20" and "edt" to a number or one per band, optional
-        A compromise of the mean T20 and the mean EDT: each band's target is moved until their weighted
-        geometric mean is the measured one. `Loop.compromise` states what each lost. By default T20
-        alone is matched.
+        Weights with which the mean T20 and the mean EDT are matched together, by their weighted
+        geometric mean. `Loop.compromise` has the accuracy that each loses. By default T20 alone is
+        matched.
     run : Run, optional
-        What the program gave already, at any coefficients. It is the first simulation of the loop, so
-        that the next one is the first step: the equation's target scaled by its T over the program's
-        (Bellows & Katz 2025, Eq. 39).
+        Simulation that you have already made, with any coefficients. It becomes the first simulation of
+        the loop. The next target is then scaled by the equation's T over the program's T (Bellows &
+        Katz 2025, Eq. 39).
 
     Raises
     ------
     DataError
-        If an argument breaks its rule, the room was calibrated to these data, or the run is of another
-        room or lacks a T20. Other bands and no air are a warning.
+        If an argument breaks its rule, the room was already calibrated to these data, or the run is of
+        another room or lacks a T20. Other bands, and a room without air, give a warning.
     """
     low = room.in_loop(measured) if isinstance(room, ModesResult) else None
     prior = room.prior if isinstance(room, ModesResult) else checks.instance("room", room, Room)
@@ -1051,40 +1059,41 @@ def calibrate_simulator(
     after_step: Callable[[Loop], None] | None = None,
     **options: Any,
 ) -> Loop:
-    """Calibrate a room's coefficients so that a simulator has the measured mean T20.
+    """Calibrate a room's coefficients so that a simulator gives the measured mean T20.
 
-    The input coefficients are simulated first, so that no band ends farther away than it began.
-    `calibrate_positions` matches the values at every position.
+    The input coefficients are simulated first, and a band that does not come nearer to the measured T
+    keeps them. `calibrate_positions` matches the values at every position instead of the mean.
 
     Parameters
     ----------
     simulator : Simulator
+        Simulator of the room.
     room, measured, rule
-        See `rtcal.loop.start`.
+        Room, its measurement, and the rule for the next target: see `rtcal.loop.start`.
     exclude : sequence of (source, receiver)
-        Measured pairs that are left out, of what is simulated, too.
+        Pairs that are left out of the measurement and of the simulation.
     max_simulations : int
-        Limit of all calls of the simulator, at least 2 for a simulator with random numbers. One
-        call is kept for the coefficients returned: for the confirmation with another seed, or for
-        bands whose best steps differ.
+        Largest number of simulations, at least 2 for a simulator with random numbers. One of them is
+        kept for the final coefficients: to confirm them with another seed, or because the best steps of
+        the bands differ.
     seed : int
-        Seed of all steps, so that they differ by alpha only. The confirmation uses ``seed + 1``.
+        Seed of the simulator's random numbers in all steps. The confirmation uses ``seed + 1``.
     after_step : callable, optional
-        Called with the loop after every step, for example to `Loop.save` it.
+        Function that is called with the loop after every step, for example to `Loop.save` it.
     options
-        ``weights``, ``method``, ``equation``, ``decimals``, ``tolerance`` and ``run`` of
-        `rtcal.loop.start`. With a run the stated coefficients are not simulated.
+        ``weights``, ``method``, ``equation``, ``decimals``, ``tolerance`` and ``run``: see
+        `rtcal.loop.start`. With a ``run`` the input coefficients are not simulated.
 
     Returns
     -------
     Loop
-        Its ``status`` says for each band whether it converged and was confirmed.
+        Loop with all simulations, whose ``status`` is whether each band converged and was confirmed.
 
     Raises
     ------
     SimulatorError, TooShortError
-        From the simulator. The error's ``loop`` is the `Loop` with all steps so far. A band that
-        has a T20 for some coefficients only does not raise, but ends as unreachable.
+        If the simulator raises them. The error's ``loop`` is the `Loop` with all steps so far. A band
+        that has a T20 for some coefficients only raises no error, but ends as "unreachable".
     DataError
         If simulator and room differ in materials or bands, or an argument breaks its rule.
 
@@ -1251,7 +1260,7 @@ _AS_NEAR = 1e-6
 
 
 def refuse_progress(state: str) -> None:
-    """Raise DataError if the state at this path already holds simulations."""
+    """Raise DataError if the loop's file at this path already holds simulations."""
     if Path(state).exists() and (n := len(Loop.load(state).steps)):
         raise DataError(
             f"{state} holds {n} simulation{'s' * (n > 1)} of a loop: delete it to start again, "
@@ -1260,10 +1269,10 @@ def refuse_progress(state: str) -> None:
 
 
 def refuse_doubtful(loop: Loop, step: Step, table: str) -> None:
-    """Raise DataError if the table of simulated T is probably the wrong table.
+    """Raise DataError if a table of simulated T is probably the wrong file.
 
-    Its T is the measured one to the last digit, that of an earlier step, a power of ten from the one
-    expected, or does not follow the coefficients.
+    This is so if its T equals the measured T or that of an earlier step to the last digit, differs by a
+    power of ten from the expected T, or does not follow the coefficients.
     """
     doubt, last = "", loop.steps[-1] if loop.steps else None
     same = [
@@ -1297,12 +1306,11 @@ def refuse_doubtful(loop: Loop, step: Step, table: str) -> None:
 def record(
     loop: Loop, simulated: Measurement, table: str, state: str, out: str, *, again: bool = False
 ) -> Loop:
-    """Return the loop after what was simulated, as read from the file ``table``.
+    """Return the loop after a simulation that was read from the file ``table``.
 
-    ``loop`` was read from the file ``state``, and the room at ``out`` was to be simulated. ``again``
-    accepts a table that is likely another one: T is about ten times what the coefficients give, or a
-    tenth, is the measured one itself or that of an earlier step, or does not follow alpha. Without it
-    that raises DataError, as do a finished loop and an ``out`` that is not the room to simulate.
+    ``loop`` was read from the file ``state``, and ``out`` is the file of the room that was to be
+    simulated. Raises DataError for a table that is probably the wrong one (`refuse_doubtful`), unless
+    ``again`` is True; also for a finished loop, and if ``out`` is not the room to simulate.
     """
     if loop.after is not None:
         raise DataError(
@@ -1329,9 +1337,9 @@ def record(
 
 
 def write(loop: Loop, state: str, out: str) -> str:
-    """Write the state and the room to simulate, both files or none, and return what to do next.
+    """Write the loop and the room to simulate, both files or none, and return in words the next step.
 
-    A state without its room would accept a table that belongs to the room of the step before.
+    ``state`` and ``out`` are the names of these files.
     """
     room = loop.prior.replace(alpha=loop.next_alpha, calibration=None)
     n, of = loop.simulations, f"of the loop in {Path(state).name!r}"
@@ -1371,9 +1379,10 @@ _SLOPES = (0.3, 3.0)
 
 
 def secant(targets: Array, rates: Array, wanted: float, low: float, high: float) -> float:
-    """Return the next target by the secant through the last two points.
+    """Return the next target T in s by the secant through the last two targets.
 
-    It may leave the range of the equation, and may be negative.
+    ``rates`` are the simulated decay rates, ``wanted`` the measured one. The result may be outside the
+    range of the equation, and may be negative.
 
     References
     ----------
@@ -1388,11 +1397,11 @@ def secant(targets: Array, rates: Array, wanted: float, low: float, high: float)
 
 
 def safeguarded(targets: Array, rates: Array, wanted: float, low: float, high: float) -> float:
-    """Return a band's next target by a secant step in logarithms that stays within a bracket.
+    """Return a band's next target by a secant step in logarithms that stays between safe limits.
 
-    The first slope is 1, and later slopes are clipped. The bracket reaches from the highest target
-    whose simulated rate was too low to the lowest whose rate was too high. A step that would leave
-    the bracket goes to its middle, or to the end of the range of the equation.
+    The first slope is 1, and later slopes are limited. The limits are the highest target whose
+    simulated decay rate was too low, and the lowest whose rate was too high. A step that would pass a
+    limit goes to the middle between them, or to the end of the range of the equation.
     """
     u, v, w = np.log(targets), np.log(rates), np.log(wanted)
     slope = 1.0
@@ -1418,8 +1427,8 @@ def next_target(
 ) -> float:
     """Return the next target T in s of a band, by a key of `RULES`, within the range of the equation.
 
-    ``targets`` so far, and the simulated ``times`` for them, are (n_steps,); ``shortest`` and
-    ``longest`` are the range.
+    ``targets`` so far, and the simulated ``times`` for them, are in s, (n_steps,). ``wanted`` is the
+    measured T. ``shortest`` and ``longest`` are the ends of the equation's range.
     """
     rate = RULES[rule](1 / targets, 1 / times, 1 / wanted, 1 / longest, 1 / shortest)
     if rate <= 0:  # the secant rule has no valid target: keep the last one

@@ -91,12 +91,12 @@ _BINS = 4000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredPairs:
-    """Measured observations in the simulator's pairs and the room's bands.
+    """Hold the measurement at the simulator's source-receiver pairs, in the room's bands.
 
-    ``observations`` are NaN where missing or left out. A relative level is shifted, so that its mean
-    over each source's pairs equals that of the simulated level in each band, because the reference of
-    a relative level is unknown. ``fingerprints`` identify the data, as a room's calibration keeps them:
-    one of all that was matched, and one of the mean T.
+    ``observations`` are NaN where missing or left out. The reference of a relative level is unknown.
+    Therefore it is shifted so that its mean over each source's pairs equals that of the simulated level
+    in each band. ``fingerprints`` identify the data in a calibrated room: one for all matched values,
+    and one for the mean T.
     """
 
     observations: Observations
@@ -107,7 +107,7 @@ class MeasuredPairs:
 
     @cached_property
     def used(self) -> NDArray[np.bool_]:
-        """Where there is a value, (n_parameters, n_pairs, n_bands)."""
+        """Whether a value was measured and is used, (n_parameters, n_pairs, n_bands)."""
         return np.isfinite(self.observations.values)
 
     def among(self, pairs: Sequence[Pair]) -> NDArray[np.int64]:
@@ -121,19 +121,20 @@ class MeasuredPairs:
         return np.flatnonzero(used)
 
     def residual(self, simulated: Observations) -> Array:
-        """Return measured less simulated, (n_used,)."""
+        """Return the measured minus the simulated values that are used, (n_used,)."""
         off = self.observations.values - simulated.at(self.observations).values
         return np.asarray(off[self.used])
 
     def gap(self, simulated: Array) -> Array:
-        """Return simulated less measured in JND, as `gap_at_pairs` does."""
+        """Return the simulated minus the measured values in JND, as `gap_at_pairs` does."""
         return gap_at_pairs(simulated, self.observations, relative=self.level == "relative")
 
 
 def gap_at_pairs(simulated: Array, measured: Observations, *, relative: bool) -> Array:
-    """Return simulated values, as observed, less measured in JND, (n_parameters, n_pairs, n_bands).
+    """Return simulated minus measured values in JND, (n_parameters, n_pairs, n_bands).
 
-    A relative level has its mean over each source's pairs taken off.
+    Times are given as logarithms. For a ``relative`` level its mean over each source's pairs is
+    subtracted.
     """
     gaps = []
     for name, values in zip(measured.parameters, simulated, strict=True):
@@ -145,7 +146,7 @@ def gap_at_pairs(simulated: Array, measured: Observations, *, relative: bool) ->
 
 
 def with_t30(match: Sequence[str], *data: Measurement) -> tuple[str, ...]:
-    """Return the parameters, with T30 in place of T20 where all data have T30 alone in common."""
+    """Return the parameters, with T30 in place of T20 if all ``data`` have T30 but not all have T20."""
     names = checked_parameters(match)
     known = [o.key for o in REVERBERATION if all(np.isfinite(m.mean(o.key)).any() for m in data)]
     if TARGET.key in known or not known or known[0] in names:
@@ -162,9 +163,10 @@ def pairs_to_match(
 ) -> MeasuredPairs:
     """Return the measurement at the simulator's pairs, without the pairs of ``exclude``.
 
-    ``simulated`` is the simulated values with the prior: its pairs, the direct sound, and the
-    reference of the level. DataError for a summary over pairs, without a pair of the simulator or any
-    of the parameters, for an ``exclude`` that was not measured, and an uncertainty below a millionth.
+    ``simulated`` are the values with the input coefficients; they give the pairs and the reference of
+    the level. Raises DataError for means over pairs, if no pair or no parameter is shared with the
+    simulator, for a pair of ``exclude`` that was not measured, and for an uncertainty below a
+    millionth.
     """
     if measured.is_summary:
         raise DataError(
@@ -236,7 +238,7 @@ def pairs_to_match(
 
 
 def without_place(measured: Measurement, pairs: Sequence[Pair]) -> list[str]:
-    """Return a note of the measured pairs that the simulator lacks; none without any."""
+    """Return a note on measured pairs that the simulator lacks; an empty list without any."""
     unknown = [p for p in measured.pairs if p not in pairs]
     return [f"Measured, but left out as pairs that the simulator lacks: {_names(unknown)}."] * bool(
         unknown
@@ -251,14 +253,14 @@ def refuse_unknown(exclude: Sequence[Pair], measured: Measurement) -> None:
 
 
 def left_out(exclude: Sequence[Pair]) -> str:
-    """Return a note of the pairs that were left out."""
+    """Return a note on the pairs that were left out."""
     return f"Left out, as asked for: {_names(exclude)}."
 
 
 def with_reference(levels: Array, like: Array, pairs: Sequence[Pair]) -> Array:
-    """Return levels (n_pairs, n_bands) with the mean of others over each source's pairs.
+    """Return levels shifted to the reference of the levels ``like``, (n_pairs, n_bands) each.
 
-    The mean of a band counts the pairs at which both are known.
+    Their means over each source's pairs, where both are known, are then equal in each band.
     """
     off = levels - like
     out = levels.copy()
@@ -277,9 +279,9 @@ def _with_level(observations: Observations, levels: Array) -> Observations:
 
 
 def fingerprints(room: Room, observations: Observations, measured: Measurement) -> tuple[str, ...]:
-    """Return the names of the data; DataError if the room was calibrated on some of them.
+    """Return the matched data's fingerprints; DataError if the room was calibrated to some of them.
 
-    A relative level has no name at every pair: alone it is 0, and its mean changes with the pairs.
+    A single pair's relative level has no fingerprint of its own, because its mean depends on the pairs.
     """
     means = {
         f"{p}-{f:g}": float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
@@ -302,7 +304,7 @@ def fingerprints(room: Room, observations: Observations, measured: Measurement) 
 def refuse_known(
     room: Room, measured: Measurement, match: Sequence[str], kept: Sequence[Pair]
 ) -> None:
-    """Raise DataError if the room was calibrated on what is matched at the kept pairs."""
+    """Raise DataError if the room was already calibrated to the matched values at the kept pairs."""
     if room.calibration is None or not kept or measured.is_summary:
         return
     in_room = measured.in_bands(room.centre_frequencies)
@@ -311,7 +313,7 @@ def refuse_known(
 
 
 def history(room: Room) -> list[str]:
-    """Return the names of the data that a room was calibrated on."""
+    """Return the fingerprints of the data to which a room was calibrated."""
     return [] if room.calibration is None else room.calibration.measured.split()
 
 
@@ -436,13 +438,13 @@ _REACH = 2.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BeyondPrior:
-    """A measured T that the stated coefficients, within their sigma, do not explain.
+    """Hold a measured T that the input coefficients cannot explain within their sigma.
 
-    ``parameter`` says which T, and ``frequency`` in Hz the band in which it is farthest. ``measured``,
-    ``simulated`` and ``reached`` are means over the pairs in s: measured, simulated with the stated
-    coefficients, and with all of them two sigma towards what was measured. ``stated`` and ``needed``
-    are the mean coefficient over the areas, as stated, and with the absorption that gives the measured
-    T. ``z`` is the difference over its standard deviation. ``bands`` of ``of_bands`` with a T are as
+    ``parameter`` is the name of T, and ``frequency`` the band in Hz that is farthest. ``measured``,
+    ``simulated`` and ``reached`` are means over the pairs in s: measured, simulated with the input
+    coefficients, and simulated with all of them two sigma towards the measured T. ``stated`` is the
+    area-weighted mean of the input coefficients, ``needed`` the mean that gives the measured T. ``z``
+    is the difference over its standard deviation. ``bands`` of the ``of_bands`` bands with T are as
     far.
     """
 
@@ -479,12 +481,11 @@ class BeyondPrior:
 
 
 def beyond_prior(model: Any, room: Room, prior: Array, error: Array) -> BeyondPrior | None:
-    """Return how far the measured T is from the stated coefficients; None if they explain it.
+    """Return the measured T that the input coefficients cannot explain; None if they can.
 
-    T20 or T30 is judged, else EDT. Absorption is inverse to T, so that T itself says how much more is
-    needed, also where the derivatives at the stated coefficients do not reach so far. They say how
-    uncertain the stated absorption is. ``model`` is a `rtcal.loop.positions.PairsModel`; ``prior``
-    (n_unknowns, n_unknowns) and ``error`` (n, n), of the simulator at all values, are covariances.
+    T20 or T30 is used, else EDT. The needed absorption follows from T, because absorption is inverse to
+    T. ``model`` is a `rtcal.loop.positions.PairsModel`. ``prior`` (n_unknowns, n_unknowns) is the
+    covariance of the input coefficients, ``error`` (n, n) that of the simulator's values.
     """
     data, parameters = model.data, model.data.observations.parameters
     known = [o.key for o in (*REVERBERATION, EARLY) if o.key in parameters]
@@ -526,25 +527,25 @@ def beyond_prior(model: Any, room: Room, prior: Array, error: Array) -> BeyondPr
 
 
 SHOWN = tuple(key for key, kind in OBSERVABLES.items() if kind.shown)
-"""Parameters that are shown before and after, fitted or not."""
+"""Names of the parameters that are shown before and after, matched or not."""
 _LEFT = 1.0
 """JND by which a gap grows in some band where a parameter left what was measured."""
 
 Gaps = Mapping[str, tuple[Array, Array]]
-"""Gaps before and after in JND by parameter, each (n_bands,)."""
+"""Deviations before and after in JND by parameter, (n_bands,) each."""
 
 
 def means(measurement: Measurement) -> dict[str, Array]:
-    """Return the means over pairs of the parameters that are shown and there, each (n_bands,)."""
+    """Return the means over pairs of the measured parameters that are shown, (n_bands,) each."""
     found = {p: read_only(measurement.mean(p)) for p in SHOWN}
     return {p: mean for p, mean in found.items() if np.isfinite(mean).any()}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Compared:
-    """Parameters at positions, matched or not: measured, before and after, of the same pairs.
+    """Hold values at the same pairs: measured, simulated before and simulated after a calibration.
 
-    ``relative`` says that the measured level has a reference of its own.
+    ``relative`` is True if the reference of the measured level is unknown.
     """
 
     measured: Observations
@@ -561,7 +562,7 @@ class Compared:
         before: Observations,
         after: Observations,
     ) -> Compared:
-        """Return some parameters at some pairs, where they were measured and simulated."""
+        """Return the values of some parameters at some pairs, if measured and simulated there."""
         kept = [pair for pair in pairs if pair in before.pairs]
         values = Observations.of_measurement(measured, parameters, kept)
         there = [p for p in parameters if np.isfinite(values.natural(p)).any()]
@@ -570,27 +571,27 @@ class Compared:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """The parameters that were measured."""
+        """Names of the parameters that were measured."""
         return self.measured.parameters
 
     @property
     def gap_before(self) -> Array:
-        """Simulated less measured, with the prior, in JND, (n_parameters, n_pairs, n_bands)."""
+        """Simulated minus measured in JND before, (n_parameters, n_pairs, n_bands)."""
         return gap_at_pairs(self.before.values, self.measured, relative=self.relative)
 
     @property
     def gap_after(self) -> Array:
-        """Simulated less measured, in JND, (n_parameters, n_pairs, n_bands)."""
+        """Simulated minus measured in JND after, (n_parameters, n_pairs, n_bands)."""
         return gap_at_pairs(self.after.values, self.measured, relative=self.relative)
 
     @property
     def gaps(self) -> Gaps:
-        """Root mean squares over the pairs."""
+        """Root mean square deviations in JND over the pairs, before and after, by parameter."""
         ends = zip(self.parameters, self.gap_before, self.gap_after, strict=True)
         return {p: (rms(before, axis=0), rms(after, axis=0)) for p, before, after in ends}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return parameters, pairs, values in their units, and gaps, as plain numbers and text."""
+        """Return parameters, pairs, values in their units, and deviations, as plain values for JSON."""
         ends = {"measured": self.measured, "before": self.before, "after": self.after}
         found: dict[str, Any] = json_numbers(
             {
@@ -605,7 +606,7 @@ class Compared:
 
 
 def left(gaps: Gaps) -> tuple[str, ...]:
-    """Return the parameters whose deviation grew by more than one JND in some band."""
+    """Return the names of the parameters whose deviation grew by more than one JND in some band."""
     return tuple(
         parameter
         for parameter, (before, after) in gaps.items()
@@ -627,7 +628,7 @@ def sentences(gaps: Gaps, frequencies: Array) -> Iterator[str]:
 
 
 RUNS = 16
-"""Traces for the reference simulations."""
+"""Number of reference simulations."""
 SCATTERING = (0.1, 0.85)
 """Scattering coefficients of the reference simulations: those of ordinary walls and furniture."""
 MODELS: tuple[ScatteringModel, ...] = ("random", "vector")
@@ -655,20 +656,24 @@ of 20 boxes with little scattering T20 of a run was above 12 times Eyring's T.""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlRuns:
-    """Errors of a simulator in reference simulations."""
+    """Hold the errors that a simulator has in reference simulations of a room.
+
+    A reference simulation traces a similar room with other scattering, positions and coefficients, so
+    that its differences from the simulator show how far the simulator may err.
+    """
 
     parameters: tuple[str, ...]
     pairs: tuple[tuple[str, str], ...]
-    """As in `rtcal.simulators.base.Observations`."""
+    """Names of source and receiver of each pair, as in `rtcal.simulators.base.Observations`."""
     errors: Array
-    """Values of a reference simulation less the simulator's for the same alpha, (n_runs, n_parameters,
-    n_pairs, n_bands)."""
+    """Values of each reference simulation minus those of the simulator for the same alpha, (n_runs,
+    n_parameters, n_pairs, n_bands)."""
     levels: Array | None = None
-    """Mean scattering coefficient of each run over the surfaces, by area, (n_runs,)."""
+    """Mean scattering coefficient over the surfaces in each reference simulation, (n_runs,)."""
     models: tuple[ScatteringModel, ...] = ()
-    """Scattering model of each run, (n_runs,)."""
+    """Scattering model of each reference simulation, (n_runs,)."""
     more_paths: int = 1
-    """Number of paths, over that in a calibration's reference simulations; see `simulated_controls`."""
+    """Factor on the number of paths of the reference simulations; see `simulated_controls`."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", checks.texts("parameters", self.parameters))
@@ -695,7 +700,7 @@ class ControlRuns:
         return f"<ControlRuns: {len(self.errors)} runs, {len(self.pairs)} pairs>"
 
     def at(self, parameters: Sequence[str], pairs: Sequence[tuple[str, str]]) -> ControlRuns:
-        """Return the errors of some parameters and pairs; DataError if one is missing."""
+        """Return the errors of some parameters at some pairs; raises DataError if one is missing."""
         if missing := [p for p in parameters if p not in self.parameters] or [
             " to ".join(p) for p in pairs if p not in self.pairs
         ]:
@@ -712,19 +717,17 @@ class ControlRuns:
         )
 
     def covariance(self) -> Array:
-        """Return the covariance of the simulator's error, (n, n), n = parameters x pairs x bands.
+        """Return the covariance of the simulator's error, (n, n) for n = parameters x pairs x bands.
 
-        It is the mean of the products of the errors, so it counts their mean, too: coefficients are
-        calibrated for the simulator as it is. The runs are far fewer than the values. So it is drawn
-        towards a covariance in which all pairs are alike: a part that is common to all pairs and a
-        part of each pair, each the product of a covariance between parameters and a correlation
-        between bands.
+        It contains the mean error, too. Because there are far fewer simulations than values, the
+        covariance is averaged with one in which all pairs have the same variance: a part common to all
+        pairs, and a part of each pair.
         """
         rows = self.errors.reshape(len(self.errors), -1)
         return np.asarray(_SHRINKAGE * self.alike() + (1 - _SHRINKAGE) * rows.T @ rows / len(rows))
 
     def alike(self) -> Array:
-        """Return the covariance, (n, n), in which all pairs are alike."""
+        """Return a covariance, (n, n), in which all pairs have the same variance."""
         _, n_parameters, n_pairs, n_bands = self.errors.shape
         common = self.errors.mean(axis=2, keepdims=True)
         between = _product(common)
@@ -736,12 +739,12 @@ class ControlRuns:
         return np.asarray(full.reshape(n_parameters * n_pairs * n_bands, -1))
 
     def without_noise(self, noise: Array) -> ControlRuns:
-        """Return the errors scaled to the variance that they have without the runs' own noise.
+        """Return the errors, scaled to the variance that they would have without noise of the paths.
 
         Parameters
         ----------
         noise : array (n_parameters, n_bands)
-            Variance of one pair of one run by the paths of a calibration's. Each pair has its own.
+            Variance of the values of one pair in one reference simulation, because its paths are few.
         """
         noise = noise / self.more_paths
         n_pairs = self.errors.shape[2]
@@ -753,7 +756,7 @@ class ControlRuns:
         return replace(self, errors=common[:, :, np.newaxis] * left[0] + own * left[1])
 
     def with_common(self, factor: float) -> ControlRuns:
-        """Return the errors with their mean over the pairs times a factor."""
+        """Return the errors, with the part that all pairs have in common multiplied by a factor."""
         common = self.errors.mean(axis=2, keepdims=True)
         return replace(self, errors=self.errors - (1 - factor) * common)
 
@@ -799,16 +802,15 @@ def simulated_controls(
     more_paths: int = 1,
     scheduler: str | None = None,
 ) -> ControlRuns | None:
-    """Return the errors of a simulator in `RUNS` reference simulations; None without a geometry.
+    """Return the errors of a simulator in `RUNS` reference simulations; None if it has no geometry.
 
-    `PathTracing`, `ScatteringDelayNetwork` and `ImageSource` have one. Alpha is drawn from the prior of
-    ``room``. The ``seed`` is that of the paths: what is not known is drawn alike for every seed.
-    ``position_uncertainty`` is the root mean square distance of sources and receivers from where they
-    are stated, in m. The folder ``cache`` keeps the errors by a hash of everything they depend on, but
-    none with ``after``: names and simulation of further states of the room, in the same runs, whose
-    values stand behind ``match``. ``more_paths`` is a factor of the number of paths of the runs, and of
-    a simulator that traces paths. The workers of a Dask ``scheduler`` simulate the runs, by its
-    address; by default this machine does, one after the other.
+    `PathTracing`, `ScatteringDelayNetwork` and `ImageSource` have a geometry. Alpha is drawn at random
+    from the input alpha and sigma of ``room``, in the same way for every ``seed``, which is that of the
+    paths. ``position_uncertainty`` is the standard uncertainty of the positions in m. The folder
+    ``cache`` keeps the errors for the next call, except with ``after``: parameters and simulations of
+    further states of the room, whose values follow those of ``match``. ``more_paths`` is a factor on
+    the number of paths. ``scheduler`` is the address of a Dask scheduler whose workers simulate; by
+    default this machine does.
     """
     uncertainty = checked_uncertainty(position_uncertainty)
     tracing = complete(simulator).tracing
@@ -1094,12 +1096,12 @@ _FREEDOM = 4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scattering:
-    """Scattering of a tracer, fitted with alpha. Fitted scattering is not a measurement of the room.
+    """Hold the scattering coefficients that were fitted with alpha; they are not a measurement.
 
-    ``model`` is the meaning of the ``coefficients`` (n_materials, n_bands), see
-    `rtcal.simulators.path_tracing.ScatteringModel`. ``sigma`` are their posterior standard deviations,
-    linear in the log odds, 0 where they are 0 or 1; ``mean`` is over the surfaces, by area; ``limited``
-    are the numbers of the materials whose coefficients moved as far as they may.
+    ``coefficients`` (n_materials, n_bands) are for the scattering ``model`` (see
+    `rtcal.simulators.path_tracing.ScatteringModel`). ``sigma`` is their standard uncertainty, 0 where a
+    coefficient is 0 or 1. ``mean`` is the mean over the surfaces, weighted by area. ``limited`` are the
+    numbers of the materials whose coefficients reached their limit.
     """
 
     model: ScatteringModel
@@ -1109,7 +1111,10 @@ class Scattering:
     limited: tuple[int, ...]
 
     def notes(self, materials: Sequence[str]) -> list[str]:
-        """Return the notes on the fitted scattering; ``materials`` are the room's."""
+        """Return notes on the fitted scattering.
+
+        ``materials`` are the names of the room's materials.
+        """
         notes = [
             f"Scattering was fitted with alpha: {self.in_words}. Of the two ways of tracing "
             f'scattering, "random" and "vector", the measurement is more probable with "{self.model}". '
@@ -1126,7 +1131,7 @@ class Scattering:
 
     @property
     def in_words(self) -> str:
-        """Mean and range of the coefficients, and their meaning."""
+        """Mean and range of the scattering coefficients, and their model, as text."""
         low, high = self.coefficients.min(), self.coefficients.max()
         return f"{self.mean:.2f} in the mean, {low:.2f} to {high:.2f} ({self.model})"
 

@@ -159,7 +159,7 @@ def unexplained_errors(
 
 
 STEPS = 6
-"""Largest number of Gauss-Newton steps with the same errors."""
+"""Largest number of steps of a fit with the same assumed errors."""
 _PASSES = 3
 """Most times that the unexplained errors are found anew, where the last steps ended."""
 _ALIKE = 0.1
@@ -177,8 +177,8 @@ _INDISTINCT = 0.5
 """Rise of the objective in nats within which coefficients are indistinct from those of its minimum: one
 standard deviation."""
 FITS = 0.5
-"""Gap in JND, root mean square over all that is matched, below which a start needs no fit: the noise of
-a tracing."""
+"""Deviation in JND, as root mean square over all matched values, below which no fit is needed: it is
+within the noise of the path tracing."""
 
 POSITIONS = LinearObservations("positions")
 
@@ -578,9 +578,7 @@ class PositionsFit:
 
 
 MORE_PATHS = 4
-"""Factor of the number of paths that are weighed: EDT of a pair has a noise of 2 to 9 % with 6000. In a
-development room with 26 surfaces the error of alpha was 1.00 times that of T20 alone with 8000 paths,
-and 0.95 times with 32,000."""
+"""Factor on the number of paths in a fit: with 6000 paths, EDT of a pair has a noise of 2 to 9 %."""
 _BATCHES = 16
 """Batches of the paths that are weighed; a multiple of `simulator_error.GROUPS`."""
 
@@ -602,44 +600,42 @@ def calibrate_positions(
     progress: Progress | None = None,
     scheduler: str | None = None,
 ) -> PositionsResult:
-    """Calibrate a room's coefficients so that a simulator has the values at every position.
+    """Calibrate a room's coefficients so that a simulator gives the measured values at every position.
 
-    The deviation over all that is matched, and the objective, are at most those of the input room;
-    else that room is returned, with ``refused``. Where a deviation above 0.5 JND is left, of the
-    coefficients whose objective is within 0.5 of its minimum those with a smaller deviation are
-    returned.
+    The mean deviation over all matched values never grows: if no better coefficients are found, the
+    input room is returned, and the result's ``refused`` is True. If a deviation above 0.5 JND is left,
+    nearly optimal coefficients with a smaller deviation are returned.
 
     Parameters
     ----------
     simulator : Simulator
-        A `PathTracing` is followed with more paths.
+        Simulator of the room. A `PathTracing` is run with more paths.
     room : Room or ModesResult
-        Its alpha and sigma are the prior. A result of ``calibrate_modes(room, ...)`` without T stands
-        in place of what was measured below the Schroeder frequency: coefficients stay there as it left
-        them.
+        Room with your input alpha and sigma. A result of ``calibrate_modes(room, ...)`` without T
+        replaces the measurement below the Schroeder frequency, and its coefficients stay there.
     measured : Measurement
-        Measurement of pairs that the simulator has, too.
+        Measurement of source-receiver pairs that the simulator has, too.
     match : sequence of str
-        Keys of `rtcal.acoustics.observables`, each matched at every pair. "g" is the measured G, and
-        "level" one whose reference all positions of a source share.
+        Parameters to match at every pair: keys of `rtcal.acoustics.observables`. "g" is the measured G,
+        and "level" is a level with a common reference at all positions of a source.
     exclude : sequence of (source, receiver)
         Measured pairs that are left out.
     calibration : Calibration, optional
-        Prior, further terms and constraints. By default the room's prior alone.
+        Further terms and constraints for the coefficients. By default only your input alpha and sigma
+        count, besides the measurement.
     controls : ControlRuns, optional
-        The simulator's error, as ``result.controls`` has it. By default it is simulated for a
-        simulator with a geometry (`rtcal.loop.measured_pairs`). For others it is not known, and no
-        interval is stated.
+        Error of the simulator, for example ``result.controls`` of an earlier calibration. By default it
+        is simulated if the simulator has a geometry (`rtcal.loop.measured_pairs`). For others it is
+        unknown, and the result has no interval.
     cache : path, optional
         Folder in which the reference simulations are kept.
     position_uncertainty : float
-        Root mean square error of the positions of sources and receivers, in m; at
-        most 1.
+        Standard uncertainty of the positions of sources and receivers in m, at most 1.
     fit_scattering : bool
-        Whether the scattering coefficients of a `PathTracing` are fitted, too. Its model is
-        "random". If not, the input is kept, and is uncertain.
+        Whether the scattering coefficients of a `PathTracing` with the model "random" are fitted, too.
+        If not, the input scattering is kept and counts as uncertain.
     more_paths : int
-        Factor of the number of paths of a `PathTracing`, besides that of `PathTracing.denser`.
+        Factor on the number of paths of a `PathTracing`, in addition to that of `PathTracing.denser`.
     seed : int
         Seed of all simulations.
     progress : callable, optional
@@ -650,12 +646,12 @@ def calibrate_positions(
     Raises
     ------
     SimulatorError, TooShortError
-        From the simulator.
+        If the simulator raises them.
     ClusterError
-        From the scheduler.
+        If the scheduler fails.
     DataError
-        If simulator and room differ in materials or bands, or an argument breaks its rule. Also if
-        the measurement has no pair in common with the simulator, or none of the parameters.
+        If simulator and room differ in materials or bands, if an argument breaks its rule, or if the
+        measurement has no pair in common with the simulator, or none of the parameters.
 
     Examples
     --------
@@ -875,13 +871,12 @@ def _refuse_one_place(simulator: Simulator, pairs: Sequence[Pair], uncertainty: 
 
 
 def precise(simulator: Any, more_paths: int = MORE_PATHS) -> Any:
-    """Return the simulator with as many paths as are weighed, in `_BATCHES`."""
+    """Return the simulator with as many paths as the fit uses."""
     return complete(simulator).denser(more_paths, _BATCHES)
 
 
 NOISE = 0.5
-"""Largest noise in JND of the paths of a fit, root mean square over pairs and bands. In a shipped room
-some 180 paths from each source have it. With 6000 it is 0.1."""
+"""Largest accepted noise in JND of the paths of a fit, as root mean square over pairs and bands."""
 
 
 def _tell_noise(groups: Array, match: Sequence[str], tracer: PathTracing) -> None:
@@ -934,7 +929,7 @@ _FARTHER = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PositionsResult(Result):
-    """A simulator calibrated to the values at every position."""
+    """Hold the coefficients with which a simulator fits the measured values at every position."""
 
     record_kind: ClassVar[str] = "positions 1"
     words_in: ClassVar[str] = "rtcal.report.of_positions"
@@ -947,58 +942,61 @@ class PositionsResult(Result):
     )
 
     prior: Room
-    """The room as it was given."""
+    """Room as it was given, with your input alpha and sigma."""
     room: Room
-    """With the coefficients for the simulator, their posterior sigma, and a record."""
+    """Room with the calibrated coefficients, their uncertainty sigma, and a record of the
+    calibration."""
     simulator: str
-    """Name of the simulator and its scattering. The coefficients belong to no other."""
+    """Name of the simulator and its scattering. The coefficients are valid only for this simulator."""
     tracer: Simulator
-    """The simulator that the coefficients belong to: the one given, with the scattering fitted. Do not
-    calibrate it on the same data again: its scattering comes from them."""
+    """Simulator for which the coefficients are valid: the one that was given, with the fitted
+    scattering. Do not calibrate it to the same data again, because its scattering comes from them."""
     weighed: Simulator
-    """The same with as many paths as were weighed."""
+    """Same simulator with as many paths as the fit used."""
     seed: int
     scattering: Scattering | None
-    """The scattering that was fitted; None where the one stated was kept."""
+    """Scattering that was fitted; None if the input scattering was kept."""
     simulations: int
-    """Number of all evaluations of the simulator or its derivatives, without reference simulations.
-    `PathTracing` weighs the same traced paths in each."""
+    """Number of evaluations of the simulator or its derivatives, without reference simulations. A
+    `PathTracing` re-weights the same traced paths in each."""
     measured: MeasuredPairs
-    """What was matched; its ``observations`` name parameters and pairs."""
+    """Measured values that were matched; ``observations`` has their parameters and pairs."""
     matched: Compared
-    """What was matched: measured, and what the simulator given and its ``tracer`` give with the prior
-    and with the coefficients returned, with as many paths as were weighed."""
+    """Values of the matched parameters: measured, simulated with the input coefficients, and simulated
+    by ``tracer`` with the calibrated coefficients."""
     beside: Compared
-    """What was measured and not matched, before and after."""
+    """Values of the measured parameters that were not matched, before and after the calibration."""
     predicted: Observations
-    """The values at all positions of the simulator with the coefficients returned, also those that were
-    not measured. Where reference simulations tell the simulator's error, its mean given what was
-    measured is added: what all pairs have in common, such as other scattering."""
+    """Simulated values at all positions with the calibrated coefficients, including pairs that were not
+    measured. If reference simulations give the simulator's error, the part of it that all pairs have in
+    common is corrected."""
     controls: ControlRuns | None
-    """The simulator's error, to be given to a second calibration. None if it is not known."""
+    """Error of the simulator, which you can give to another calibration. None if it is unknown."""
     unexplained: Array
-    """Standard deviation in JND by which each value of a parameter differs from the simulator beyond
-    all stated errors, under which what was measured is likeliest, (n_parameters,)."""
+    """Standard deviation in JND of the differences between simulator and measurement beyond all known
+    errors, estimated for each parameter, (n_parameters,)."""
     innovation: Array
     covariance: Array
-    """What was measured less the simulated values at ``steps[-1].alpha``, linearly extrapolated to the
-    prior, (n_used,); covariance of the errors of measurement and simulator, (n_used, n_used)."""
+    """Measured minus simulated values, extrapolated to the input coefficients, (n_used,), and the
+    covariance of their errors by measurement and simulator, (n_used, n_used)."""
     prior_covariance: Array
-    """Of alpha, (n_materials * n_bands,) squared."""
+    """Covariance of the input alpha, (n_materials * n_bands, n_materials * n_bands)."""
     steps: tuple[GaussNewtonStep, ...]
     settled: bool
-    """Whether the last whole step changed alpha by less than 0.05 of its prior sigma."""
+    """Whether the fit has converged: the last step changed alpha by less than 0.05 of its input
+    sigma."""
     notes: tuple[str, ...]
-    """What was left out, and why."""
+    """Notes on what was left out, and why."""
     refused: bool = False
-    """Whether no step led nearer to what was measured, so that the room is the one that was given."""
+    """Whether no step came nearer to the measurement, so that the room is returned as it was given."""
     beyond: BeyondPrior | None = None
-    """The measured T, where the stated coefficients and their sigma cannot explain it."""
+    """Measured T that your input coefficients cannot explain within their sigma; None if they can."""
     held_out: Compared | None = None
-    """What was measured at the pairs that were excluded, before and after; without the level."""
+    """Values at the pairs that were excluded, measured, before and after the calibration; without the
+    level."""
     start: Array | None = None
-    """The scattering at which the fit started, (n_materials, n_bands); None of a simulator that has
-    none."""
+    """Scattering coefficients at which the fit started, (n_materials, n_bands); None for a simulator
+    without scattering."""
 
     def predict(
         self,
@@ -1010,8 +1008,8 @@ class PositionsResult(Result):
     ) -> PositionsPrediction:
         """Predict the values at every position after a change of this room.
 
-        The arguments and errors are those of `rtcal.loop.positions.predict_positions`, which
-        takes several variants at once.
+        The arguments and errors are those of `rtcal.loop.predict_positions`, which takes several
+        variants.
         """
         made = (changes,) if isinstance(changes, Change) else tuple(changes)
         variant = Variant(name or "; ".join(map(str, made)) or "no change", made)
@@ -1022,24 +1020,24 @@ class PositionsResult(Result):
 
     @property
     def alpha(self) -> Array:
-        """The calibrated coefficients, (n_materials, n_bands)."""
+        """Calibrated coefficients, (n_materials, n_bands)."""
         return self.room.alpha
 
     @property
     def sigma(self) -> Array:
-        """Posterior standard deviation of alpha, (n_materials, n_bands); it does not count bounds."""
+        """Standard uncertainty of the calibrated alpha, (n_materials, n_bands), ignoring the bounds."""
         return self.steps[-1].answer.posterior_sigma
 
     @property
     def certificate(self) -> Certificate:
-        """Error bounds of the last step's QP."""
+        """Numerical error bounds of the last step's optimum."""
         return self.steps[-1].answer.certificate
 
     @property
     def interval(self) -> tuple[Array, Array] | None:
-        """Ends of the 90 % interval of alpha within [0, 1], each (n_materials, n_bands).
+        """Lower and upper end of alpha's 90 % interval within 0 and 1, (n_materials, n_bands) each.
 
-        None if the simulator's error is not known: no reference simulations.
+        None if there are no reference simulations, so that the simulator's error is unknown.
         """
         if self.controls is None:
             return None
@@ -1048,35 +1046,41 @@ class PositionsResult(Result):
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """The parameters that were matched."""
+        """Names of the parameters that were matched."""
         return self.measured.observations.parameters
 
     @property
     def pairs(self) -> tuple[Pair, ...]:
-        """The pairs that were matched."""
+        """Source-receiver pairs that were matched."""
         return self.measured.observations.pairs
 
     @property
     def gap_before(self) -> Array:
-        """Simulated less measured, with the prior, in JND, (n_parameters, n_pairs, n_bands)."""
+        """Deviation with the input coefficients, simulated minus measured, in JND.
+
+        The shape is (n_parameters, n_pairs, n_bands).
+        """
         return self.matched.gap_before
 
     @property
     def gap_after(self) -> Array:
-        """Simulated less measured, in JND, (n_parameters, n_pairs, n_bands)."""
+        """Deviation with the calibrated coefficients, simulated minus measured, in JND.
+
+        The shape is (n_parameters, n_pairs, n_bands).
+        """
         return self.matched.gap_after
 
     @property
     def materials(self) -> list[dict[str, Any]]:
-        """Alpha and sigma before and after, with the interval, of each material."""
+        """Alpha and sigma of each material before and after, with the 90 % interval."""
         return coefficients(self.prior, self.alpha, self.sigma, self.interval)
 
     @property
     def farther(self) -> tuple[str, ...]:
-        """Parameters in which ``tracer`` deviates more from the measurement than the simulator given.
+        """Names of the parameters whose deviation from the measurement grew by the calibration.
 
-        Of what was matched, the root mean square gap over pairs and bands is larger by over half a JND.
-        Of what was not, that over the pairs is larger by over a JND in some band.
+        For a matched parameter the root mean square deviation over pairs and bands grew by more than
+        half a JND. For any other one, that over the pairs grew by more than one JND in some band.
         """
         return (*(name for name, _, _ in self._farther_matched), *left(self.beside.gaps))
 
@@ -1089,17 +1093,18 @@ class PositionsResult(Result):
 
     @property
     def shift(self) -> Array:
-        """Change of alpha, in prior sigmas, (n_materials, n_bands); 0 where sigma is 0."""
+        """Change of alpha in units of the input sigma, (n_materials, n_bands); 0 where sigma is 0."""
         sigma = np.where(self.prior.sigma > 0, self.prior.sigma, np.inf)
         return np.asarray((self.alpha - self.prior.alpha) / sigma)
 
     @cached_property
     def pulls(self) -> Array:
-        """Change of each coefficient by each pair, in prior sigmas, (n_pairs, n_materials, n_bands).
+        """Change of alpha that each pair causes, in input sigmas, (n_pairs, n_materials, n_bands).
 
-        Of the linear estimate without bounds: the sum over the pairs is its whole shift. The change by
-        the values is K J' (J K J' + C)⁻¹, with K the prior's covariance, J their derivatives and C that
-        of their errors (Tarantola 2005, Inverse Problem Theory, Sect. 3.2).
+        The sum over the pairs is the change of the linear estimate without the bounds 0 and 1. Its gain
+        is K J' (J K J' + C)⁻¹, with K the covariance of the input alpha, J the derivatives of the
+        values by alpha, and C the covariance of their errors (Tarantola 2005, Inverse Problem Theory,
+        Sect. 3.2).
         """
         matrix = self.steps[-1].matrix
         across, n = self.prior_covariance @ matrix.T, len(matrix)
@@ -1115,10 +1120,10 @@ class PositionsResult(Result):
 
     @cached_property
     def misfit(self) -> Array:
-        """Misfit of each pair with what all others let expect, (n_pairs,): 1 is usual.
+        """Misfit of each pair to the values expected from all other pairs, (n_pairs,): 1 is usual.
 
-        chi-square over its degrees of freedom, relative to the upper quartile over the pairs where that
-        is above 1. What the simulator misses differs between pairs; up to a quarter may be wrong.
+        It is chi-square over its degrees of freedom, divided by its upper quartile over the pairs if
+        this is above 1, so that up to a quarter of the pairs may be wrong.
         """
         square, degrees = self._chi_square
         ratio = square / degrees
@@ -1148,7 +1153,7 @@ class PositionsResult(Result):
 
     @cached_property
     def learned(self) -> tuple[tuple[str, float, float], ...]:
-        """Materials with prior and posterior sigma (rms over bands), most learned first."""
+        """Materials with input and calibrated sigma (rms over bands), most reduced first."""
         before, after = (rms(s, axis=1) for s in (self.prior.sigma, self.sigma))
         share = np.divide(after, before, out=np.ones_like(after), where=before > 0)
         return tuple(
@@ -1164,7 +1169,7 @@ class PositionsResult(Result):
 
     @cached_property
     def of_input(self) -> tuple[TrustMark, ...]:
-        """Likely typing errors of the room, and of the mean T over the pairs."""
+        """Cautions about likely typing errors in the room, and in the mean T over the pairs."""
         measured = self.matched.measured
         late = [o.key for o in REVERBERATION if o.key in measured.parameters]
         if not late:
@@ -1176,7 +1181,7 @@ class PositionsResult(Result):
 
     @property
     def warning(self) -> str:
-        """Sentences that stand first: start returned, typing errors, T beyond the prior, gap grown."""
+        """Sentences that are printed first, such as likely typing errors or a deviation that grew."""
         said = [_REFUSED] if self.refused else []
         said += [text.as_sentence(doubt.sentence) for doubt in self.of_input]
         if self.beyond:
@@ -1200,7 +1205,7 @@ class PositionsResult(Result):
 
     @property
     def every_note(self) -> list[str]:
-        """The ``notes``, and the cautions about the result itself."""
+        """Notes on the data, and cautions about the result itself."""
         notes = list(self.notes)
         notes[:0] = sentences(self.beside.gaps, self.prior.centre_frequencies)
         if self.warning:
@@ -1219,7 +1224,7 @@ class PositionsResult(Result):
 
     @property
     def doubts(self) -> list[Row]:
-        """Reservations: what, where, and what to do."""
+        """Cautions as rows of a table: what, where, and what to do."""
         odd = [
             f"{' to '.join(pair)} ({misfit:.1f})"
             for pair, misfit in zip(self.pairs, self.misfit, strict=True)

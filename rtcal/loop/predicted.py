@@ -73,7 +73,7 @@ from rtcal.support.speed import Progress
 from rtcal.support.types import Array
 
 Z = float(ndtri((1 + COVERAGE) / 2))
-"""Half of a normal interval, in standard deviations."""
+"""Half width of a 90 % interval of a normal distribution, in standard deviations."""
 _SAMPLES = 2000
 _BENT = 0.1
 """Departure from a straight line at the interval's ends, in standard deviations, from which the
@@ -82,10 +82,10 @@ interval is that of samples."""
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PositionsPrediction(Result):
-    """A prediction at every position after a change; `PositionsResult.predict` makes it.
+    """Hold predicted values at every position after a change, which `PositionsResult.predict` returns.
 
-    Arrays are (n_parameters, n_pairs + 1, n_bands), as observed: times are logarithms. Rows are the
-    pairs in their order, and then their mean.
+    Arrays are (n_parameters, n_pairs + 1, n_bands), with the pairs first and then their mean. Times are
+    logarithms; `mean`, `at_pairs` and `interval` return values in their units.
     """
 
     record_kind: ClassVar[str] = "prediction at positions 1"
@@ -97,26 +97,27 @@ class PositionsPrediction(Result):
     name: str
     changes: tuple[Change, ...]
     before: Room
-    """With the prior's coefficients."""
+    """Room before the change, with your input coefficients."""
     simulator: str
     parameters: tuple[str, ...]
-    """Keys of `rtcal.acoustics.observables`."""
+    """Names of the predicted parameters: keys of `rtcal.acoustics.observables`."""
     pairs: tuple[tuple[str, str], ...]
     simulated_before: Array
-    """Before the change, predicted in the same way."""
+    """Predicted values before the change."""
     middle: Array
     sigma: Array
-    """Mean and standard deviation after the change."""
+    """Predicted values after the change, and their standard deviation."""
     uncalibrated_sigma: Array
-    """Standard deviation of the same prediction without what was measured."""
+    """Standard deviation that the prediction would have without the measurement."""
     low: Array
     high: Array
-    """Ends of the 90 % interval."""
+    """Lower and upper end of the 90 % interval."""
     sampled: NDArray[np.bool_]
-    """Where the interval is that of samples, since the simulator departs from its linear model."""
+    """Whether the interval comes from random samples, because the simulator is not linear enough
+    there."""
     shares: dict[str, Array]
-    """Of the variance of the mean over the pairs, (n_parameters, n_bands), by what it comes from."""
-    """Of the variance of the mean over the pairs, by what it comes from, (n_parameters, n_bands)."""
+    """Causes of the uncertainty of the mean over the pairs, by name, as shares of its variance,
+    (n_parameters, n_bands)."""
 
     def _natural(self, parameter: str, observed: Array) -> Array:
         """Return a parameter's values in its unit, (n_pairs + 1, n_bands)."""
@@ -124,30 +125,30 @@ class PositionsPrediction(Result):
         return np.asarray(observable(parameter).natural(observed[row]))
 
     def at_pairs(self, parameter: str) -> Array:
-        """Return each pair's value in its unit and then the mean, (n_pairs + 1, n_bands)."""
+        """Return the prediction for pairs, then the mean, in its unit, (n_pairs + 1, n_bands)."""
         return self._natural(parameter, self.middle)
 
     def interval_at_pairs(self, parameter: str) -> tuple[Array, Array]:
-        """Return the ends of the 90 % intervals, each (n_pairs + 1, n_bands)."""
+        """Return the ends of the 90 % interval of pairs and mean, (n_pairs + 1, n_bands) each."""
         return self._natural(parameter, self.low), self._natural(parameter, self.high)
 
     def mean(self, parameter: str) -> Array:
-        """Return the mean over the pairs in its unit, (n_bands,): the geometric mean of times."""
+        """Return the mean over the pairs in its unit, (n_bands,); the geometric mean for times."""
         return np.asarray(self.at_pairs(parameter)[-1])
 
     def interval(self, parameter: str) -> tuple[Array, Array]:
-        """Return the ends of the 90 % interval of the mean over the pairs, each (n_bands,)."""
+        """Return the ends of the 90 % interval of the mean over the pairs, (n_bands,) each."""
         low, high = self.interval_at_pairs(parameter)
         return low[-1], high[-1]
 
     def before_change(self, parameter: str) -> Array:
-        """Return each pair's value before the change in its unit and then the mean."""
+        """Return the value of each pair before the change in its unit, and then the mean."""
         return self._natural(parameter, self.simulated_before)
 
     def change(self, parameter: str) -> Array:
-        """Return the effect on each pair and on the mean in JND, (n_pairs + 1, n_bands).
+        """Return the change of each pair and of the mean in JND, (n_pairs + 1, n_bands).
 
-        One JND is that of the value before: 5 % of a time.
+        One JND is that of the value before, for example 5 % of a decay time.
         """
         before = self.before_change(parameter)
         return (self.at_pairs(parameter) - before) / observable(parameter).jnd_of(before)
@@ -155,9 +156,9 @@ class PositionsPrediction(Result):
     def half_width(
         self, parameter: str, low: Array | None = None, high: Array | None = None
     ) -> Array:
-        """Return half of the 90 % interval in JND of the value after, (n_pairs + 1, n_bands).
+        """Return half the width of the 90 % interval in JND of the value after, (n_pairs + 1, n_bands).
 
-        Of other ends, as observed, where they are given.
+        ``low`` and ``high`` replace the ends of the interval.
         """
         low, high = (own if of is None else of for of, own in ((low, self.low), (high, self.high)))
         one = np.asarray(observable(parameter).jnd_of(self.at_pairs(parameter)))
@@ -165,14 +166,14 @@ class PositionsPrediction(Result):
         return np.asarray(ends / (2 * one))
 
     def parts(self, parameter: str) -> dict[str, Array]:
-        """Return shares of the variance of the mean over the pairs, (n_bands,), the largest first."""
+        """Return the causes of the mean's uncertainty, as shares of its variance, largest first."""
         row = self.parameters.index(checks.choice("parameter", parameter, self.parameters))
         found = {name: share[row] for name, share in self.shares.items()}
         return dict(sorted(found.items(), key=lambda each: -float(each[1].mean())))
 
     @property
     def sentences(self) -> list[str]:
-        """The parts of the first parameter's interval, and what to measure next."""
+        """Sentences on the causes of the first parameter's uncertainty, and what to measure next."""
         first, half = self.parameters[0], Z * self.uncalibrated_sigma
         without = self.half_width(first, self.middle - half, self.middle + half)[-1]
         return [
@@ -182,7 +183,7 @@ class PositionsPrediction(Result):
 
     @property
     def of_parameters(self) -> dict[str, dict[str, Any]]:
-        """What is predicted of each parameter, by name: of the pairs and of their mean."""
+        """Predicted values of each parameter by name, for the pairs and their mean."""
         return {
             p: {
                 "unit": observable(p).unit,
@@ -206,7 +207,7 @@ class PositionsPrediction(Result):
         )
 
     def blocks(self) -> list[Block]:
-        """Return the blocks of the prediction: means over the pairs by band."""
+        """Return the tables that are printed: means over the pairs in each band."""
         rows, first = [], self.parameters[0]
         labels, before = bands.labels(self.before.centre_frequencies), self.before_change(first)[-1]
         after, ends = self.mean(first), self.interval(first)
@@ -239,7 +240,7 @@ class PositionsPrediction(Result):
 
     @property
     def shown(self) -> words.Shown:
-        """The mean over the pairs of the first parameter, before and after, with its interval."""
+        """Mean of the first parameter over the pairs, before and after, with its interval."""
         p, n = self.parameters[0], len(self.pairs)
         return words.Shown(
             f"{parameter_label(p)} / {observable(p).unit}",
@@ -252,7 +253,7 @@ class PositionsPrediction(Result):
 
     @property
     def assumed(self) -> list[Block | list[str]]:
-        """What the prediction assumes."""
+        """Assumptions of the prediction, as sentences and a list."""
         said = (
             f"{self.simulator}, {len(self.pairs)} pairs of source and receiver. Its error is that of "
             "its reference simulations, evaluated before and after the change."
@@ -638,7 +639,7 @@ def _bend(after: State, values: Array, posterior: Array) -> tuple[Array, Array]:
 
 
 WANTED = (*MATCH, *(key for key, each in OBSERVABLES.items() if each.predicted))
-"""What is predicted where nothing else is asked for."""
+"""Names of the parameters that are predicted by default."""
 _BEFORE = "before the change"
 
 
@@ -651,28 +652,29 @@ def predict_positions(
     position_uncertainty: float = POSITION,
     progress: Progress | None = None,
 ) -> Predictions:
-    """Predict the values at every position after changes, which share the reference simulations.
+    """Predict the values at every position of a room after each of several changes.
 
     Parameters
     ----------
     result : PositionsResult
+        Calibration of the room, from `rtcal.calibrate_positions`.
     variants : sequence of Variant
-        Covers, openings and another climate.
+        Changes to predict: covers, openings and another climate.
     wanted : sequence of str
-        Keys of `rtcal.acoustics.observables`.
+        Parameters to predict: keys of `rtcal.acoustics.observables`.
     assumptions : Assumptions, optional
-        Its ``changed`` is the least sigma of a new material, ``areas`` the relative error of the area
-        of a partial cover. The others are the equation's.
+        Assumed uncertainties, of which two are used: ``changed``, the smallest sigma of a new material,
+        and ``areas``, the relative uncertainty of the area of a partial cover.
     position_uncertainty : float
-        See `rtcal.calibrate_positions`.
+        Standard uncertainty of the positions of sources and receivers in m.
     progress : callable, optional
         Function that is called with the numbers of finished and of all reference simulations.
 
     Raises
     ------
     DataError
-        For a change that the simulator does not know the place of, two variants of one name, one that
-        another program simulated, or a simulator without reference simulations.
+        For a change whose place the simulator does not have, for two variants with one name, for a
+        variant that another program simulated, or for a simulator without reference simulations.
 
     Examples
     --------
