@@ -46,9 +46,9 @@ _LEAST_LIKENESS = 0.76
 
 
 def names() -> dict[str, str]:
-    """Return the catalogue's materials, name to description.
+    """Return the name and the description of each material in the catalogue.
 
-    Raises MissingDependencyError without pyroomacoustics.
+    Raises MissingDependencyError without pyroomacoustics, which has the catalogue.
     """
     try:
         # Only the data file is read; the package itself is not imported.
@@ -68,17 +68,17 @@ def names() -> dict[str, str]:
 def material(
     name: str, centre_frequencies: Sequence[float] | Array, in_situ_factor: float = 1.5
 ) -> Material:
-    """Return a material of the catalogue with a sigma and its provenance.
+    """Return a material of the catalogue: alpha, its uncertainty sigma, and its source.
 
     Parameters
     ----------
     name : str
-        One of `names`.
+        Name of the material: a key of `names`.
     centre_frequencies : sequence (n_bands,)
-        Octaves that the catalogue has, within 125 to 8000 Hz.
+        Centre frequencies in Hz of octaves that the catalogue has, within 125 to 8000 Hz.
     in_situ_factor : float
-        sigma is this factor times ISO 12999-2's standard deviation between laboratories. Above 4 kHz,
-        which the standard does not tabulate, sigma has its value at 4 kHz.
+        Factor between sigma and ISO 12999-2's standard deviation between laboratories. Above 4 kHz,
+        where the standard has no value, sigma is that at 4 kHz.
 
     Raises
     ------
@@ -127,26 +127,28 @@ PIECES: dict[str, tuple[str, list[float], list[float]]] = {
     "person standing in a heavy coat": (_KUTTRUFF, [0.17, 0.41, 0.91, 1.30, 1.43, 1.47], []),
     "musician with instrument": (_KUTTRUFF, [0.60, 0.95, 1.06, 1.08, 1.08, 1.08], []),
 }
-"""Source, and area per piece in m² at 125 to 4000 Hz, of some its least and largest. The values were
-written down without the sources at hand: they are approximate, as each piece's ``source`` says."""
+"""Source of each piece, and its absorption area in m² at 125 to 4000 Hz, for some with smallest and
+largest value. The values were noted without the sources at hand and are approximate, as each piece's
+``source`` says."""
 _APPROXIMATE = "approximate: from memory of {}"
 _OF_A_PIECE = 0.3
 """Relative standard deviation of an area per piece of which no range is known, a judgement."""
 
 
 def piece(name: str, number: float, centre_frequencies: Sequence[float] | Array) -> Piece:
-    """Return pieces of the catalogue with a sigma.
+    """Return several pieces of one kind, such as chairs, with the absorption area of each piece.
 
-    sigma is 30 % of the value, at least 0.01 m²; of a range between typical values, that of an even
-    distribution.
+    Its uncertainty sigma is 30 % of the value, and at least 0.01 m². For a piece with a range of
+    typical values, sigma is the standard deviation of a uniform distribution over this range.
 
     Parameters
     ----------
     name : str
-        One of `PIECES`.
+        Name of the piece: a key of `PIECES`.
     number : float
+        Number of pieces in the room.
     centre_frequencies : sequence (n_bands,)
-        Octaves from 125 to 4000 Hz.
+        Centre frequencies in Hz of octaves from 125 to 4000 Hz.
 
     Raises
     ------
@@ -178,13 +180,13 @@ def piece(name: str, number: float, centre_frequencies: Sequence[float] | Array)
 
 
 def origin() -> str:
-    """Return the source of all materials, with which each one's begins."""
+    """Return the name of the catalogue, with which the source of each of its materials begins."""
     return f"{_TABLE} {metadata.version(_TABLE)} materials.json (after Vorländer 2008)"
 
 
 @cache
 def material_list() -> MaterialList:
-    """Return the catalogue as a material list, each material in the bands that it has."""
+    """Return the whole catalogue as a material list, each material in the bands that it has."""
     descriptions, mounted = names(), _mounting()
     with resources.as_file(resources.files(_TABLE) / "data" / "materials.json") as path:
         listed = pyroomacoustics.read(path)
@@ -205,10 +207,10 @@ def material_list() -> MaterialList:
 def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) -> list[str]:
     """Return the names of entries whose name or description resembles a material's name.
 
-    First is the entry that ``material_names.toml`` says people mean by this name. Of the others, a
-    word counts the more, the fewer entries have it, and more in an entry's name than in its
-    description. Words may differ in their ending, and those of other languages and of the trade stand
-    for the catalogue's. ``among`` are other entries than the catalogue's, with a description each.
+    An entry that ``material_names.toml`` lists for this name is first. For the others, rare words count
+    more than frequent ones, and words of an entry's name more than those of its description. Endings
+    may differ, and words of other languages and of the trade are translated. ``most`` is the largest
+    number of names. ``among`` replaces the catalogue by other entries, name to description.
 
     Examples
     --------
@@ -239,9 +241,10 @@ def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) ->
 
 
 def nearest(name: str, most: int = 3) -> list[str]:
-    """Return what resembles a material's name: entry, construction and mounting, alpha with its sigma.
+    """Return catalogue entries that resemble a material's name, each as a line of text.
 
-    The construction is as the source describes it. alpha is at 500 Hz, with `material`'s sigma.
+    A line has the entry's name, its construction and mounting as the source describes them, and alpha
+    at 500 Hz with its sigma.
     """
     described = names()
     lines = []

@@ -57,23 +57,23 @@ _HIDDEN = {
 
 
 def hidden_room(which: str = "case") -> tuple[Case, dict[str, Any]]:
-    """Return a case with a hidden effect, and the truth: the effect and ``alpha``.
+    """Return a simulated room in which an effect is missing from the model, and the true effect.
 
-    The rooms are simulated by a tracer that is separate from rtcal's
-    (`benchmarks/studies/hidden_world`).
+    The first value is the case for `rtcal.find`, the second has the effect and the true ``alpha``. The
+    rooms were simulated by a program that is independent of rtcal (`benchmarks/studies/hidden_world`).
 
     Parameters
     ----------
     which : {"case", "closed", "identified", "not_identified"}
-        "case": a room of six materials as it is, and with one material covered with another one;
-        "closed": the same room, and everything closed or taken out that can be. "identified":
-        the first room by the rule of `benchmarks/studies/means/shipped_cases.py` in which the finder
-        names what is hidden, and "not_identified": the first in which it names nothing.
+        Name of the room. "case": a room of six materials, measured as it is and with one material
+        covered. "closed": the same room, with everything closed or taken out that can be.
+        "identified": a room in which rtcal identifies the effect. "not_identified": a room in which it
+        identifies none.
 
     Raises
     ------
     DataError
-        For another case.
+        For another name.
     """
     from rtcal.finder.case import Case
 
@@ -85,7 +85,7 @@ def hidden_room(which: str = "case") -> tuple[Case, dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Example:
-    """Files of a small project by name, and the commands to run in their folder, in order."""
+    """Hold the files of a small project by name, and the commands to run in their folder, in order."""
 
     files: Mapping[str, bytes]
     commands: tuple[str, ...]
@@ -191,7 +191,7 @@ NAMES = tuple(_EXAMPLES)
 
 
 def example(name: str) -> Example:
-    """Return the example of this name; DataError if it is none of `NAMES`."""
+    """Return the example project of this name; raises DataError if it is none of `NAMES`."""
     if name not in _EXAMPLES:
         raise DataError(f'there is no example "{name}"; the examples are {", ".join(NAMES)}')
     shared, commands = _EXAMPLES[name]

@@ -27,9 +27,9 @@ __dir__ = __all__.copy
 
 @dataclass(frozen=True, eq=False)
 class Hall:
-    """A hall to simulate: geometry, room, and named sources and receivers (x, y, z in m).
+    """Hold a hall to simulate: geometry, room, and named sources and receivers (x, y, z in m).
 
-    ``held_out`` are receivers that a calibration does not see.
+    ``held_out`` are the names of receivers that a calibration must not use.
     """
 
     geometry: Polyhedron
@@ -55,10 +55,10 @@ def _hall(name: str, *held_out: str) -> Hall:
 
 
 def lecture_hall() -> Hall:
-    """Return a lecture hall of 23 surfaces, 334 m³, largest to smallest area 66.6.
+    """Return a raked lecture hall of 334 m³ with 23 surfaces, like that of Bellows & Katz (2025).
 
-    The hall is raked, 11 m deep and 8.9 m wide. Its width is chosen for the volume, and the width
-    of the projection window for the ratio of areas.
+    The hall is 11 m deep and 8.9 m wide. Its largest surface is 66.6 times as large as its smallest.
+    The width of the hall is chosen for the volume, that of the projection window for this ratio.
     """
     return _hall("lecture_hall", "R5", "R6", "R7")
 
@@ -75,8 +75,8 @@ def hard_hall() -> Hall:
 def theatre() -> Hall:
     """Return a theatre with two tiers, boxes, a fly tower and thirty materials.
 
-    Drapes and seats absorb strongly, ceiling and parapets hardly. The proscenium opening alone connects
-    stage and auditorium.
+    Drapes and seats absorb strongly, ceiling and parapets hardly. Stage and auditorium are connected by
+    the proscenium opening only.
     """
     return _hall("theatre", "R6", "R7", "R8")
 

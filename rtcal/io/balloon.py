@@ -30,7 +30,7 @@ __all__ = ["read"]
 __dir__ = __all__.copy
 
 MAX_TEXT = 2**22
-"""Largest size of CLF's text in bytes. 30 thirds with 72 arcs of 37 levels are 0.6 MB."""
+"""Largest size of a CLF text file in bytes: 30 third-octaves with 72 arcs of 37 levels are 0.6 MB."""
 _STEP = 5
 """Of the balloon that is made of SOFA's directions, in degrees."""
 _DIRECTIONS = 12
@@ -52,11 +52,10 @@ def read(
     aim: Sequence[float],
     up: Sequence[float] = UPWARDS,
 ) -> Directivity:
-    """Return the energy that a measured loudspeaker radiates in each direction, per octave.
+    """Return the directivity of a measured loudspeaker, per octave.
 
-    The energy of an octave is the mean over the file's frequencies in it, and over its thirds with
-    equal power. Between the directions of a SOFA file it is linear in each triangle of neighbours, at
-    every 5 degrees.
+    The energy in an octave is the mean over the file's frequencies in this octave, or over its
+    third-octaves. Directions between those of a SOFA file are interpolated at every 5 degrees.
 
     Parameters
     ----------
@@ -70,10 +69,10 @@ def read(
     Raises
     ------
     DataError
-        For a file of another kind, a band without a frequency of the file, directions that leave a
-        gap, levels that are no numbers, and an axis that is not where it radiates.
+        For a file of another kind, a band without a frequency in the file, missing directions, levels
+        that are not numbers, and an axis in which the loudspeaker does not radiate most.
     MissingDependencyError
-        For a SOFA file, without netCDF4.
+        For a SOFA file, if netCDF4 is not installed.
     """
     place = os.fspath(checks.path("path", path))
     wanted = np.atleast_1d(checks.array("frequencies", frequencies)).ravel().tolist()

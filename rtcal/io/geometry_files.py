@@ -23,10 +23,10 @@ __dir__ = __all__.copy
 
 
 def read(room: Room) -> Polyhedron:
-    """Return the mesh of a room's scene, or the box of a room with dimensions and a surface per wall.
+    """Return the geometry of a room: its mesh, or a box with the room's dimensions.
 
-    Raises DataError as `rtcal.io.obj.read`, for a mesh with a material that the room lacks, and for a
-    room that states neither a mesh nor dimensions.
+    A box needs one surface per wall. Raises DataError as `rtcal.io.obj.read` does, for a mesh with a
+    material that the room lacks, and for a room with neither a mesh nor dimensions.
     """
     checks.instance("room", room, Room)
     if room.scene.mesh is not None:
@@ -46,10 +46,10 @@ def read(room: Room) -> Polyhedron:
 
 
 def mesh_doubt(room: Room) -> str:
-    """Return in a sentence where a room's areas or volume are not those of its mesh; "" if they are.
+    """Return in a sentence how a room's areas or volume differ from those of its mesh, or "".
 
-    A room that states no mesh has none to differ from. A mesh that cannot be read is a doubt, too.
-    DataError as `rtcal.simulators.path_tracing.refuse_powers_of_ten`.
+    The sentence also says if the mesh cannot be read. Without a mesh it is "". Raises DataError as
+    `rtcal.simulators.path_tracing.refuse_powers_of_ten` does.
     """
     if checks.instance("room", room, Room).scene.mesh is None:
         return ""
@@ -64,10 +64,11 @@ def mesh_doubt(room: Room) -> str:
 
 
 def path_tracing(room: Room, **options: Any) -> PathTracing:
-    """Return a path tracing of a room with a scene; ``options`` are those of `PathTracing`.
+    """Return a path tracing of a room whose file has its geometry, sources and receivers.
 
-    The balloons of its sources are read. Raises DataError as `read`, `rtcal.io.balloon.read` and
-    `PathTracing` do, and for a room without sources and receivers.
+    ``options`` are arguments of `PathTracing`. Files with the directivity of sources are read. Raises
+    DataError as `read`, `rtcal.io.balloon.read` and `PathTracing` do, and for a room without sources
+    and receivers.
 
     Examples
     --------
@@ -93,7 +94,7 @@ def path_tracing(room: Room, **options: Any) -> PathTracing:
 
 
 def directivity(room: Room) -> dict[str, Any]:
-    """Return the directivities of a room's sources, those in files read; raises as `balloon.read`."""
+    """Return the directivities of a room's sources, read from their files; raises as `balloon.read`."""
     return {
         name: balloon.read(of.file, room.centre_frequencies, of.aim, of.up)
         if isinstance(of, Directivity) and of.file is not None

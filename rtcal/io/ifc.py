@@ -29,7 +29,7 @@ from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 MAX_IFC = 2**25
-"""Largest size in bytes of a building model: ifcopenshell takes some eight times as much memory."""
+"""Largest size in bytes of a building model; ifcopenshell needs some eight times as much memory."""
 _SAME = 1e-9  # m, of one point
 _LARGEST_GAP = 0.1  # m, of an outline's ends; one that leaves out its last edge is longer
 _CROSSED = 1e-3  # share of an outline's area by which its parts must differ in their turning
@@ -56,12 +56,12 @@ class _Boundary:
 def faces(path: str, unit: float | None, space: str | None, weld: float) -> Faces:
     """Return the faces of one space of a building model, with the materials that bound it.
 
-    ``space`` is its name, long name or both; it may be left out where there is one space. An outline
-    whose ends are within ``weld`` (m) of each other is closed, and a note says so.
+    ``space`` is the name of the space, its long name or both; it may be None if there is one space. An
+    outline whose ends are within ``weld`` (m) of each other is closed, which a note says.
 
     Raises DataError for a file that cannot be read, a model without spaces, an outline that crosses
-    itself, and a space that is not named or not known: the message lists those of the model.
-    MissingDependencyError without ifcopenshell.
+    itself, and an unknown space; the message then lists those of the model. Raises
+    MissingDependencyError if ifcopenshell is not installed.
     """
     ifcopenshell = library(
         "IFC needs ifcopenshell: pip install 'rtcal[ifc]'; or export glTF of the room",

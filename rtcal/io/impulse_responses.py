@@ -77,10 +77,12 @@ __dir__ = __all__.copy
 MINIMUM_RANGE: dict[str, float] = {
     key: o.minimum_range for key, o in OBSERVABLES.items() if o.minimum_range is not None
 }
-"""Impulse-to-noise ratio in dB that each parameter needs: its range plus 10 dB, and 5 dB more for T."""
+"""Impulse-to-noise ratio in dB that each parameter needs: its evaluation range plus 10 dB, and 5 dB
+more for T20 and T30."""
 
 LEAST_BT = 4.0
-"""Bandwidth times T above which a backward filter does not bias T (Jacobsen & Rindel 1987)."""
+"""Product of bandwidth and T above which a time-reversed filter does not bias T (Jacobsen & Rindel
+1987)."""
 
 _ORDER = 6  # Butterworth; IEC 61260-1 class 1 needs 5 for octaves and 6 for third-octaves
 
@@ -94,31 +96,32 @@ def read(
     repeats: bool = False,
     progress: Callable[[], None] | None = None,
 ) -> Analysis:
-    """Read one or more sound files (WAV, FLAC and what else soundfile reads) or SOFA and analyse them.
+    """Return the room-acoustic parameters of impulse responses in sound files or SOFA files.
 
-    A name like ``LS1_MP3`` or ``S1-R2`` in the file's name is its source and receiver; else the
-    source is ``S1`` and the receiver the file's name. ``S1-R2#2`` is a repeat of ``S1-R2``: repeats are
-    averaged, and count as one position. A SOFA file states its positions: equal ones have one name, as
-    `rtcal.io.sofa.read` gives it.
+    Sound files may be WAV, FLAC and any other that soundfile reads. A part like ``LS1_MP3`` or
+    ``S1-R2`` of the file's name is its source and receiver; otherwise the source is ``S1`` and the
+    receiver has the file's name. ``S1-R2#2`` is a repeat of ``S1-R2``; repeats are averaged and count
+    as one position. Positions in a SOFA file are named as in `rtcal.io.sofa.read`.
 
     Parameters
     ----------
     path : path or sequence of paths
+        Path of the file, or paths of several files, one per position or repeat.
     bands, minimum_range, progress
-        See `analyse`.
+        Bands to evaluate, needed impulse-to-noise ratios, and function that is called: see `analyse`.
     channels : int or "receivers", optional
-        For files of several channels: the number of the channel to read, from 1, or "receivers" if each
-        channel is one receiver. For a figure-of-eight or Ambisonics microphone, state the channel of
-        the pressure.
+        Number of the channel to read, from 1, for files with several channels; or "receivers" if each
+        channel is a receiver. For a figure-of-eight or Ambisonics microphone, give the channel of the
+        pressure.
     repeats : bool
-        Whether several files of one source and receiver are repeats. Else they are refused, and so is
-        this option where no source and receiver is there twice.
+        Whether several files of one source and receiver are repeats, to be averaged. If False, such
+        files are an error. If True, it is an error if there are none.
 
     Raises
     ------
     DataError
-        For a file that cannot be read, and for several channels without ``channels``;
-        the message names file and rule.
+        For a file that cannot be read, and for several channels without ``channels``. The message names
+        the file and the rule.
     """
     doubts = list[str]()
     responses = responses_of(path, channels, repeats, doubts)
@@ -131,9 +134,9 @@ def responses_of(
     repeats: bool,
     doubts: list[str],
 ) -> dict[tuple[str, str], Response]:
-    """Return the contents of files by source and receiver, as `read` names them; errors as in `read`.
+    """Return the responses in files by source and receiver, as `read` names them; raises as `read`.
 
-    Doubts about the files are added to ``doubts``.
+    Cautions about the files are added to the list ``doubts``.
     """
     paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
     if not paths:
@@ -160,7 +163,7 @@ def responses_of(
 
 
 class Floor(Enum):
-    """What ends the range of levels of a decay, as a sentence with a place for the range in dB."""
+    """List what may end the level range of a decay, as sentences with a place for the range in dB."""
 
     NOISE = "The ratio is {} dB."
     CUT = "The ratio is {} dB at the end of the response, which is cut off before the noise."
@@ -178,10 +181,11 @@ class Floor(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Analysis:
-    """The parameters of impulse responses, the reasons for missing values, and doubts about the others.
+    """Hold the parameters of impulse responses, with reasons for missing values and cautions.
 
-    The impulse-to-noise ratio is in dB, (n_pairs, n_bands), of repeats the least; ``floors``, alike,
-    are what ends each decay's range. ``minimum_range`` is the ratio in dB that each parameter needed.
+    ``measurement`` has the values. ``impulse_to_noise_ratio`` is in dB, (n_pairs, n_bands), for repeats
+    the smallest. ``floors``, of the same shape, are what ends the level range of each decay, such as
+    noise. ``minimum_range`` is the ratio in dB that each parameter needed.
     """
 
     measurement: Measurement
@@ -208,7 +212,7 @@ class Analysis:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """A sentence per band: which parameters are missing at how many pairs, and why."""
+        """Sentences, one per band, on which parameters are missing at how many pairs, and why."""
         sentences, n = [], len(self.measurement.pairs)
         for k, frequency in enumerate(self.measurement.centre_frequencies):
             alike: dict[tuple[tuple[str, ...], Floor], list[int]] = {}
@@ -234,10 +238,10 @@ class Analysis:
 
 
 def with_uncertainty(measurement: Measurement) -> Measurement:
-    """Return the measurement with the uncertainty of each value, from theory and round robins.
+    """Return the measurement with a standard uncertainty for each value, from theory and round robins.
 
-    Per value: that of one response, whose field is noise (`Observable.scatter`). In common to the pairs
-    of a band: what teams differ by (Bork 2005).
+    Each value has the uncertainty of one noise-like response (`Observable.scatter`). All pairs of a
+    band have in common the reproducibility between measuring teams (Bork 2005).
     """
     frequencies, values = measurement.centre_frequencies, measurement.values
     times = measurement.reverberation_time
@@ -280,9 +284,9 @@ def _opened(path: str) -> Iterator[Any]:
 
 
 class Response(NamedTuple):
-    """A response of a ``place``: ``load`` returns its samples, (n_samples,), at the rate in Hz.
+    """Hold a response at a ``place``; ``load`` returns its samples, (n_samples,), and their rate in Hz.
 
-    It is loaded where it is needed, so that one at a time is in memory.
+    It is loaded only when it is needed, so that one response at a time is in memory.
     """
 
     place: str
@@ -376,19 +380,19 @@ def analyse(
     minimum_range: Mapping[str, float] | None = None,
     progress: Callable[[], None] | None = None,
 ) -> Analysis:
-    """Return the room-acoustic parameters of impulse responses.
+    """Return the room-acoustic parameters (T20, EDT, C80, ...) of impulse responses, in bands.
 
     Parameters
     ----------
     signals : pyfar.Signal, or mapping of (source, receiver) to pyfar.Signal
         Room impulse responses, one channel each.
     bands : "octave", "third-octave" or sequence of float
-        All octaves from 63 Hz to 8 kHz, all third-octaves from 50 Hz to 10 kHz, as far as the
-        sampling rate holds them; or centre frequencies in Hz.
+        Bands to evaluate: "octave" for 63 Hz to 8 kHz, "third-octave" for 50 Hz to 10 kHz, both up to
+        the limit of the sampling rate, or centre frequencies in Hz.
     minimum_range : mapping of str to float, optional
-        In dB, in place of `MINIMUM_RANGE`, for some parameters.
+        Impulse-to-noise ratios in dB that some parameters need, by name, in place of `MINIMUM_RANGE`.
     progress : callable, optional
-        Called after each response.
+        Function that is called after each response.
 
     Raises
     ------
@@ -426,7 +430,7 @@ def analysed(
     progress: Callable[[], None] | None,
     doubts: Sequence[str] = (),
 ) -> Analysis:
-    """Return the parameters of responses; ``doubts`` are notes on their files."""
+    """Return the parameters of responses; ``doubts`` are cautions about their files."""
     libraries()
     centres, fractions = centres_of(bands, min(r.sampling_rate for r in responses.values()))
     found: list[list[OfEnergy]] = []
@@ -501,7 +505,7 @@ def assembled(
 
 
 LEAST_SILENCE = 0.01
-"""Duration in s from which a note mentions the digital silence at the end of a response."""
+"""Duration in s of digital silence at the end of a response from which a note mentions it."""
 LEAST_CLIPPED = 4
 """Number of samples at the largest value from which a response is clipped.
 
@@ -595,11 +599,11 @@ def bandwidth_of(centre: Any, fractions: int) -> Any:
 
 
 class OfEnergy(NamedTuple):
-    """The parameters of one squared response.
+    """Hold the parameters of one squared response.
 
-    ``values`` are those that the range suffices for, by name, ``ratio`` the impulse-to-noise ratio in
-    dB (-inf without a decay of 10 dB), ``floor`` what ends the range of levels. ``late`` says that the
-    energy arrives later than that of a decay.
+    ``values`` are the parameters for which the level range is large enough, by name. ``ratio`` is the
+    impulse-to-noise ratio in dB, -inf without a decay of 10 dB. ``floor`` is what ends the level range.
+    ``late`` is True if the energy arrives later than in a decay.
     """
 
     values: dict[str, float]
@@ -635,8 +639,9 @@ def of_energy(
 ) -> OfEnergy:
     """Return the parameters of one squared response, (n_samples,), that begins with the direct sound.
 
-    It is of all frequencies, or of a band. ``early`` is the energy that the band's filter has moved
-    before the direct sound, over ``early_samples``; it counts as early sound.
+    The response is that of all frequencies or of a band, with the sampling ``rate`` in Hz. ``needed``
+    are impulse-to-noise ratios in dB by parameter. ``early`` is the energy that the band's filter has
+    moved to ``early_samples`` before the direct sound; it counts as early sound.
     """
     total = float(np.sum(energy))
     if not (np.isfinite(total) and total > 0 and len(energy) >= rate / 20):
@@ -872,7 +877,7 @@ def _energy_ratios(curve: Array, rate: float) -> dict[str, float]:
 
 
 def filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:
-    """Square of the response in one band, filtered backwards in time."""
+    """Return the squared response in one band, filtered backwards in time."""
     from scipy.signal import sosfilt
 
     pyfar, _ = libraries()
@@ -889,7 +894,7 @@ def filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:
 
 
 def centres_of(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
-    """Return the centre frequencies, (n_bands,), and 1 for octaves or 3 for thirds of an octave."""
+    """Return the centre frequencies in Hz, (n_bands,), and 1 for octaves or 3 for third-octaves."""
     named = {"octave": _bands.octaves(63, 8000), "third-octave": _bands.third_octaves(50, 10000)}
     if isinstance(bands, str) and bands not in named:
         raise DataError(f'bands = "{bands}" must be "octave" or "third-octave"')
@@ -926,6 +931,6 @@ def ranges_of(minimum_range: Mapping[str, float] | None) -> dict[str, float]:
 
 
 def libraries() -> tuple[Any, Any]:
-    """Return pyfar and pyrato; MissingDependencyError if one of them is missing."""
+    """Return the modules pyfar and pyrato; raises MissingDependencyError if one is not installed."""
     needed = "impulse responses need pyfar and pyrato: pip install 'rtcal[measurement]'"
     return library(needed, "pyfar"), library(needed, "pyrato")

@@ -39,7 +39,7 @@ _MOST_BENT = 6
 
 
 def recognises(content: bytes) -> bool:
-    """Return whether a file is the text of one of these programs."""
+    """Return whether a file is a text that one of the known measuring programs has exported."""
     of_others = _XL2 in content[:200] or _AURORA in content[:200] or _is_of_dirac(content)
     return _is_of_rew(content) or of_others
 
@@ -49,9 +49,9 @@ def _is_of_rew(content: bytes) -> bool:
 
 
 def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
-    """Return one sheet per measurement; DataError names file and line.
+    """Return the tables of such a text, one per measurement; DataError names the file and the line.
 
-    A file of REW's that has octaves and third-octaves needs ``where={"BW (octaves)": "1/3"}``.
+    If a text of REW has octaves and third-octaves, select one by ``where={"BW (octaves)": "1/3"}``.
     """
     text = decode(content, path)
     if _AURORA in content[:200]:

@@ -42,7 +42,8 @@ __dir__ = __all__.copy
 ENDINGS = (".csv", ".txt", ".xlsx")
 MAX_FILES = 1000
 LARGEST = 1.5
-"""Largest coefficient of ISO 354 that is no percentage: a small specimen's edges add up to a half."""
+"""Largest coefficient of ISO 354 that is not taken for a percentage; edges of a specimen add up to a
+half."""
 
 _LEAST_BANDS = 3
 _MOST_LEFT_OUT = 6
@@ -76,23 +77,24 @@ _BESIDE = re.compile(
 
 
 def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
-    """Return the products of a file or of all files of a folder.
+    """Return the absorbers in a table of product data, or in a folder of tables, as a material list.
 
     Parameters
     ----------
     path : path
+        Path of the file or folder.
     columns : str, optional
-        What each column holds, in their order, with the first line of values and perhaps the last:
-        ``"from line 3: product; -; value [%] at 250 Hz; value [%] at 500 Hz"``, or ``"from line 3 to
-        9: band; value [-] of Rug"``. A refusal proposes it.
+        Meaning of each column in order, with the first line of values and optionally the last, for a
+        table without usual headers: ``"from line 3: product; -; value [%] at 250 Hz; value [%] at 500
+        Hz"``, or ``"from line 3 to 9: band; value [-] of Rug"``. The error message proposes it.
 
     Raises
     ------
     DataError
-        Naming file, sheet, line and rule: for a table without bands, a unit that is open, a coefficient
-        that is no number, below 0 or above 1.5, and a product that is given twice.
+        For a table without bands, an ambiguous unit, a coefficient that is not a number from 0 to 1.5,
+        and a product that is given twice. The message names the file, the sheet, the line and the rule.
     MissingDependencyError
-        For a workbook without openpyxl.
+        For a workbook, if openpyxl is not installed.
     """
     checks.text("columns", columns)
     files = [checks.path("path", path)]

@@ -80,21 +80,21 @@ from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 Span = tuple[int, int]
-"""The positions of the start and the end of a number in a file's text."""
+"""Positions in a file's text at which a number starts and ends."""
 Token = tuple[str, int, int]
-"""The characters of a number or cell, and its span."""
+"""Characters of a number or cell, and their positions in the text."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ListedMaterial:
-    """One material of a list, on a ``line`` of the file, from 1.
+    """Hold one material of a program's material list.
 
-    ``alpha`` and ``scattering`` are coefficients from 0 to 1 in bands of ``centre_frequencies`` in Hz,
-    each (n_bands,). ``spans`` and ``scattering_spans`` are where the file's text has each; ``unit`` is
-    the factor from the file's number (0.01 for percent), ``decimals`` are those of a written number,
-    None for all digits. ``scattering_place`` is where the format takes the scattering of a material
-    that states none. ``source`` is where the coefficients come from, if not from the list itself, and
-    ``doubt`` why a room is not to have them as they are read.
+    ``line`` is its line in the file, from 1. ``alpha`` and ``scattering`` are coefficients from 0 to 1,
+    (n_bands,), in bands of ``centre_frequencies`` in Hz. ``spans`` and ``scattering_spans`` are the
+    positions of these numbers in the text. ``unit`` is the factor from the file's number (0.01 for
+    percent). ``decimals`` is the number of decimals to write, None for all digits. ``scattering_place``
+    is the position for scattering that the file does not have yet. ``source`` is the origin of the
+    coefficients, if it is not the list. ``doubt`` is a reason not to use them as they are.
     """
 
     name: str
@@ -166,10 +166,11 @@ class ListedMaterial:
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialList:
-    """The materials of a foreign file, whose name in messages is ``path``, and the file's ``text``.
+    """Hold the materials of another program's file, and the file's text.
 
-    ``aliases`` are further names of materials. ``scattering_text`` returns the text for a
-    `ListedMaterial.scattering_place`, of one number per band.
+    ``path`` is the name of the file in messages. ``aliases`` are further names of materials.
+    ``scattering_text`` returns the text of scattering coefficients, one per band, for a
+    `ListedMaterial.scattering_place`.
     """
 
     path: str
@@ -195,7 +196,7 @@ class MaterialList:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the materials in the file's order, without aliases."""
+        """Names of the materials in the file's order, without aliases."""
         return tuple(m.name for m in self.materials)
 
     def room(
@@ -211,13 +212,14 @@ class MaterialList:
         others: Mapping[str, ListedMaterial] | None = None,
         air: Air | None = None,
     ) -> Room:
-        """Return a room of these materials in its bands, by default those that all of them have.
+        """Return a room of these materials.
 
-        ``volume`` is in m³; ``areas`` are in m² by name or alias, or surfaces, such as those of a mesh.
-        A list states no uncertainty: a material's sigma is that of ``sigma``, else of the rule (by
-        default max(0.3 alpha, 0.01)). ``scattering`` is the coefficient of materials that state none;
-        without it, the room has scattering only if all its materials state it. ``others`` are materials
-        of another source.
+        Its bands are ``centre_frequencies`` in Hz, by default those that all materials have. ``volume``
+        is in m³. ``areas`` are in m² by a material's name or alias, or surfaces, such as those of a
+        mesh. Lists have no uncertainty: sigma comes from ``sigma`` by material, or else from the rule
+        (by default max(0.3 alpha, 0.01)). ``scattering`` is the coefficient of materials without one;
+        if it is not given, the room has scattering only if all its materials have. ``others`` are
+        materials from another source.
         """
         surfaces = (
             [Surface(n, n, a) for n, a in areas.items()]
@@ -276,7 +278,7 @@ class MaterialList:
         raise DataError(f'"{name}" is not a material of {self.path}, which has {names}')
 
     def with_entries(self, entries: Mapping[str, str], room: Room) -> MaterialList:
-        """Return the list with names of its own for a room's materials; see `rtcal.io.catt.write`."""
+        """Return the list with other names for a room's materials; see `rtcal.io.catt.write`."""
         if unknown := [name for name in entries if name not in room.materials]:
             raise DataError(
                 f'entries: "{unknown[0]}" is not a material of the room, which has '
@@ -294,7 +296,7 @@ class MaterialList:
         return listed
 
     def with_spellings(self, names: Iterable[str]) -> MaterialList:
-        """Return the list with aliases for names that differ from its own by blanks alone.
+        """Return the list with aliases for names that differ from the list's names only by blanks.
 
         Exporters of meshes write ``ceiling_plaster`` for "ceiling plaster", or the reverse.
         """
@@ -321,10 +323,11 @@ class MaterialList:
     def with_room(self, room: Room) -> tuple[bytes, Room, tuple[str, ...]]:
         """Return the file with the room's coefficients, the room as read from it, and what it lacks.
 
-        Octaves of the file get the means of the room's thirds, its thirds the room's octaves. A number
-        is replaced only if the coefficient, rounded to the file's decimals, differs from it. Scattering
-        is written where the file holds it, or its format takes it; what is lacking are the materials
-        without it, and without it in all of them, the room as read has none.
+        Octaves of the file get the means of the room's third-octaves, and third-octaves the value of
+        their octave. A number is replaced only if the coefficient, rounded to the file's decimals,
+        differs from it. Scattering is written where the file or its format has a place for it. The
+        third value lists materials without scattering; if any lacks it, the room as read has no
+        scattering.
         """
         common = set.intersection(*(set(self.listed(n).centre_frequencies) for n in room.materials))
         room = self._in_file_bands(room, sorted(common))
@@ -459,17 +462,17 @@ LOST = {
     "uncertainty of positions": ("scene.position_uncertainty",),
     "names of surfaces": ("scene.surfaces",),
 }
-"""What no list holds, in words, and the fields of a room that these are."""
+"""Properties of a room that no material list holds, in words, with the room's fields."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportReport:
-    """The room as a program reads it from the written file, and the effect on T.
+    """Hold the room as a program reads it from a written material list, and the effect on T.
 
-    ``template`` is the list whose numbers were changed, None for a new list. The ``equation`` of this
-    name gives both T in s, (n_bands,): of the exported room, converted to the file's bands, and
-    ``as_read``. ``bands_not_written`` are bands of the exported room in Hz that the file does not have
-    for every material, ``lost`` is what the room states and the file does not hold.
+    ``template`` is the list whose numbers were changed, None for a new list. ``equation`` is the
+    equation by which T in s, (n_bands,), was computed: of the exported room in the file's bands, and of
+    the room as a program reads it, ``as_read``. ``bands_not_written`` are bands of the room in Hz that
+    the file does not have for every material. ``lost`` is what the file cannot hold.
     """
 
     path: str
@@ -484,7 +487,7 @@ class ExportReport:
 
     @property
     def change(self) -> Array:
-        """Change of T by the conversion and rounding, in JND, signed, (n_bands,)."""
+        """Change of T in JND by the conversion to the file's bands and decimals, (n_bands,)."""
         return marks.gap_jnd(self.reverberation_time_as_read, self.reverberation_time)
 
     def __str__(self) -> str:
@@ -528,7 +531,7 @@ class ExportReport:
 
 @dataclass(frozen=True, kw_only=True)
 class Format:
-    """A program's list of materials: its grammar, by which lists are read, written and changed.
+    """Read and write the material lists of one simulation program.
 
     ``parse`` returns the `MaterialList` of a content, its path, and what else `read` is given. ``new``
     returns the content of a new list of a room whose materials are named as in the list; their names in
@@ -544,10 +547,9 @@ class Format:
     prepared: Callable[[MaterialList, Room], MaterialList] = lambda listed, _: listed
 
     def read(self, path: str | os.PathLike[str], **selected: Any) -> MaterialList:
-        """Return the materials of a file; DataError names file, line and rule.
+        """Return the materials of a program's file; DataError names the file, the line and the rule.
 
-        ``selected`` is what the format's ``parse`` takes beside the content, such as ``where`` of BRAS.
-        A file of another kind is named.
+        ``selected`` are further arguments of this format, such as ``where`` for BRAS.
         """
         content = read_bytes(path, MAX_TEXT)
         try:
@@ -569,27 +571,30 @@ class Format:
         entries: Mapping[str, str] | None = None,
         **selected: Any,
     ) -> ExportReport:
-        """Write the room's coefficients into ``template``, else into ``path`` if it exists.
+        """Write a room's coefficients into a program's material list, and return a report on it.
 
-        Only numbers that change are written, of alpha and of scattering where the format has it;
-        everything else keeps its bytes. If neither file exists, the file is a new list.
+        The list is a copy of ``template``, or else the existing file at ``path``, in which only the
+        numbers of alpha and scattering that change are replaced. If neither exists, a new list is
+        written.
 
         Parameters
         ----------
         room : Room
+            Room whose coefficients are written.
         path, template : path
+            Paths of the list to write, and of the list whose text is kept.
         equation : LinearEquation, optional
-            Predicts the effect of the rounding on T; Eyring's by default.
+            Reverberation equation for the effect of the rounding on T; Eyring's by default.
         decimals : int, optional
-            Decimals of a coefficient, 3 for a tenth of a percent; the format's own by default.
+            Number of decimals of a coefficient, 3 for a tenth of a percent; by default that of the
+            format.
         missing_bands : {"refuse", "nearest"}
-            If the room lacks a band that a new list of the program needs: refuse to write it, or
-            write the coefficients of the nearest band.
+            What to do if the room lacks a band that a new list needs: raise an error, or write the
+            coefficients of the nearest band.
         entries : mapping of str to str, optional
-            The file's name of each material of the room that has another one there, as ``--as`` has
-            stated at import, or is to have in a new file.
+            Name in the file of each material that has another name there, by the name in the room.
         selected
-            As for `read`.
+            Further arguments of this format, as for `read`.
 
         Raises
         ------
@@ -1263,10 +1268,10 @@ bras = Format(parse=_parse_bras, new=_new_bras)
 
 
 def read_sigma(path: str | os.PathLike[str]) -> dict[str, ListedMaterial | float]:
-    """Return sigma by material of a CSV file, whose bands may differ from the room's.
+    """Return the uncertainty sigma of each material in a CSV file, in the bands of this file.
 
     A row has one number per material, under ``material,sigma``, or one per band, under
-    ``material,125,250,500``. Raises DataError, naming file, line and rule.
+    ``material,125,250,500``. Raises DataError, which names the file, the line and the rule.
     """
     content, place = read_bytes(path, MAX_TEXT), os.fspath(path)
     rows = [

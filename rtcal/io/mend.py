@@ -67,13 +67,14 @@ __dir__ = __all__.copy
 
 
 WELD = 0.01
-"""Default distance in m: models are drawn to the centimetre, and no wavelength is as short."""
+"""Default distance in m within which corners become one: models are drawn to the centimetre."""
 OFFSET = 0.05
-"""Default distance in m up to which a face lies on another: the depth of a window's frame."""
+"""Default distance in m within which a face counts as lying on another: the depth of a window's
+frame."""
 MOST_FACES = 6000
 MOST_PLACES = 5
 SAME = 1e-6
-"""Distance in m, and area in m², below which two are one."""
+"""Distance in m, and area in m², below which two are the same."""
 ANY_SHARE = 1 / np.sqrt(3)
 """Of an area of which any share may count, all shares alike: rms of what is missing or too much."""
 _SHOWN = 1e-6
@@ -86,10 +87,10 @@ Face = list[int]
 
 @dataclass(frozen=True)
 class Faces:
-    """The faces of a mesh as they are drawn, in the file of a ``path``: corners (n, 3) in m of each.
+    """Hold the faces of a mesh as they are drawn, with the corners (n, 3) in m of each face.
 
-    ``notes`` are what the reader did, ``unit`` is the length of the file's unit in m, if the user, the
-    file or its format states it.
+    ``path`` is the file's name, ``notes`` are notes on how it was read. ``unit`` is the length of the
+    file's unit in m if it is known.
     """
 
     path: str
@@ -102,11 +103,11 @@ class Faces:
 
 @dataclass(frozen=True)
 class Defect:
-    """A kind of defect and its repair, in words; ``places`` are names or corners of the first few.
+    """Hold one kind of defect of a mesh and its repair, in words.
 
-    ``area`` is that of the faces concerned in m², the effects are changes of V in m³ and of S in m² by
-    mending. The uncertainties are standard uncertainties that remain: of V in m³, and of the area of
-    each material in m².
+    ``places`` are names or corners of the first few defects, ``area`` is the area of the faces in m².
+    The effects are the changes of volume in m³ and surface in m² by the repair. The uncertainties are
+    standard uncertainties that remain: of the volume in m³, and of each material's area in m².
     """
 
     kind: str
@@ -153,11 +154,11 @@ class Defect:
 
 @dataclass(frozen=True)
 class Mended:
-    """A room that was read from a mesh, and the defects that were repaired.
+    """Hold the geometry of a room that was read from a mesh, and the defects that were repaired.
 
-    ``geometry`` is None for a room whose walls do not close, which no tracer takes: its ``volume`` in
-    m³ is by rays (`volume_by_rays`), and its ``areas`` in m² by material are those of every face as
-    drawn. ``size`` are the lengths along x, y and z in m of the box around it.
+    ``geometry`` is None if the walls do not close, so that the room cannot be traced. Its ``volume`` in
+    m³ is then estimated by rays (`volume_by_rays`), and its ``areas`` in m² by material are those of
+    all faces as drawn. ``size`` are the lengths along x, y and z in m of the box around the room.
     """
 
     geometry: Polyhedron | None
@@ -193,11 +194,11 @@ class Mended:
 
 
 class MeshError(DataError):
-    """Error of a mesh that cannot be made a closed room.
+    """Report a mesh that cannot be made a closed room.
 
-    ``reason`` is why, ``defects`` are all that were found, ``edges`` (n, 2, 3) are where it is open, in
-    m. ``unclosed`` is the room as it is drawn, if there is a shell, and ``leaking`` its geometry with
-    the holes, if its faces are plane.
+    ``reason`` is why, ``defects`` are all defects that were found. ``edges`` (n, 2, 3) are the open
+    edges in m. ``unclosed`` is the room as it is drawn, if it has walls around it, and ``leaking`` its
+    geometry with the holes, if its faces are plane.
     """
 
     reason = ""
@@ -925,7 +926,7 @@ _GUESSED = 0.3
 
 
 def volume_by_rays(polygons: Sequence[Array]) -> tuple[float, float]:
-    """Return the volume in m³ that polygons (n, 3) in m enclose, and its standard uncertainty."""
+    """Return the volume in m³ within polygons, (n, 3) in m each, and its standard uncertainty in m³."""
     corners = np.concatenate(
         [
             polygon[np.array(triangulate(polygon), dtype=int).reshape(-1, 3)]
@@ -1529,12 +1530,12 @@ def _solids(faces: Sequence[Face]) -> list[list[int]] | None:
 
 
 def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = None) -> Mended:
-    """Return the closed room of some faces, with every defect that was repaired.
+    """Return the closed room that the faces of a mesh bound, with the defects that were repaired.
 
-    Faces that close as they are drawn are taken as they are: closed objects are in the room, without
-    what they share with the faces that they touch. Corners within ``weld`` (m) of each other are one. A
-    hole is closed up to ``largest_hole`` (m²), by default 1 % of the shell's area. MeshError for a mesh
-    without a closed room: it names the defect, where, and how to mend it.
+    Faces that close as they are drawn are not changed; closed objects stand in the room, without the
+    parts that touch other faces. Corners within ``weld`` (m) of each other become one. Holes up to
+    ``largest_hole`` (m²) are closed, by default 1 % of the area of the walls. Raises MeshError for a
+    mesh without a closed room; it names the defect, the place and the repair.
     """
     for name, value, unit in (("weld", weld, "m"), ("largest_hole", largest_hole or 0.0, "m²")):
         if not 0 <= value < np.inf:

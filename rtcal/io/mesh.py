@@ -61,7 +61,7 @@ _ROOMS = 1.5, 1000.0
 
 
 Row = tuple[str, str, Any]
-"""Material, name and corners (n, 3) of a face, in the file's unit."""
+"""Material, name and corners (n, 3) of a face, in the unit of the file."""
 
 
 @dataclass
@@ -81,24 +81,25 @@ def read(
     space: str | None = None,
     weld: float = WELD,
 ) -> Faces:
-    """Return the faces of a mesh.
+    """Return the faces of a mesh file, as they are drawn.
 
     Parameters
     ----------
     path : path
+        Path of the mesh, in one of the formats of `READERS`.
     unit : float, optional
-        Length of the file's unit in m; by default what the file states, else 1.
+        Length of the file's unit in m; by default that in the file, or else 1.
     space : str, optional
-        Name of the space of a building model (IFC) that has several.
+        Name of the space to read, for a building model (IFC) with several spaces.
     weld : float
-        Largest gap in m between the ends of an outline in a building model that is closed.
+        Largest distance in m between the ends of an outline at which it is closed, in a building model.
 
     Raises
     ------
     DataError
-        For a format that is not read, with the way to one that is, and for a broken file.
+        For a format that is not read, and for a broken file. The message has the next step.
     MissingDependencyError
-        Without trimesh or ifcopenshell, for a format that it reads.
+        If the format needs trimesh or ifcopenshell, which is not installed.
     """
     if unit is not None:
         unit = checks.positive("unit", unit, "m")
@@ -164,7 +165,10 @@ def room(
     weld: float = WELD,
     largest_hole: float | None = None,
 ) -> Mended:
-    """Return the closed room of a mesh, with every defect that was mended; see `read` and `mended`."""
+    """Return the closed room of a mesh file, with the defects that were repaired.
+
+    Arguments are those of `read` and `rtcal.io.mend.mended`, and so are the errors.
+    """
     faces = read(path, unit=unit, space=space, weld=weld)
     try:
         done = mended(faces, weld=weld, largest_hole=largest_hole)
@@ -564,4 +568,5 @@ READERS: dict[str, Callable[[bytes, str, bool], _Drawn]] = {
     ".off": _off,
     **dict.fromkeys((".stl", ".glb", ".gltf"), _by_trimesh),
 }
-"""The reader of each ending: of a file's content and name, and whether its unit is stated beside it."""
+"""Function that reads each file ending, from a file's content and name, and whether the unit is
+given."""

@@ -32,7 +32,7 @@ __all__ = ["read"]
 __dir__ = __all__.copy
 
 MAX_FACES = 1500
-"""A room for geometrical acoustics has tens to hundreds of faces; checking more takes too long."""
+"""Largest number of faces of a room; rooms for geometrical acoustics have tens to hundreds."""
 
 _IGNORED = frozenset(
     re.findall(
@@ -45,10 +45,11 @@ _IGNORED = frozenset(
 
 
 def read(path: str | os.PathLike[str], *, unit: float = 1.0, leaks: bool = False) -> Polyhedron:
-    """Return a room; DataError names file, line and rule, or the edge at which the walls do not close.
+    """Return the geometry of a room in an OBJ file, which must be closed.
 
-    ``unit`` is the length of the file's unit in m: 0.001 for a model in mm. ``leaks`` says that the
-    walls may have small holes, as of `Polyhedron`.
+    ``unit`` is the length of the file's unit in m: 0.001 for a model in mm. With ``leaks``, the walls
+    may have small holes, as for `Polyhedron`. Raises DataError, which names the file, the line and the
+    rule, or the edge at which the walls do not close.
     """
     return parse(read_bytes(path, MAX_TEXT), os.fspath(path), unit=unit, leaks=leaks)
 
@@ -56,7 +57,7 @@ def read(path: str | os.PathLike[str], *, unit: float = 1.0, leaks: bool = False
 def parse(
     content: bytes, path: str = "OBJ file", *, unit: float = 1.0, leaks: bool = False
 ) -> Polyhedron:
-    """Return the room of a file's content; see `read`."""
+    """Return the geometry of a room from the content of an OBJ file; see `read`."""
     unit = checks.positive("unit", unit, "m")
     vertices, polygons, materials, names, line = drawn(content, path, unit, "", MAX_FACES)
     if not polygons:

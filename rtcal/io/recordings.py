@@ -72,25 +72,27 @@ def from_sweep(
     repeats: bool = False,
     progress: Callable[[], None] | None = None,
 ) -> Analysis:
-    """Return the parameters of rooms in which a sweep was recorded.
+    """Return the room-acoustic parameters from recordings of a sweep, in bands.
 
     Parameters
     ----------
     path : path or sequence of paths
-        Recordings, as `rtcal.io.impulse_responses.read` names them.
+        Path of the recording, or paths of several, with source and receiver in their names as for
+        `rtcal.io.impulse_responses.read`.
     sweep : path
-        Signal that was played, of one channel and the recordings' sampling rate. Silence at its end
-        does not count. Any signal with energy in all bands will do.
+        File of the signal that was played, with one channel and the recordings' sampling rate. Any
+        signal with energy in all bands can be used. Silence at its end does not count.
     bands : "octave", "third-octave" or sequence of float
-        See `rtcal.io.impulse_responses.analyse`; of the first two those that the sweep excites.
+        Bands to evaluate, see `rtcal.io.impulse_responses.analyse`; octaves or third-octaves that the
+        sweep does not excite are left out.
     channels, minimum_range, repeats, progress
-        See `rtcal.io.impulse_responses.read`.
+        Options of reading and evaluation: see `rtcal.io.impulse_responses.read`.
 
     Raises
     ------
     DataError
-        For files that cannot be read, another sampling rate, a band in ``bands`` that the sweep does
-        not excite, and a recording that lacks the sweep, its begin or its end, or is the sweep itself.
+        For files that cannot be read, for different sampling rates, for a given band that the sweep
+        does not excite, and for a recording without the whole sweep, or that is the sweep itself.
     """
     doubts = list[str]()
     given = [*ir.responses_of(sweep, 1, False, doubts).values()]
@@ -299,11 +301,11 @@ _STEPS = 10
 _PRECISION = 3
 """Number of stops at each position by the precision method of ISO 3382-2:2008."""
 PARAMETERS = ("t20", "t30")
-"""Parameters that interrupted noise determines. Its EDT begins in the noise itself."""
+"""Names of the parameters that interrupted noise gives; its EDT would begin in the noise itself."""
 
 
 class Stop(NamedTuple):
-    """The samples at which a noise begins and stops, and at which its decay ends."""
+    """Hold the samples at which a noise begins and stops, and at which its decay ends."""
 
     on: int
     off: int
@@ -319,16 +321,16 @@ def interrupted(
     repeats: bool = False,
     progress: Callable[[], None] | None = None,
 ) -> Analysis:
-    """Return T20 and T30 of recordings of noise that is stopped, once or several times in each.
+    """Return T20 and T30 from recordings of interrupted noise, in bands.
 
-    All stops at a position are averaged, those of one file and of its repeats. Parameters are those of
-    `rtcal.io.impulse_responses.read`. The measurement's uncertainty is that of the mean over two or
-    more stops.
+    Each recording may have one or several decays. All decays at a position are averaged, including
+    those of repeats. Arguments are those of `rtcal.io.impulse_responses.read`. The uncertainty is that
+    of the mean, if there are two or more decays.
 
     Raises
     ------
     DataError
-        For files that cannot be read, and a recording without a steady noise that stops.
+        For files that cannot be read, and for a recording without a steady noise that stops.
     """
     ir.libraries()
     doubts = list[str]()

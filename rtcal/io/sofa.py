@@ -32,7 +32,7 @@ ROOM_CONVENTIONS = ("SingleRoomSRIR", "SingleRoomMIMOSRIR", "SingleRoomDRIR")
 GENERAL_CONVENTIONS = ("GeneralFIR", "GeneralFIR-E")
 DIRECTIVITY_CONVENTIONS = ("FreeFieldDirectivityTF", "GeneralTF")
 NEAR = 0.1
-"""Distance in m within which a position of a file is one of the room."""
+"""Distance in m within which a position in a file is taken for a position of the room."""
 _PARALLEL = 1e-3
 MAX_BYTES = 2**28
 MAX_RESPONSES = 2000
@@ -42,11 +42,10 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Responses:
-    """The responses of a SOFA file: samples (n_measurements, n_channels, n_samples), the rate in Hz.
+    """Hold the responses of a SOFA file: samples (n_measurements, n_channels, n_samples), rate in Hz.
 
-    ``pairs`` are source and receiver of each measurement, of which one may occur several times. A
-    channel is a receiver of the listener (a microphone array), or an emitter. Positions are in m, in
-    the coordinates of the file.
+    ``pairs`` are the source and receiver of each measurement; a pair may occur several times. A channel
+    is a microphone of an array, or an emitter. Positions are in m, in the coordinates of the file.
     """
 
     pairs: tuple[tuple[str, str], ...]
@@ -57,10 +56,10 @@ class Responses:
     convention: str
 
     def placed(self, scene: Scene) -> tuple[Responses, str]:
-        """Return the responses with the names that a room's scene gives their positions.
+        """Return the responses with the room's names of positions, and a sentence on changed names.
 
-        And a sentence that says which names changed, else "". Raises DataError for a position that is
-        not within `NEAR` of one of the scene's.
+        The sentence is "" if no name changed. Raises DataError for a position that is not within `NEAR`
+        of a source or receiver of the room's ``scene``.
         """
         names, changed = [], []
         for kind, points, known in (
@@ -88,7 +87,7 @@ class Responses:
         return replace(self, pairs=pairs), note
 
     def positions_text(self) -> str:
-        """Return the positions as the tables of a room's file."""
+        """Return the positions as text for a room's file."""
         return toml_text({"sources": self.sources, "receivers": self.receivers})
 
 
@@ -162,12 +161,12 @@ class _File:
 
 
 def balloon(path: str | os.PathLike[str]) -> tuple[Array, Array, Array]:
-    """Return a source's energy by direction; `rtcal.io.balloon.read` makes use of it.
+    """Return the energy that a source in a SOFA file radiates in each direction.
 
-    Returned are unit vectors (n_directions, 3) along the axis (``SourceView``), above it (``SourceUp``)
-    and to its left, the energy (n_directions, n_frequencies) in any unit, and frequencies in Hz. Raises
-    as `read`; also for a convention that is no `DIRECTIVITY_CONVENTIONS`, several measurements, or a
-    source whose top is along its axis.
+    The first value are directions as unit vectors, (n_directions, 3): along the axis (``SourceView``),
+    above it (``SourceUp``) and to its left. Then follow the energy (n_directions, n_frequencies) in any
+    unit, and the frequencies in Hz. Raises as `read` does; also for a convention that is not among
+    `DIRECTIVITY_CONVENTIONS`, several measurements, or a source whose top is along its axis.
     """
     file = _File(path)
     place, convention = file.path, file.convention
@@ -207,10 +206,10 @@ def read(path: str | os.PathLike[str]) -> Responses:
     Raises
     ------
     DataError
-        For a file that netCDF4 cannot read, a convention that is no room response, several sampling
-        rates, and positions that are no numbers.
+        For a file that netCDF4 cannot read, a convention for other data than room responses, several
+        sampling rates, and positions that are not numbers.
     MissingDependencyError
-        Without netCDF4.
+        If netCDF4 is not installed.
     """
     file = _File(path)
     place, convention = file.path, file.convention

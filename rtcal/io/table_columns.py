@@ -37,7 +37,7 @@ _WORDS: dict[str, dict[str, frozenset[str]]] = {
 COLUMNS = {word: kind for kind, words in _WORDS["columns"].items() for word in words}
 """What a column holds (`Column.kind`) by its header."""
 OPEN_DECAY_TIMES = _WORDS["parameters"]["open"]
-"""Names of a decay time that do not say over which range it was taken."""
+"""Names of a decay time that leave its evaluation range open."""
 UNUSED_PARAMETERS = _WORDS["parameters"]["unused"]
 """Parameters and signs of quality that exports have beside those that are read."""
 WHOLE_RANGES = _WORDS["bands"]["whole"]
@@ -64,9 +64,9 @@ BAND_TOLERANCE = 0.03
 thirds are 26 % apart. BRAS's published tables write 155 Hz for the third of 158.5 Hz, which is
 called 160 Hz."""
 OPEN = "rt60"
-"""`Column.parameter` of a decay time that does not say which it is."""
+"""Value of `Column.parameter` for a decay time whose range is unknown."""
 DECAY_TIMES_OF_RT60 = tuple(o.key for o in REVERBERATION)
-"""What a column RT60 may hold (ISO 3382-2). An early decay time is never called so."""
+"""Decay times that a column RT60 may hold (ISO 3382-2); an early decay time is never called so."""
 DOUBTFUL = "?"
 """`statistic_of` a name that may be a statistic's, and may be a place's."""
 
@@ -197,12 +197,12 @@ def is_missing(cell: str) -> bool:
 
 @dataclass(frozen=True)
 class Column:
-    """The meaning of a column, by its header.
+    """Hold the meaning of a table's column, from its header.
 
-    ``kind`` is "value" for a column of values, else what stands in its cells beside the values of a row
-    (``words.toml``), "" for a column that is left out. Of values, ``parameter`` (`OPEN` if the name
-    does not say which decay time it is), ``band`` in Hz and the position are empty, or NaN, where each
-    row names them. ``wrong`` is what is wrong with the header, such as an unknown unit.
+    ``kind`` is "value" for a column of values, "" for a column that is left out, and otherwise what its
+    cells name, such as the band of a row (``words.toml``). For a column of values, ``parameter`` is
+    `OPEN` if the name leaves the decay time open; parameter, ``band`` in Hz and position are empty or
+    NaN if each row names them. ``wrong`` is an error of the header, such as an unknown unit.
     """
 
     kind: str
@@ -226,7 +226,7 @@ class Column:
 
     @property
     def meaning(self) -> str:
-        """The meaning in words, which `stated` reads: "T20 [ms] at 500 Hz of S1 to R1"."""
+        """Meaning of the column in words, which `stated` reads: "T20 [ms] at 500 Hz of S1 to R1"."""
         if not self.kind:
             return "left out"
         name = self.kind.replace("_", " ")
@@ -239,7 +239,7 @@ class Column:
 
 
 def stated(text: str) -> Column:
-    """Return the column of a meaning as `Column.meaning` has it, or of a usual header.
+    """Return the column that a text describes, in the form of `Column.meaning` or of a usual header.
 
     Examples
     --------

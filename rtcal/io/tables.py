@@ -86,7 +86,7 @@ __dir__ = __all__.copy
 
 MAX_PAIRS = 5000
 MAX_BYTES = 2**22
-"""Largest size of a table in bytes; a workbook of 5000 positions, compressed, is a tenth of it."""
+"""Largest size of a table in bytes; a compressed workbook of 5000 positions has a tenth of it."""
 MAX_COLUMNS = 1000
 MAX_LINES_BEFORE_HEADER = 40
 _MOST_NAMED = 6
@@ -108,15 +108,15 @@ FORMATS: list[Any] = [workbook, instruments]
 ``sheets(content, path, where)``; one of your own is appended (docs/extending.md)."""
 
 Key = tuple[str, str, str, float]
-"""Source, receiver, parameter and band in Hz of a value."""
+"""Source, receiver, parameter and band in Hz that identify a value."""
 
 Values = dict[Key, dict[str, float]]
-"""The numbers of each value: "value", "uncertainty", "standard_deviation", "sources", "receivers"."""
+"""Numbers of each value: "value", "uncertainty", "standard_deviation", "sources", "receivers"."""
 
 
 @dataclass(frozen=True)
 class MeasuredTable:
-    """A measurement read from a table, and how each column was read."""
+    """Hold a measurement that was read from a table, and how each column was read."""
 
     measurement: Measurement
     columns: tuple[str, ...]
@@ -129,7 +129,7 @@ class MeasuredTable:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences on values that are used, but that a typing error may explain."""
+        """Sentences on values that are used, but that may be typing errors."""
         return unusual(self.measurement)
 
 
@@ -169,39 +169,41 @@ class _Options:
 
 
 def read(path: Paths, **options: Any) -> MeasuredTable:
-    """Return the measurement of a table, or of several: one per position, as REW exports them.
+    """Return the measurement in a table of any program, or in several tables with one position each.
 
     Parameters
     ----------
     path : path or sequence of paths
+        Path of the table, or paths of several tables, for example exports of REW.
 
     Other Parameters
     ----------------
     decay_time : {"t20", "t30"}, optional
-        The decay time in a column "RT60" or "T60".
+        Decay time that a column "RT60" or "T60" has.
     parameter : str, optional
-        The parameter of values for which the table names none. It is refused, as ``decay_time``,
-        where the table's own names leave nothing open.
+        Parameter of values for which the table has no name. Like ``decay_time``, it is an error if the
+        names in the table are complete.
     where : mapping of str to str, optional
-        Selects rows by the entry of a column: ``{"room": "CR2"}``.
+        Selection of rows by the entry in a column: ``{"room": "CR2"}``.
     columns : str, optional
-        What each column holds, in their order, where no header says it, with the first line of values
-        (by default the second) and perhaps the last: ``"from line 3 to 9: receiver; T20 [ms] at 500
-        Hz; -"``. A refusal proposes it.
+        Meaning of each column in order, for a table without usual headers, with the first line of
+        values (by default the second) and optionally the last: ``"from line 3 to 9: receiver; T20 [ms]
+        at 500 Hz; -"``. The error message proposes it.
     n_sources, n_receivers : int, optional
         Numbers of sources and receivers, if the values are means over several pairs.
     repeats : bool, optional
-        Whether several values of one pair, parameter and band are repeats, and averaged. Else they are
-        refused, unless their names are ``R1``, ``R1#2`` and so on. Refused where nothing is repeated.
+        Whether several values of one pair, parameter and band are repeats, to be averaged. If False,
+        they are an error, unless their names are ``R1``, ``R1#2`` and so on. If True, it is an error if
+        nothing is repeated.
     sheets : collection of str, optional
-        Sheets of a workbook to read; by default all that have a header.
+        Names of the sheets of a workbook to read; by default all with a header.
 
     Raises
     ------
     DataError
-        Naming file, sheet, line and rule.
+        For a table that cannot be read; the message names the file, the sheet, the line and the rule.
     MissingDependencyError
-        For a workbook (xlsx) without openpyxl.
+        For a workbook (xlsx), if openpyxl is not installed.
     """
     paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
     contents = {os.fspath(checks.path("path", p)): read_bytes(p, MAX_BYTES) for p in paths}
@@ -211,7 +213,7 @@ def read(path: Paths, **options: Any) -> MeasuredTable:
 def parse(
     content: bytes | Mapping[str, bytes], path: str = "table", **options: Any
 ) -> MeasuredTable:
-    """Return the measurement of a table's content, or of several by their names, as `read` does."""
+    """Return the measurement in the content of a table, or of several by their names; see `read`."""
     checks.text("path", path)
     contents = {path: content} if isinstance(content, bytes) else checks.mapped("content", content)
     if not contents:
@@ -244,10 +246,10 @@ def parse(
 
 
 def measurement(path: str | os.PathLike[str]) -> MeasuredTable:
-    """Return the measurement of a native CSV file, of a workbook or of REW's text.
+    """Return the measurement in rtcal's CSV file, a workbook, or a text of REW.
 
-    Text of any other kind is refused as `rtcal.Measurement.from_file` refuses it: its columns are to
-    be looked at first, with ``rtcal table``. ``columns`` is empty for the native file.
+    Raises DataError for any other text, as `rtcal.Measurement.from_file` does: check its columns first,
+    with ``rtcal table``. For rtcal's CSV file the result's ``columns`` is empty.
     """
     content = read_bytes(path, MAX_BYTES)
     if any(module.recognises(content) for module in FORMATS):
@@ -256,7 +258,7 @@ def measurement(path: str | os.PathLike[str]) -> MeasuredTable:
 
 
 def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
-    """Write the native table, one value per row: CSV, or a workbook if the name ends in .xlsx."""
+    """Write a measurement as rtcal's table, a value per row: CSV, or a workbook for a name in .xlsx."""
     checks.instance("measurement", measurement, Measurement)
     if checks.path("path", path).suffix.lower() == workbook.ENDING:
         write_bytes(path, workbook.content({"measurement": measurement.rows()}))
@@ -270,9 +272,10 @@ def sheets_of(
     where: Mapping[str, str] | None = None,
     extra: Collection[str] = (),
 ) -> list[Sheet]:
-    """Return the sheets of a file by the first of `FORMATS` that recognises it, else of its text.
+    """Return the tables of a file, by the first of `FORMATS` that recognises it, or else as text.
 
-    ``where`` selects the widths of bands of REW's text, ``extra`` are headers that may be unknown.
+    ``where`` selects octaves or third-octaves of a text of REW. ``extra`` are headers that may be
+    unknown.
     """
     for module in FORMATS:
         if module.recognises(content):
@@ -481,9 +484,9 @@ def _problem(columns: Sequence[Column | None], header: Sequence[str], body: Sequ
 
 
 def stated_columns(sheet: Sheet, stated_text: str, *kinds: str) -> tuple[range, list[Column]]:
-    """Return the lines with values that ``columns`` states, and each column.
+    """Return the line numbers with values, and each column, from the text of the option ``columns``.
 
-    ``kinds`` are further meanings than those of measured values.
+    ``kinds`` are further meanings that a column may have, besides those of measured values.
     """
     found, lines = _LINES.fullmatch(stated_text), [line for line, _ in sheet.rows]
     first = int(found[1]) if found else lines[min(1, len(lines) - 1)]
@@ -1255,7 +1258,7 @@ _FAR = 3.0
 
 
 def means(measurement: Measurement) -> list[str]:
-    """Return the means over the pairs as the lines of a table, one row per parameter."""
+    """Return the means over the pairs as the lines of a printed table, one row per parameter."""
     n, rows, of_all = len(measurement.pairs), [], []
     for parameter in measurement.values:
         kind, mean = observable(parameter), measurement.mean(parameter)
@@ -1276,7 +1279,7 @@ def spread(values: Sequence[float] | Array, form: str) -> str:
 
 
 def unusual(measurement: Measurement) -> tuple[str, ...]:
-    """Return notes on likely typing errors, and on values that hardly any room or no other pair has."""
+    """Return notes on likely typing errors, and on values that hardly any room or other pair has."""
     notes = [error.sentence for error in in_measurement(measurement)]
     pairs, frequencies = measurement.pairs, measurement.centre_frequencies
     for parameter, table in measurement.values.items():

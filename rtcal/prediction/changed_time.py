@@ -56,7 +56,7 @@ from rtcal.support.types import Array
 Flags = NDArray[np.bool_]
 
 DRAWS = 8192
-"""Number of draws of every unknown."""
+"""Number of random samples of every unknown."""
 _LEAST_UNCERTAINTY = 0.02
 """Least standard uncertainty of ln T before as a weight of the draws: enough of them must be left."""
 _KERNEL = 0.1
@@ -75,7 +75,7 @@ _MOST_OF_AXIS = 0.6
 
 @dataclass(frozen=True, eq=False)
 class MeasuredState:
-    """Another state of the room, in which T was measured: (n_bands,) each, NaN where it is missing."""
+    """Hold another state of the room and its measured T, (n_bands,) each, NaN where it is missing."""
 
     name: str
     room: Room
@@ -85,9 +85,9 @@ class MeasuredState:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KnownRoom:
-    """A room as it is known before it is changed; a calibration gives it.
+    """Hold what is known about a room before it is changed, from a calibration or from its input.
 
-    ``materials`` are those of the room, and of other measured states.
+    ``materials`` are those of the room and of its other measured states.
     """
 
     room: Room  # with the stated coefficients
@@ -107,12 +107,12 @@ class KnownRoom:
 
     @property
     def n_measured(self) -> int:
-        """Number of states in which T was measured."""
+        """Number of states of the room in which T was measured."""
         return int(self.measured.any()) + len(self.others)
 
     @classmethod
     def stated(cls, room: Room, equation: LinearEquation) -> KnownRoom:
-        """Return a room in which nothing was measured, as its stated coefficients describe it."""
+        """Return a room in which nothing was measured, with its input coefficients."""
         checks.instance("room", room, Room)
         checks.instance("equation", equation, LinearEquation)
         between = between_materials(room.materials, [room])
@@ -191,9 +191,9 @@ class Unknowns:
 
 @dataclass(frozen=True, eq=False)
 class TimeChange:
-    """Ratio of T in a state of a room to T before, in draws of the unknowns.
+    """Hold two states of a room, and compute the ratio of T in the second to T in the first.
 
-    `rtcal.acoustics.changes.placed` makes the other state, and says which way its materials face.
+    `rtcal.acoustics.changes.placed` makes the second state, with the directions of its materials.
     """
 
     known: KnownRoom
@@ -202,19 +202,19 @@ class TimeChange:
 
     @property
     def before(self) -> Room:
-        """The room before, with the stated coefficients."""
+        """Room before the change, with its input coefficients."""
         return self.known.room
 
     @property
     def after(self) -> Room:
-        """The changed room, with the stated coefficients."""
+        """Room after the change, with its input coefficients."""
         return self.state.room
 
     def refuse(self) -> None:
-        """Raise for states that do not fit each other, or have no T.
+        """Raise an error if the two states do not fit each other, or have no T.
 
-        DataError if the rooms differ in bands, or in stated alpha or sigma of a material; ModelError
-        if the equation gives no T before, or after.
+        DataError if the rooms differ in bands, or in a material's input alpha or sigma; ModelError if
+        the equation gives no T before or after.
         """
         rooms = [*_rooms(self.known), self.after]
         refuse_other_priors(rooms, [f'room "{room.name}"' for room in rooms])

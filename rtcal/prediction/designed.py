@@ -37,9 +37,10 @@ from rtcal.support.text import listed, shortened
 from rtcal.support.types import Array
 
 LEAST = 0.8
-"""Least probability that a design takes: below it the areas that keep it may be no convex set."""
+"""Smallest probability that a design may require, because the search is reliable only from there."""
 Margins = Callable[[Array], Array]
-"""Margins (n_margins,) of areas in m² (n_treatments,); 0 or more keeps them."""
+"""Function that returns the margins (n_margins,) of areas in m² (n_treatments,); 0 or more is
+enough."""
 
 _KEEPS = -2e-4
 """Margin in standard deviations that counts as kept: 0.00004 of a probability."""
@@ -64,7 +65,7 @@ _SPARE = 0.005
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Areas that may be placed, and the ranges that they must keep; (n_treatments,) each."""
+    """Hold the treatments that may be placed, and the ranges of T to keep, as a search for areas."""
 
     cost: Array  # per m²
     largest: Array  # m²
@@ -75,17 +76,17 @@ class Choice:
 
     @cached_property
     def whole(self) -> NDArray[np.bool_]:
-        """Which treatments are whole panels."""
+        """Whether each treatment consists of whole panels, (n_treatments,)."""
         return np.isfinite(self.unit)
 
     @cached_property
     def size(self) -> Array:
-        """m² of 1 of the unknowns, which are numbers of panels, or shares of the largest area."""
+        """Area in m² of one unit of each unknown: one panel, or a treatment's largest area."""
         return np.where(self.whole, self.unit, self.largest)
 
     @cached_property
     def most(self) -> Array:
-        """Upper bounds of the unknowns."""
+        """Largest value of each unknown, (n_treatments,)."""
         return np.where(self.whole, np.floor(self.largest / self.size + _ROUNDING), 1.0)
 
     @cached_property
@@ -94,11 +95,11 @@ class Choice:
         return self.covers * self.size / self.surfaces[:, np.newaxis]
 
     def at(self, v: Array) -> Array:
-        """Return the margins of unknowns."""
+        """Return the margins of the ranges for given unknowns, (n_margins,)."""
         return self.margins(v * self.size)
 
     def price(self, v: Array) -> float:
-        """Return the cost of unknowns."""
+        """Return the cost of given unknowns."""
         return float(self.cost @ (v * self.size))
 
     def widest(self, enough: float = np.inf) -> tuple[Array, float]:
@@ -274,7 +275,7 @@ _FAR = 50.0
 
 @dataclass(frozen=True, eq=False)
 class DesignModel:
-    """The treatments that a room allows, and the known properties of the room."""
+    """Hold the treatments that a room allows, the target, and what is known about the room."""
 
     known: KnownRoom
     treatments: tuple[Treatment, ...]
@@ -283,7 +284,7 @@ class DesignModel:
 
     @property
     def before(self) -> Room:
-        """The room before, with the stated coefficients."""
+        """Room before the treatment, with its input coefficients."""
         return self.known.room
 
     @cached_property
@@ -300,7 +301,7 @@ class DesignModel:
         return rows.reshape(len(names), len(self.treatments)), np.array(areas)
 
     def prediction(self, x: Array) -> Prediction:
-        """Return T of the room with areas of the treatments in m²."""
+        """Return the predicted T of the room with given areas of the treatments in m²."""
         put = sorted(zip(self.treatments, x.tolist(), strict=True), key=lambda each: _what(each[0]))
         return predict(
             self.known,
@@ -324,7 +325,7 @@ class DesignModel:
         return self._kept[key]
 
     def probability(self, x: Array, target: Target | None = None) -> Array:
-        """Return the probability that T is in its range, (n_bands,), as the prediction states it."""
+        """Return the probability that T is within its range, (n_bands,), for given areas in m²."""
         target = target or self.target
         return self._known(x).probability(target.low, target.high)
 
@@ -369,7 +370,7 @@ class DesignModel:
         )
 
     def cheapest(self, probability: float) -> Array | None:
-        """Return the cheapest areas in m², (n_treatments,), panels whole; None if none will do."""
+        """Return the cheapest areas in m², (n_treatments,), in whole panels; None if none is enough."""
         model, places = self.in_order
         found = model._choice(model.margins(probability)).cheapest()
         return None if found is None else found[places]
@@ -381,11 +382,11 @@ class DesignModel:
 
     @cached_property
     def most_probable(self) -> Array:
-        """The areas in m² whose least probable band is most probable. Panels need not be whole."""
+        """Areas in m² for which the least probable band is most probable; panels need not be whole."""
         return self._widest(self.margins(LEAST))
 
     def widening(self, probability: float) -> float | None:
-        """Return the factor by which both ends must move for a design to exist; None above 100.
+        """Return the factor by which the ranges of T must widen for a design to exist; None above 100.
 
         Panels need not be whole.
         """
@@ -418,13 +419,13 @@ def _what(t: Treatment) -> tuple[object, ...]:
 
 
 FRONTIER = (0.8, 0.85, 0.9, 0.95)
-"""Probabilities of `Design.frontier`."""
+"""Probabilities for which `Design.frontier` gives the cost."""
 _BEST = 0.99
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Design(Result):
-    """The cheapest areas of the treatments, and what they give; `design` makes it."""
+    """Hold the cheapest areas of treatments for a required T, and the T that they give."""
 
     record_kind: ClassVar[str] = "design 1"
     in_file: ClassVar[str] = (
@@ -433,35 +434,38 @@ class Design(Result):
     )
 
     model: DesignModel
-    """What may be done, the target, and what is known."""
+    """Treatments that are possible, the target, and what is known about the room."""
     promised: float
-    """The probability asked for, per band."""
+    """Probability that was required, in each band."""
     areas: Array
-    """m², (n_treatments,)."""
+    """Area of each treatment in m², (n_treatments,)."""
 
     @property
     def cost(self) -> float:
-        """The cost of all treatments."""
+        """Cost of all treatments together."""
         return float(self.model.prices @ self.areas)
 
     @cached_property
     def prediction(self) -> Prediction:
-        """T of the treated room."""
+        """Predicted T of the treated room."""
         return self.model.prediction(self.areas)
 
     @cached_property
     def probability(self) -> Array:
-        """Probability that T is in its range, (n_bands,); `prediction` states the same."""
+        """Probability in each band that T is within its range, (n_bands,)."""
         return self.prediction.probability(self.model.target.low, self.model.target.high)
 
     @cached_property
     def probability_together(self) -> float:
-        """Probability that T is in its range in all bands at once."""
+        """Probability that T is within its range in all bands at once."""
         return self.prediction.probability_together(self.model.target.low, self.model.target.high)
 
     @cached_property
     def alternatives(self) -> dict[float, Design | None]:
-        """The design at several probabilities, including its own; None where no areas are enough."""
+        """Designs for several required probabilities, including this one.
+
+        None if no areas are enough.
+        """
         found: dict[float, Design | None] = {}
         for p in sorted({*FRONTIER, self.promised}):
             found[p] = self if p == self.promised else _cheapest(self.model, p)
@@ -469,12 +473,12 @@ class Design(Result):
 
     @property
     def frontier(self) -> dict[float, float]:
-        """The cost at several probabilities; infinite where none is enough."""
+        """Cost of the design for several required probabilities; infinite if no areas are enough."""
         return {p: float("inf") if d is None else d.cost for p, d in self.alternatives.items()}
 
     @property
     def treatments(self) -> list[dict[str, Any]]:
-        """Each treatment's name, material, area in m², number of panels and cost."""
+        """Name, material, area in m², number of panels and cost of each treatment."""
         return [
             {
                 "name": t.name,
@@ -496,7 +500,7 @@ class Design(Result):
         )
 
     def blocks(self) -> list[Block]:
-        """Return the blocks that the design prints."""
+        """Return the tables and sentences that the design prints."""
         made, target = self.prediction, self.model.target
         treatments = [
             Row(
@@ -552,33 +556,34 @@ def design(
     *,
     assumptions: Assumptions | None = None,
 ) -> Design:
-    """Return the cheapest treatments with which T is in its range, in each band with a probability.
+    """Return the cheapest treatments with which T is within a range, with a required probability.
 
-    The probabilities are those that `rtcal.prediction.predict` states for the same changes. Panels are
-    whole. Where nothing is needed, nothing is placed. Of designs of one cost the one of less area is
-    returned. See `rtcal.prediction.designed` for the method.
+    The probability is required in each band, and is the one that `rtcal.prediction.predict` gives for
+    the same changes. Panels are whole. If no treatment is needed, all areas are 0. Of two designs with
+    the same cost, that with the smaller area is returned. See `rtcal.prediction.designed` for the
+    method.
 
     Parameters
     ----------
     result : CalibrationResult
-        Calibration of the room; of several configurations every measured T counts.
+        Calibration of the room; with several configurations every measured T counts.
     treatments : sequence of Treatment
-        Their order changes nothing; each has a name of its own.
+        Treatments that may be used, in any order, each with a different name.
     target : Target
-        Range of T: a `Target`, or `din_18041` or `ansi_s12_60`.
+        Range of T: a `Target`, or the result of `din_18041` or `ansi_s12_60`.
     probability : float
-        Required probability in each band, 0.8 to 0.99.
+        Required probability in each band, from 0.8 to 0.99.
     assumptions : Assumptions, optional
-        Assumed spreads; the usual ones by default.
+        Assumed uncertainties, such as that of the new materials; by default usual values.
 
     Raises
     ------
     DataError
         For a probability below 0.8 or above 0.99, or treatments that do not fit the room.
     InfeasibleError
-        If no areas will do; the message says what can be had.
+        If no areas are enough; the message has the best that is possible.
     SolverError
-        If the program is not solved.
+        If the solver finds no solution.
 
     Examples
     --------
@@ -608,7 +613,10 @@ def design_model(
     target: Target,
     assumptions: Assumptions | None = None,
 ) -> DesignModel:
-    """Return what may be placed in a room, and what is known of it; raises DataError as `design`."""
+    """Return the treatments that may be placed in a room, and what is known about the room.
+
+    Raises DataError as `design` does.
+    """
     if isinstance(result, Room):
         raise DataError("result is a Room; give the result of a calibration (rtcal.calibrate)")
     known = known_room(result)
@@ -632,10 +640,10 @@ def _cheapest(model: DesignModel, probability: float) -> Design | None:
 
 
 def can_be_had(model: DesignModel, probability: float) -> list[str]:
-    """Return what can be had where the design is infeasible, in sentences.
+    """Return in sentences what is possible if no design meets the target.
 
-    The best probabilities, the least widening of the range, what parts of panels would allow, and what
-    would narrow the interval.
+    They have the best probabilities, the smallest widening of the range, the effect of parts of panels,
+    and what would narrow the interval.
     """
     model = model.in_order[0]
     labels, target = bands.labels(model.before.centre_frequencies), model.target

@@ -41,9 +41,9 @@ from rtcal.support.text import as_sentence, shortened
 from rtcal.support.types import Array
 
 JND = 0.05
-"""One just noticeable difference of T, as a share of it."""
+"""One just noticeable difference of T, as a share of T."""
 COVERAGE = 0.9
-"""Probability of an interval."""
+"""Probability that a value is within its printed interval."""
 _POINTS = 20_000
 """Most points of the probability that T is within a range in all bands; its error is below 0.001."""
 _SURE = 1e-12
@@ -53,13 +53,13 @@ _ROUNDING = 1e-9
 
 
 Known = Any
-"""What `predict` takes: a result that has ``known``, such as a `CalibrationResult`, or a Room."""
+"""Argument of `predict`: a result with a room, such as a `CalibrationResult`, or a `Room`."""
 
 
 def known_room(known: Known, equation: LinearEquation | None = None) -> KnownRoom:
-    """Return the room as known from a calibration, or from its input if nothing was measured.
+    """Return the room with what a calibration, or else its input, shows about it.
 
-    Raises DataError for anything else, and for another equation than a calibration's.
+    Raises DataError for another object, and for an ``equation`` that is not the calibration's.
     """
     if isinstance(known, Room):
         return KnownRoom.stated(known, equation or Eyring())
@@ -78,7 +78,7 @@ def known_room(known: Known, equation: LinearEquation | None = None) -> KnownRoo
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Prediction(TimeChange, Result):
-    """T of a changed room per band, with its interval; `predict` makes it."""
+    """Hold the predicted T of a changed room in each band, with its interval; `predict` returns it."""
 
     record_kind: ClassVar[str] = "prediction 3"
     in_file: ClassVar[str] = (
@@ -92,26 +92,26 @@ class Prediction(TimeChange, Result):
 
     name: str
     changes: tuple[Change, ...]
-    """What leads from one state to the other; empty if the changed room itself was given."""
+    """Changes of the room that are predicted; empty if the changed room itself was given."""
     simulated: SimulatedChange | None = None
-    """What a program gave of the change, in place of the equation."""
+    """T that a program gave before and after the change, in place of the equation's."""
 
     @cached_property
     def by_program(self) -> Flags:
-        """Bands in which the program predicts: both of its runs, and the measurement, have a T."""
+        """Bands that the program predicts, because both of its runs and the measurement have a T."""
         if self.simulated is None:
             return np.zeros(self.before.n_bands, dtype=bool)
         return np.asarray(self.known.measured & np.isfinite(self.simulated.log_ratio))
 
     @property
     def simulated_times(self) -> dict[str, Array]:
-        """T of a program's runs in s, (n_bands,) each, "before" and "after"; {} without them."""
+        """T of the program's runs in s, (n_bands,) each, "before" and "after"; {} without runs."""
         of = self.simulated
         return {} if of is None else {"before": of.before, "after": of.after}
 
     @property
     def by_equation_alone(self) -> Prediction:
-        """The same prediction without the program."""
+        """Return the same prediction by the equation, without the program's runs."""
         return replace(self, simulated=None)
 
     @property
@@ -128,7 +128,7 @@ class Prediction(TimeChange, Result):
         return self.possible(self.simulated.draws(self))
 
     def log_ratio(self, unknowns: Unknowns | None = None) -> Array:
-        """Return draws of ln (T after / T before), (n_bands, n_draws), by program or equation."""
+        """Return random samples of ln(T after / T before), (n_bands, n_draws)."""
         own, simulated = super().log_ratio(unknowns), self._by_program
         return (
             own if simulated is None else np.where(self.by_program[:, np.newaxis], simulated, own)
@@ -136,9 +136,9 @@ class Prediction(TimeChange, Result):
 
     @cached_property
     def samples(self) -> Array:
-        """Draws of ln T after, T in s, (n_bands, n_draws).
+        """Random samples of ln T after the change, with T in s, (n_bands, n_draws).
 
-        T before is given where it was measured. Elsewhere it is the model's, and its error counts.
+        A measured T before counts as exact. Otherwise T before is the model's, with its uncertainty.
         """
         given = np.log(self.time_before)[:, np.newaxis] + self.log_ratio()
         if self.known.measured.all():
@@ -147,9 +147,9 @@ class Prediction(TimeChange, Result):
 
     @property
     def before_is(self) -> str:
-        """The kind of T before: "measured", "calibrated model" or "stated coefficients".
+        """Kind of T before the change: "measured", "calibrated model" or "stated coefficients".
 
-        "calibrated room" where nothing was measured, and the coefficients are those of a calibration.
+        It is "calibrated room" if nothing was measured, and the room has calibrated coefficients.
         """
         if not self.known.measured.any():
             return words.CALIBRATED if is_calibrated(self.before) else words.STATED
@@ -157,10 +157,10 @@ class Prediction(TimeChange, Result):
 
     @cached_property
     def uncertainty_before(self) -> Array:
-        """Standard uncertainty of T before in s, (n_bands,); NaN where the measurement states none.
+        """Standard uncertainty of T before in s, (n_bands,); NaN if the measurement has none.
 
-        That of a measured T is no part of the interval. Where T was not measured it is the model's, and
-        part of the interval.
+        The uncertainty of a measured T is not part of the interval. If T was not measured, it is the
+        uncertainty of the model, which is part of the interval.
         """
         measured = self.known.log_uncertainty
         if self.known.measured.all():
@@ -170,47 +170,50 @@ class Prediction(TimeChange, Result):
 
     @cached_property
     def log_mean(self) -> Array:
-        """Mean of ln T, T in s, (n_bands,)."""
+        """Mean of ln T after the change, with T in s, (n_bands,)."""
         return np.asarray(self.samples.mean(axis=1))
 
     @cached_property
     def log_sigma(self) -> Array:
-        """Standard deviation of ln T, (n_bands,)."""
+        """Standard deviation of ln T after the change, (n_bands,)."""
         return np.asarray(self.samples.std(axis=1))
 
     @property
     def mean(self) -> Array:
-        """T in s, (n_bands,): the exponential of the mean of ln T."""
+        """Predicted T after the change in s, (n_bands,): the exponential of the mean of ln T."""
         return np.exp(self.log_mean)
 
     @cached_property
     def interval(self) -> tuple[Array, Array]:
-        """Ends of the 90 % interval of T in s, each (n_bands,), for the T before that is given."""
+        """Ends of the 90 % interval of T after the change in s, (n_bands,) each, given T before."""
         return self.quantile((1 - COVERAGE) / 2), self.quantile((1 + COVERAGE) / 2)
 
     def quantile(self, probability: float) -> Array:
-        """Return the quantile of T in s, (n_bands,); DataError unless it is between 0 and 1."""
+        """Return the quantile of T after the change in s, (n_bands,), at a probability.
+
+        Raises DataError unless the probability is between 0 and 1.
+        """
         if not 0 < checks.number("probability", probability) < 1:
             raise DataError(f"probability = {probability:g} is not between 0 and 1")
         return np.exp(np.quantile(self.samples, probability, axis=1))
 
     @property
     def half_width(self) -> Array:
-        """Half of the 90 % interval in JND, of 5 % of T after, (n_bands,)."""
+        """Half the width of the 90 % interval in JND, (n_bands,); one JND is 5 % of T after."""
         low, high = self.interval
         return np.asarray((high - low) / (2 * JND * self.mean))
 
     @property
     def change(self) -> Array:
-        """T after less T before in JND, of 5 % of T before, (n_bands,)."""
+        """T after minus T before in JND, (n_bands,); one JND is 5 % of T before."""
         return np.asarray((self.mean / self.time_before - 1) / JND)
 
     @cached_property
     def parts(self) -> dict[str, Array]:
-        """Shares of the variance of ln T by what they come from, each (n_bands,), the largest first.
+        """Causes of the uncertainty, as shares of the variance of ln T, (n_bands,) each, largest first.
 
-        They add up to 1, or are 0 where nothing changes. ln T is linear in the unknowns for it. A
-        material whose area changes stands alone; the other coefficients stand together.
+        They add up to 1, or are 0 where nothing changes, with ln T taken as linear. Each material whose
+        area changes is a cause by itself; all other coefficients together are one.
         """
         unknowns, n_bands = self.unknowns, self.after.n_bands
         columns: dict[str, list[Array]] = {}
@@ -247,21 +250,22 @@ class Prediction(TimeChange, Result):
 
     @cached_property
     def uncalibrated(self) -> Prediction:
-        """The same prediction from the stated coefficients alone, without any measurement."""
+        """Same prediction from the input coefficients alone, without any measurement."""
         known = KnownRoom.stated(self.before, self.known.equation)
         return replace(self, known=known, simulated=None)
 
     def probability(self, low: Array, high: Array) -> Array:
-        """Return the probability that T is from ``low`` to ``high`` in s, (n_bands,).
+        """Return the probability that T after the change is within a range, (n_bands,).
 
-        T before is given. NaN at an end leaves it open. DataError for another shape, and as `Target`.
+        The range is from ``low`` to ``high`` in s, (n_bands,) each; NaN means no limit at this end.
+        Raises DataError for another shape, and as `Target` does.
         """
         return probability_within(self.samples, *self._logs(low, high))
 
     def probability_together(self, low: Array, high: Array) -> float:
-        """Return the probability that T is within the range in all bands at once.
+        """Return the probability that T after the change is within the range in all bands at once.
 
-        Errors of neighbouring bands correlate: see `Assumptions.band_correlation`.
+        Errors of neighbouring bands are correlated: see `Assumptions.band_correlation`.
         """
         from scipy.stats import multivariate_normal
 
@@ -292,7 +296,7 @@ class Prediction(TimeChange, Result):
 
     @property
     def headline(self) -> str:
-        """The change of T in a sentence, with T at the band that changes most."""
+        """Change of T in a sentence, for the band that changes most."""
         if not self.log_ratio().any():
             return words.NOTHING_CHANGES
         labels = bands.labels(self.after.centre_frequencies)
@@ -300,13 +304,13 @@ class Prediction(TimeChange, Result):
 
     @property
     def heads(self) -> list[str]:
-        """What stands first: likely typing errors, and the change of the named variant."""
+        """Sentences that are printed first: likely typing errors, and the change of T."""
         doubts = [as_sentence(each.sentence) for each in self.known.doubts]
         return [*doubts, f"{self.before.name}, {self.name}: {self.headline}"]
 
     @property
     def sentences(self) -> list[str]:
-        """Sentences on what the interval rests on, what it leaves out, and what to measure next."""
+        """Sentences on what the interval contains, what it leaves out, and what to measure next."""
         known = self.known
         if not self.half_width.any():
             return []
@@ -347,7 +351,7 @@ class Prediction(TimeChange, Result):
 
     @property
     def rows(self) -> list[Row]:
-        """T before and after with its interval and change, by band."""
+        """Rows of a table: T before and after, with interval and change, by band."""
         low, high = self.interval
         return [
             Row(f"T before ({self.before_is}) / s", self.time_before, ".2f"),
@@ -361,7 +365,7 @@ class Prediction(TimeChange, Result):
         ]
 
     def within(self, target: Target) -> list[Row]:
-        """Return a range of T and the probability that T is in it, by band."""
+        """Return rows of a table: a range of T, and the probability that T is within it, by band."""
         return [
             Row("target: from / s", target.low, ".2f"),
             Row("        to / s", target.high, ".2f"),
@@ -369,7 +373,7 @@ class Prediction(TimeChange, Result):
         ]
 
     def blocks(self) -> list[Block]:
-        """Return the blocks that the prediction prints."""
+        """Return the tables and sentences that the prediction prints."""
         labels = bands.labels(self.after.centre_frequencies)
         parts = ("the interval", self.parts)
         return words.blocks_of(self.heads, labels, self.rows, parts, self.sentences)
@@ -383,7 +387,7 @@ class Prediction(TimeChange, Result):
 
     @property
     def assumed(self) -> list[Block | list[str]]:
-        """What the prediction assumes: sentences and a list."""
+        """Assumptions of the prediction, as sentences and a list."""
         n = self.known.n_measured
         return [
             Note(
@@ -405,30 +409,31 @@ def predict(
     run: Run | None = None,
     run_after: Measurement | None = None,
 ) -> Prediction:
-    """Predict T after a change of a room.
+    """Return the T of a room after a change, in each band, with its 90 % interval.
 
     Parameters
     ----------
     known : CalibrationResult or Room
-        With a Room nothing was measured: its input coefficients alone predict. Several measured states
-        are a calibration of `rtcal.Configurations`, one of whose ``results`` is the state that changes.
+        Calibration of the room before the change, or a room without a measurement, whose input
+        coefficients are then used. After a calibration of `rtcal.Configurations`, give the one of its
+        ``results`` whose state changes.
     changes : Change, sequence of Change, or Room
-        A Room is the changed room itself.
+        Change or changes of the room, or the changed room itself.
     equation : LinearEquation, optional
-        Equation for a Room; `rtcal.Eyring` by default. A calibration has its own.
+        Reverberation equation for a Room, by default `rtcal.Eyring`; a calibration keeps its equation.
     assumptions : Assumptions, optional
-        Assumed spreads; the usual ones by default.
+        Assumed uncertainties, such as that of the new materials; by default usual values.
     name : str
-        By default what is changed.
+        Name of the change in what is printed; by default its materials.
     run, run_after : Run and Measurement, optional
-        What a program gave before and after the change. Its ratio of T takes the place of the
-        equation's (`rtcal.prediction.simulated_change`).
+        Values of a simulation program before and after the change. Their ratio of T replaces that of
+        the equation (`rtcal.prediction.simulated_change`).
 
     Raises
     ------
     DataError
-        If a change does not fit the room, or the rooms do not fit each other. For one run without the
-        other, or without a measured T, and as `SimulatedChange.of`.
+        If a change does not fit the room, or the changed room does not fit the room before. Also for
+        one run without the other, for runs without a measured T, and as `SimulatedChange.of` does.
     ModelError
         If the equation gives no T for the changed room.
 
@@ -479,19 +484,19 @@ def predict(
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Predictions(Result):
-    """Predictions of several variants of one room (`predict_variants`), of T or at every position."""
+    """Hold the predictions of several changes of one room, of T or at every position."""
 
     record_kind: ClassVar[str] = "predictions 3"
 
     predictions: tuple[Any, ...]
-    """One per variant."""
+    """Predictions, one per variant."""
     costs: tuple[float | None, ...]
-    """Of each variant."""
+    """Cost of each variant, None where it is unknown."""
     target: Target | None = None
-    """The range of T that they are compared with."""
+    """Range of T with which the variants are compared; None without one."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return each variant's `Prediction.to_dict`, its cost, and the probability of the target."""
+        """Return each variant's prediction, cost, and probability of the target as plain values."""
         record: dict[str, Any] = {
             "variants": [prediction.to_dict() for prediction in self.predictions],
             "costs": list(self.costs),
@@ -512,7 +517,7 @@ class Predictions(Result):
         )
 
     def side_by_side(self) -> list[Block]:
-        """Return a table of the variants' T, and of cost and probability where they are known."""
+        """Return a table of the variants' T, with cost and probability where they are known."""
         if len(self.predictions) == 1 and self.target is None:
             return []
         labels = bands.labels(self.predictions[0].before.centre_frequencies)
@@ -535,9 +540,9 @@ class Predictions(Result):
         return [*found, Table(columns, rows, corner="variant")]
 
     def chances(self) -> list[tuple[float, float]]:
-        """Return of each variant the least probability of a band of the target, and that of all.
+        """Return each variant's probability to meet the target: of the worst band, and of all.
 
-        Empty without a target.
+        The list is empty without a target.
         """
         if self.target is None:
             return []
@@ -560,11 +565,12 @@ def predict_variants(
     target: Target | None = None,
     run: Run | None = None,
 ) -> Predictions:
-    """Predict T of several variants; the arguments and errors are those of `predict`.
+    """Return the T of a room after each of several changes, with 90 % intervals.
 
-    A ``target`` is a range of T that they are compared with. With a ``run`` the program predicts those
-    variants that have ``simulated``. Raises DataError also where two variants have one name, for a
-    target of other bands, and for a run without such a variant.
+    Arguments and errors are those of `predict`. ``target`` is a range of T with which the variants are
+    compared. With a ``run`` of a program, variants with ``simulated`` are predicted by the program.
+    Raises DataError also if two variants have one name, for a target in other bands, and for a run
+    without a simulated variant.
 
     Examples
     --------

@@ -28,18 +28,18 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, eq=False)
 class SimulatedChange:
-    """T of a program before and after a change in s, (n_bands,) each, NaN where a run has none."""
+    """Hold T of a program before and after a change in s, (n_bands,) each; NaN if a run has none."""
 
     before: Array
     after: Array
     log_uncertainty: Array
-    """Stated standard uncertainty of ln of their ratio, (n_bands,); 0 where none is."""
+    """Standard uncertainty of ln(T after / T before) of the program, (n_bands,); 0 if it gives none."""
 
     @classmethod
     def of(cls, room: Room, run: Run, after: Measurement) -> SimulatedChange:
-        """Return the T that both runs have: T20, or else T30, of the same pairs.
+        """Return the T that both runs have: T20, or else T30, as means over the same pairs.
 
-        Raises DataError for a run of another room than ``room``, and without a T of both.
+        Raises DataError if a run is of another room than ``room``, and if the runs share no T.
         """
         checks.instance("run", run, Run).refuse_other(room)
         checks.instance("run after the change", after, Measurement)
@@ -62,13 +62,13 @@ class SimulatedChange:
 
     @property
     def log_ratio(self) -> Array:
-        """ln (T after / T before) of the program, (n_bands,)."""
+        """Natural logarithm of T after over T before by the program, (n_bands,)."""
         return np.asarray(np.log(self.after / self.before))
 
     def draws(self, change: TimeChange) -> Array:
-        """Return draws of ln (T after / measured T before) of the real room, (n_bands, n_draws).
+        """Return random samples of ln(T after / measured T before), (n_bands, n_draws).
 
-        Raises DataError for a T before that no coefficients give in a band.
+        Raises DataError if no coefficients give the T before in a band.
         """
         assumed, unknowns = change.assumptions, change.unknowns
         of_program = self._reference(change)

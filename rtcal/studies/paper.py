@@ -39,15 +39,16 @@ __all__ = ["LECTURE_HALL", "SHOEBOX", "TABLE_2", "TABLE_3", "random_hall", "tabl
 __dir__ = __all__.copy
 
 Sampling = Literal["sigma_r", "sigma_n"]
-"""What keeps mu from 0 and 1: twice sigma_r, or twice the surface's own sigma_n, as the text reads."""
+"""Rule that keeps the mean coefficient mu from 0 and 1: by 2 sigma_r, or by 2 sigma of each surface, as
+the paper's text says."""
 SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)
 
 SIGMA_LIMIT = 0.25
-"""Value of sigma_r, or of sigma_n, at which the interval of mu becomes empty."""
+"""Value of sigma_r, or of a surface's sigma, from which no mu is possible."""
 
 
 def redrawn_share(sigma_r: float, sampling: Sampling = "sigma_r") -> float:
-    """Return the share of Rayleigh draws that are drawn again.
+    """Return the share of random sigma that leave no possible mu and are drawn again.
 
     With "sigma_n" these are the draws at or beyond `SIGMA_LIMIT`: exp(-1 / (32 sigma_r²)). With
     "sigma_r" there are none.
@@ -60,11 +61,11 @@ def redrawn_share(sigma_r: float, sampling: Sampling = "sigma_r") -> float:
 def realisations(
     rng: np.random.Generator, count: int, n: int, sigma_r: float, sampling: Sampling = "sigma_r"
 ) -> tuple[Array, Array]:
-    """Return mu and sigma, each (count, n): sigma ~ Rayleigh(sigma_r), mu uniform.
+    """Return random input coefficients mu and their uncertainty sigma, (count, n) each.
 
-    With "sigma_r" mu is from 2 sigma_r to 1 - 2 sigma_r, whatever sigma is. With "sigma_n" it is from
-    2 sigma to 1 - 2 sigma, and sigma is redrawn while it is 0.25 or more. Inversion draws it in one
-    step from the truncated distribution.
+    sigma has a Rayleigh distribution with the scale sigma_r, mu a uniform one. With "sigma_r" mu is
+    from 2 sigma_r to 1 - 2 sigma_r. With "sigma_n" it is from 2 sigma to 1 - 2 sigma, and a sigma of
+    0.25 or more is drawn again.
     """
     below = 1 - redrawn_share(sigma_r, sampling)
     sigma = sigma_r * np.sqrt(-2 * np.log1p(-below * (1 - rng.random((count, n)))))
@@ -226,10 +227,12 @@ def score(z: Array, room: Realisation) -> TrialSums:
 
 
 def analytic_emse(mu: Array, sigma: Array, areas: Array) -> Array:
-    """Return EMSE of no calibration, scaling, LSE and MLE, (..., 4), in closed form.
+    """Return the expected mean square error (EMSE) of alpha for four methods, (..., 4).
 
-    Eq. 30, with the term that it omits: mu is not the mean of the truncated normal, so E(mu -
-    alpha)² is the variance plus the squared bias.
+    The methods are no calibration, scaling, least squares (LSE) and maximum likelihood (MLE), without
+    bounds. ``mu`` and ``sigma`` (..., n) are the input coefficients and their standard deviation,
+    ``areas`` (n,) the surface areas in m². The formula is Eq. 30 of Bellows & Katz (2025), with a term
+    that it omits: mu is not the mean of the truncated normal distribution of alpha.
     """
     # Integrated, since the closed forms (Eqs. 14 and 31) lose all digits in the tails.
     mean, variance = truncated_moments(mu, sigma**2, 0.0, 1.0, FINE)
@@ -240,7 +243,7 @@ def analytic_emse(mu: Array, sigma: Array, areas: Array) -> Array:
 
 
 SIGMA_R = (0.01, 0.05, 0.1)
-"""Uncertainties of the stated coefficients in its Tables 2 and 3."""
+"""Scales sigma_r of the uncertainty of the input coefficients in Tables 2 and 3 of the paper."""
 
 TABLE_2: dict[str, tuple[float, ...]] = {
     "none": (0.0, 0.0, 0.0),
@@ -248,7 +251,7 @@ TABLE_2: dict[str, tuple[float, ...]] = {
     "lse": (8.7, 8.7, 8.7),
     "mle": (14.8, 14.3, 13.2),
 }
-"""Calibration scores of the shoebox in percent, by sigma_r."""
+"""Calibration scores of the shoebox in percent, by sigma_r, as printed in the paper's Table 2."""
 
 TABLE_3: dict[str, tuple[float, ...]] = {
     "none": (0.0, 0.0, 0.0),
@@ -256,7 +259,7 @@ TABLE_3: dict[str, tuple[float, ...]] = {
     "lse": (2.2, 2.2, 2.2),
     "mle": (3.8, 3.7, 3.3),
 }
-"""Calibration scores of the lecture hall in percent, by sigma_r."""
+"""Calibration scores of the lecture hall in percent, by sigma_r, as printed in the paper's Table 3."""
 
 TABLE_1_MU = (0.66, 0.45, 0.88, 0.83, 0.12, 0.52)
 TABLE_1_SIGMA = (0.04, 0.07, 0.06, 0.01, 0.05, 0.06)
@@ -266,15 +269,16 @@ TABLE_1_EMSE: dict[str, float] = {
     "lse": 22.0e-4,
     "mle": 20.0e-4,
 }
-"""Mean square error of the coefficients of Table 1's room, by method."""
+"""Mean square error of the coefficients of the room in the paper's Table 1, by method."""
 _HALF_DIGIT = 0.005
 
 
 def table_1_range(areas: Array) -> tuple[Array, Array]:
-    """Return the least and the most EMSE, (4,), that Table 1's printed mu and sigma allow.
+    """Return the range of errors (EMSE) that the rounded values of Table 1 allow, (4,) each.
 
-    mu and sigma are uniform within half of their last digit. EMSE is in closed form, and the range
-    is its central 98 % of 4000 draws.
+    The printed mu and sigma are varied within half of their last digit. The expected mean square error
+    of each of four methods is computed as in `analytic_emse`. The range is the central 98 % of 4000
+    random values. ``areas`` are in m².
     """
     rng = np.random.default_rng(0)
     shape = (4000, len(TABLE_1_MU))
@@ -286,7 +290,7 @@ def table_1_range(areas: Array) -> tuple[Array, Array]:
 
 
 SHOEBOX: tuple[float, ...] = (35.0, 35.0, 21.0, 21.0, 15.0, 15.0)
-"""Floor and ceiling 7 x 5 m, walls 7 x 3 m and 5 x 3 m; V = 105 m³."""
+"""Surface areas in m² of a box of 105 m³: floor and ceiling 7 x 5 m, walls 7 x 3 m and 5 x 3 m."""
 
 HALL_VOLUME, HALL_SURFACES, HALL_RATIO = 334.0, 23, 66.6
 """The paper's lecture hall: volume in m³, number of surfaces, ratio of largest to smallest area."""
@@ -320,11 +324,11 @@ LECTURE_HALL: dict[str, float] = {
 
 
 def random_hall(seed: int) -> tuple[float, ...]:
-    """Return the areas of a random closed hall with the paper's three numbers.
+    """Return the surface areas in m² of a random hall like the paper's lecture hall.
 
-    The hall is a box of 334 m³ with random proportions. Each face has one of the 23 surfaces; the
-    others are on random faces, in proportion to area. Each face is cut at random. One exponent then
-    makes all cuts more or less uneven, until the ratio of largest to smallest area is 66.6.
+    The hall is a box of 334 m³ with random proportions and 23 surfaces. Its faces are cut at random, so
+    that the largest surface is 66.6 times as large as the smallest. ``seed`` is the seed of the random
+    numbers.
     """
     rng = np.random.default_rng(checks.whole("seed", seed, 0))
     height, proportion = rng.uniform(3.0, 5.0), rng.uniform(1.0, 1.8)
@@ -348,4 +352,4 @@ def random_hall(seed: int) -> tuple[float, ...]:
 
 
 HALL_SEEDS = (1, 2, 3, 4, 5)
-"""Seeds of the five halls that are reported: the first five."""
+"""Seeds of the five random halls that are reported."""

@@ -66,7 +66,7 @@ _SCORES = [
 
 
 def table_csv(table: np.recarray[Any, Any]) -> bytes:
-    """Return a table as the bytes of a CSV file; numbers keep all their digits."""
+    """Return a table as the bytes of a CSV file, in which numbers keep all their digits."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(table.dtype.names)
@@ -77,7 +77,7 @@ def table_csv(table: np.recarray[Any, Any]) -> bytes:
 SAMPLED = METHODS + tuple(f"{m} bounded" for m in CALIBRATIONS)
 ANALYTIC = tuple(f"{m} analytic" for m in METHODS)
 SERIES = SAMPLED + ANALYTIC
-"""Names of the eleven EMSE that each realisation has."""
+"""Names of the eleven errors (EMSE) that are computed in each realisation."""
 
 EDGES = np.linspace(0.0, 0.5, 4001)  # of sqrt(EMSE); the last bin holds all larger values
 
@@ -184,7 +184,7 @@ def _sum_of_pieces(
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """A finished study of one room at one sigma_r, as `run` returns it."""
+    """Hold a finished study of one room at one sigma_r, which `run` returns."""
 
     areas: Array
     sigma_r: float
@@ -195,20 +195,20 @@ class Study:
     moments: ScoreMoments
 
     def scores(self) -> Table:
-        """Return method, bounded, aace, score (a fraction) and its standard error, as in the paper.
+        """Return the calibration score of each method with its standard error, as in the paper.
 
-        The AACE of the method and of no calibration are both estimated from the trials.
+        Columns are method, bounded, aace (average coefficient error), score (as a fraction) and
+        standard error. All errors are estimated from the trials.
         """
         rows = [self._row(m, False, {m: 1.0}, {"none": 1.0}) for m in METHODS]
         rows += [self._row(m, True, {f"{m} bounded": 1.0}, {"none": 1.0}) for m in CALIBRATIONS]
         return _table(rows, _SCORES)
 
     def controlled_scores(self) -> Table:
-        """Return the scores with less noise from the trials.
+        """Return the same scores as `scores`, with a smaller random error.
 
-        The unbounded scores are in closed form. The bounded scores add the simulated difference between
-        bounded and unbounded, which is 0 in trials without an active bound. The unbounded estimate
-        serves as a control variate.
+        Scores without bounds are computed by a formula. Scores with the bounds 0 and 1 add the
+        simulated difference, which is 0 in trials in which no coefficient reaches a bound.
         """
         baseline = {"none analytic": 1.0}
         rows = [self._row(m, False, {f"{m} analytic": 1.0}, baseline) for m in METHODS]
@@ -216,9 +216,10 @@ class Study:
         return _table(rows, _SCORES)
 
     def bound_effects(self) -> Table:
-        """Return the effect of exact bounds: bounded minus unbounded score, with its standard error.
+        """Return the effect of the bounds 0 and 1 on the score, with its standard error.
 
-        ``active_share`` is the share of trials in which a bound is active.
+        It is the score with bounds minus that without. ``active_share`` is the share of trials in which
+        a coefficient reaches a bound.
         """
         rows = []
         for k, m in enumerate(CALIBRATIONS):
@@ -237,7 +238,7 @@ class Study:
         return _table(rows, columns)
 
     def spread(self) -> Table:
-        """Return minimum, quartiles and maximum of sqrt(EMSE) over realisations (as Fig. 4b)."""
+        """Return minimum, quartiles and maximum of the root error over realisations (as Fig. 4b)."""
         rows = []
         for i, name in enumerate(SAMPLED):
             quartiles = [self.moments.quantile(i, share) for share in (0.25, 0.5, 0.75)]
@@ -250,7 +251,7 @@ class Study:
 
     @property
     def redrawn_share(self) -> float:
-        """Share of Rayleigh draws that left no interval for mu and were therefore drawn again."""
+        """Share of random sigma that left no possible mu and were therefore drawn again."""
         return paper.redrawn_share(self.sigma_r, self.sampling)
 
     def _row(
@@ -273,35 +274,35 @@ def run(
     workers: int | None = None,
     progress: bool = False,
 ) -> Study:
-    """Simulate ``realisations`` times ``trials`` rooms with these surfaces, and calibrate each.
+    """Return a study of how much calibration improves alpha in many random rooms with given areas.
 
     Parameters
     ----------
     areas : array (n_surfaces,)
-        m²; one unknown per surface.
+        Area of each surface in m²; each surface has its own coefficient.
     sigma_r : float
-        Scale of the Rayleigh distribution that sigma is drawn from.
+        Scale of the Rayleigh distribution of sigma, the uncertainty of the input coefficients.
     realisations, trials : int
-        Draws of (mu, sigma), and of alpha* for each.
+        Number of random input coefficients (mu, sigma), and of random true coefficients for each.
     seed : int
-        The same seed gives the same study, on any number of workers of any kind.
+        Seed of the random numbers. It gives the same study on any number of workers.
     sampling : {"sigma_r", "sigma_n"}
-        Whether mu keeps 2 sigma_r from 0 and 1, which gives the paper's scores, or twice the surface's
-        own sigma, as the paper's text reads.
+        Rule that keeps mu from 0 and 1: by 2 sigma_r, which gives the paper's scores, or by 2 sigma of
+        each surface, as the paper's text says.
     scheduler : str, optional
-        Address of a Dask scheduler whose workers compute the pieces; default: threads of this machine.
+        Address of a Dask scheduler whose workers compute; by default threads of this machine do.
     workers : int, optional
-        Number of threads; default the cores of the machine.
+        Number of threads; by default the number of cores.
     progress : bool
-        Show a bar on standard error after two seconds.
+        Whether to show a progress bar on standard error after two seconds.
 
     Raises
     ------
     DataError
-        If an area, sigma_r or a number is not positive, sigma_r leaves no interval for mu, or
-        ``sampling`` is no such name; for ``workers`` beside a scheduler.
+        If an area, sigma_r or a number is not positive, if sigma_r leaves no possible mu, for another
+        ``sampling``, and for ``workers`` together with a scheduler.
     ClusterError, MissingDependencyError
-        As `rtcal.support.workers.workforce`.
+        As `rtcal.support.workers.workforce` raises them.
 
     Examples
     --------
@@ -329,11 +330,11 @@ def analytic_scores(
     *,
     sampling: Sampling = "sigma_r",
 ) -> Table:
-    """Return the unbounded methods' scores with EMSE in closed form: no trials are drawn.
+    """Return the calibration scores of each method without bounds, by a formula.
 
-    Unbounded estimators are oblique projections of the error of mu, so EMSE follows from the
-    truncated normal's mean and variance: E ee' = diag(variance) + bias bias'. The same seed draws
-    the same realisations as `run`. Columns as `Study.scores`'s.
+    Arguments are those of `run`, whose random input coefficients have the same seed; no true
+    coefficients are drawn. Columns are those of `Study.scores`. Without bounds, the expected error
+    follows from the truncated normal's mean and variance: E ee' = diag(variance) + bias bias'.
 
     Examples
     --------
