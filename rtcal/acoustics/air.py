@@ -19,7 +19,7 @@ _DB_PER_NEPER_OF_ENERGY = 10 / np.log(10)
 
 @dataclass(frozen=True)
 class Air:
-    """Air at a temperature, a relative humidity and a pressure.
+    """Air of a room, from which the attenuation and the speed of sound follow.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class Air:
     Raises
     ------
     DataError
-        If a value leaves its range.
+        If a value is outside its range.
 
     References
     ----------
@@ -75,11 +75,11 @@ class Air:
         return float(331.3 * np.sqrt(1 + self.temperature / 273.15))
 
     def attenuation(self, frequencies: Iterable[float]) -> Array:
-        """Return the energy attenuation m in 1/m at ``frequencies`` (Hz), (n_bands,).
+        """Return the air's energy attenuation coefficient m in 1/m at each frequency, (n_bands,).
 
-        ISO 9613-1:1993, Eqs. 3 to 5 and B.2, B.3, of a pure tone. The intensity of a plane wave falls
-        as exp(-m x); m = (dB/m) / (10 lg e). The reverberation equations' 4mV needs this unit: with
-        dB/m in its place the air counts 4.3 times.
+        ``frequencies`` are in Hz. The intensity of a plane wave falls as exp(-m x) over the distance x
+        in m (ISO 9613-1:1993, Eqs. 3 to 5 and B.2, B.3, for a pure tone). To convert a value in dB/m,
+        divide it by 10 lg e = 4.34: the term 4mV of reverberation equations needs m in 1/m.
         """
         f = checks.array("frequencies", checks.listed("frequencies", frequencies))
         kelvin = self.temperature + 273.15

@@ -60,7 +60,7 @@ _LOWEST = 20.0  # Hz, the limit of hearing. Frequencies in kHz, at most 20, lie 
 
 @lru_cache(maxsize=1024)
 def nominal(frequency: float) -> float:
-    """Return the nominal third-octave centre within 1.5 % of ``frequency`` (Hz), else itself.
+    """Return the nominal third-octave centre within 1.5 % of a frequency in Hz, else the frequency.
 
     Examples
     --------
@@ -72,7 +72,7 @@ def nominal(frequency: float) -> float:
 
 
 def octaves(lowest: float = 125, highest: float = 4000) -> tuple[float, ...]:
-    """Return the nominal octave centres from ``lowest`` to ``highest`` (Hz).
+    """Return the nominal octave centre frequencies in Hz from ``lowest`` to ``highest``.
 
     Examples
     --------
@@ -83,7 +83,7 @@ def octaves(lowest: float = 125, highest: float = 4000) -> tuple[float, ...]:
 
 
 def third_octaves(lowest: float = 100, highest: float = 5000) -> tuple[float, ...]:
-    """Return the nominal third-octave centres from ``lowest`` to ``highest`` (Hz).
+    """Return the nominal third-octave centre frequencies in Hz from ``lowest`` to ``highest``.
 
     Examples
     --------
@@ -94,7 +94,7 @@ def third_octaves(lowest: float = 100, highest: float = 5000) -> tuple[float, ..
 
 
 def hertz(frequencies: Sequence[float] | Array) -> str:
-    """Return bands for a sentence, "" of none.
+    """Return a list of bands as words of a sentence; "" without any band.
 
     Examples
     --------
@@ -130,7 +130,7 @@ def labels(frequencies: Iterable[float]) -> list[str]:
 
 
 def span(frequencies: Sequence[float] | Array) -> str:
-    """Return the number of bands with the first and the last, as part of a sentence.
+    """Return as words of a sentence how many bands there are, and the first and the last of them.
 
     Examples
     --------
@@ -149,7 +149,10 @@ def span(frequencies: Sequence[float] | Array) -> str:
 
 
 def where(f: Array, chosen: NDArray[np.bool_], known: NDArray[np.bool_]) -> str:
-    """Return some of the known bands in words.
+    """Return in words which of the known bands are chosen.
+
+    ``f`` are the centre frequencies in Hz; ``chosen`` and ``known`` are True for such bands,
+    (n_bands,).
 
     Examples
     --------
@@ -173,9 +176,9 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
     Raises
     ------
     DataError
-        If there is none, or one is not a finite positive number, or they do not increase, or all
-        are below 20 Hz, as if in kHz. Also if one lies 1.5 to 5 % beside a nominal third-octave centre,
-        unless a band next to it is within a ratio of 1.2, as in narrower bands than thirds.
+        If there is no frequency, if one is not a finite positive number, if they do not increase, or if
+        all are below 20 Hz, as if in kHz. Also if one is 1.5 to 5 % off a nominal third-octave centre,
+        unless a neighbouring band is within a ratio of 1.2 (bands narrower than third-octaves).
     """
     try:
         stated = [float(v) for v in frequencies]
@@ -216,7 +219,7 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
 
 
 def index(frequencies: Array, frequency: float) -> int | None:
-    """Return where ``frequency`` (Hz) stands in ``frequencies`` (within 1.5 %), or None.
+    """Return the index of the band within 1.5 % of a frequency in Hz, or None without such a band.
 
     Examples
     --------
@@ -228,7 +231,7 @@ def index(frequencies: Array, frequency: float) -> int | None:
 
 
 def is_middle(frequencies: Array) -> NDArray[np.bool_]:
-    """Return which bands are octaves or thirds from 500 Hz to 2 kHz, (n_bands,); all if none is.
+    """Return True for each band from 500 Hz to 2 kHz, (n_bands,); True for all bands if none is there.
 
     Examples
     --------
@@ -241,9 +244,10 @@ def is_middle(frequencies: Array) -> NDArray[np.bool_]:
 
 
 def correlation(frequencies: Array, per_octave: float) -> Array:
-    """Return the correlation of errors between bands, (n_bands, n_bands): per_octave ** octaves.
+    """Return the correlation of errors between bands, (n_bands, n_bands), by their distance in octaves.
 
-    ``frequencies`` (n_bands,) are in Hz; two bands an octave apart have ``per_octave``, 0 to below 1.
+    ``frequencies`` (n_bands,) are in Hz. ``per_octave``, 0 to below 1, is the correlation of two bands
+    an octave apart; bands n octaves apart have per_octave ** n.
     """
     octave = np.log2(np.asarray(frequencies, dtype=float))
     apart = np.abs(octave[:, np.newaxis] - octave)
@@ -251,7 +255,7 @@ def correlation(frequencies: Array, per_octave: float) -> Array:
 
 
 def bandwidth_factor(frequencies: Array) -> float:
-    """Return bandwidth / centre frequency: 0.71 for octaves, 0.23 for third-octaves.
+    """Return the bandwidth over the centre frequency: 0.71 for octaves, 0.23 for third-octaves.
 
     Neighbouring bands less than half an octave apart count as third-octaves. A single band counts
     as an octave, the more common width.
@@ -262,7 +266,9 @@ def bandwidth_factor(frequencies: Array) -> float:
 
 
 def schroeder_frequency(t: Array, volume: float) -> Array:
-    """Return 2000 sqrt(T / V) in Hz, T in s and V in m³ (Schroeder & Kuttruff 1962).
+    """Return the Schroeder frequency 2000 sqrt(T / V) in Hz (Schroeder & Kuttruff 1962).
+
+    ``t`` is the reverberation time in s, ``volume`` the room's volume in m³.
 
     Examples
     --------
@@ -273,9 +279,10 @@ def schroeder_frequency(t: Array, volume: float) -> Array:
 
 
 def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
-    """Return the mean of T over the octaves 500 and 1000 Hz, or their thirds; else over all bands.
+    """Return the mean reverberation time T in s at middle frequencies.
 
-    T in s, (n_bands,), NaN where missing; NaN if every band is.
+    The mean is over the octaves 500 and 1000 Hz or their third-octaves; without these, over all bands.
+    ``t`` is T in s, (n_bands,), NaN where missing; the mean is NaN if all of T is missing.
 
     Examples
     --------
@@ -291,7 +298,7 @@ def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
 
 @dataclass(frozen=True)
 class Scale:
-    """A quantity that averages over the thirds of an octave, as a function of the value."""
+    """Function of a value, whose mean over three third-octaves gives the octave's value."""
 
     forward: Callable[[Array], Array]
     inverse: Callable[[Array], Array]
@@ -302,20 +309,20 @@ ITSELF = Scale(lambda x: x, lambda x: x, np.ones_like)
 
 
 class Conversion:
-    """Values of some bands in others, thirds or octaves; the module's first lines have the rule.
+    """Conversion of values from third-octaves to octaves, or from octaves to third-octaves.
 
     Parameters
     ----------
     frequencies, wanted : sequence
-        Centre frequencies in Hz.
+        Centre frequencies in Hz of the bands that have values, and of those that get them.
     missing : bool
-        Whether a wanted band that cannot be had has NaN; else it is refused.
+        Whether a wanted band that cannot be converted gets NaN. By default it raises an error.
 
     Raises
     ------
     DataError
-        If an octave lacks one of its thirds, or a third its octave. `obtainable` returns the bands
-        that lack none.
+        If a third-octave of a wanted octave is missing, or the octave of a wanted third-octave.
+        `obtainable` returns the bands that can be converted.
 
     Examples
     --------
@@ -349,9 +356,10 @@ class Conversion:
         return np.where(self._index < 0, np.nan, values[..., self._index])
 
     def mean(self, values: Array, scale: Scale = ITSELF) -> Array:
-        """Return values (..., n_bands) in the new bands, (..., n_wanted); NaN is missing.
+        """Return values (..., n_bands) converted to the wanted bands, (..., n_wanted), NaN if missing.
 
-        They average on a scale, such as `Observable.averaging`; absorption and its sigma as they are.
+        ``scale`` says what is averaged over third-octaves, such as `Observable.averaging`. By default
+        the values themselves are averaged, as for absorption coefficients and their sigma.
         """
         parts = self._taken(checks.array("values", values))
         if parts.shape[-1] == 1:
@@ -359,7 +367,10 @@ class Conversion:
         return np.asarray(scale.inverse(scale.forward(parts).mean(-1)))
 
     def uncertainty(self, uncertainty: Array, values: Array, scale: Scale) -> Array:
-        """Return the standard uncertainty of measured values, both (..., n_bands), (..., n_wanted)."""
+        """Return the standard uncertainty of converted values, (..., n_wanted).
+
+        ``uncertainty`` and ``values`` are those of the measured values, (..., n_bands) each.
+        """
         if in_thirds(self.new) and not in_thirds(self.old):
             return np.asarray(np.sqrt(3) * self._taken(uncertainty)[..., 0])
         by_third = self._taken(scale.slope(values) * uncertainty)
@@ -382,7 +393,7 @@ def obtainable(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
 
 
 def unused(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
-    """Return the bands in Hz of ``frequencies`` that no band of ``wanted`` is made from.
+    """Return the bands in Hz of ``frequencies`` that no ``wanted`` band is converted from.
 
     Examples
     --------
@@ -396,7 +407,7 @@ def unused(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
 
 
 def rule(frequencies: Iterable[float], wanted: Iterable[float], quantity: str) -> str:
-    """Return in a sentence how a quantity is converted; empty where the bands are of one width.
+    """Return a sentence on how a quantity is converted; "" where all bands have the same width.
 
     Examples
     --------
@@ -413,7 +424,7 @@ def rule(frequencies: Iterable[float], wanted: Iterable[float], quantity: str) -
 
 
 def notes(measured: Iterable[float], wanted: Iterable[float], quantity: str = "T") -> list[str]:
-    """Return how a measurement is taken to a room's bands, and the bands that the room lacks.
+    """Return notes on how a measurement is converted to a room's bands, and on bands that are left out.
 
     Examples
     --------
@@ -438,12 +449,12 @@ def _parts(old: Array, new: Array) -> list[list[float]]:
 
 
 def in_thirds(centres: Array) -> bool:
-    """Return whether the bands are third-octaves, because one of them is not an octave's centre."""
+    """Return whether the bands are third-octaves: whether one of them is no octave's centre."""
     return any(f in THIRD_OCTAVES and f not in OCTAVES for f in centres.tolist())
 
 
 def thirds_of(octave: float) -> list[float]:
-    """Return the centre frequencies in Hz of an octave's thirds; another frequency is kept alone."""
+    """Return the centre frequencies in Hz of an octave's third-octaves; any other frequency alone."""
     if octave not in OCTAVES:
         return [octave]
     place = THIRD_OCTAVES.index(octave)

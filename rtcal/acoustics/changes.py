@@ -50,40 +50,41 @@ DIN_18041 = {
     "A4": ("teaching and communication, inclusive", 0.26, -0.14, 30, 500),
     "A5": ("sports", 0.75, -1.00, 200, 10_000),
 }
-"""Uses of group A of DIN 18041:2016-03, occupied rooms (A5: unoccupied): a and b of T = a lg V + b in
-s, least and largest volume in m³."""
+"""Uses of group A of DIN 18041:2016-03 for occupied rooms (A5: unoccupied). Each has a and b of
+T = a lg V + b in s, and the smallest and the largest volume V in m³."""
 DIN_18041_TOLERANCE = {
     125.0: (0.65, 1.45),
     **dict.fromkeys((250.0, 500.0, 1000.0, 2000.0), (0.8, 1.2)),
     4000.0: (0.65, 1.2),
 }
-"""Range of T over the value at middle frequencies; A5 states only 250 to 2000 Hz."""
+"""Range of T by band, over T at middle frequencies. For A5 the standard states 250 to 2000 Hz only."""
 _DIN_SOURCE = (
     "DIN 18041:2016-03, group {}, {}: T = {:.2f} s at middle frequencies (after secondary sources)"
 )
 LONGEST = 100.0
-"""Largest T of a target in s: more is no T of a room, but one in ms or in another unit."""
+"""Largest T of a target in s. A larger number is not T of a room in s, but in ms or another unit."""
 ANSI_S12_60 = ((283.0, 0.6), (566.0, 0.7))
-"""Largest volume in m³ (10,000 and 20,000 ft³) and largest T in s, furnished and unoccupied."""
+"""Largest volume in m³ (10,000 and 20,000 ft³) and largest T in s of a furnished, empty classroom."""
 _ANSI_BANDS = (500.0, 1000.0, 2000.0)
 _ANSI_SOURCE = "ANSI/ASA S12.60: at most {:g} s at 500, 1000 and 2000 Hz (after secondary sources)"
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A range of T per band.
+    """Range in which the reverberation time T should be, per band.
 
     Parameters
     ----------
     low, high : array (n_bands,)
-        In s; NaN where an end is open.
+        Shortest and longest T in s; NaN where there is no such limit.
     source : str
-        Source of the range.
+        Source of the range, such as a standard.
 
     Raises
     ------
     DataError
-        If an end is not above 0 or above 100 s, ``low`` is not below ``high``, or no band has a range.
+        If a limit is not above 0 or is above 100 s, ``low`` is not below ``high``, or no band has a
+        limit.
 
     Examples
     --------
@@ -121,34 +122,34 @@ class Target:
         return np.asarray(np.isfinite(self.low) | np.isfinite(self.high))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return both ends of the range in s and their source as plain numbers and text."""
+        """Return the shortest and the longest T in s and their source as plain numbers and text."""
         ends = {"low": json_numbers(self.low), "high": json_numbers(self.high)}
         return {**ends, "source": self.source}
 
     def widened(self, factor: float) -> Target:
-        """Return the range with both ends moved outwards by a factor of T, to 100 s at most."""
+        """Return the range with T from ``low`` / factor to ``high`` times factor, at most 100 s."""
         return Target(self.low / factor, np.minimum(self.high * factor, LONGEST), self.source)
 
 
 def din_18041(group: str, volume: float, centre_frequencies: Sequence[float] | Array) -> Target:
-    """Return the range of T of DIN 18041:2016, group A, for octaves from 125 to 4000 Hz.
+    """Return the range of T that DIN 18041:2016 requires for a room of group A, per octave.
 
-    T at middle frequencies is a lg V + b; the range is 0.8 to 1.2 of it from 250 to 2000 Hz, and wider
-    at 125 and 4000 Hz. Other bands have no range.
+    T at middle frequencies is a lg V + b. From 250 to 2000 Hz the range is 0.8 to 1.2 times this T; at
+    125 and 4000 Hz it is wider. Other bands have no range.
 
     Parameters
     ----------
     group : {"A1", "A2", "A3", "A4", "A5"}
-        Music, lectures, teaching, inclusive teaching, sports.
+        Use of the room: music, lectures, teaching, inclusive teaching, sports.
     volume : float
-        m³
+        Volume of the room in m³.
     centre_frequencies : sequence (n_bands,)
-        Hz
+        Centre frequencies in Hz.
 
     Raises
     ------
     DataError
-        For another group, or a volume for which the standard states nothing.
+        For any other group, or a volume for which the standard gives no T.
 
     Examples
     --------
@@ -171,9 +172,10 @@ def din_18041(group: str, volume: float, centre_frequencies: Sequence[float] | A
 
 
 def ansi_s12_60(volume: float, centre_frequencies: Sequence[float] | Array) -> Target:
-    """Return the largest T of a classroom after ANSI/ASA S12.60: 0.6 s, above 283 m³ 0.7 s.
+    """Return the longest T that ANSI/ASA S12.60 allows in a classroom: 0.6 s, or 0.7 s above 283 m³.
 
-    Raises DataError above 566 m³, for which it states no T.
+    ``volume`` is in m³, ``centre_frequencies`` in Hz. Raises DataError above 566 m³, for which the
+    standard states no T.
 
     Examples
     --------
@@ -191,7 +193,7 @@ def ansi_s12_60(volume: float, centre_frequencies: Sequence[float] | Array) -> T
 
 
 class TargetTable(FileTable):
-    """The target of a file: a standard, or the ends of the range in s."""
+    """Target of T as a file states it: a standard, or the shortest and the longest T in s."""
 
     standard: Literal["DIN 18041", "ANSI S12.60"] | None = None
     group: str | None = None
@@ -200,10 +202,10 @@ class TargetTable(FileTable):
 
 
 def target_of(table: TargetTable, volume: float, frequencies: Array) -> Target:
-    """Return the target that a file states, in these bands in Hz.
+    """Return the target T that a file states, for bands given by their centre frequencies in Hz.
 
-    Raises DataError if it states both a standard and an end, a ``group`` that no stated standard has,
-    and ends for another number of bands.
+    Raises DataError if the file states both a standard and a limit of T, a ``group`` without a standard
+    that has it, or limits for another number of bands.
     """
     ends = {"low": table.low, "high": table.high}
     stated = [key for key, end in ends.items() if end is not None]
@@ -232,11 +234,11 @@ def target_of(table: TargetTable, volume: float, frequencies: Array) -> Target:
 
 
 OPENING = "opening"
-"""Name of the material of what is opened: alpha = 1, exactly."""
+"""Name of the material of an opening, whose alpha is exactly 1."""
 MOST_ADDED = 10.0
-"""Largest area that is added, in shares of the room's surface: more is a slip of the decimal point."""
+"""Largest area that may be added, over the room's surface. More is a misplaced decimal point."""
 MOST_VOLUME = 100.0
-"""Largest ratio of the volumes before and after: more is a slip of the unit."""
+"""Largest ratio of the larger to the smaller of the volumes before and after. More is a wrong unit."""
 _SAME_AREA = 1e-6
 """Relative difference below which what comes in has the area of what goes out."""
 _CLOSED = 1e-3
@@ -256,38 +258,40 @@ _TAKES: dict[str, dict[str, bool]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """A change of a room: exactly one of cover, add, remove, open, air and volume.
+    """One change of a room: exactly one of cover, add, remove, open, air and volume.
 
     Parameters
     ----------
     cover : str
-        A material of the room: what lies below no longer absorbs, and the total surface stays.
+        Material of the room that is covered and then no longer absorbs. The total surface stays.
     by : Material or str
-        Covering material; a str is a material of the room. Its area is as uncertain as that below it.
+        Covering material; a str names a material of the room. Its area is as uncertain as that of the
+        covered material.
     add : Material or str
-        Something free-standing: the total surface grows, and nothing is covered.
+        Free-standing material that is brought in. The total surface grows, and nothing is covered.
     remove : str
-        Something free-standing: the total surface shrinks. What the room's surfaces have on another one
-        ("floor: audience") leaves that one instead (`changed`).
+        Free-standing material that is taken out, so that the total surface shrinks. A material that
+        lies on a surface of the room ("floor: audience") uncovers that surface instead (`changed`).
     open : str
-        A material of the room, a part of which is opened: alpha = 1 there, exactly.
+        Material of the room of which a part is opened, so that alpha is exactly 1 there.
     area : float
-        In m², of what is covered, removed or opened: all of it if not given. Of what is added, the
-        surface that the sound reaches (both sides of a baffle), at most 10 times the room's; its
-        relative error is that of the room's material, and 0 of a new one.
+        Area in m² that is covered, removed or opened; the whole area of the material by default. For
+        added material, the area that the sound reaches (both sides of a baffle), at most 10 times the
+        room's surface. Its relative error is that of the room's material, and 0 for a new material.
     number : float
-        Of pieces that are added or removed, such as persons, in place of an area: no surface changes.
-        The alpha of a `Material` that is added is then the absorption area of one in m² (`Piece`).
+        Number of pieces, such as persons, that are added or removed in place of an area. No surface
+        changes. The alpha of an added `Material` is then the absorption area of one piece in m²
+        (`Piece`).
     air : Air
-        Another climate: temperature, humidity and pressure.
+        Air after the change: its temperature, humidity and pressure.
     volume : float
-        Another volume in m³. The surfaces stay.
+        Volume after the change in m³. The surfaces stay.
 
     Raises
     ------
     DataError
-        For none or several kinds of change, a key that it has no meaning for, or a value of another
-        kind.
+        For no or several kinds of change, an argument that this kind of change does not have, or a
+        value of the wrong type.
 
     Examples
     --------
@@ -349,22 +353,23 @@ class Change:
 
     @property
     def surface(self) -> str | None:
-        """The room's material that loses area; None if none does."""
+        """Name of the room's material that loses area; None if no material does."""
         going = (self.cover, self.remove, self.open)
         return next((name for name in going if name is not None), None)
 
     @property
     def material(self) -> Material | str | None:
-        """The material that is added; None if none is."""
+        """Material that comes into the room, or its name; None if no material does."""
         if self.open is not None:
             return OPENING
         return self.add if self.by is None else self.by
 
     def exchanged(self, room: Room) -> tuple[float, Material | None]:
-        """Return the area of `surface` in m² that is removed, and the added material with its area.
+        """Return the area in m² that the room's `surface` loses, and the added material with its area.
 
-        Of pieces it is their number. Raises DataError if the room has less of the surface, for more
-        than `MOST_ADDED`, and for an area of pieces or a number of a surface.
+        For pieces their number stands in place of the area. Raises DataError if the room has less of
+        the material, if more than `MOST_ADDED` is added, or if pieces have an area or a surface a
+        number.
         """
         taken, error = self.area or self.number or 0.0, 0.0
         stated = "area" if self.number is None else "number"
@@ -401,9 +406,9 @@ class Change:
         return taken, replace(new, area=taken, area_sigma=error)
 
     def apply(self, room: Room) -> Room:
-        """Return the changed room; DataError if the room does not allow the change.
+        """Return the room after this change; DataError if the room does not allow the change.
 
-        The errors of two areas of one material add up.
+        Where a material gets more area, the errors of its old and its new area add up.
         """
         if self.air is not None:
             return room.with_air(self.air)
@@ -442,20 +447,21 @@ class Change:
 
 
 def name_of(material: Material | str | None) -> str:
-    """Return the name of a material, or the name itself."""
+    """Return the name of a material that is given as an object or by its name."""
     return material.name if isinstance(material, Material) else str(material)
 
 
 def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
-    """Return the room after one or several changes, in their order.
+    """Return the room after one or several changes, made in the given order.
 
-    The room has neither single surfaces nor a scene: these do not say what was covered where.
+    The changed room has neither single surfaces nor a scene, because a change does not say which part
+    of a surface is covered.
 
     Raises
     ------
     DataError
-        If the room lacks a surface or as much of it, or a new material has other coefficients than
-        the room's of this name.
+        If the room has no such surface or less of it, or a new material has the name but not the
+        coefficients of one of the room.
 
     Examples
     --------
@@ -471,11 +477,12 @@ def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
 
 
 def uncovering(room: Room, changes: Sequence[Change]) -> list[Change]:
-    """Return changes in which what is removed is covered by what it lies on, where a surface says so.
+    """Return changes in which removing a material that lies on a surface uncovers that surface.
 
-    A piece on a surface (`rtcal.acoustics.room.lying_on`) leaves that surface; other materials are
-    free-standing. Raises DataError for what is no `Change`, for a material of which only a part lies on
-    others, and for a surface of a closed box, in which nothing is free-standing but what was added.
+    The names of the room's surfaces say what lies on what (`rtcal.acoustics.room.lying_on`); other
+    materials are free-standing. Raises DataError for an object that is no `Change`, for a material of
+    which only a part lies on others, and for a surface of a closed box, in which only what was added is
+    free-standing.
     """
     out = []
     added = {name_of(each.add) for each in changes if isinstance(each, Change)}
@@ -510,25 +517,25 @@ def uncovering(room: Room, changes: Sequence[Change]) -> list[Change]:
 
 DIRECTIONS = ("x", "y", "z", "free", "unknown")
 FREE, UNKNOWN = 3, 4
-"""What stands free faces every way; of the rest it is not known which way."""
+"""Columns for free-standing material, which faces all directions, and for unknown directions."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A room, and which way its materials face: areas in m², (n_materials, 5), by `DIRECTIONS`."""
+    """Room, with the area of each material by direction (`DIRECTIONS`) in m², (n_materials, 5)."""
 
     room: Room
     areas: Array
 
 
 def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None = None) -> Placed:
-    """Return the room after changes, and which way its materials then face.
+    """Return the room after changes, with the area of each material by the direction that it faces.
 
-    What covers a surface faces as the surface does; where a part of a material is covered that faces
-    several ways, each way as much of it. `facing` says which way the materials face before. ``changes``
-    may be the changed room itself. ``like`` is another state, where the room itself does not say: its
-    materials face as they do there; what comes in faces as what it takes the place of, and stands free
-    where nothing went out. Raises DataError as `changed`.
+    `facing` gives the directions before. A covering faces as the surface below it; where a part of a
+    material that faces several directions is covered, each direction loses the same share. ``changes``
+    may be the changed room itself. ``like`` is another state of the room, which gives directions that
+    the room lacks: materials face as there, new material faces as what it replaces, and it is
+    free-standing where it replaces nothing. Raises DataError as `changed`.
     """
     shares = facing(before)
     towards = np.zeros((before.n_materials, len(DIRECTIONS)))
@@ -601,7 +608,7 @@ def _like(towards: Array, room: Room, unknown: Sequence[int], other: Placed) -> 
 
 
 def new_name(taken: Iterable[str], wanted: str) -> str:
-    """Return the wanted name, with a number appended if a taken name looks the same.
+    """Return the wanted name, followed by a number if it looks the same as a name that is taken.
 
     Examples
     --------
@@ -632,11 +639,11 @@ def _material(room: Room, material: Material | str) -> Material:
 
 
 Catalogue = Callable[[str, Any], Material]
-"""Returns the catalogue's material of a name for centre frequencies in Hz."""
+"""Function that returns a catalogue's material from its name and centre frequencies in Hz."""
 
 
 class NewMaterial(FileTable):
-    """A material that is not in the room: alpha and sigma as of `Material`, or a catalogue's name."""
+    """Material that is not in the room yet: its alpha and sigma, or its name in a catalogue."""
 
     name: str
     alpha: list[Number] | None = None
@@ -645,7 +652,7 @@ class NewMaterial(FileTable):
     source: str = ""
 
     def material(self, room: Room, catalogue: Catalogue | None) -> Material:
-        """Return the material in the room's bands; DataError, which names it, for none or two."""
+        """Return the material in the room's bands; DataError unless alpha has exactly one origin."""
         place = f'material "{self.name}"'
         if self.catalogue is None:
             if self.alpha is None:
@@ -668,7 +675,7 @@ class NewMaterial(FileTable):
 
 
 class VariantTable(FileTable):
-    """A variant; without a name it is named after its changes, and without changes it is the room."""
+    """Variant in a file. Its changes are its name by default; without changes it is the room."""
 
     change: list[Change] = []
     name: str | None = None
@@ -677,7 +684,7 @@ class VariantTable(FileTable):
 
 
 class NewPiece(FileTable):
-    """A `Piece` that is not in the room; its number is given by the changes."""
+    """`Piece` that is not in the room yet; the changes give its number."""
 
     name: str
     area_per_piece: list[Number]
@@ -686,7 +693,7 @@ class NewPiece(FileTable):
 
 
 class VariantsFile(FileTable):
-    """A file of variants."""
+    """Tables of a file of variants."""
 
     variant: list[VariantTable] = []
     material: list[NewMaterial] = []
@@ -695,7 +702,7 @@ class VariantsFile(FileTable):
 
 
 class TreatmentsFile(FileTable):
-    """A file of treatments."""
+    """Tables of a file of treatments."""
 
     treatment: list[Treatment]
     target: TargetTable
@@ -705,7 +712,7 @@ class TreatmentsFile(FileTable):
 
 @dataclass(frozen=True)
 class Variant:
-    """A named list of changes and their cost, in any currency.
+    """Changes of a room that are planned together, with a name and a cost in any currency.
 
     Examples
     --------
@@ -717,7 +724,7 @@ class Variant:
     changes: tuple[Change, ...]
     cost: float | None = None
     simulated: Measurement | None = None
-    """What a program gave after the changes."""
+    """Values that a simulation program gave for the room after the changes."""
 
     def __post_init__(self) -> None:
         if self.simulated is not None:
@@ -729,14 +736,15 @@ class Variant:
 def read_variants(
     content: str, room: Room, catalogue: Catalogue | None = None, folder: str | Path = ""
 ) -> tuple[tuple[Variant, ...], Target | None]:
-    """Return the variants of a TOML text, and its target if it states one.
+    """Return the variants of a room that a TOML text states, and its target of T if it states one.
 
-    Files of ``simulated`` are as seen from ``folder``.
+    New materials have one value per band of ``room``. ``catalogue`` returns a material for a name and
+    bands, as `rtcal.datasets.catalogue.material` does. Paths of ``simulated`` files are relative to
+    ``folder``.
 
-    The room's bands are those of the new materials. ``catalogue`` returns a material for a name and
-    bands, such as `rtcal.datasets.catalogue.material`. Raises DataError for an unknown key, a value
-    that breaks a rule, a material that is nowhere stated, a name that is given twice, a change that the
-    room does not allow, or as `target_of`.
+    Raises DataError for an unknown key, a value that breaks a rule, a material that is neither in the
+    room nor in the text, a name that is given twice, a change that the room does not allow, or as
+    `target_of`.
     """
     file = read(VariantsFile, toml_table(content))
     new = _new_materials(file.material, room, catalogue)
@@ -811,33 +819,34 @@ def _with_materials(
 
 
 MOST_COST = 1e9
-"""Largest cost per m²: larger numbers are slips, and leave no digits to the others."""
+"""Largest cost per m². A larger number is a slip, and rounding would then hide the other costs."""
 MOST_PANELS = 500
-"""Most whole panels of a treatment: with more, whole ones are no rule that costs anything."""
+"""Largest number of whole panels of a treatment. With more, rounding to whole panels hardly matters."""
 
 
 @dataclass(frozen=True)
 class Treatment:
-    """A material that may be put into the room.
+    """Material that may be put into the room, with its largest area and its cost.
 
     Parameters
     ----------
     name : str
+        Name of the treatment.
     material : Material or str
-        A str is a material of the room.
+        Material that is put in; a str names a material of the room.
     largest : float
-        Largest area in m².
+        Largest area that may be put in, in m².
     cost : float
-        Per m², in any currency; 0 or more.
+        Cost per m², in any currency; 0 or more.
     covers : str, optional
-        The room's material that it covers; free-standing if not given.
+        Name of the room's material that is covered; the treatment is free-standing by default.
     unit : float, optional
-        Area of one panel in m²; any area if not given.
+        Area of one panel in m², if only whole panels are put in; any area by default.
 
     Raises
     ------
     DataError
-        If a number breaks a rule, or a unit is larger than the largest area.
+        If a number is outside its range, or one panel is larger than the largest area.
 
     Examples
     --------
@@ -872,7 +881,7 @@ class Treatment:
             )
 
     def change(self, area: float) -> Change:
-        """Return the change that puts an area of the material in m² into the room."""
+        """Return the change that puts an area in m² of the treatment's material into the room."""
         if self.covers is None:
             return Change(add=self.material, area=area)
         return Change(cover=self.covers, by=self.material, area=area)
@@ -881,9 +890,9 @@ class Treatment:
 def read_treatments(
     content: str, room: Room, catalogue: Catalogue | None = None
 ) -> tuple[tuple[Treatment, ...], Target, float]:
-    """Return the treatments, the target and the probability of a TOML text.
+    """Return the treatments that a TOML text states, its target of T, and the probability to reach it.
 
-    Parameters are those of `read_variants`, and so are the errors.
+    Parameters and errors are those of `read_variants`.
     """
     file = read(TreatmentsFile, toml_table(content))
     new, treatments = _new_materials(file.material, room, catalogue), []
@@ -898,7 +907,10 @@ def read_treatments(
 
 
 def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treatment, ...]:
-    """Return the treatments; DataError for none, two of one name, or one that does not fit the room."""
+    """Return the treatments once they are checked.
+
+    Raises DataError if there is none, if two have one name, or if one does not fit the room.
+    """
     listed = tuple(treatments)
     for treatment in listed:
         checks.instance("treatment", treatment, Treatment)
@@ -914,25 +926,25 @@ def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treat
 
 
 UNKNOWN_SHARE = 0.2
-"""Share of the absorption area whose direction may be unknown: such objects as chairs and curtains."""
+"""Largest share of the absorption area whose direction may be unknown, as of chairs and curtains."""
 _WHOLE = 0.9
 """Share of a material's area whose direction must be known for the material's."""
 NOT_KNOWN = (
     "nothing says in which direction the room's surfaces face: state axis for each [[surface]], "
     "dimensions or a mesh, or name the surfaces floor, ceiling and walls"
 )
-"""Why an effect is not judged in a room whose directions are not known."""
+"""Sentence on why uneven absorption is not judged in a room whose surfaces have unknown directions."""
 
 
 def facing(room: Room, geometry: Any = None) -> Array:
-    """Return each material's shares of area across x, y and z, (n_materials, 3); NaN where unknown.
+    """Return the shares of each material's area that face x, y and z, (n_materials, 3), NaN if unknown.
 
-    In this order: the faces of a ``geometry``, a `rtcal.simulators.Polyhedron` in place of the room's
-    surfaces (an oblique face counts by the squares of its normal, a material that it lacks is unknown);
-    the ``axis`` of a surface, a name of a surface or of a material that says floor, ceiling or wall
-    (English, German, French, Spanish, Italian, Portuguese), an area that is that of faces of the box of
-    the room's ``dimensions``, and what is left of that box, or of a room whose floor or ceiling is
-    named. Named walls without a box share x and y by halves.
+    With a ``geometry``, a `rtcal.simulators.Polyhedron`, the directions are those of its faces: an
+    oblique face counts by the squares of its normal, and a material without a face is unknown. Without
+    it, the first of these that applies gives them: the ``axis`` of a surface; a name of a surface or
+    material that means floor, ceiling or wall (English, German, French, Spanish, Italian, Portuguese);
+    an area equal to that of faces of the box of the room's ``dimensions``; the rest of that box, or of
+    a room whose floor or ceiling is named. Walls without a box face x and y by halves.
     """
     if geometry is not None:
         rows = {name: row for row, name in enumerate(room.materials)}
@@ -964,7 +976,10 @@ def facing(room: Room, geometry: Any = None) -> Array:
 
 
 def enough_known(room: Room, shares: Array) -> bool:
-    """Return whether the directions of most of the absorption are known; ``shares`` as of `facing`."""
+    """Return whether the directions of most of the room's absorption area are known.
+
+    ``shares`` (n_materials, 3) are the directions of the materials, as `facing` returns them.
+    """
     unknown = np.isnan(shares).any(axis=1) & room.is_surface
     absorbed = (room.areas[:, np.newaxis] * room.alpha).sum(axis=1)
     return bool((~unknown).any() and absorbed[unknown].sum() <= UNKNOWN_SHARE * absorbed.sum())
@@ -1003,7 +1018,7 @@ _NO_COMPOUNDS = ("leinwand", "vorwand", "gewand")
 
 
 def kind_of(name: str) -> str | None:
-    """Return "floor", "ceiling", "wall" or "floor and ceiling" if a name has such a word, else None.
+    """Return "floor", "ceiling", "wall" or "floor and ceiling" if a name has a word for it, else None.
 
     Examples
     --------

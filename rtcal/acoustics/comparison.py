@@ -34,13 +34,16 @@ from rtcal.support.types import Array
 
 WORDS = "rtcal.report.of_comparison"
 NOTICED = 1.0
-"""Deviation in JND from which on a parameter disagrees, unless its uncertainty is as large."""
+"""Deviation in JND from which on run and measurement disagree, unless its uncertainty is larger."""
 _BINS = 2000  # of an exponential decay over twice its T
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Comparison(Result):
-    """A run beside a measurement; each table is by parameter, (n_bands,) or (n_pairs, n_bands)."""
+    """Deviation of a simulation run from the measurement, by parameter, band and pair.
+
+    Each table is a mapping by parameter, such as ``"t20"``, to values (n_bands,) or (n_pairs, n_bands).
+    """
 
     record_kind: ClassVar[str] = "comparison"
     words_in: ClassVar[str] = WORDS
@@ -51,63 +54,69 @@ class Comparison(Result):
     )
 
     run: Run
-    """Of a program, or of the equation itself."""
+    """Simulation run that is compared: a program's, or T of the equation itself."""
     measured: Measurement
     equation: LinearEquation
     of_equation: bool = False
-    """Whether the run is the equation's T."""
+    """Whether the run is T of the equation and no program's."""
 
     def __post_init__(self) -> None:
         _ = self.compared  # raises where nothing is in common
 
     @cached_property
     def compared(self) -> Beside:
-        """Run and measurement with what both have, and what one of them lacks (`Run.beside`)."""
+        """Values that both run and measurement have, and what one of them lacks (`Run.beside`)."""
         return self.run.beside(self.measured)
 
     @property
     def sides(self) -> tuple[Measurement, Measurement]:
-        """Run and measurement with what both have."""
+        """Simulated and measured values that are compared, in this order."""
         return self.compared.run, self.compared.measured
 
     @property
     def lacking(self) -> Mapping[str, Lacking]:
-        """Parameters that are not compared, and the side without them."""
+        """Parameters that cannot be compared, each with the side (run or measurement) that lacks it."""
         return {} if self.of_equation else self.compared.lacking
 
     @property
     def left_out(self) -> list[str]:
-        """What of a run is not compared, in sentences."""
+        """Sentences on the values that are not compared."""
         return [] if self.of_equation else self.compared.left_out()
 
     @cached_property
     def pairs(self) -> tuple[Pair, ...]:
-        """The pairs that both have, (n_pairs,); () where means are compared."""
+        """Source-receiver pairs that both sides have, (n_pairs,); () where means are compared."""
         run, measured = self.sides
         return () if run.is_summary or run.pairs != measured.pairs else tuple(run.pairs)
 
     @cached_property
     def deviation(self) -> dict[str, Array]:
-        """Run less measured, of means, in JND, the largest first."""
+        """Deviation simulated - measured of the means over the pairs, in JND, (n_bands,) per parameter.
+
+        The parameter with the largest deviation is first.
+        """
         run, measured = self.sides
         found = {p: gap_jnd(run.mean(p), measured.mean(p), p) for p in measured.values}
         return dict(sorted(found.items(), key=lambda each: -np.nanmax(np.abs(each[1]))))
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """What is compared, the largest deviation first."""
+        """Names of the compared parameters, the one with the largest deviation first."""
         return (*self.deviation,)
 
     @cached_property
     def at_pairs(self) -> dict[str, Array]:
-        """The same at each of `pairs`, (n_pairs, n_bands); {} without any."""
+        """Deviation simulated - measured at each pair, in JND, (n_pairs, n_bands); {} without pairs."""
         run, measured = self.sides
         each = self.parameters if self.pairs else ()
         return {p: gap_jnd(run.values[p], measured.values[p], p) for p in each}
 
     @cached_property
     def pair_uncertainty(self) -> dict[str, Array]:
-        """Standard uncertainty in JND at one pair: the stated one, else what teams differ by there."""
+        """Standard uncertainty of the measured value at each pair in JND, (n_pairs, n_bands).
+
+        It is the measurement's; where none is stated, the reproducibility between measuring teams.
+        """
         found, measured = {}, self.sides[1]
         for p in self.at_pairs:
             kind, values = OBSERVABLES[p], measured.values[p]
@@ -119,11 +128,11 @@ class Comparison(Result):
 
     @cached_property
     def uncertainty(self) -> dict[str, Array]:
-        """Standard uncertainty of a deviation in JND, (n_bands,); NaN where it is unknown.
+        """Standard uncertainty of the mean `deviation` in JND, (n_bands,); NaN where it is unknown.
 
-        The measurement's own, and what the run states. Where pairs are compared and the measurement
-        states none, the spread counts by which their deviations differ, and not that of the values,
-        which run and measurement share.
+        It combines the uncertainty of the measured mean with the one that the run states. If the
+        measurement states no uncertainty and pairs are compared, the spread of the deviations over the
+        pairs takes its place, because run and measurement share the spread of the values.
         """
         run, measured = self.sides
         found = {}
@@ -153,12 +162,13 @@ class Comparison(Result):
 
     @cached_property
     def coefficients(self) -> dict[str, Array]:
-        """Mean and standard deviation of the deviation that coefficients explain, in JND, (2, n_bands).
+        """Mean and standard deviation of the deviation that coefficients can explain, (2, n_bands).
 
-        By the equation's T, of the sigma of the run's coefficients and of what coefficients of a source
-        have in common (`rtcal.acoustics.room_errors`). The mean of T20, or else T30, is 0. Others
-        follow T as in an exponential decay, so that their mean is what T's own deviation carries along.
-        A room that was calibrated leaves nothing open: its coefficients were chosen for T.
+        Both are in JND. They follow through the equation's T from the sigma of the run's coefficients
+        and from the errors that these have in common (`rtcal.acoustics.room_errors`). The mean is 0 for
+        T20, or else T30. Other parameters follow T as in an exponential decay, so that a deviation of T
+        gives their mean. Coefficients of a calibrated room explain nothing, because they were chosen
+        for T.
         """
         room, n = self.run.room, self.run.room.n_bands
         own_covariance = prior_covariance(room).reshape(room.n_materials, n, room.n_materials, n)
@@ -195,7 +205,7 @@ class Comparison(Result):
 
     @cached_property
     def disagrees(self) -> dict[str, NDArray[np.bool_]]:
-        """Where a deviation exceeds one JND and twice its uncertainty."""
+        """Whether a `deviation` exceeds one JND and twice its uncertainty, (n_bands,) of bool."""
         return {
             p: np.abs(d) > np.fmax(NOTICED, LARGE_Z * self.uncertainty[p])
             for p, d in self.deviation.items()
@@ -203,7 +213,10 @@ class Comparison(Result):
 
     @cached_property
     def explained(self) -> dict[str, NDArray[np.bool_]]:
-        """Where the `coefficients` explain a disagreement of the run, within one JND or the rest."""
+        """Whether the `coefficients` explain a disagreement, (n_bands,) of bool.
+
+        They do if what remains of the deviation is within one JND or twice its standard uncertainty.
+        """
         return {
             p: where
             & (
@@ -215,18 +228,18 @@ class Comparison(Result):
         }
 
     def known(self, parameter: str) -> Array:
-        """Return the uncertainty in JND, (n_bands,), with 0 where it is unknown."""
+        """Return a parameter's `uncertainty` in JND, (n_bands,), with 0 where it is unknown."""
         return np.nan_to_num(self.uncertainty[parameter])
 
     @cached_property
     def of_the_equation(self) -> Array:
-        """The equation's T less the run's in JND, (n_bands,); NaN where the run has no T."""
+        """Deviation T of the equation - T of the run, in JND, (n_bands,); NaN without T of the run."""
         run, times = self.run.simulated, self.equation.reverberation_time(self.run.room)
         return gap_jnd(times, run.reverberation_time, REVERBERATION[0].key)
 
     @property
     def sentence(self) -> str:
-        """The answer: what disagrees, by how much and where."""
+        """Sentence on what disagrees, by how much and in which bands."""
         words: str = import_module(WORDS).sentence(self)
         return words
 
@@ -258,26 +271,29 @@ def compare(
     *,
     equation: LinearEquation | None = None,
 ) -> Comparison:
-    """Compare a program's values with the measurement, by parameter, band and pair.
+    """Compare a simulation program's values with the measurement, by parameter, band and pair.
 
     Parameters
     ----------
     room : Room
+        Room that was measured.
     measured : Measurement
+        Measured room-acoustic parameters.
     run : Run, optional
-        Of ``room``, with its coefficients or others. Without one the equation's T is the run.
+        Run of the program for ``room``, with any coefficients. By default T of the equation is
+        compared.
     equation : LinearEquation, optional
-        Says what the coefficients leave open; by default Eyring's.
+        Reverberation equation by which errors of the coefficients change T; by default Eyring's.
 
     Returns
     -------
     Comparison
-        It prints one sentence that says where they disagree, and one table.
+        Comparison, which prints a sentence on where run and measurement disagree, and a table.
 
     Raises
     ------
     DataError
-        If the run is of another room, or run and measurement have nothing in common.
+        If the run is of another room, or run and measurement have no parameter and band in common.
 
     Examples
     --------

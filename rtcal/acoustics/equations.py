@@ -30,27 +30,27 @@ from rtcal.support.errors import DataError, InfeasibleError, ModelError, of_band
 from rtcal.support.types import Array
 
 PAPER_SPEED_OF_SOUND = 24 * np.log(10) / 0.164
-"""Speed of sound (336.97 m/s) that gives the paper's rounded constant 0.164 s/m. It serves only to
-reproduce the paper's numbers."""
+"""Speed of sound in m/s that gives the rounded constant 0.164 s/m of Bellows & Katz (2025). It serves
+only to reproduce their numbers."""
 
 
 @runtime_checkable
 class Equation(Protocol):
-    """Anything that predicts the reverberation time of a room."""
+    """Reverberation equation: any object that predicts the reverberation time of a room."""
 
     name: ClassVar[str]
 
     def reverberation_time(self, room: Room) -> Array:
-        """Return T in s, (n_bands,)."""
+        """Return the reverberation time T of a room in s, (n_bands,)."""
         ...
 
 
 @dataclass(frozen=True)
 class ReverberationEquation(ABC):
-    """Base of rtcal's equations, with the constant 24 ln 10 / c and the air's 4mV."""
+    """Base of rtcal's reverberation equations, with the constant 24 ln 10 / c and the air's 4mV."""
 
     speed_of_sound: float | None = None
-    """c in m/s; from the room's air if it is not given."""
+    """Speed of sound c in m/s; that of the room's air by default."""
 
     name: ClassVar[str] = ""
     key: ClassVar[str] = ""
@@ -63,10 +63,10 @@ class ReverberationEquation(ABC):
 
     @abstractmethod
     def reverberation_time(self, room: Room) -> Array:
-        """Return T in s, (n_bands,)."""
+        """Return the reverberation time T of a room in s, (n_bands,)."""
 
     def absorption_area(self, room: Room, t: Array) -> Array:
-        """Raise ModelError: T does not determine the absorption area in this equation."""
+        """Raise ModelError, because T does not determine the absorption area in this equation."""
         raise ModelError(
             f"{self.name}'s equation is not a function of the mean absorption coefficient, so T does "
             "not determine the absorption area; calibrate it in the closed loop with "
@@ -74,7 +74,7 @@ class ReverberationEquation(ABC):
         )
 
     def room_constant(self, room: Room) -> float:
-        """Return 24 ln 10 / c in s/m."""
+        """Return the constant k = 24 ln 10 / c of T = k V / A in s/m, about 0.161."""
         checks.instance("room", room, Room)
         return float(24 * np.log(10) / (self.speed_of_sound or room.speed_of_sound))
 
@@ -86,57 +86,51 @@ class ReverberationEquation(ABC):
 
 
 EQUATIONS: dict[str, type[ReverberationEquation]] = {}
-"""Every equation by its key."""
+"""Reverberation equations by their keys."""
 
 E = TypeVar("E", bound=ReverberationEquation)
 
 
 def register(equation: type[E]) -> type[E]:
-    """Name an equation in `EQUATIONS`; a class decorator."""
+    """Add an equation to `EQUATIONS` (a class decorator)."""
     EQUATIONS[equation.key] = equation
     return equation
 
 
 def equation_keys(kind: type[Any] = ReverberationEquation) -> tuple[str, ...]:
-    """Return the keys of the equations that are of one class, in alphabetical order.
-
-    Examples
-    --------
-    >>> from rtcal.acoustics.equations import LinearEquation
-    >>> equation_keys(LinearEquation)
-    ('eyring', 'kuttruff', 'sabine')
-    """
+    """Return the keys of the equations that are of a given class, in alphabetical order."""
     return tuple(sorted(key for key, e in EQUATIONS.items() if issubclass(e, kind)))
 
 
 @dataclass(frozen=True)
 class MeanEquation(ReverberationEquation):
-    """An equation whose exponent is a function E of the mean of h(alpha) over the walls.
+    """Equation in which T depends on one mean over the walls, such as the mean absorption coefficient.
 
-    E and h are the identity unless an equation defines them. All methods take arrays of any shape,
-    element by element.
+    The absorption exponent is a function E of the mean of h(alpha), the contribution of each wall,
+    weighted by area. E and h are the identity unless an equation defines them. All methods take arrays
+    of any shape, element by element.
     """
 
     largest_alpha: ClassVar[float] = np.inf
-    """The coefficient of one wall up to which h is finite in a room model."""
+    """Absorption coefficient of one wall up to which its contribution h is finite in a room model."""
     wrong_when_diffuse: ClassVar[bool] = False
-    """Whether theory says another T of a diffuse field."""
+    """Whether theory gives another T than the equation in a diffuse field."""
 
     @property
     def largest_mean(self) -> float:
-        """The mean up to which the exponent rises and can be inverted."""
+        """Mean up to which the absorption exponent rises, so that T determines the mean."""
         return np.inf
 
     def contribution(self, alpha: Array) -> Array:
-        """Return h(alpha), the contribution of a wall to the mean."""
+        """Return the contribution h(alpha) of a wall to the mean."""
         return np.asarray(alpha)
 
     def coefficient(self, contribution: Array) -> Array:
-        """Return the alpha of a wall that makes this contribution (the inverse of `contribution`)."""
+        """Return the absorption coefficient of a wall from its `contribution` (the inverse)."""
         return np.asarray(contribution)
 
     def contribution_slope(self, alpha: Array) -> Array:
-        """Return dh / d alpha."""
+        """Return the derivative of a wall's `contribution` by its absorption coefficient."""
         return np.ones_like(alpha)
 
     def exponent(self, mean: Array) -> Array:
@@ -144,29 +138,33 @@ class MeanEquation(ReverberationEquation):
         return np.asarray(mean)
 
     def inverse(self, exponent: Array) -> Array:
-        """Return the mean that has this exponent, NaN where none has: the inverse of `exponent`."""
+        """Return the mean that has an absorption exponent, or NaN (inverse of `exponent`)."""
         return np.asarray(exponent)
 
     def slope(self, mean: Array) -> Array:
-        """Return d exponent / d mean."""
+        """Return the derivative of the absorption exponent by the mean."""
         return np.ones_like(mean)
 
     def linear(self) -> LinearEquation:
-        """Return the linear equation that a calibration inverts for this one: itself, or Eyring's.
+        """Return the equation that a calibration inverts in place of this one.
 
-        Eyring's has the same T if all coefficients are equal.
+        It is this equation if T depends on the absorption area alone, else Eyring's, which gives the
+        same T if all coefficients are equal.
         """
         return self if isinstance(self, LinearEquation) else Eyring(self.speed_of_sound)
 
     def diffuse_field(self) -> MeanEquation:
-        """Return the equation that the T of simulators follows in a diffuse field: itself, or Eyring's.
+        """Return the equation that a simulator's T follows in a diffuse field: this one, or Eyring's.
 
-        The difference between a simulator and it then shows the error of the room's model alone.
+        The deviation of a simulator from that equation then shows the error of the room's model alone.
         """
         return Eyring(self.speed_of_sound) if self.wrong_when_diffuse else self
 
     def reverberation_time(self, room: Room) -> Array:
-        """Return T in s, (n_bands,); infinite where nothing absorbs (Eqs. 1 to 3)."""
+        """Return the reverberation time T of a room in s, (n_bands,), infinite without absorption.
+
+        Source: Bellows & Katz (2025), Eqs. 1 to 3.
+        """
         checks.instance("room", room, Room)
         walls = room.is_surface
         mean = room.areas[walls] @ self.contribution(room.alpha[walls]) + room.area_of_pieces
@@ -176,66 +174,82 @@ class MeanEquation(ReverberationEquation):
 
 @dataclass(frozen=True)
 class LinearEquation(MeanEquation):
-    """An equation in which T depends on alpha only through S'alpha: h(alpha) = alpha."""
+    """Equation in which T depends on the absorption coefficients only through the absorption area.
+
+    The absorption area S'alpha is the sum of area times coefficient in m². A calibration needs such an
+    equation, because the measured T then gives the absorption area.
+    """
 
     @property
     def largest_mean(self) -> float:
-        """The mean coefficient up to which T falls; the inverse covers only this branch."""
+        """Mean absorption coefficient up to which T falls; T is inverted only up to there."""
         return 1.0
 
     def time(self, room: Room, absorption_area: Array) -> Array:
-        """Return T in s for the surfaces' absorption area S'alpha in m², both (..., n_bands)."""
+        """Return the reverberation time T in s for an absorption area of the surfaces in m².
+
+        Both have the shape (..., n_bands).
+        """
         checks.instance("room", room, Room)
         exponent = self.exponent(absorption_area / room.total_area)
         return self._time(room, room.total_area * exponent)
 
     def target(self, room: Room, t: Array) -> Array:
-        """Return b in m², (..., n_bands), for T in s, without a check that the bounds can reach it.
+        """Return the absorption area in m² that gives T in s, also if no coefficients reach it.
 
-        b is below 0 where T is longer than the air alone allows, and NaN where T is NaN or where
-        no mean absorption coefficient has the exponent that T asks for.
+        Both have the shape (..., n_bands). The area is below 0 where T is longer than the air alone
+        allows, and NaN where T is NaN or no mean absorption coefficient gives T.
         """
         return np.asarray(room.total_area * self.inverse(self.exponent_of_time(room, t)))
 
     def exponent_of_time(self, room: Room, t: Array) -> Array:
-        """Return the absorption exponent (k V / T - 4 m V) / S that T in s asks for, (..., n_bands)."""
+        """Return the absorption exponent (k V / T - 4 m V) / S that gives T in s, (..., n_bands)."""
         with np.errstate(over="ignore"):
             total = self.room_constant(room) * room.volume / np.asarray(t, dtype=float)
         return np.asarray((total - 4 * room.air_attenuation * room.volume) / room.total_area)
 
     def target_sensitivity(self, room: Room, t: Array) -> Array:
-        """Return db/dT in m²/s, (n_bands,): negative, since a longer T needs less absorption."""
+        """Return the derivative of the absorption area by T in m²/s, (n_bands,).
+
+        It is negative, since a longer T needs less absorption.
+        """
         t = np.asarray(t, dtype=float)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             total_slope = -self.room_constant(room) * room.volume / t**2
             return np.asarray(total_slope / self.slope(self.target(room, t) / room.total_area))
 
     def air_share(self, room: Room, absorption_area: Array) -> Array:
-        """Return the air's share 4mV / (S a + 4mV) of the whole absorption, (n_bands,)."""
+        """Return the air's share of the whole absorption, 4mV / (S a + 4mV), (n_bands,).
+
+        ``absorption_area`` is that of the surfaces in m², from which the exponent a follows.
+        """
         air = 4 * room.air_attenuation * room.volume
         total = room.total_area * self.exponent(absorption_area / room.total_area) + air
         return np.asarray(np.divide(air, total, out=np.zeros_like(air), where=total > 0))
 
     def absorption_area(self, room: Room, t: Array) -> Array:
-        """Return the absorption area b that the surfaces need for T (Eqs. 5 and 6).
+        """Return the absorption area that the surfaces need for a measured reverberation time T.
+
+        Source: Bellows & Katz (2025), Eqs. 5 and 6.
 
         Parameters
         ----------
         room : Room
+            Room with its volume, areas and air.
         t : array (n_bands,)
             Measured T in s; NaN where missing.
 
         Returns
         -------
         array (n_bands,)
-            b in m², from 0 to the total area; NaN where T is.
+            Absorption area in m², from 0 to the total area; NaN where T is missing.
 
         Raises
         ------
         DataError
             If T has another shape, is infinite, or is not above 0.
         InfeasibleError
-            If no coefficients from 0 to 1 give T; the message says which T would do.
+            If no coefficients from 0 to 1 give T; the message names the T that can be reached.
         """
         checks.instance("room", room, Room)
         t = checks.array("T", t)
@@ -266,9 +280,10 @@ class LinearEquation(MeanEquation):
 
 
 def mean_equation(key: str, place: str = "equation") -> MeanEquation:
-    """Return the equation with this key, which must have one exponent per room.
+    """Return the equation with this key, whose T depends on one mean over the walls.
 
-    Raises DataError, which names ``place``, for any other key.
+    Raises DataError, which names ``place``, for an unknown key and for equations that treat the axes
+    apart, such as Fitzroy's.
 
     Examples
     --------
@@ -291,7 +306,9 @@ _LARGEST_EXPONENT = 25.0
 @register
 @dataclass(frozen=True)
 class Eyring(LinearEquation):
-    """Eyring's equation: a = -ln(1 - mean alpha) (Eyring 1930; Bellows & Katz 2025, Eqs. 3, 6).
+    """Eyring's equation, with the absorption exponent a = -ln(1 - mean alpha).
+
+    T = k V / (S a + 4 m V), with k = 24 ln 10 / c (Eyring 1930; Bellows & Katz 2025, Eqs. 3, 6).
 
     Examples
     --------
@@ -307,22 +324,22 @@ class Eyring(LinearEquation):
 
     @property
     def largest_mean(self) -> float:
-        """1 - exp(-25): above it, the mean coefficient determines T only to rounding."""
+        """Largest mean coefficient, 1 - exp(-25), above which rounding errors of T are too large."""
         return float(-np.expm1(-_LARGEST_EXPONENT))
 
     def exponent(self, mean: Array) -> Array:
-        """Return -ln(1 - mean alpha), infinite at 1."""
+        """Return the absorption exponent -ln(1 - mean alpha), infinite for a mean of 1."""
         with np.errstate(divide="ignore"):
             return np.asarray(-np.log1p(-np.minimum(mean, 1.0)))
 
     def inverse(self, exponent: Array) -> Array:
-        """Return 1 - exp(-exponent); NaN above 25, where it would lose T to rounding."""
+        """Return the mean coefficient 1 - exp(-exponent); NaN above 25, where it would round T."""
         with np.errstate(over="ignore"):
             mean = -np.expm1(-np.asarray(exponent, dtype=float))
         return np.asarray(np.where(np.asarray(exponent) > _LARGEST_EXPONENT, np.nan, mean))
 
     def slope(self, mean: Array) -> Array:
-        """Return 1 / (1 - mean alpha)."""
+        """Return the derivative 1 / (1 - mean alpha) of the absorption exponent by the mean."""
         with np.errstate(divide="ignore"):
             return np.asarray(1 / (1 - np.minimum(mean, 1.0)))
 
@@ -330,9 +347,9 @@ class Eyring(LinearEquation):
 @register
 @dataclass(frozen=True)
 class Sabine(LinearEquation):
-    """Sabine's equation: a = mean alpha (Sabine 1922; Bellows & Katz 2025, Eqs. 2 and 5).
+    """Sabine's equation, with the mean absorption coefficient as absorption exponent.
 
-    E and h of a `MeanEquation` are both the identity.
+    T = k V / (S mean alpha + 4 m V), k = 24 ln 10 / c (Sabine 1922; Bellows & Katz 2025, Eqs. 2, 5).
 
     Examples
     --------
@@ -352,11 +369,12 @@ class Sabine(LinearEquation):
 @register
 @dataclass(frozen=True)
 class Millington(MeanEquation):
-    """Millington and Sette: the surfaces' exponents are averaged, S a = -sum S_i ln(1 - alpha_i).
+    """Millington and Sette's equation, which averages the surfaces' exponents -ln(1 - alpha_i) by area.
 
-    One surface with alpha = 1 makes T zero. T equals Eyring's if and only if all coefficients are
-    equal. T does not determine the absorption area, the sum of S_i alpha_i, so that a calibration needs
-    the closed loop (`rtcal.calibrate_simulator`).
+    The absorption exponent is a = -sum S_i ln(1 - alpha_i) / S. One surface with alpha = 1 makes T
+    zero. T equals Eyring's if and only if all coefficients are equal. Rooms with the same T can differ
+    in absorption area (the sum of S_i alpha_i), so that `rtcal.calibrate` cannot use this equation: use
+    `rtcal.calibrate_simulator`, which repeats simulation and calibration in turn.
 
     References
     ----------
@@ -378,16 +396,16 @@ class Millington(MeanEquation):
     wrong_when_diffuse: ClassVar[bool] = True  # a small open window makes T zero
 
     def contribution(self, alpha: Array) -> Array:
-        """Return the wall's exponent -ln(1 - alpha), infinite at 1."""
+        """Return a wall's absorption exponent -ln(1 - alpha), infinite for alpha = 1."""
         with np.errstate(divide="ignore"):
             return np.asarray(-np.log1p(-np.asarray(alpha, dtype=float)))
 
     def coefficient(self, contribution: Array) -> Array:
-        """Return 1 - exp(-contribution)."""
+        """Return the absorption coefficient 1 - exp(-exponent) of a wall with this exponent."""
         return np.asarray(-np.expm1(-np.asarray(contribution, dtype=float)))
 
     def contribution_slope(self, alpha: Array) -> Array:
-        """Return 1 / (1 - alpha)."""
+        """Return the derivative 1 / (1 - alpha) of a wall's exponent by its coefficient."""
         with np.errstate(divide="ignore"):
             return np.asarray(1 / (1 - np.asarray(alpha, dtype=float)))
 
@@ -395,18 +413,20 @@ class Millington(MeanEquation):
 @register
 @dataclass(frozen=True)
 class Kuttruff(LinearEquation):
-    """Kuttruff's equation: a = a' (1 - gamma² a' / 2), a' = -ln(1 - mean alpha).
+    """Kuttruff's equation, which corrects Eyring's exponent for the variance of the free paths.
 
-    gamma² is the relative variance of the free paths. The exponent peaks at a' = 1 / gamma², for
-    gamma² = 0.4 at a mean coefficient of 0.918. The equation does not hold beyond the peak. A T
-    shorter than at the peak is refused.
+    The absorption exponent is a = a' (1 - gamma² a' / 2), with Eyring's a' = -ln(1 - mean alpha) and
+    the relative variance gamma² of the free paths. It peaks at a' = 1 / gamma², for gamma² = 0.4 at a
+    mean coefficient of 0.918. The equation does not hold beyond the peak, so that a shorter T than
+    there raises an error.
 
     Parameters
     ----------
     speed_of_sound : float, optional
-        c in m/s; from the room's air if it is not given.
+        Speed of sound in m/s; that of the room's air by default.
     path_variance : float
-        gamma², above 0 and at most 1; 0.4 suits rooms of usual proportions.
+        Relative variance gamma² of the free paths, above 0 and at most 1; 0.4 suits rooms of usual
+        proportions.
 
     References
     ----------
@@ -433,11 +453,11 @@ class Kuttruff(LinearEquation):
 
     @property
     def largest_mean(self) -> float:
-        """Largest mean alpha of the equation, 1 - exp(-1 / gamma²), where T is shortest."""
+        """Largest mean coefficient of the equation, 1 - exp(-1 / gamma²), at which T is shortest."""
         return float(-np.expm1(-1 / self.path_variance))
 
     def exponent(self, mean: Array) -> Array:
-        """Return a' (1 - gamma² a' / 2); ModelError beyond the peak, where it does not hold."""
+        """Return the exponent a' (1 - gamma² a' / 2); ModelError for a mean beyond its peak."""
         beyond = np.atleast_1d(mean) > self.largest_mean * (1 + 1e-12)
         if beyond.any():
             error = ModelError(
@@ -449,7 +469,7 @@ class Kuttruff(LinearEquation):
         return np.asarray(eyring * (1 - self.path_variance * eyring / 2))
 
     def inverse(self, exponent: Array) -> Array:
-        """Return the mean coefficient below the peak; NaN for an exponent above the peak's."""
+        """Return the mean coefficient that gives an exponent; NaN for an exponent above the peak."""
         # The quotient keeps the digits of small exponents. Up to 1e-14 is rounding at the peak.
         inside = 1 - 2 * self.path_variance * np.asarray(exponent, dtype=float)
         inside = np.where(inside < 0, np.where(inside > -1e-14, 0.0, np.nan), inside)
@@ -457,7 +477,7 @@ class Kuttruff(LinearEquation):
         return np.asarray(-np.expm1(-eyring))
 
     def slope(self, mean: Array) -> Array:
-        """Return (1 - gamma² a') / (1 - mean alpha), 0 at the peak."""
+        """Return the derivative (1 - gamma² a') / (1 - mean alpha) of the exponent, 0 at its peak."""
         eyring = -np.log1p(-np.asarray(mean, dtype=float))
         return np.asarray((1 - self.path_variance * eyring) / (1 - np.asarray(mean)))
 
@@ -505,9 +525,10 @@ class _AxisEquation(ReverberationEquation):
 @register
 @dataclass(frozen=True)
 class Fitzroy(_AxisEquation):
-    """Fitzroy: the arithmetic mean of the axes' Eyring times, weighted by their areas.
+    """Fitzroy's equation: T is the arithmetic mean of the axes' Eyring T, weighted by area.
 
-    T = sum (S_x / S) T_x,  T_x = (24 ln 10 / c) V / (-S ln(1 - alpha_x) + 4 m V).
+    T = sum (S_x / S) T_x,  T_x = (24 ln 10 / c) V / (-S ln(1 - alpha_x) + 4 m V), where S_x is the area
+    of the surfaces perpendicular to axis x, and alpha_x their mean absorption coefficient.
 
     References
     ----------
@@ -518,16 +539,17 @@ class Fitzroy(_AxisEquation):
     key: ClassVar[str] = "fitzroy"
 
     def combined(self, shares: Array, times: Array) -> Array:
-        """Return the arithmetic mean."""
+        """Return the arithmetic mean of the axes' T in s, weighted by their shares of the area."""
         return np.asarray(np.sum(shares * times, axis=0))
 
 
 @register
 @dataclass(frozen=True)
 class ArauPuchades(_AxisEquation):
-    """Arau-Puchades: the geometric mean of the axes' Eyring times, weighted by their areas.
+    """Arau-Puchades' equation: T is the geometric mean of the axes' Eyring T, weighted by area.
 
-    T = product T_x^(S_x / S),  T_x as in `Fitzroy`.
+    T = product T_x^(S_x / S). S_x is the area of the surfaces perpendicular to axis x, and T_x is as in
+    `Fitzroy`.
 
     References
     ----------
@@ -538,6 +560,6 @@ class ArauPuchades(_AxisEquation):
     key: ClassVar[str] = "arau"
 
     def combined(self, shares: Array, times: Array) -> Array:
-        """Return the geometric mean."""
+        """Return the geometric mean of the axes' T in s, weighted by their shares of the area."""
         with np.errstate(divide="ignore"):
             return np.asarray(np.exp(np.sum(shares * np.log(times), axis=0)))

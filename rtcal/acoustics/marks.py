@@ -39,9 +39,11 @@ __dir__ = __all__.copy
 
 
 def gap_jnd(model: Array, measured: Array, parameter: str = TARGET.key) -> Array:
-    """Return (model - measured) in JND, signed, same shape; NaN where either is missing.
+    """Return the deviation model - measured in just noticeable differences (JND), with its sign.
 
-    One JND of a decay time is 5 % of the measured one (ISO 3382-1:2009, Table A.1).
+    ``model`` and ``measured`` are values of ``parameter``, such as "t20", of one shape; the deviation
+    is NaN where either is missing. One JND of a decay time is 5 % of the measured value (ISO
+    3382-1:2009, Table A.1).
 
     Examples
     --------
@@ -54,7 +56,7 @@ def gap_jnd(model: Array, measured: Array, parameter: str = TARGET.key) -> Array
 
 
 def rms(values: Array, axis: int | tuple[int, ...] | None = None) -> Any:
-    """Return the root mean square of the known values over some axes; NaN without a known value."""
+    """Return the root mean square over some axes of the values that are not NaN; NaN if all are."""
     known = np.isfinite(values)
     squares = np.where(known, values, 0.0) ** 2
     with np.errstate(invalid="ignore"):
@@ -62,34 +64,38 @@ def rms(values: Array, axis: int | tuple[int, ...] | None = None) -> Any:
 
 
 MET = 0.5
-"""Gap in JND below which the words count the measured T as met: half of what can be heard."""
+"""Deviation in JND below which texts call the measured T met: half a just noticeable difference."""
 P_CONTRADICTION = 0.05
-"""Below this p-value, prior and measurement contradict each other: the usual level of 5 %."""
+"""p-value below which input coefficients and measured T contradict each other: the usual 5 %."""
 LARGE_Z = 2.0
-"""z of a band that contradicts the input coefficients."""
+"""Deviation z, in standard deviations, above which a band contradicts the input coefficients."""
 P_TOO_GOOD = 0.99
-"""Above this p-value, prior and measurement agree too well to be true.
+"""p-value above which input coefficients and measured T agree too well to be true.
 
-If prior and measurement are right, the p-value is uniform, so 1 room in 100 is marked by chance. If
-all standard deviations are f times too large, P(chi² < f² chi²_0.01) of the rooms are marked. In
-six octaves these are 25 % for f = 2 and 75 % for f = 3, in 18 thirds 94 % for f = 2."""
+With right standard deviations the p-value is uniform, so that 1 room in 100 is marked by chance. If
+all standard deviations are f times too large, P(chi² < f² chi²_0.01) of the rooms are marked: in six
+octaves 25 % for f = 2 and 75 % for f = 3, in 18 third-octaves 94 % for f = 2."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plausibility:
-    """Agreement of prior and measurement. The gap cannot show it, because a calibration closes it."""
+    """Agreement of the measured T with the input coefficients, judged by their uncertainties.
+
+    The deviation after a calibration cannot show it, because the calibration removes the deviation.
+    """
 
     z: Array
-    """b - S'mu over its standard deviation, (n_bands,); NaN where nothing was matched."""
+    """Absorption area that T needs less that of the input coefficients, over its standard deviation,
+    (n_bands,); NaN where no T was matched."""
     q: float
-    """z'R^-1 z, R the correlation of z between bands; the sum of z² where the bands are independent."""
+    """Sum of z² over the bands; if bands are correlated, z'R^-1 z with the correlation R of z."""
     degrees_of_freedom: int
-    """One per matched band, not one per coefficient."""
+    """Number of bands in which T was matched."""
     p_value: float | None
-    """The probability of a larger q if prior and measurement are right. None where a bound is active,
-    because then q is not chi-square."""
+    """Probability of a larger q if input and measurement are right. None where a coefficient is at a
+    bound, because q is then not chi-square distributed."""
     p_together: float | None = None
-    """The same if the coefficients may also be off together, as `rtcal.finder` assumes
+    """p-value if the coefficients may also be too high or too low together, as `rtcal.finder` assumes
     (`rtcal.acoustics.room_errors`). None where these errors are not known."""
 
 
@@ -97,11 +103,12 @@ Agreement = Literal["contradicts", "agrees", "too good"]
 
 
 def agreement(p_value: float | None, p_together: float | None = None) -> Agreement | None:
-    """Return whether measurement and prior contradict, agree, or agree too well to be true.
+    """Return whether measured T and input coefficients contradict, agree, or agree too well to be true.
 
-    Too well: S'mu is nearer to b than the stated uncertainties make likely. Then a sigma or u_T is
-    too large, or T was calculated from these coefficients. None without a p-value. What coefficients
-    that are off together explain (``p_together``, of `Plausibility`) is no contradiction.
+    They agree too well if T of the input coefficients is nearer to the measured T than the stated
+    uncertainties make likely: an uncertainty is then too large, or T was calculated from these
+    coefficients. A deviation that coefficients explain which are off together is no contradiction
+    (``p_together``, as in `Plausibility`). None without a p-value.
     """
     if p_value is None:
         return None
@@ -113,24 +120,25 @@ def agreement(p_value: float | None, p_together: float | None = None) -> Agreeme
 def plausibility(
     difference: Array, covariance: Array, bound_active: bool, together: Array | None = None
 ) -> Plausibility:
-    """Return how well T agrees with the input: z per band, and Q over all bands.
+    """Return how well the measured T agrees with the input coefficients, per band and over all bands.
 
     Parameters
     ----------
     difference : array (n_bands,)
-        b - S'mu in m², NaN where nothing was measured.
+        Absorption area that the measured T needs less that of the input coefficients, in m²; NaN
+        where no T was measured.
     covariance : array (n_bands, n_bands)
-        Covariance of ``difference``, if prior and measurement are right.
+        Covariance of ``difference`` in m⁴, if input and measurement are right.
     bound_active : bool
-        Whether a coefficient stands at a bound: then there is no p-value.
+        Whether a calibrated coefficient is at a bound. There is then no p-value.
     together : array (n_errors, n_bands), optional
-        Changes of ``difference`` by one standard deviation each of what coefficients are off by
-        together.
+        Changes of ``difference`` in m² by one standard deviation of each error that the coefficients
+        have in common.
 
     Raises
     ------
     DataError
-        If the covariance is not finite or of another size.
+        If the covariance is not finite or does not have the size of ``difference``.
 
     Examples
     --------
@@ -173,10 +181,10 @@ def _chi_square(difference: Array, covariance: Array) -> float:
 
 @dataclass(frozen=True)
 class TrustMark:
-    """A reason to doubt one band, with its ``frequency`` in Hz, or the whole room, with None.
+    """Caution about one band or the whole room: a reason to doubt the result there.
 
-    ``kind`` names it, ``letter`` stands for it in tables, ``text`` states the fact and ``advice``
-    says what to do.
+    ``kind`` is the name of the reason, ``frequency`` the band in Hz (None for the whole room),
+    ``letter`` its sign in tables, ``text`` the fact and ``advice`` the next step.
     """
 
     kind: str
@@ -187,28 +195,28 @@ class TrustMark:
 
     @property
     def title(self) -> str:
-        """Name of the kind in words."""
+        """Name in words of the reason for the caution."""
         return self.kind.replace("_", " ").replace("schroeder", "Schroeder")
 
     @property
     def is_error(self) -> bool:
-        """Whether the mark is a likely typing error, which a result states before anything else."""
+        """Whether the caution is a likely typing error, which results print before anything else."""
         return self.kind.endswith("_error")
 
     @property
     def as_error(self) -> str:
-        """A likely typing error, with its band if it has one."""
+        """Sentence part that states a likely typing error, with its band if it has one."""
         where = "" if self.frequency is None else f" at {self.frequency:g} Hz"
         return f"likely a typing error{where}: {self.text}"
 
     @property
     def checked(self) -> str:
-        """What may be mistyped: a value in one band, else what all bands have in common."""
+        """Input that may be mistyped: a value in one band, or what all bands have in common."""
         return "areas, volume and T" if self.frequency is None else "this value"
 
     @property
     def sentence(self) -> str:
-        """What is doubted, with what to do, for messages."""
+        """Sentence with the doubtful fact and the next step, for messages."""
         if not self.is_error:
             return f"{self.text}: {self.advice}"
         return f"{self.as_error}. Check {self.checked} before anything else"
@@ -322,25 +330,29 @@ _ADVICE: dict[str, tuple[str, str]] = {
 
 
 def mark(kind: str, frequency: float | None, text: str, advised: str = "") -> TrustMark:
-    """Return the mark of a kind; ``advised`` is the kind whose advice it has, by default its own."""
+    """Return the caution of a kind.
+
+    ``advised`` is the kind whose advice the caution gets, by default its kind.
+    """
     letter, advice = _ADVICE[advised or kind]
     return TrustMark(kind, letter, frequency, text, advice)
 
 
 FAR = 4.0
-"""Ratio of T20 or T30 to both neighbouring bands from which on it counts as mistyped."""
+"""Ratio of T20 or T30 to both neighbouring bands above which the value is likely mistyped."""
 FAR_AT_END = 6.0
-"""The same of the first and of the last band, which have one neighbour."""
+"""Ratio of T20 or T30 in the first or last band to its neighbour above which it is likely mistyped."""
 FAR_ELSE = 10.0
-"""The same of EDT and Ts, which direct sound makes short, and of alpha: a resonator is a peak."""
+"""Ratio above which EDT, Ts (shortened by direct sound) or alpha (resonators) is likely mistyped."""
 
 
 def far_from_neighbours(values: Array, *, late: bool = True) -> NDArray[np.bool_]:
-    """Return which values (n_bands,) are far above or below those of the bands beside them.
+    """Return True for values (n_bands,) that are far above or below those of the bands beside them.
 
-    Each jump between neighbouring bands begins a new group, unless it leads back to an earlier one. The
-    largest group is right. None is flagged where two groups are equally large. Values that are not
-    above 0 are missing. Unless ``late`` (T20 or T30), the first and the last band are not judged.
+    A jump between neighbouring bands begins a new group of bands, unless it leads back to an earlier
+    group. All values outside the largest group are far off, but none if two groups are equally large.
+    Values that are not above 0 count as missing. The first and the last band are judged only if
+    ``late``, for T20 and T30.
     """
     found = np.zeros(len(values), dtype=bool)
     with np.errstate(invalid="ignore"):
@@ -367,9 +379,10 @@ def far_from_neighbours(values: Array, *, late: bool = True) -> NDArray[np.bool_
 def of_row(
     frequencies: Array, values: Array, name: str, unit: str = "", *, late: bool = True
 ) -> list[TrustMark]:
-    """Return the marks of the values of one row (n_bands,) that are likely mistyped.
+    """Return a caution for each value of one row (n_bands,) that is likely mistyped.
 
-    ``name`` is what is printed: "T30 (S1 to R2)", "alpha of floor".
+    ``name`` is the printed name of the row, such as "T30 (S1 to R2)" or "alpha of floor". ``late`` says
+    whether the row is T20 or T30.
 
     Examples
     --------
@@ -389,7 +402,7 @@ def of_row(
 
 
 def in_measurement(measured: Measurement) -> list[TrustMark]:
-    """Return the marks of mistyped times of a measurement, T20 and T30 first."""
+    """Return a caution for each decay time that is likely mistyped, T20 and T30 first."""
     kinds = [OBSERVABLES[key] for key in measured.values]
     late = [o for o in REVERBERATION if o in kinds]
     out = []
@@ -401,20 +414,20 @@ def in_measurement(measured: Measurement) -> list[TrustMark]:
 
 
 LEAST_OF_BOX, MOST_OF_BOX = 0.9, 1.4
-"""Surface of a room over that of the box of its dimensions. Furniture and steps add up to 0.4; what
-stands against a wall, or a corner that is cut off, takes 0.1."""
+"""Least and largest likely surface of a room, over that of the box of its dimensions. Furniture and
+steps add up to 0.4; objects against a wall, or a corner that is cut off, take 0.1."""
 FLATTEST, FLAT = 20.0, 10.0
-"""Length and width over height where no dimensions are stated: of the flattest room, of a usual one."""
+"""Length and width over height of the flattest and of a usual room, where no dimensions are stated."""
 _SLIPS = (0.1, 10.0), (0.01, 100.0)
 _CORRECTED = 0.2
 """Largest relative difference from the box with which an area counts as mistyped by such a factor."""
 
 
 def surface_limits(room: Room, flattest: float = FLATTEST) -> tuple[float, float]:
-    """Return the least and the most surface in m² of a room of these dimensions, or of this volume.
+    """Return the least and the largest likely surface of a room in m², from its size.
 
-    Without dimensions they are 0.9 times that of a cube, and that of a box ``flattest`` times as long
-    and wide as high.
+    The size is that of its dimensions. Without them, the limits are 0.9 times the surface of a cube of
+    this volume, and the surface of a box that is ``flattest`` times as long and wide as high.
     """
     if room.dimensions is not None:
         box = _surface_of_box(*room.dimensions)
@@ -429,11 +442,11 @@ def _surface_of_box(x: float, y: float, z: float) -> float:
 
 
 def likely_slips(room: Room) -> list[tuple[str, Room]]:
-    """Return each likely slip of a decimal point: the value in words, and the corrected room.
+    """Return likely slips of a decimal point, each as a text and the room with the corrected value.
 
-    A slip is one area, or the volume, that is 10 or 100 times too large or too small, so that the
-    room has a likely surface once it is corrected. The list is empty where the surface is likely
-    already, and where more than two slips would explain it.
+    A slip is an area, or the volume, that is 10 or 100 times too large or too small. The corrected room
+    has a likely surface (`surface_limits`). The list is empty where the surface is likely already, and
+    where more than two slips could be the reason.
 
     Examples
     --------
@@ -476,7 +489,7 @@ def _slipped(room: Room, i: int, factor: float) -> tuple[str, Room]:
 
 
 def of_surface(room: Room) -> list[TrustMark]:
-    """Return the mark of areas that enclose no room of the stated dimensions, or else of the volume.
+    """Return a caution if the areas do not fit the room's dimensions or, without these, its volume.
 
     Examples
     --------
@@ -513,10 +526,10 @@ which on a decimal point or a unit is wrong. Empty and furnished rooms differ by
 def of_unit(
     times: Array, stated: Array, name: str = "T", of: str = "that of the input coefficients"
 ) -> list[TrustMark]:
-    """Return the mark of a T that differs by one factor in all bands from T of the stated coefficients.
+    """Return a caution if T is in another unit: off by one large factor in all bands.
 
-    ``times`` are the measured T and ``stated`` those of the coefficients in s, (n_bands,), NaN where
-    missing; ``name`` and ``of`` are both in words.
+    ``times`` are the measured T and ``stated`` T of the input coefficients in s, (n_bands,), NaN where
+    missing. ``name`` and ``of`` name the two in the text.
 
     Examples
     --------
@@ -544,10 +557,11 @@ def of_input(
     times: Array | None = None,
     mistyped: Sequence[TrustMark] = (),
 ) -> tuple[TrustMark, ...]:
-    """Return the doubts about a room and its T that stand before every result, in one order.
+    """Return the cautions about a room and its measured T that are printed before every result.
 
-    The measured T, ``times`` in s, (n_bands,), NaN where missing, is compared with Eyring's of the
-    stated coefficients. ``mistyped`` are the marks of single values of T, as `of_row` returns them.
+    ``times`` is the measured T in s, (n_bands,), NaN where missing; it is compared with Eyring's T of
+    the input coefficients. ``mistyped`` are the cautions about single values of T that `of_row`
+    returns.
     """
     marks = of_surface(room)
     if room.dimensions is not None:
@@ -571,10 +585,10 @@ _ALLOWED = 2.0
 
 
 def bent_decays(measured: Measurement) -> tuple[TrustMark, ...]:
-    """Return the marks of bands whose mean decay over the positions is bent.
+    """Return a caution for each band whose decay is curved in the mean over the positions.
 
-    A band is bent if T30/T20 or EDT/T20 leaves 1 by more than its limit and twice the scatter of
-    the ratio in straight decays. Only positions that have both parameters count.
+    A decay counts as curved if T30/T20 or EDT/T20 differs from 1 by more than its limit and by more
+    than twice its scatter in straight decays. Only positions that have both parameters count.
     """
     texts: dict[float, list[str]] = {}
     for parameter, slope in of_kind(DecaySlope).items():
@@ -604,20 +618,20 @@ _AIR_SHARE = 0.5
 _ODD_UNCERTAINTY = 0.3
 """Of T, relative. Single decays of 0.3 s at 63 Hz, the least certain, scatter by 0.24."""
 OFF_VOLUME = 0.1
-"""Relative difference of the volume from that of the stated dimensions: plans are no more precise."""
+"""Relative difference that is allowed between the volume and that of the stated dimensions."""
 _WIDE_SIGMA = 0.5
 """The standard deviation of a coefficient of which nothing is known, uniform from 0 to 1, is 0.29."""
 
 
 def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
-    """Return the mark of a room whose absorption is so uneven that equations differ by over one JND.
+    """Return a caution if absorption is so uneven that reverberation equations differ by over one JND.
 
-    Compared are Eyring's T, for which all surfaces count alike, and Arau-Puchades', for which the
-    surfaces of each axis count for themselves (`rtcal.acoustics.equations.ArauPuchades`), with the
-    coefficients of ``room``. ``shares`` (n_materials, 3) are the directions of each material, as
-    `rtcal.acoustics.changes.facing` returns them; unknown ones count a third each. Where most of the
-    absorption has no known direction the mark says that this is not judged, if the equations
-    differed with all of the material that absorbs most across one axis.
+    T of Eyring's equation, in which all surfaces count alike, is compared with T of Arau-Puchades',
+    which treats the axes apart. ``shares`` (n_materials, 3) are the shares of each material's area that
+    face x, y and z, as `rtcal.acoustics.changes.facing` returns them; unknown ones count a third each.
+    Where most of the absorption has no known direction, the caution says that this could not be judged.
+    It is then given only if the equations would differ with all of the most absorbing material on one
+    axis.
     """
     known, total = enough_known(room, shares), room.total_area
     absorbed = np.where(np.isnan(shares[:, 0]), room.areas * room.alpha.mean(axis=1), -1.0)
@@ -652,15 +666,16 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
 def z_within_bounds(
     room: Room, difference: Array, variance: Array, shift: Array, active: NDArray[Any]
 ) -> Array:
-    """Return z of bands in which coefficients stand at bounds, (n_bands,); NaN elsewhere.
+    """Return z in bands where calibrated coefficients are at bounds, (n_bands,); NaN in other bands.
 
-    It is the distance of the nearest point within the bounds that has the measured T from what was
-    stated, in standard deviations, which tells the probability beyond it to first order (Hasofer & Lind
-    1974, J. Eng. Mech. Div. ASCE 100, 111-121): z² is the sum of the squared shifts of the coefficients
-    at bounds, over sigma, and r² over its variance, where r of b - S'mu is left to the others.
+    z is the distance in standard deviations from the input to the nearest coefficients within the
+    bounds that give the measured T (Hasofer & Lind 1974, J. Eng. Mech. Div. ASCE 100, 111-121). z² is
+    the sum of (shift / sigma)² over the coefficients at bounds, plus r² over its variance, where r is
+    the part of the difference that the other coefficients have to make up for.
 
-    ``difference`` and ``variance`` (n_bands,) are b - S'mu in m², and its variance without bounds.
-    ``shift`` (n_materials, n_bands) is alpha - mu, ``active`` where it stands at a bound.
+    ``difference`` and ``variance`` (n_bands,) are the absorption area that T needs less that of the
+    input coefficients, in m², and its variance without bounds. ``shift`` (n_materials, n_bands) is the
+    change of the coefficients; ``active`` is not 0 for those at a bound.
 
     Examples
     --------
@@ -695,23 +710,25 @@ def trust_marks(
     unreachable: Sequence[float] = (),
     bent: Sequence[TrustMark] = (),
 ) -> tuple[TrustMark, ...]:
-    """Return every reason to doubt single bands or the room.
+    """Return the cautions that follow from a calibration, about single bands or the whole room.
 
     Parameters
     ----------
     room : Room
+        Room before the calibration.
     measured, uncertainty : array (n_bands,)
-        T and its standard uncertainty in s; NaN where missing or unknown.
+        Measured T and its standard uncertainty in s; NaN where missing or unknown.
     air_share : array (n_bands,)
-        The air's share of the whole absorption.
+        Share of the air in the whole absorption.
     active : array (n_materials, n_bands)
-        Where a coefficient stands at a bound: -1 for the lower, 1 for the upper one, else 0.
+        State of each coefficient: -1 at its lower bound, 1 at its upper bound, else 0.
     z : array (n_bands,)
-        See `Plausibility`; where a coefficient stands at a bound as of `z_within_bounds`.
+        Deviation of T from the input in standard deviations, as in `Plausibility`; where a
+        coefficient is at a bound, as `z_within_bounds` returns it.
     unreachable : sequence of float
-        Centre frequencies in Hz of bands that were moved to the nearest end.
+        Centre frequencies in Hz of bands whose T could not be reached.
     bent : sequence of TrustMark
-        Those of `bent_decays`.
+        Cautions about curved decays, as `bent_decays` returns them.
     """
     marks: list[TrustMark] = []
 
@@ -766,12 +783,12 @@ def trust_marks(
 
 
 def letters(marks: Sequence[TrustMark], frequency: float) -> str:
-    """Return the letters of a band's marks, without repeats; empty if it has none."""
+    """Return the letters of the cautions about a band, without repeats; "" if it has none."""
     return "".join(dict.fromkeys(m.letter for m in marks if m.frequency == frequency))
 
 
 def grouped(marks: Sequence[TrustMark]) -> Iterator[tuple[TrustMark, list[str]]]:
-    """Yield the first mark of each kind and advice, and the facts of all of them."""
+    """Yield the first caution of each kind and advice, with the facts of all cautions of that group."""
     for kind, advice in dict.fromkeys((mark.kind, mark.advice) for mark in marks):
         alike = [mark for mark in marks if (mark.kind, mark.advice) == (kind, advice)]
         facts = []
@@ -782,7 +799,7 @@ def grouped(marks: Sequence[TrustMark]) -> Iterator[tuple[TrustMark, list[str]]]
 
 
 def cautions(marks: Sequence[TrustMark]) -> list[str]:
-    """Return the marks as cautions, grouped by advice: "Caution [s] 125 Hz: facts. Advice."."""
+    """Return the cautions as texts, grouped by advice: "Caution [s] 125 Hz: facts. Advice."."""
     return [
         f"Caution{f' [{first.letter}]' if first.letter else ':'} {'; '.join(facts)}. "
         f"{as_sentence(first.advice)}"

@@ -51,24 +51,24 @@ from rtcal.support.text import decimal_comma, first_of
 from rtcal.support.types import Array, read_only
 
 MAX_POSITIONS = 12
-"""Largest number of source-receiver pairs that the uncertainty of a mean counts: the number that the
+"""Largest number of source-receiver pairs that lowers the uncertainty of a mean: the number that the
 precision method of ISO 3382-2:2008, Table 1, requires."""
 
 
 Pair = tuple[str, str]
 
 SAME_PLACE = 0.01
-"""Distance in m within which two positions are one place: no microphone is put back more exactly."""
+"""Distance in m within which two positions count as one: no microphone is put back more exactly."""
 MOST_REPEATS = 1000
-"""Largest number of repeats at one place that are numbered."""
+"""Largest number of repeated measurements at one position."""
 _NUMBERED = re.compile(r"(.*\S)\s*#\d+", re.ASCII | re.DOTALL)
 
 
 def of_names(names: Iterable[str]) -> dict[str, str]:
-    """Return the place of each name that repeats another: ``R1#2`` repeats ``R1``.
+    """Return the original name of each name that marks a repeat, such as ``R1`` for ``R1#2``.
 
-    A number after # is a repeat's if a digit stands before it, or if the name without it is there,
-    too. Three seats "Seat #1", "Seat #2" and "Seat #3" stay three.
+    A number after # marks a repeat if the character before # is a digit, or if the name without the
+    number is also given. "Seat #1", "Seat #2" and "Seat #3" alone are three positions.
 
     Examples
     --------
@@ -85,7 +85,7 @@ def of_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def names_of_repeats(receiver: str) -> Iterator[str]:
-    """Yield the names of a receiver's repeats: ``R1``, ``R1#2``, ``R1#3`` and so on.
+    """Yield the names for repeated measurements at a receiver: ``R1``, ``R1#2``, ``R1#3`` and so on.
 
     Raises DataError after `MOST_REPEATS`.
     """
@@ -99,7 +99,7 @@ def names_of_repeats(receiver: str) -> Iterator[str]:
 
 
 def places_of(pairs: Sequence[Pair]) -> list[Pair]:
-    """Return the place of each pair, (n_pairs,), by the names of sources and receivers.
+    """Return the source-receiver pair that each pair is or repeats, (n_pairs,), by their names.
 
     Raises DataError for names that look alike (`rtcal.support.checks.look_alike`).
     """
@@ -128,7 +128,7 @@ def _mean_by_place(table: Array, placed: Sequence[Pair], power: int) -> Array:
 
 
 def note_of_repeats(placed: Iterable[Pair]) -> list[str]:
-    """Return a note on places that were measured several times; [] without any.
+    """Return a list with a note on pairs that were measured several times; empty without such pairs.
 
     Examples
     --------
@@ -143,9 +143,9 @@ def note_of_repeats(placed: Iterable[Pair]) -> list[str]:
 
 
 def refuse_milliseconds(parameter: str, values: Array, frequencies: Array) -> None:
-    """Raise DataError for decay times (..., n_bands) beyond the limits of their observable.
+    """Raise DataError for decay times (..., n_bands) above the limits of their parameter.
 
-    No room has them, but many have as much in ms.
+    No room has such times in s, but many rooms have them in ms.
 
     Examples
     --------
@@ -166,7 +166,7 @@ def refuse_milliseconds(parameter: str, values: Array, frequencies: Array) -> No
 
 
 def require_repeats(placed: Sequence[Pair], place: str) -> None:
-    """Raise DataError for stated repeats where every place, (n_pairs,), is there once."""
+    """Raise DataError if repeats are stated, but each pair is there only once, (n_pairs,)."""
     if len({*placed}) == len(placed):
         raise DataError(
             f"{place}: repeats=True has no effect, because every source and receiver occurs "
@@ -175,7 +175,7 @@ def require_repeats(placed: Sequence[Pair], place: str) -> None:
 
 
 class MeasurementTable(FileTable):
-    """A measurement as plain values, as `Measurement.to_dict` returns them; None is missing."""
+    """Measurement as plain values, as `Measurement.to_dict` returns them; None where missing."""
 
     values: dict[str, list[list[Number | None]]]
     centre_frequencies: list[Number] = []
@@ -189,25 +189,26 @@ class MeasurementTable(FileTable):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measurement:
-    """Room-acoustic parameters by source-receiver pair and band.
+    """Measured or simulated room-acoustic parameters, by source-receiver pair and band.
 
     Parameters
     ----------
     centre_frequencies : array (n_bands,)
-        Hz, increasing.
+        Centre frequencies in Hz, increasing.
     values : mapping of str to array (n_pairs, n_bands)
-        By parameter (a key of `rtcal.acoustics.observables.OBSERVABLES`), in its unit; NaN is missing,
-        and normal.
+        Values of each parameter, such as ``"t20"`` (a key of
+        `rtcal.acoustics.observables.OBSERVABLES`), in its unit. NaN stands for a missing value.
     pairs : sequence of (source, receiver)
-        Names, (n_pairs,). The single pair ``("*", "*")`` is a summary: means over several pairs.
-        ``("S1", "R1#2")`` is a repeat of ``("S1", "R1")``: the repeats' mean is kept, as one pair.
+        Names of source and receiver, (n_pairs,). The single pair ``("*", "*")`` marks a summary, whose
+        values are means over several pairs. ``("S1", "R1#2")`` is a repeat of ``("S1", "R1")``; repeats
+        are averaged to one pair.
     standard_deviation : mapping of str to array (n_bands,)
-        Standard deviation over the pairs of a summary (not the uncertainty of the mean).
+        Standard deviation over the pairs that a summary averages (not the uncertainty of the mean).
     uncertainty : mapping of str to array (n_pairs, n_bands)
         Stated standard uncertainty of each value, where the measurer knows it.
     common_uncertainty : mapping of str to array (n_bands,)
-        Beside it, the standard uncertainty that all pairs of a band have in common: equipment,
-        evaluation, climate. It does not average out.
+        Standard uncertainty that all pairs of a band have in common, in addition to ``uncertainty``:
+        equipment, evaluation, climate. It does not average out.
     n_sources, n_receivers : int, optional
         Numbers of sources and receivers that a summary averages.
 
@@ -264,12 +265,12 @@ class Measurement:
         sources: Mapping[str, str] | None = None,
         receivers: Mapping[str, str] | None = None,
     ) -> Measurement:
-        """Return the measurement in which some names repeat others: one position, their mean.
+        """Return the measurement with the values of repeated measurements averaged to one position.
 
         Parameters
         ----------
         sources, receivers : mapping of str to str, optional
-            The place of each repeat: ``receivers={"R2": "R1", "R3": "R1"}``.
+            Name of the position that each name repeats: ``receivers={"R2": "R1", "R3": "R1"}``.
 
         Raises
         ------
@@ -374,11 +375,11 @@ class Measurement:
         return blocks.notebook(self._description, [Table(labels, rows, corner="mean ± u")])
 
     def refuse_other_units(self) -> None:
-        """Raise DataError for decay times in ms, and uncertainties in percent.
+        """Raise DataError for decay times in ms, and for uncertainties in percent.
 
-        The former are as `refuse_milliseconds` says, the latter larger than the value or than its whole
-        range. Functions that take measured data call this method. Simulated data are not checked: a
-        simulation with few paths may be as uncertain, and a simulated decay of any length.
+        `refuse_milliseconds` has the rule for times. An uncertainty is in percent if it is larger than
+        the value or than the parameter's whole range. Only measured data are checked, because a
+        simulation with few paths may be so uncertain, and its decay may have any length.
         """
         for parameter, table in self.values.items():
             refuse_milliseconds(parameter, table, self.centre_frequencies)
@@ -406,7 +407,7 @@ class Measurement:
 
     @property
     def is_summary(self) -> bool:
-        """Whether the values are means over several pairs."""
+        """Whether the values are means over several source-receiver pairs."""
         return self.pairs == ((SUMMARY, SUMMARY),)
 
     @classmethod
@@ -431,16 +432,16 @@ class Measurement:
         pairs: Sequence[tuple[str, str]],
         uncertainty: Mapping[str, Array] | None = None,
     ) -> Measurement:
-        """Return the measurement of energy decays (n_pairs, n_bands, n_bins).
+        """Return the parameters of energy decays (n_pairs, n_bands, n_bins), whose bins are in s.
 
-        ``uncertainty`` states the standard uncertainty of parameters, by name, (n_pairs, n_bands).
+        ``uncertainty`` is the standard uncertainty of each parameter by its name, (n_pairs, n_bands).
 
         Raises
         ------
         TooShortError
-            If a decay is cut off before it holds T20: a mean over the other pairs would hide it.
+            If a decay is too short for T20, which a mean over the other pairs would hide.
         DataError
-            If a decay has no T20 at all, since nothing is reflected.
+            If a decay has no T20 at all, because nothing is reflected.
         """
         f, pairs = bands.as_bands(centre_frequencies), checks.pairs("pairs", pairs)
         energy = checks.shaped("energy", energy, len(pairs), len(f), "n_bins")
@@ -470,10 +471,9 @@ class Measurement:
         )
 
     def mean(self, parameter: str) -> Array:
-        """Return the arithmetic mean over the pairs that have a value, (n_bands,), NaN if none has.
+        """Return the arithmetic mean of a parameter over the pairs that have it, (n_bands,), else NaN.
 
-        Arithmetic, over the same pairs in model and measurement: the mean of a ratio is not the
-        ratio of means. Raises DataError for a name that is no parameter.
+        Raises DataError for a name that is no parameter.
         """
         observable(parameter)
         if parameter not in self.values:
@@ -485,25 +485,25 @@ class Measurement:
 
     @property
     def time_label(self) -> str:
-        """Name of the reverberation time that is matched: T20, T30, or both."""
+        """Name of the reverberation time that a calibration matches: T20, T30, or both."""
         used = {parameter_label(p) for p in self.reverberation_parameter if p}
         return " and ".join(sorted(used)) or TARGET.label
 
     def mean_uncertainty(self, parameter: str) -> Array:
-        """Return the standard uncertainty u of `mean`, (n_bands,), NaN where it is unknown.
+        """Return the standard uncertainty of a parameter's `mean`, (n_bands,), NaN where it is unknown.
 
-        If all values of a band state their uncertainty, u follows from it with independent errors.
-        If a common uncertainty is given beside it, u² = max(that, s² / n_eff) + common².
-        Else, for T20 and T30, u² = max(s² / n_eff, ISO 3382-2's variance), with s
-        the standard deviation over pairs. n_eff is the larger of the numbers of sources and
-        receivers, since pairs that share a source are not independent. ISO 3382-2:2008, Eqs. 4 and
-        5, with N the number of pairs and n = 10.
+        If all values of a band state an uncertainty, the mean's u follows from these as independent
+        errors. Otherwise, for T20 and T30, u² is the larger of s² / n_eff and the variance of
+        ISO 3382-2:2008, Eqs. 4 and 5 (N pairs, n = 10 decays). s is the standard deviation over the
+        pairs. n_eff is the larger of the numbers of sources and of receivers, because pairs that share
+        a source are not independent. A stated common uncertainty is added to u² as its square; u² from
+        the values' uncertainties is then at least s² / n_eff.
 
-        n_eff and N are at most `MAX_POSITIONS`, 12. More pairs do not average out what all pairs
-        share: equipment, evaluation, climate. At one pair in the music studio of the PTB, T30
-        differed between teams by 4.6 % (125 Hz) to 1.3 % (4 kHz) (standard deviations, Bork 2005).
-        With N = 12, T = 1 s and octaves, ISO 3382-2's variance keeps u at 2.9 % (125 Hz) to 0.5 %
-        (4 kHz) or more. State the uncertainty where teams or days are to be compared.
+        n_eff and N are at most `MAX_POSITIONS`, 12, because more pairs do not average out errors that
+        all pairs share: equipment, evaluation, climate. For T = 1 s, N = 12 and octaves, ISO 3382-2's
+        variance gives u of 2.9 % (125 Hz) to 0.5 % (4 kHz). Between teams, T30 at one pair in the music
+        studio of the PTB had standard deviations of 4.6 % (125 Hz) to 1.3 % (4 kHz) (Bork 2005). State
+        the uncertainty where teams or days are to be compared.
 
         References
         ----------
@@ -562,9 +562,9 @@ class Measurement:
         return spread, effective, count.astype(float)
 
     def select(self, pairs: Iterable[tuple[str, str]]) -> Measurement:
-        """Return the measurement at only these pairs, in their order.
+        """Return the measurement at some source-receiver pairs, in the given order.
 
-        Raises DataError for a pair that the measurement lacks, and without any.
+        Raises DataError for a pair that the measurement lacks, and if no pair is given.
 
         Examples
         --------
@@ -586,11 +586,11 @@ class Measurement:
         return replace(self, pairs=wanted, values=values, uncertainty=uncertainty)
 
     def in_bands(self, wanted: Iterable[float]) -> Measurement:
-        """Return the measurement in exactly these bands in Hz, NaN where it has none of them.
+        """Return the measurement in the wanted bands, given in Hz, with NaN in bands without a value.
 
-        Thirds and octaves are converted by `rtcal.acoustics.bands.Conversion`; the standard deviation
-        over pairs converts like an uncertainty. Everything that compares a measurement with a room uses
-        this rule. Raises DataError if no band can be selected or converted.
+        Third-octaves and octaves are converted into each other by `rtcal.acoustics.bands.Conversion`;
+        the standard deviation over pairs is converted like an uncertainty. Raises DataError if no band
+        can be selected or converted.
 
         Examples
         --------
@@ -620,10 +620,10 @@ class Measurement:
 
     @cached_property
     def reverberation_parameter(self) -> tuple[str, ...]:
-        """Which T is to be matched by band: ``"t20"``, else ``"t30"``, and ``""`` without either.
+        """Name of the T that a calibration matches, per band: ``"t20"``, else ``"t30"``, else ``""``.
 
-        Never EDT: it depends on the early sound and the source's directivity, which absorption
-        coefficients must not compensate.
+        EDT is never matched, because it depends on the early sound and the source's directivity, which
+        absorption coefficients must not compensate.
         """
         known = {o.key: np.isfinite(self.mean(o.key)) for o in REVERBERATION}
         each = range(len(self.centre_frequencies))
@@ -631,12 +631,12 @@ class Measurement:
 
     @property
     def reverberation_time(self) -> Array:
-        """T to be matched in s, (n_bands,), the mean over pairs; NaN where none was measured."""
+        """Reverberation time T that a calibration matches, in s, (n_bands,); NaN where missing."""
         return self._matched(self.mean)
 
     @property
     def reverberation_time_uncertainty(self) -> Array:
-        """Standard uncertainty of the reverberation time in s, (n_bands,); NaN where unknown."""
+        """Standard uncertainty of `reverberation_time` in s, (n_bands,); NaN where it is unknown."""
         return self._matched(self.mean_uncertainty)
 
     def _matched(self, of: Callable[[str], Array]) -> Array:
@@ -661,15 +661,15 @@ class Measurement:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Measurement:
-        """Return the measurement of plain values, as `to_dict` gives them.
+        """Return the measurement from plain values, as `to_dict` returns them.
 
-        Raises DataError for an unknown key, for a value that is no number, and as `Measurement` does.
+        Raises DataError for an unknown key, a value that is no number, and as `Measurement`.
         """
         return cls(**msgspec.structs.asdict(read(MeasurementTable, data, "measurement")))
 
     @classmethod
     def from_file(cls, path: str) -> Measurement:
-        """Read a measurement from CSV; see `rtcal.acoustics.measurement` for the format."""
+        """Read a measurement from a CSV file; `rtcal.acoustics.measurement` describes its format."""
         with expecting(TABLE, checks.path("path", path)):
             try:
                 rows = _rows_of(read_text(path, MAX_BYTES))
@@ -683,7 +683,7 @@ class Measurement:
             raise DataError(f"{path}: {error}") from error
 
     def to_text(self) -> str:
-        """Return the measurement as the text of its CSV file; reading it gives the same numbers."""
+        """Return the measurement as the text of a CSV file, from which the same numbers are read."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         for row in self.rows():
@@ -696,7 +696,7 @@ class Measurement:
         return stream.getvalue()
 
     def rows(self) -> list[list[Any]]:
-        """Return the table of its CSV file: the header, and a row per value."""
+        """Return the rows of the measurement's CSV file: the header, and a row per value."""
         data = self.to_dict()
         counts = {name: data[f"n_{name}"] for name in ("sources", "receivers")}
         used = [c for c in _OPTIONAL_COLUMNS if data.get(c) or counts.get(c) is not None]
@@ -715,7 +715,7 @@ class Measurement:
         return table
 
     def save(self, path: str) -> None:
-        """Write the measurement to CSV, whole or not at all."""
+        """Write the measurement to a CSV file; an error leaves no incomplete file."""
         write_text(path, self.to_text())
 
 
@@ -733,11 +733,11 @@ _OF_PAIRS = ("values", "uncertainty")
 TABLES = (*_OF_PAIRS, "common_uncertainty", "standard_deviation")
 MAX_BYTES = 2**21
 MAX_CELLS = 2**20
-"""Largest number of values in a file, pairs times bands times parameters; most may be empty."""
+"""Largest number of values in a file: pairs times bands times parameters. Most may be empty."""
 
 
 Place = tuple[str, str, str, float]
-"""Source, receiver, parameter and band of a value."""
+"""Source, receiver, parameter and band in Hz of a value."""
 
 
 def _rows_of(text: str) -> dict[Place, dict[str, float]]:
@@ -820,9 +820,9 @@ def _number(cell: Mapping[str, str], column: str) -> float:
 def of_single_values(
     rows: Mapping[Place, Mapping[str, float]],
 ) -> dict[str, Any]:
-    """Return the arguments of `Measurement`, from values by source, receiver, parameter and band.
+    """Return the arguments of `Measurement` from single values by source, receiver, parameter and band.
 
-    Each row has ``value`` and those optional columns of the file that it states; NaN is missing.
+    Each row has ``value`` and the optional columns of the file that it states; NaN where missing.
     """
     frequencies = {f: k for k, f in enumerate(sorted({key[3] for key in rows}))}
     pairs = {pair: i for i, pair in enumerate(dict.fromkeys(key[:2] for key in rows))}

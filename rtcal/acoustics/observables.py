@@ -40,9 +40,9 @@ __all__ = ["MATCH", "OBSERVABLES", "Observable", "observable", "register"]
 __dir__ = __all__.copy
 
 DB = 10 / np.log(10)
-"""dB per neper of energy."""
+"""Decibels per neper of energy."""
 OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
-"""Centre frequencies in Hz of `Observable.between_teams`."""
+"""Centre frequencies in Hz of the values in `Observable.teams`."""
 _STEP = 1e-5
 """Relative step of a derivative by differences, whose error is its square."""
 _BINS = 4000
@@ -53,125 +53,130 @@ Part = Literal["late", "early", "level"]
 
 
 class Observable(ABC):
-    """A room-acoustic parameter: its names, its units, and how it follows from an energy decay."""
+    """Room-acoustic parameter, such as T20 or C80, and its calculation from an energy decay.
+
+    The observed quantity is the logarithm of a time, or the value of any other parameter: errors are
+    normal and effects nearly linear in it. An energy decay is the energy per time bin.
+    """
 
     key: ClassVar[str]
-    """Name in files, in JSON and in Python."""
+    """Name of the parameter in files, in JSON and in Python, such as "t20"."""
     label: ClassVar[str]
-    """Name as it is printed."""
+    """Name of the parameter as it is printed, such as "T20"."""
     spellings: ClassVar[str] = ""
-    """Further names in tables of other programs, in lower case without spaces, with blanks between."""
+    """Names in tables of other programs, in lower case without spaces, separated by blanks."""
     unit: ClassVar[str]
     decimals: ClassVar[int]  # after the point as it is printed
     rank: ClassVar[int]  # place in lists, the smallest first
     jnd: ClassVar[float]
     relative_jnd: ClassVar[bool] = False
-    """Whether the just noticeable difference is a share of the value; else it is in the unit."""
+    """Whether the just noticeable difference is a share of the value; else it has the value's unit."""
     limits: ClassVar[tuple[float, float]]
-    """Least and largest value that is accepted; ``doubt`` is the likely mistake beyond them."""
+    """Least and largest value that is accepted; ``doubt`` names the likely mistake beyond them."""
     doubt: ClassVar[str]
     simulated: ClassVar[tuple[float, float] | None] = None
-    """The same of a `Measurement`, if a simulated value may be beyond ``limits``."""
+    """Limits in place of ``limits`` for a `Measurement` with simulated values."""
     usual: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
-    """Least and largest value that hardly any room is beyond; one that is, is read and told."""
+    """Least and largest value of nearly all rooms; a value beyond them is read with a warning."""
     minimum_range: ClassVar[float | None] = 20.0
-    """Impulse-to-noise ratio in dB that a response needs to hold it. None where a response alone does
-    not: its level needs a calibrated source."""
+    """Impulse-to-noise ratio in dB that an impulse response needs for the parameter. None if a response
+    alone does not suffice, because the level needs a calibrated source."""
     reaches: ClassVar[float] = 0.0  # time in s that a response must be longer than to hold it
     logarithmic: ClassVar[bool] = False
-    """Whether the logarithm is observed. Uncertainties are then relative."""
+    """Whether the observed quantity is the logarithm of the value (with a relative uncertainty)."""
     rises: ClassVar[bool] = False  # with the absorption
     part: ClassVar[Part] = "early"
-    """Part of the decay that it hears: what stands near a position changes each by its own share."""
+    """Part of the decay that determines the value. Absorption near a position affects each differently."""
     teams: ClassVar[tuple[float, ...]]
-    """Standard deviation between teams at one pair of positions, as observed, by `OCTAVES`."""
+    """Standard deviation of the observed quantity between teams at one pair, by `OCTAVES`."""
     unknown_error: ClassVar[float]
-    """Standard deviation of a simulator's error that no reference simulation tells, as observed."""
+    """Standard deviation of a simulator's error that reference simulations do not show, in the observed
+    quantity."""
     remeasured: ClassVar[float] = 0.01
-    """Standard deviation by which all pairs of a band differ, as observed, if it is measured anew and
-    nothing changed."""
+    """Standard deviation of the observed quantity, common to all pairs of a band, when an unchanged
+    room is measured again."""
     matched: ClassVar[bool] = False  # at every position where nothing else is asked for
     predicted: ClassVar[bool] = False  # at positions, beside what is matched
     shown: ClassVar[bool] = False  # by a loop on mean values; a tracer states its noise
     stand_in: ClassVar[str | None] = None
-    """Key of an observable that serves in its place where it was not measured."""
+    """Key of the parameter that is used instead where this one was not measured."""
     averaging: ClassVar[Scale] = ITSELF
-    """The quantity that averages over the thirds of an octave."""
+    """Quantity whose mean over third-octaves gives the octave's value."""
 
     @abstractmethod
     def value(self, energy: Array, bin_width: float) -> Array:
-        """Return the value of energy decays (..., n_bins), of shape (...); NaN where there is none."""
+        """Return the parameter's value for energy decays (..., n_bins), (...); NaN without one."""
 
     @abstractmethod
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return the derivative of the observed quantity by each bin's energy, (..., n_bins).
+        """Return the derivative of the observed quantity by the energy of each time bin, (..., n_bins).
 
-        ``level`` is the decay curve in dB, `decay_curve_db`.
+        ``level`` is the decay curve in dB, as `decay_curve_db` returns it; ``bin_width`` is in s.
         """
 
     @abstractmethod
     def rate(self, observed: Array) -> Array:
-        """Return a quantity that is linear in the absorption and rises with the observed quantity."""
+        """Return a quantity linear in the absorption area that rises with the observed quantity."""
 
     def linear(self, observed: Array, stated: Array) -> Array:
-        """Return the deviation of observed from given values, in a quantity linear in the absorption.
+        """Return the deviation from ``stated`` values in a quantity linear in the absorption area.
 
-        0 at ``stated``; a relative change of the absorption near it, up to the sign.
+        It is 0 at ``stated``, and near it the relative change of the absorption area, except for the
+        sign.
         """
         at = self.rate(stated)
         return np.asarray((self.rate(observed) - at) / np.abs(at))
 
     def linear_slope(self, observed: Array, stated: Array) -> Array:
-        """Return the derivative of `linear` by the observed quantity, from differences of `_STEP`."""
+        """Return the derivative of `linear` by the observed quantity, from small differences."""
         step = _STEP * np.maximum(np.abs(observed), 0.1)
         rise = self.rate(observed + step) - self.rate(observed - step)
         return np.asarray(rise / (2 * step * np.abs(self.rate(stated))))
 
     def too_short(self, energy: Array) -> NDArray[np.bool_]:
-        """Return whether energy decays (..., n_bins) are too short for the parameter, (...)."""
+        """Return whether energy decays (..., n_bins) are too short for the parameter, (...) of bool."""
         return np.zeros(np.shape(energy)[:-1], dtype=bool)
 
     def key_in(self, values: Container[str]) -> str:
-        """Return the key of the parameter in a table: its own, or else that of its stand-in."""
+        """Return the key under which a table has the parameter: its key or that of its stand-in."""
         return self.key if self.stand_in is None or self.key in values else self.stand_in
 
     def observed(self, values: Array) -> Array:
-        """Return the observed quantity, such as ln T, of values; NaN without a logarithm."""
+        """Return the observed quantity for values, such as ln T for T; NaN without a logarithm."""
         if not self.logarithmic:
             return values
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(np.log(values))
 
     def natural(self, observed: Array) -> Array:
-        """Return values in the unit from the observed quantity; the inverse of `observed`."""
+        """Return the values for the observed quantity, such as T for ln T (inverse of `observed`)."""
         return np.asarray(np.exp(observed)) if self.logarithmic else observed
 
     def of_observed(self, uncertainty: Array, values: Array) -> Array:
-        """Return the uncertainty of the observed quantity from that of the values."""
+        """Return the uncertainty of the observed quantity, such as ln T, from that of the values."""
         return np.asarray(uncertainty / values) if self.logarithmic else uncertainty
 
     def of_value(self, uncertainty: Array, values: Array) -> Array:
-        """Return the uncertainty of the values from that of the observed quantity."""
+        """Return the uncertainty of the values from that of the observed quantity, such as ln T."""
         return np.asarray(uncertainty * values) if self.logarithmic else uncertainty
 
     def jnd_of(self, values: Array) -> Array | float:
-        """Return one JND of values, in the unit."""
+        """Return one just noticeable difference (JND) of values, in their unit."""
         return self.jnd * values if self.relative_jnd else self.jnd
 
     def decay_time(self, values: Array) -> Array:
-        """Return the T in s of an exponential decay with these values; NaN if unknown."""
+        """Return T in s of the exponential decay that has these values; NaN if unknown."""
         return np.full(np.shape(values), np.nan)
 
     def between_teams(self, frequencies: Array) -> Array:
-        """Return the reproducibility standard deviation of the observed quantity, (n_bands,)."""
+        """Return the standard deviation of the observed quantity between teams, (n_bands,)."""
         return np.asarray(np.interp(np.log(frequencies), np.log(OCTAVES), self.teams))
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
-        """Return the standard deviation of the observed quantity in one response, whose field is noise.
+        """Return the standard deviation of the observed quantity in one noise-like impulse response.
 
         In a band of bandwidth B the energy of a bin of width w has the relative variance 1 / (B w).
-        ``frequencies`` (n_bands,) are in Hz, ``times`` (..., n_bands) decay times of an exponential
-        decay in s.
+        ``frequencies`` (n_bands,) are in Hz, ``times`` (..., n_bands) are the decay times T in s.
         """
         times = np.asarray(times, dtype=float)
         bandwidth = np.broadcast_to(bands.bandwidth_factor(frequencies) * frequencies, times.shape)
@@ -186,16 +191,16 @@ class Observable(ABC):
         return out
 
     def overall(self, values: Array, frequencies: Array) -> Array:
-        """Return the single-number value (...) of values (..., n_bands); NaN if there is none."""
+        """Return the single-number value (...) of values by band, (..., n_bands), or NaN."""
         return np.full(np.shape(values)[:-1], np.nan)
 
     def variance_of_mean(self, frequencies: Array, mean: Array, positions: Array) -> Array:
-        """Return the theoretical variance of a mean over ``positions``; NaN without a theory."""
+        """Return the theoretical variance of a mean over positions; NaN without a theory."""
         return np.full(np.shape(mean), np.nan)
 
     @property
     def rule(self) -> str:
-        """Words for the values that are accepted.
+        """Words for the values that are accepted, and for the likely mistake beyond them.
 
         Examples
         --------
@@ -206,18 +211,18 @@ class Observable(ABC):
         return f"from {self.limits[0]:g} to {self.limits[1]:g}{unit}: {self.doubt}"
 
     def broken(self, values: Array) -> NDArray[np.bool_]:
-        """Return which values a `Measurement` does not accept, allowing for rounding."""
+        """Return True for values that a `Measurement` does not accept, allowing for rounding."""
         least, most = self.simulated or self.limits
         with np.errstate(invalid="ignore"):
             return np.asarray((values < least) | (values > most * (1 + 1e-9)))
 
     def largest_uncertainty(self, values: Array) -> Array:
-        """Return the largest meaningful uncertainty; of a level, the range of its limits."""
+        """Return the largest meaningful uncertainty of values; for a level, the range of its limits."""
         least, most = self.limits
         return np.full(np.shape(values), most - least)
 
     def refuse(self, place: str, value: float) -> None:
-        """Raise DataError at ``place`` for a value that no room can have; NaN is a missing value."""
+        """Raise DataError, which names ``place``, for a value that no room can have. NaN is valid."""
         least, most = self.limits
         if not (np.isnan(value) or least <= value <= most * (1 + 1e-9)):
             unit = f" {self.unit}".rstrip()
@@ -225,19 +230,19 @@ class Observable(ABC):
 
 
 OBSERVABLES: dict[str, Observable] = {}
-"""Every observable by its key, in the order of their ranks."""
+"""Room-acoustic parameters by their keys, in the order in which they are listed."""
 
 O = TypeVar("O", bound=Observable)  # noqa: E741
 
 
 def register(kind: type[O]) -> type[O]:
-    """Add an observable to `OBSERVABLES` (a class decorator).
+    """Add a room-acoustic parameter to `OBSERVABLES` (a class decorator).
 
     Raises
     ------
     DataError
-        If another class has the key, ``teams`` are not one per octave of `OCTAVES`, or the gradient is
-        not the derivative of what is observed.
+        If another class has the key, ``teams`` has not one value per octave of `OCTAVES`, or the
+        gradient is not the derivative of the observed quantity.
     """
     new: Observable = kind()
     place = f'observable "{new.key}"'
@@ -261,10 +266,10 @@ def register(kind: type[O]) -> type[O]:
 
 
 def check_gradient(observable: Observable) -> None:
-    """Raise DataError unless the gradient is the derivative of what is observed of a decay.
+    """Raise DataError unless `Observable.gradient` is the derivative of the observed quantity.
 
-    The decay is exponential, of 1 s, in 200 bins of 10 ms. Each bin's energy is changed by a share of
-    1e-6 and by -1e-6. Differences above 1 % of the largest are errors.
+    It is checked for an exponential decay with T = 1 s in 200 bins of 10 ms. The energy of each bin is
+    changed by 1e-6 and by -1e-6 of it. Deviations above 1 % of the largest derivative are errors.
     """
     width, step = 0.01, 1e-6
     energy = np.exp(-13.8 * width * np.arange(200.0))
@@ -285,7 +290,7 @@ def check_gradient(observable: Observable) -> None:
 
 
 def observable(key: str) -> Observable:
-    """Return an observable by its key; DataError for an unknown key.
+    """Return the room-acoustic parameter with this key; DataError for an unknown key.
 
     Examples
     --------
@@ -298,16 +303,16 @@ def observable(key: str) -> Observable:
 
 
 def of_kind(kind: type[O]) -> dict[str, O]:
-    """Return the observables that are of one class, by key."""
+    """Return the room-acoustic parameters that are of a given class, by key."""
     return {key: o for key, o in OBSERVABLES.items() if isinstance(o, kind)}
 
 
 SUMMARY = "*"
-"""Name of the source and of the receiver in a row that holds means over several pairs."""
+"""Name of source and receiver in a row that has means over several pairs."""
 
 
 def parameter_label(parameter: str) -> str:
-    """Return a parameter as printed; an unknown name is printed in capitals.
+    """Return the printed name of a parameter; an unknown name is returned in capitals.
 
     Examples
     --------
@@ -323,18 +328,19 @@ LIMITS = (0.01, 120.0)
 The longest published T is 112 s, at 125 Hz in the oil tanks of Inchindown (T. Cox, Sonic
 Wonderland, 2014)."""
 TEAMS = (0.046, 0.036, 0.028, 0.022, 0.017, 0.013)
-"""Of T, relative. The ends are from the music studio of the PTB (round robin III, Bork 2005; medians
-over pairs), geometric between them. All pairs of a team have this error in common."""
+"""Relative standard deviation of T between measuring teams, by octave. The first and the last value are
+from the music studio of the PTB (round robin III, Bork 2005; medians over pairs), with geometric
+steps between. All pairs of a team have this error in common."""
 
 MARGIN_DB = 15.0
-"""Least distance in dB from a range's lower end down to the truncation. Truncating an exponential decay
-there lowers T20 by 0.4 %."""
+"""Least distance in dB from the lower end of the evaluation range to the end of the decay. An
+exponential decay that ends there has a T20 that is 0.4 % too low."""
 _DECAYS = 10
 """Decays that an integrated impulse response counts as (ISO 3382-2:2008, 6.2)."""
 
 
 def decay_curve_db(energy: Array) -> Array:
-    """Return the normalised decay curve at the start of each bin, in dB, same shape.
+    """Return the normalised decay curve of an energy decay in dB at the start of each time bin.
 
     L_k = 10 lg(sum over j >= k of E_j / sum over all of E_j), so that L_0 = 0 (Schroeder 1965).
     Minus infinity where no energy is left, NaN for a decay without energy.
@@ -346,11 +352,11 @@ def decay_curve_db(energy: Array) -> Array:
 
 
 def cut_off_db(energy: Array) -> Array:
-    """Return the level of the energy that the end of the decay cuts off, (...).
+    """Return the level of the energy after the end of a decay, in dB re the whole energy, (...).
 
-    In dB relative to the whole energy. It is extrapolated from the energies A and B of the last two
-    quarters of the time: B r / (1 - r), r = B / A. Infinite where the energy does not fall, minus
-    infinity where none is left at the end. A double slope is judged by its late part.
+    The energy is extrapolated from the energies A and B of the last two quarters of the time:
+    B r / (1 - r), r = B / A. The level is infinite where the energy does not fall, and minus infinity
+    where the last quarter has no energy. For a double slope the late part counts.
     """
     quarter = energy.shape[-1] // 4
     if quarter == 0:
@@ -364,7 +370,7 @@ def cut_off_db(energy: Array) -> Array:
 
 
 class Relative(Observable):
-    """A time in s, whose logarithm is observed."""
+    """Base of parameters that are times in s, whose logarithm is the observed quantity."""
 
     unit = "s"
     decimals = 3
@@ -372,23 +378,23 @@ class Relative(Observable):
     unknown_error = 0.05
 
     def rate(self, observed: Array) -> Array:
-        """Return -1 / T: 1 / T and 1 / Ts are linear in the absorption area."""
+        """Return -1 / T or -1 / Ts, which is linear in the absorption area."""
         return np.asarray(-np.exp(-observed))
 
 
 class DecaySlope(Relative):
-    """A decay time in s: -60 dB over the slope of the decay curve within a range of levels."""
+    """Base of decay times in s: -60 dB over the slope of the decay curve within a range of levels."""
 
     upper: ClassVar[float]  # of the range, in dB
     lower: ClassVar[float]
     one_decay: ClassVar[float]
-    """Relative standard deviation of one decay's time, times sqrt(B T), B the bandwidth in Hz."""
+    """Relative standard deviation of T from one decay, times sqrt(B T), with the bandwidth B in Hz."""
     averages: ClassVar[tuple[float, float] | None] = None
-    """a and b of the uncertainty of a mean over positions (ISO 3382-2:2008, Eqs. 4 and 5)."""
+    """Constants a and b of the uncertainty of a mean over positions (ISO 3382-2:2008, Eqs. 4 and 5)."""
     bend: ClassVar[tuple[str, float, float] | None] = None
-    """Where its ratio to T20 less 1 tells whether a decay is bent: that ratio's name, its limit in
-    percent, and its standard deviation times sqrt(B T) in straight decays (4,000 exponential decays of
-    Gaussian noise, B T = 44 to 355)."""
+    """Test for a curved decay by the ratio of this parameter to T20, less 1: name of the ratio, its
+    limit in percent, and its standard deviation times sqrt(B T) in straight decays (4,000 exponential
+    decays of Gaussian noise, B T = 44 to 355)."""
     jnd = 0.05
     relative_jnd = True
     limits = LIMITS
@@ -401,17 +407,17 @@ class DecaySlope(Relative):
     averaging = Scale(lambda t: 1 / t, lambda rate: 1 / rate, lambda t: -1 / t**2)
 
     def value(self, energy: Array, bin_width: float) -> Array:
-        """Return the decay times in s; NaN for a decay that is too short or does not fall."""
+        """Return the decay times of energy decays in s; NaN for one too short or not falling."""
         return self.of_decay(energy, decay_curve_db(energy), bin_width)
 
     def of_decay(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return the same of a decay whose curve in dB, ``level``, is computed already."""
+        """Return the decay times of energy decays in s from their decay curves ``level`` in dB."""
         return np.where(self.too_short(energy), np.nan, self.of_curve(level, bin_width))
 
     def of_curve(self, level: Array, bin_width: float) -> Array:
-        """Return the decay times in s of decay curves in dB, wherever they end, (...).
+        """Return the decay times in s of decay curves in dB, (...), without a check of their end.
 
-        NaN where fewer than two points lie within the range, or the curve does not fall.
+        They are NaN where fewer than two points lie within the range, or the curve does not fall.
         """
         with np.errstate(invalid="ignore"):
             within = (level <= self.upper) & (level >= self.lower)
@@ -427,11 +433,11 @@ class DecaySlope(Relative):
         return np.where(holds, 60 * bin_width * spread / np.where(holds, fall, 1.0), np.nan)
 
     def too_short(self, energy: Array) -> NDArray[np.bool_]:
-        """Return whether the decays are cut off too early to hold the range of levels."""
+        """Return whether the decays end before they have fallen through the range of levels."""
         return np.asarray(cut_off_db(energy) > self.lower - MARGIN_DB)
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return d ln T / d E_j.
+        """Return the derivative d ln T / d E_j by the energy of each time bin.
 
         T is -60 / slope, where the slope is that of the regression of L_k = DB ln(B_k / B_0) on k
         within the range, and B_k is the energy from bin k on. With c_k = k - mean(k) it follows that
@@ -466,13 +472,16 @@ class DecaySlope(Relative):
         return values
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
-        """Return `one_decay` / sqrt(B T) (ISO 3382-2:2008, Eqs. 4 and 5 for T20 and T30)."""
+        """Return the relative standard deviation of T from one decay, `one_decay` / sqrt(B T).
+
+        Source: ISO 3382-2:2008, Eqs. 4 and 5, for T20 and T30; B is the bandwidth in Hz.
+        """
         bandwidth = bands.bandwidth_factor(frequencies) * frequencies
         with np.errstate(invalid="ignore"):
             return np.asarray(self.one_decay / np.sqrt(bandwidth * times))
 
     def variance_of_mean(self, frequencies: Array, mean: Array, positions: Array) -> Array:
-        """Return a² T (1 + b / n) / (N B), n the decays of an average, N the positions.
+        """Return the variance a² T (1 + b / n) / (N B) of a mean T over N positions with n decays.
 
         The standard was not at hand; a and b are those of RWTH Aachen's ITA-Toolbox,
         ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names EN ISO 3382.
@@ -490,7 +499,7 @@ class DecaySlope(Relative):
 
 @register
 class T20(DecaySlope):
-    """T20: -5 to -25 dB (ISO 3382-1:2009, 5.3)."""
+    """Reverberation time T20 in s, from -5 to -25 dB (ISO 3382-1:2009, 5.3)."""
 
     key, label, rank = "t20", "T20", 10
     spellings = "rt20 tr20 rt60t20 t60t20 t60(20) reverberationtimet20 nachhallzeitt20"
@@ -503,7 +512,7 @@ class T20(DecaySlope):
 
 @register
 class T30(DecaySlope):
-    """T30: -5 to -35 dB (ISO 3382-1:2009, 5.3)."""
+    """Reverberation time T30 in s, from -5 to -35 dB (ISO 3382-1:2009, 5.3)."""
 
     key, label, rank = "t30", "T30", 20
     spellings = "rt30 tr30 rt60t30 t60t30 t60(30) reverberationtimet30 nachhallzeitt30"
@@ -517,7 +526,7 @@ class T30(DecaySlope):
 
 @register
 class EDT(DecaySlope):
-    """Early decay time: 0 to -10 dB (ISO 3382-1:2009, A.2.2)."""
+    """Early decay time in s, from 0 to -10 dB (ISO 3382-1:2009, A.2.2)."""
 
     key, label, rank = "edt", "EDT", 30
     spellings = "earlydecaytime"
@@ -534,7 +543,7 @@ class EDT(DecaySlope):
 
 
 def longest(keys: Iterable[str]) -> DecaySlope:
-    """Return the decay time that needs the longest decay, of these observables and T20.
+    """Return the parameter that needs the longest decay, among the decay times in ``keys`` and T20.
 
     Examples
     --------
@@ -546,16 +555,13 @@ def longest(keys: Iterable[str]) -> DecaySlope:
 
 
 def divided(energy: Array, bin_width: float, limit: float) -> tuple[Array, Array]:
-    """Return the energy before and after ``limit`` s; a bin across the limit is divided in proportion.
-
-    Both are summed, since the later energy as a difference could round to a value below 0.
-    """
+    """Return the energy before and after ``limit`` s; a bin across the limit is divided."""
     share = early_share(energy.shape[-1], bin_width, limit)
-    return energy @ share, energy @ (1 - share)
+    return energy @ share, energy @ (1 - share)  # the late energy as a difference could be below 0
 
 
 def early_share(n_bins: int, bin_width: float, limit: float) -> Array:
-    """Return the part of each bin that is before ``limit`` s, (n_bins,)."""
+    """Return the share of each time bin that is before ``limit`` s, (n_bins,)."""
     return np.clip(limit / bin_width - np.arange(n_bins), 0.0, 1.0)
 
 
@@ -564,7 +570,7 @@ def _early_share(clarity: Array) -> Array:
 
 
 class Clarity(Observable):
-    """10 lg(early / late) in dB; ``limit`` in s ends the early sound."""
+    """Base of clarity in dB, 10 lg(early / late energy); ``limit`` in s ends the early sound."""
 
     limit: ClassVar[float]
     unit = "dB"
@@ -587,13 +593,16 @@ class Clarity(Observable):
     )
 
     def value(self, energy: Array, bin_width: float) -> Array:
-        """Return the clarity in dB; infinite without late energy, NaN without any."""
+        """Return the clarity of energy decays in dB; infinite without late energy, NaN without any."""
         early, late = divided(energy, bin_width, self.limit)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(10 * np.log10(early / late))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return DB (share / early - (1 - share) / late), share the part of a bin before the limit."""
+        """Return the derivative DB (share / early - (1 - share) / late) by a bin's energy.
+
+        share is the part of the bin before the limit; early and late are energies.
+        """
         share = early_share(energy.shape[-1], bin_width, self.limit)
         early, late = energy @ share, energy @ (1 - share)
         return np.asarray(
@@ -601,11 +610,11 @@ class Clarity(Observable):
         )
 
     def rate(self, observed: Array) -> Array:
-        """Return the decay rate k in 1/s of C = 10 lg(exp(k limit) - 1)."""
+        """Return the decay rate k in 1/s of an exponential decay: C = 10 lg(exp(k limit) - 1)."""
         return np.asarray(np.log1p(np.exp(observed / DB)) / self.limit)
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
-        """Return the standard deviation in dB of one response, whose field is noise.
+        """Return the standard deviation of clarity in one noise-like impulse response, in dB.
 
         In a window the energy of noise of bandwidth B has the relative variance 1 / (B t), where
         t = (∫ e)² / ∫ e² of the decaying energy e. For the early sound of an exponential decay t is
@@ -621,7 +630,7 @@ class Clarity(Observable):
 
 @register
 class C50(Clarity):
-    """Clarity of speech: the energy before 50 ms over that after, in dB."""
+    """Clarity of speech C50: the energy before 50 ms over the energy after, in dB."""
 
     key, label, rank = "c50", "C50", 40
     spellings = "clarityc50 deutlichkeitsmaß deutlichkeitsmaßc50 deutlichkeitsmassc50"
@@ -631,7 +640,7 @@ class C50(Clarity):
 
 @register
 class C80(Clarity):
-    """Clarity of music: the energy before 80 ms over that after, in dB."""
+    """Clarity of music C80: the energy before 80 ms over the energy after, in dB."""
 
     key, label, rank = "c80", "C80", 50
     spellings = "clarityc80 klarheitsmaß klarheitsmaßc80 klarheitsmassc80"
@@ -646,7 +655,7 @@ _HALF = 0.25 / DB
 
 @register
 class D50(Observable):
-    """Definition: the share of the energy before 50 ms (ISO 3382-1:2009, A.11)."""
+    """Definition D50: the share of the energy that arrives before 50 ms (ISO 3382-1:2009, A.11)."""
 
     key, label, rank = "d50", "D50", 60
     spellings = (
@@ -665,23 +674,23 @@ class D50(Observable):
     predicted = True
 
     def value(self, energy: Array, bin_width: float) -> Array:
-        """Return the early share; NaN without energy."""
+        """Return D50 of energy decays, 0 to 1; NaN without energy."""
         early, late = divided(energy, bin_width, C50.limit)
         with np.errstate(invalid="ignore"):
             return np.asarray(early / (early + late))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return (share - D50) / sum of E, share the part of a bin before 50 ms."""
+        """Return the derivative (share - D50) / sum(E) by a bin's energy, share its early part."""
         share = early_share(energy.shape[-1], bin_width, C50.limit)
         total = energy.sum(-1, keepdims=True)
         return np.asarray((share - (energy @ share)[..., np.newaxis] / total) / total)
 
     def rate(self, observed: Array) -> Array:
-        """Return the decay rate k of D50 = 1 - exp(-k), over 50 ms."""
+        """Return the decay rate k per 50 ms of an exponential decay, for which D50 = 1 - exp(-k)."""
         return np.asarray(-np.log1p(-observed))
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
-        """Return C50's scatter times d D50 / d C50 = D50 (1 - D50) / DB, of an exponential decay."""
+        """Return the standard deviation of D50 in one response: C50's times D50 (1 - D50) / DB."""
         with np.errstate(invalid="ignore"):
             late = np.exp(-6 * np.log(10) * C50.limit / times)
         return np.asarray(_C50.scatter(frequencies, times) * late * (1 - late) / DB)
@@ -701,11 +710,11 @@ _BY_LN_T = 0.2
 
 @register
 class STI(Observable):
-    """Speech transmission index, noise-free, by the indirect method (IEC 60268-16:2020, 5.3.2 and A.5).
+    """Speech transmission index without noise, from the decay (IEC 60268-16:2020, 5.3.2 and A.5).
 
-    In one octave it is the modulation transfer index, the mean transmission index over the modulation
-    frequencies; `overall` is the STI of all octaves. Masking and noise are not in it: speech in a
-    noisy room is understood less well than it says.
+    The value in one octave is the modulation transfer index, the mean transmission index over the
+    modulation frequencies; `overall` returns the STI of all octaves. Masking and noise are not
+    included, so that speech in a noisy room is less intelligible than this STI says.
     """
 
     key, label, rank = "sti", "STI", 65
@@ -721,11 +730,14 @@ class STI(Observable):
     predicted = True
 
     def value(self, energy: Array, bin_width: float) -> Array:
-        """Return the mean transmission index; NaN without energy."""
+        """Return the mean transmission index of energy decays; NaN without energy."""
         return np.asarray(_index(np.abs(_transfer(energy, bin_width))).mean(-1))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return d STI / d E_j = mean of d TI / d m (Re(m* w_j) / |m| - |m|) over F, over sum(E)."""
+        """Return the derivative of STI by a bin's energy E_j.
+
+        It is the mean over F of d TI / d m (Re(m* w_j) / |m| - |m|), divided by sum(E).
+        """
         ratio = _transfer(energy, bin_width)
         waves = np.stack([_wave(f, energy.shape[-1], bin_width) for f in MODULATIONS])
         m = np.abs(ratio)
@@ -735,12 +747,12 @@ class STI(Observable):
         return np.asarray((wave - rest) / energy.sum(-1, keepdims=True))
 
     def rate(self, observed: Array) -> Array:
-        """Return the k in 1/s of an exponential decay with this STI."""
+        """Return the decay rate k in 1/s of an exponential decay with this STI."""
         logarithms, table = self._table
         return np.asarray(np.exp(np.interp(observed, table, logarithms)))
 
     def overall(self, values: Array, frequencies: Array) -> Array:
-        """Return the STI of all octaves from 125 Hz to 8 kHz, (...); NaN if one is missing.
+        """Return the STI over the octaves from 125 Hz to 8 kHz, (...); NaN if one octave is missing.
 
         Sum of alpha_k M_k - sum of beta_k sqrt(M_k M_k+1) (IEC 60268-16:2011, A.5.6), M by octave.
         """
@@ -797,9 +809,9 @@ def _slope(m: Array) -> Array:
 
 @register
 class Level(Observable):
-    """The level, relative to any reference that all receivers of a source share.
+    """Relative level in dB, with a reference that is the same for all receivers of a source.
 
-    It is what G is without a calibrated source, and G serves in its place.
+    It is sound strength G without a calibrated source; where G is given, G is used as the level.
     """
 
     key, label, rank = "level", "level", 90
@@ -823,22 +835,22 @@ class Level(Observable):
     )
 
     def value(self, energy: Array, bin_width: float) -> Array:
-        """Return the level of a source of unit energy relative to 10 m in the free field, in dB."""
+        """Return the level of energy decays, for unit source energy, in dB re 10 m in free field."""
         with np.errstate(divide="ignore"):
             return np.asarray(10 * np.log10(400 * np.pi * energy.sum(-1)))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return DB / sum(E)."""
+        """Return the derivative DB / sum(E) of the level by a bin's energy."""
         return np.broadcast_to(DB / energy.sum(-1, keepdims=True), energy.shape)
 
     def rate(self, observed: Array) -> Array:
-        """Return -1 / E: the inverse of the energy is linear in the absorption area."""
+        """Return -1 / E, the inverse energy, which is linear in the absorption area."""
         return np.asarray(-np.exp(-observed / DB))
 
 
 @register
 class G(Level):
-    """Sound strength: the level relative to 10 m in the free field (ISO 3382-1:2009, A.2.1)."""
+    """Sound strength G in dB: the level relative to 10 m in the free field (ISO 3382-1:2009, A.2.1)."""
 
     key, label, rank = "g", "G", 80
     spellings = "strength soundstrength"
@@ -850,7 +862,7 @@ class G(Level):
 
 @register
 class Ts(Relative):
-    """Centre time: the energy's centre of gravity in s (ISO 3382-1:2009, A.13)."""
+    """Centre time Ts in s, the centre of gravity of the energy (ISO 3382-1:2009, A.13)."""
 
     key, label, rank = "ts", "Ts", 70
     spellings = "centretime centertime schwerpunktzeit"
@@ -864,47 +876,50 @@ class Ts(Relative):
     matched = True
 
     def value(self, energy: Array, bin_width: float) -> Array:
-        """Return the centre time in s; NaN without energy."""
+        """Return the centre time of energy decays in s; NaN without energy."""
         middle = (np.arange(energy.shape[-1]) + 0.5) * bin_width
         with np.errstate(invalid="ignore"):
             return np.asarray(energy @ middle / energy.sum(axis=-1))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return d ln Ts / d E_k = k / sum(E k) - 1 / sum(E)."""
+        """Return the derivative d ln Ts / d E_k = k / sum(E k) - 1 / sum(E) by a bin's energy."""
         k = np.arange(energy.shape[-1]) + 0.5
         return np.asarray(k / (energy @ k)[..., np.newaxis] - 1 / energy.sum(-1, keepdims=True))
 
     def decay_time(self, values: Array) -> Array:
-        """Return 6 ln 10 Ts."""
+        """Return T in s of an exponential decay with this centre time, 6 ln 10 Ts."""
         return np.asarray(values * (6 * np.log(10)))
 
 
 REVERBERATION = tuple(o for o in of_kind(DecaySlope).values() if o.averages is not None)
-"""The reverberation times. Coefficients are calibrated to the first one that was measured, never to
-EDT: it depends on early sound and the source's directivity, which coefficients must not compensate."""
+"""Reverberation times T20 and T30. A calibration matches the first that was measured, and never EDT,
+which depends on early sound and the source's directivity."""
 TARGET = REVERBERATION[0]
-"""The decay time that every simulator gives, and that a loop on mean values matches."""
+"""Decay time that every simulator returns, and that a calibration of mean values matches."""
 EARLY = max(of_kind(DecaySlope).values(), key=lambda o: o.lower)
-"""The early decay time, of the first levels."""
+"""Early decay time EDT, of the first 10 dB."""
 LEVEL = OBSERVABLES["level"]
-"""The level, whose reference is a source's own where G was not measured."""
+"""Relative level, which has a reference for each source where G was not measured."""
 MATCH = tuple(key for key, o in OBSERVABLES.items() if o.matched)
-"""Keys of what is matched at every position where nothing else is asked for."""
+"""Keys of the parameters that are matched at every position by default."""
 
 
 MAX_BIN = 0.01
-"""Largest bin width of a simulator in s; five such bins fill the 50 ms of C50."""
+"""Largest width of a simulator's time bins in s, a fifth of the 50 ms of C50."""
 
 
 def bins(bin_width: float) -> float:
-    """Return a simulator's bin width in s; DataError unless above 0 and at most `MAX_BIN`."""
+    """Return a simulator's bin width in s; DataError unless it is above 0 and at most `MAX_BIN`."""
     if checks.positive("bin_width", bin_width, "s") > MAX_BIN:
         raise DataError(f"bin_width = {bin_width:g} s is more than {MAX_BIN:g} s, too wide for C50")
     return float(bin_width)
 
 
 def checked_decay(energy: Array, bin_width: float = 1.0) -> Array:
-    """Return energy decays (..., n_bins), of bins in s; DataError if they are not energy decays."""
+    """Return energy decays (..., n_bins) as an array; DataError for values that are no energy.
+
+    ``bin_width`` is the width of the bins in s.
+    """
     checks.positive("bin_width", bin_width, "s")
     energy = checks.array("energy", energy)
     if energy.ndim == 0 or energy.shape[-1] == 0:
@@ -920,24 +935,24 @@ def checked_decay(energy: Array, bin_width: float = 1.0) -> Array:
 def parameters(
     energy: Array, bin_width: float, names: Sequence[str] | None = None
 ) -> dict[str, Array]:
-    """Return room-acoustic parameters by name, each (...), in the observables' units.
+    """Return room-acoustic parameters of energy decays by name, each (...), in the parameters' units.
 
-    By default all that a response holds without a calibrated source. NaN where the decay does not hold
-    the parameter.
+    By default these are all parameters that need no calibrated source. A value is NaN where the decay
+    is too short for the parameter.
 
     Parameters
     ----------
     energy : array (..., n_bins)
         Energy per bin, 0 or more; the first bin starts with the direct sound.
     bin_width : float
-        s.
+        Width of the time bins in s.
     names : sequence of str
-        Keys of `OBSERVABLES`.
+        Keys of the parameters, as in `OBSERVABLES`.
 
     Raises
     ------
     DataError
-        For an unknown parameter, energy that is negative or not finite, a width not above 0.
+        For an unknown parameter, a negative or infinite energy, or a width that is not above 0.
 
     Examples
     --------
@@ -959,14 +974,13 @@ def parameters(
 
 
 def gradients(energy: Array, bin_width: float, parameters: Sequence[str]) -> Array:
-    """Return d parameter / d energy of each bin, (n_parameters, ..., n_bins).
+    """Return the derivatives of parameters by the energy of each bin, (n_parameters, ..., n_bins).
 
-    Of what is observed: decay times and Ts are taken as logarithms, so that equal relative changes are
-    equal. A decay time jumps a little where a bin enters its range of levels; the derivative is that of
-    the mean over the jumps.
+    For decay times and Ts they are derivatives of the logarithm. A decay time jumps a little where a
+    bin enters its range of levels; the derivative is that of the mean over the jumps.
 
-    Parameters and errors are those of `parameters`. The unit is 1 or dB over that of ``energy``; NaN
-    where the decay lacks the parameter.
+    Parameters and errors are those of `parameters`. The unit is 1 or dB over that of ``energy``. A
+    derivative is NaN where the decay is too short for the parameter.
     """
     energy = checked_decay(energy, bin_width)
     level = decay_curve_db(energy)

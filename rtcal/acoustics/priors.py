@@ -26,10 +26,10 @@ __all__ = ["SigmaRule", "sigma_iso_12999_2"]
 __dir__ = __all__.copy
 
 TIERS: dict[str, float] = {"low": 0.01, "moderate": 0.05, "high": 0.1}
-"""Standard deviation by degree of uncertainty (Bellows & Katz 2025, Sect. 4.3.1)."""
+"""Standard deviations of coefficients by degree of uncertainty (Bellows & Katz 2025, Sect. 4.3.1)."""
 
 NORMAL_90 = 1.6449
-"""Half-width in standard deviations of the interval that holds 90 % of a normal distribution."""
+"""Half-width of the interval that holds 90 % of a normal distribution, in standard deviations."""
 
 # ISO 12999-2:2020, Table 1: sigma_R = m alpha + n in third-octaves (as transcribed in the open
 # source package phonometry, J. M. Requena Plens; the standard itself was not at hand).
@@ -58,19 +58,22 @@ _ISO_12999_2: dict[float, tuple[float, float]] = {
 
 
 def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array) -> Array:
-    """Return sigma_R = m alpha + n, the reproducibility of ISO 354 between laboratories.
+    """Return the standard deviation of coefficients measured by ISO 354 in different laboratories.
+
+    It is the reproducibility standard deviation sigma_R = m alpha + n of ISO 12999-2.
 
     Parameters
     ----------
     alpha : array (..., n_bands)
+        Absorption coefficients, 0 to 2.
     centre_frequencies : sequence (n_bands,)
-        Third-octaves from 63 to 5000 Hz, or octaves from 125 to 4000 Hz. An octave has the means of m
-        and n over its three thirds, whose errors count as fully correlated.
+        Centre frequencies in Hz: third-octaves from 63 to 5000 Hz, or octaves from 125 to 4000 Hz. m
+        and n of an octave are the means over its third-octaves, whose errors count as fully correlated.
 
     Raises
     ------
     DataError
-        For a band that the standard does not tabulate, or an alpha that is not from 0 to 2.
+        For a band that the standard does not tabulate, or a coefficient that is not from 0 to 2.
 
     References
     ----------
@@ -104,15 +107,15 @@ def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array)
 
 @dataclass(frozen=True, kw_only=True)
 class SigmaRule:
-    """A rule for the sigma of materials that have none.
+    """Rule for the standard deviation sigma of coefficients of materials that state none.
 
-    sigma = in_situ_factor * max(relative * alpha, minimum), or with ``iso_12999_2`` the maximum also of
-    ISO 12999-2's sigma_R. The factor is for another specimen, mounting, age or paint.
+    sigma = in_situ_factor * max(relative * alpha, minimum). With ``iso_12999_2`` the maximum is also
+    over sigma_R of ISO 12999-2. The factor allows for another specimen, mounting, age or paint.
 
     Raises
     ------
     DataError
-        If ``relative`` or ``minimum`` is not from 0 to 1, or the factor not finite and 1 or more.
+        If ``relative`` or ``minimum`` is not from 0 to 1, or the factor is below 1 or not finite.
 
     Examples
     --------
@@ -136,7 +139,7 @@ class SigmaRule:
             )
 
     def sigma(self, alpha: Array, centre_frequencies: Array) -> Array:
-        """Return sigma, (n_bands,); DataError for an alpha that is not from 0 to 2."""
+        """Return sigma of coefficients, (n_bands,); DataError for one that is not from 0 to 2."""
         sigma = np.maximum(self.relative * _coefficients(alpha), self.minimum)
         if self.iso_12999_2:
             sigma = np.maximum(sigma, sigma_iso_12999_2(alpha, centre_frequencies))

@@ -58,16 +58,16 @@ __dir__ = __all__.copy
 
 _POINTS = ("sources", "receivers")
 POSITION = 0.1
-"""Root mean square distance in m of sources and receivers from where they are stated. Each coordinate
-has a standard deviation sqrt(3) times smaller."""
+"""Usual root mean square error of stated source and receiver positions, in m. Each coordinate has a
+standard deviation sqrt(3) times smaller."""
 MOST_OFF = 1.0
-"""Largest `POSITION` in m that is taken."""
+"""Largest root mean square error of positions that is accepted, in m."""
 MAX_POINTS = 1000
-"""Largest number of sources, and of receivers."""
+"""Largest number of sources, and of receivers, in a room."""
 
 
 class GeometryTable(FileTable):
-    """The table ``geometry`` of a room's file."""
+    """Table ``geometry`` of a room's file."""
 
     mesh: str | None = None
     unit: Number = 1.0
@@ -80,7 +80,7 @@ Places = Annotated[dict[str, Point], msgspec.Meta(min_length=1)]
 
 
 class SceneTables(FileTable):
-    """The tables of a room's file that `Scene` holds."""
+    """Tables of a room's file from which a `Scene` is made."""
 
     geometry: GeometryTable = msgspec.field(default_factory=GeometryTable)
     sources: Places | None = None
@@ -90,22 +90,22 @@ class SceneTables(FileTable):
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """Positions of a room's walls, sources and receivers; it names files and does not read them.
+    """Geometry of a room for simulators: its mesh, its sources and its receivers.
 
     Parameters
     ----------
     mesh : path, optional
-        The room's mesh (Wavefront OBJ). Without it the room is the box of its dimensions. In a file the
-        path is relative to the file.
+        File of the room's mesh (Wavefront OBJ), which is not read here. Without it the room is the box
+        of its dimensions. A path in a file is relative to that file.
     unit : float
-        Length of the mesh's unit in m.
+        Length of the mesh's unit in m, such as 0.001 for mm.
     sources, receivers : mapping of str to (x, y, z)
-        Positions in m, by the names of the measurement's pairs. Give both, or neither.
+        Positions in m, by the names that the measurement's pairs have. Give both, or neither.
     directivity : mapping of str to Directivity or "unknown"
-        Directivity of each source. One without is taken as omnidirectional. A file's path is as the
-        mesh's.
+        Directivity of each source; a source without one is taken as omnidirectional. The path of a
+        directivity's file follows the rule of the mesh's path.
     position_uncertainty : float
-        Root mean square error of the positions, in m.
+        Root mean square error of the positions in m.
     leaks : bool
         Whether the mesh may have small holes, as `rtcal import --leaks` writes; see
         `rtcal.simulators.Polyhedron`.
@@ -115,7 +115,7 @@ class Scene:
     Raises
     ------
     DataError
-        For a value that breaks its rule; the message names place, value and rule.
+        If a value breaks a rule; the message names place, value and rule.
 
     Examples
     --------
@@ -164,11 +164,11 @@ class Scene:
         return self != Scene()
 
     def within(self, folder: str | os.PathLike[str]) -> Scene:
-        """Return the scene of a file in this folder, whose mesh and files are named relative to it."""
+        """Return the scene of a file in this folder, with its relative paths joined to the folder."""
         return self._with_files(lambda path: str(Path(folder) / path))
 
     def seen_from(self, folder: str | os.PathLike[str]) -> Scene:
-        """Return the scene with paths relative to this folder; the inverse of `within`."""
+        """Return the scene with paths relative to a folder (inverse of `within`)."""
 
         def relative(path: str) -> str:
             try:
@@ -191,7 +191,7 @@ class Scene:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the scene's tables as plain values, without empty ones."""
+        """Return the scene as plain values of the tables of a room's file, without empty tables."""
         stated = {name: getattr(self, name) for name in GeometryTable.__struct_fields__}
         stated["surfaces"] = {name: list(faces) for name, faces in self.surfaces.items()}
         unstated = msgspec.structs.asdict(GeometryTable())
@@ -204,7 +204,7 @@ class Scene:
 
     @classmethod
     def of(cls, tables: Any) -> Scene:
-        """Return the scene of an object with the fields of `SceneTables`; DataError as in `Scene`."""
+        """Return the scene from an object with the fields of `SceneTables`; DataError as `Scene`."""
         return cls(
             **msgspec.structs.asdict(tables.geometry),
             sources=tables.sources or {},
@@ -214,7 +214,7 @@ class Scene:
 
 
 def checked_uncertainty(position_uncertainty: float) -> float:
-    """Return the standard uncertainty of places in m; DataError for none, or above `MOST_OFF`."""
+    """Return the error of positions in m; DataError if it is no number or above `MOST_OFF`."""
     uncertainty = checks.positive("position_uncertainty", position_uncertainty, "m")
     if uncertainty > MOST_OFF:
         raise DataError(
@@ -240,7 +240,7 @@ def _points(kind: str, stated: Mapping[str, Sequence[float]]) -> dict[str, Point
 
 
 LARGEST_INDEX = 25.0
-"""Largest directivity index in dB. Horns for long throws have some 20 dB at 8 kHz."""
+"""Largest directivity index in dB. Long-throw horns have some 20 dB at 8 kHz."""
 UPWARDS = (0.0, 0.0, 1.0)
 _LEAST = (7, 4)
 """Fewest angles from the axis and about it: every 30 and every 90 degrees."""
@@ -250,40 +250,39 @@ _PARALLEL = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Directivity:
-    """Energy that a loudspeaker radiates in each direction, by an index and an axis, or a balloon.
+    """Directivity of a loudspeaker: a directivity index with an axis, or a measured balloon.
 
-    One of index, gains and file is given.
-
-    The energy of a lobe at the angle theta from the axis, over that of an omnidirectional source of the
-    same power, is (n + 1) ((1 + cos theta) / 2)^n with n = 10^(index / 10) - 1 (docs/path_tracing.md).
-    That of a balloon lies between its directions, linear in both angles.
+    Exactly one of index, gains and file must be given. With an index, the energy at the angle theta
+    from the axis, over that of an omnidirectional source of the same power, is
+    (n + 1) ((1 + cos theta) / 2)^n with n = 10^(index / 10) - 1 (docs/path_tracing.md). A balloon is
+    interpolated linearly in both angles.
 
     Parameters
     ----------
     index : float or array (n_bands,), optional
-        Directivity index in dB per octave band, 0 (omnidirectional) to 25: the level on the axis less
-        that of an omnidirectional source of the same power.
+        Directivity index in dB per band, 0 (omnidirectional) to 25: the level on the axis less that of
+        an omnidirectional source of the same power.
     aim : (x, y, z)
         Direction of the axis in the room's coordinates, of any length.
     gains : array (n_bands, n_theta, n_phi), optional
-        Energy in any unit, at equal steps of the angle theta from the axis, 0 to 180 degrees with
-        both ends, and of phi about it, 0 to 360 degrees without the end. phi is 0 above the axis and
-        90 degrees to its left. Each band's mean over the sphere becomes 1.
+        Radiated energy in any unit at equal steps of two angles: theta from the axis, 0 to 180 degrees
+        with both ends, and phi about the axis, 0 to 360 degrees without the end. phi is 0 above the
+        axis and 90 degrees to its left. Each band is scaled to a mean of 1 over the sphere.
     file : path, optional
-        With the balloon, as `rtcal.io.balloon` reads it: SOFA or CLF's text. It is named and not read.
+        File of the balloon (SOFA, or text of CLF), which `rtcal.io.balloon` reads when it is needed.
     up : (x, y, z)
-        The direction that is above a balloon's axis, in the room's coordinates.
+        Upward direction of a balloon in the room's coordinates, which must not be along ``aim``.
 
     Raises
     ------
     DataError
-        For an index outside its range, gains that are no balloon, an aim of length 0, or a balloon
-        that is aimed along ``up``.
+        For an index outside its range, gains of a wrong shape or value, an ``aim`` of length 0, or a
+        balloon whose ``aim`` is along ``up``.
 
     Notes
     -----
-    The lobe is that of a first-order source (cardioid) for an index of 3 dB. It has no side lobes. A
-    measured loudspeaker had 1.2, 0.5, 3, 7 and 7.7 dB from 250 Hz to 4 kHz (R3VIVAL, CC BY 4.0).
+    An index of 3 dB is about that of a cardioid. An index gives no side lobes. A measured loudspeaker
+    had 1.2, 0.5, 3, 7 and 7.7 dB in the octaves from 250 Hz to 4 kHz (R3VIVAL, CC BY 4.0).
 
     Examples
     --------
@@ -336,7 +335,7 @@ class Directivity:
 
     @property
     def pattern(self) -> Array:
-        """Numbers that describe each band, (n_numbers, n_bands); equal numbers radiate alike."""
+        """Numbers that determine the directivity in each band, (n_numbers, n_bands)."""
         if self.file is not None:
             return np.zeros((0, 1))
         if self.gains is None:
@@ -345,13 +344,13 @@ class Directivity:
 
     @property
     def n_bands(self) -> int:
-        """Number of bands; 1 for an index that is one value."""
+        """Number of bands; 1 if the index is a single value."""
         return int(self.pattern.shape[1])
 
     def gain(self, directions: ArrayLike) -> Array:
-        """Return the energy in each direction relative to an omnidirectional source, (n, n_bands).
+        """Return the energy in each direction over that of an omnidirectional source, (n, n_bands).
 
-        ``directions`` (n, 3) have any length; n_bands is 1 for an index that is one value.
+        ``directions`` (n, 3) have any length; n_bands is 1 if the index is a single value.
         """
         vectors = np.asarray(directions, dtype=float)
         vectors = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
@@ -388,7 +387,7 @@ class Directivity:
         return np.asarray(np.moveaxis((1 - down) * first + down * second, 0, -1))
 
     def for_bands(self, n_bands: int, place: str) -> Directivity:
-        """Return the directivity for ``n_bands``; DataError if it has another number of bands."""
+        """Return the directivity with ``n_bands`` bands; DataError if it has another number of them."""
         number = self.n_bands
         if number != n_bands and (number != 1 or self.gains is not None):
             name = "index" if self.gains is None else "gains"
@@ -401,13 +400,13 @@ class Directivity:
         return replace(self, index=np.broadcast_to(self.index, n_bands))
 
     def in_band(self, band: int) -> Directivity:
-        """Return the directivity of one band, by its number."""
+        """Return the directivity in one band, given by its number."""
         if self.gains is not None:
             return replace(self, gains=self.gains[band : band + 1])
         return replace(self, index=self.index[band])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return index and aim, or gains or file, aim and up, as plain values of a room's file."""
+        """Return the directivity as plain values of a room's file."""
         if self.file is not None:
             up = {} if self.up == UPWARDS else {"up": list(self.up)}
             return {"file": self.file, "aim": list(self.aim), **up}
@@ -417,7 +416,7 @@ class Directivity:
 
 
 def direction(name: str, stated: Any) -> tuple[float, float, float]:
-    """Return a direction of any length; DataError for anything else."""
+    """Return a direction as three numbers; DataError for another number of values, or length 0."""
     values = checks.array(name, stated)
     if values.shape != (3,) or not np.isfinite(values).all() or not np.linalg.norm(values) > 0:
         raise DataError(f"{name} = {checks.shown(stated)} must be a direction (x, y, z)")
@@ -457,13 +456,13 @@ def _balloon(gains: Any) -> Array:
 
 StatedDirectivity = Directivity | Literal["unknown"]
 UNKNOWN: Literal["unknown"] = "unknown"
-"""A source's directivity that nobody knows: it may be a loudspeaker, aimed anywhere."""
+"""Directivity of a source that nobody knows: it may be a loudspeaker that is aimed anywhere."""
 
 
 def directivities(
     stated: Mapping[str, Any], sources: Mapping[str, Any]
 ) -> dict[str, StatedDirectivity]:
-    """Return the sources' directivities; DataError for an unknown source or another kind of value."""
+    """Return the directivity of each source; DataError for an unknown source or a wrong value."""
     made: dict[str, StatedDirectivity] = {}
     for name, of in checks.mapped("directivity", stated).items():
         place = f'directivity["{text_name("directivity", name)}"]'
@@ -479,7 +478,7 @@ def directivities(
 
 
 def plain_directivities(stated: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the sources' directivities as plain values, as a room's file states them."""
+    """Return the directivity of each source as plain values of a room's file."""
     return {name: UNKNOWN if isinstance(of, str) else of.to_dict() for name, of in stated.items()}
 
 
@@ -491,16 +490,17 @@ PerBand = Number | Sequence[Number]
 
 @dataclass(frozen=True)
 class Material:
-    """A material and its prior, as in a ``[[material]]`` of a room's file.
+    """Material of a room with its absorption coefficients and their uncertainty.
 
     Parameters
     ----------
     name : str
+        Name of the material.
     alpha : sequence (n_bands,)
         Random-incidence absorption coefficients, 0 to 1.
     sigma : float, sequence (n_bands,), or a degree of `rtcal.acoustics.priors.TIERS`
-        Standard deviation of each coefficient, 0 or more; 0 for a coefficient that is exact. Only a
-        file with a rule for it (``[prior]``) may leave it out.
+        Standard deviation of each coefficient; 0 for an exact coefficient. It may be left out only if
+        the room has a rule for it (table ``[prior]`` of its file).
     alpha_min : float or sequence (n_bands,)
         Lower bound of the calibrated coefficient.
     scattering : float or sequence (n_bands,), optional
@@ -508,9 +508,9 @@ class Material:
     source : str
         Source of the coefficients.
     area : float, optional
-        In m², of a room's material without surfaces.
+        Area in m², for a material of a room without single surfaces.
     area_sigma : float or str, optional
-        Its relative standard deviation, or that in m²: "1.5 m²".
+        Relative standard deviation of the area, or the standard deviation in m²: "1.5 m²".
     """
 
     name: str
@@ -525,25 +525,25 @@ class Material:
 
 @dataclass(frozen=True)
 class Piece:
-    """Persons, seats or other objects of one kind, as an ``[[object]]`` of a room's file states them.
+    """Persons, seats or other objects of one kind that absorb, by their number.
 
-    They absorb, and are no surface: the mean coefficient of a room is
-    (sum alpha_i S_i + sum n_j a_j) / S, where S is that of the surfaces alone (Kuttruff, Room
-    Acoustics, on absorption by people). Sabine's A is then that of EN 12354-6. In a calibration the
-    absorption area of one piece is an unknown like a coefficient, and a row of ``alpha``; the number
-    of pieces stands in place of an area. The pieces' share in S'alpha = b is thus linear.
+    Pieces are no surface: the mean coefficient of a room is (sum alpha_i S_i + sum n_j a_j) / S, where
+    S is the area of the surfaces alone, n_j a number of pieces and a_j the absorption area of one
+    (Kuttruff, Room Acoustics, on absorption by people). Sabine's A is then that of EN 12354-6. A
+    calibration changes the absorption area of one piece as it changes a coefficient.
 
     Parameters
     ----------
     name : str
+        Name of the objects.
     number : float
-        Above 0.
+        Number of the objects, above 0.
     area_per_piece : sequence (n_bands,)
-        Equivalent absorption area of one in m² (ISO 354), 0 to `LARGEST_PIECE`.
+        Equivalent absorption area of one object in m² (ISO 354), 0 to `LARGEST_PIECE`.
     sigma : float or sequence (n_bands,)
-        Standard deviation of each in m²; 0 for one that is exact.
+        Standard deviation of the absorption area of one object in m²; 0 for an exact value.
     source : str
-        Source of the values.
+        Source of the absorption areas.
     number_sigma : float
         Relative standard deviation of the number.
 
@@ -564,17 +564,17 @@ class Piece:
     number_sigma: Number = 0.0
 
     def as_material(self, scattering: float | None = None) -> Material:
-        """Return the room's material for this piece."""
+        """Return the row of a room's materials that stands for these pieces."""
         row = Material(self.name, self.area_per_piece, self.sigma, source=self.source)
         return replace(row, scattering=scattering, area=self.number)
 
 
 @dataclass(frozen=True)
 class Surface:
-    """One surface of a room: its material, its area in m² and the axis perpendicular to it.
+    """Surface of a room: its name, its material, its area in m² and the axis of its normal.
 
-    ``axis`` is ``"x"``, ``"y"`` or ``"z"``: the direction of its normal. Only equations that treat
-    the axes apart (Fitzroy, Arau-Puchades) need it.
+    ``axis`` is ``"x"``, ``"y"`` or ``"z"``. Only equations that treat the axes apart (Fitzroy,
+    Arau-Puchades) need it.
     """
 
     name: str
@@ -594,11 +594,11 @@ class Surface:
 def with_patches(
     surfaces: Sequence[Surface], patches: Iterable[tuple[str, str, float]]
 ) -> list[Surface]:
-    """Return surfaces with pieces of other materials on them: (surface, material, area in m²).
+    """Return surfaces of which parts have other materials, such as a window in a wall.
 
-    A piece, such as a window, takes its area from its surface. Its name says on which it lies
-    (`lying_on`). Raises DataError for a surface that is not there, and for pieces that are larger than
-    theirs.
+    Each patch is (surface, material, area in m²). Its area is taken from its surface, and its name
+    contains the surface's (`lying_on`). Raises DataError for an unknown surface, and for patches that
+    are larger than their surface.
 
     Examples
     --------
@@ -624,9 +624,9 @@ def with_patches(
 
 
 def lying_on(surfaces: Sequence[Surface], material: str) -> dict[str | None, float]:
-    """Return the area in m² of a material by the material below it, None for a surface of its own.
+    """Return the area of a material in m² by the material that it lies on; None for a separate surface.
 
-    A surface "floor: audience" lies on "floor", as `with_patches` names it.
+    A surface "floor: audience" lies on the surface "floor", as `with_patches` names it.
 
     Examples
     --------
@@ -645,19 +645,19 @@ def lying_on(surfaces: Sequence[Surface], material: str) -> dict[str | None, flo
 
 
 ARCHIVE = "archive"
-"""Method in the record of a room whose coefficients come from an archive of other rooms."""
+"""Method named in the record of a room whose coefficients come from an archive of other rooms."""
 CHANGED = "changed"
-"""Method in the record of a room whose coefficients were changed after their calibration."""
+"""Method named in the record of a room whose coefficients were changed after their calibration."""
 _SAME = 1e-4
 """Largest difference of equal values, relative above 1: a program that converts changes less."""
 
 
 @dataclass(frozen=True)
 class CalibrationRecord:
-    """The calibration of a calibrated room, or the archive that its coefficients come from.
+    """Record in a calibrated room of its calibration, or of the archive that its coefficients are from.
 
-    ``measured`` identifies, per band, every T that the coefficients were calibrated to. A second
-    calibration to the same T would count it twice and is refused.
+    ``measured`` identifies, per band, each T that was used. A second calibration to the same T raises
+    an error, because T would count twice.
     """
 
     method: str
@@ -668,13 +668,14 @@ class CalibrationRecord:
 
 
 LEAST, LARGEST = 1e-9, 1e9
-"""Of volumes in m³, the largest of areas in m², too. Nothing that is built comes near either."""
+"""Smallest and largest volume of a room in m³, and largest area in m². No building comes near them."""
 LARGEST_LABORATORY_ALPHA = 2.0
-"""ISO 354 gives up to some 1.3 for thick absorbers of 10 m² (edge effect); small objects give more."""
+"""Largest coefficient above 1 that is taken for a laboratory's. ISO 354 gives up to some 1.3 for thick
+absorbers of 10 m² (edge effect); small objects give more."""
 LARGEST_PIECE = 10.0
 """Largest absorption area of one piece in m². A person has some 1 m²; more is that of all pieces."""
 LEAST_SIGMA = 1e-150
-"""Smallest sigma above 0: the square of a smaller one is 0 for a computer."""
+"""Smallest standard deviation above 0 that is accepted: the square of a smaller one rounds to 0."""
 RELATIVE = ("volume_sigma", "common_area_sigma", "common_alpha_sigma")
 
 
@@ -689,73 +690,76 @@ def _relative(place: str, value: object) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Room:
-    """A room: volume, materials with their areas, absorption coefficients and their uncertainty.
+    """Room with its volume, and its materials with area, absorption coefficients and their uncertainty.
 
-    Each material is one row, with one unknown coefficient per band. A material that covers several
-    surfaces is one row with the sum of their areas: `Room.from_surfaces` sums them and keeps them. A
-    mapping by material, such as ``areas={"floor": 20, "rest": 74}``, is put in the room's order.
+    Each material is one row of the arrays, and a calibration finds one coefficient per row and band. A
+    material that covers several surfaces is one row with the sum of their areas, which
+    `Room.from_surfaces` calculates. Arrays by material may also be given as a mapping, such as
+    ``areas={"floor": 20, "rest": 74}``.
 
     Parameters
     ----------
     name : str
+        Name of the room.
     volume : float
-        m³, from 1e-9 to 1e9.
+        Volume in m³, from 1e-9 to 1e9.
     materials : sequence of str (n_materials,)
-        Names, each once.
+        Names of the materials, all different.
     areas : array (n_materials,)
-        m², above 0.
+        Area of each material in m², above 0.
     alpha : array (n_materials, n_bands)
-        Absorption coefficients, 0 to 1: the prior means before a calibration, the calibrated
+        Absorption coefficients, 0 to 1: the input values before a calibration, the calibrated
         coefficients after it.
     sigma : array (n_materials, n_bands)
-        Their standard deviations, 0 to 1; a coefficient with 0 is not calibrated.
+        Standard deviations of the coefficients, 0 to 1; a coefficient with 0 is not calibrated.
     centre_frequencies : array (n_bands,)
-        Hz, increasing; within 1.5 % of a nominal third-octave centre they are made nominal.
+        Centre frequencies in Hz, increasing. A frequency within 1.5 % of a nominal third-octave centre
+        is replaced by it.
     air : Air, optional
-        Without it the air absorbs nothing, which is wrong above about 1 kHz.
+        Air in the room. Without it the air absorbs nothing, which is wrong above about 1 kHz.
     alpha_min : array (n_materials, n_bands), optional
         Lower bounds of the calibrated coefficients; 0 by default.
     scattering : array (n_materials, n_bands), optional
-        Scattering coefficients, 0 to 1, for simulators.
+        Scattering coefficients of the materials, 0 to 1, for simulators.
     scattering_model : {"random", "vector"}
         Meaning of the scattering coefficients; see `rtcal.simulators.path_tracing.ScatteringModel`.
     surfaces : sequence of Surface
-        The single surfaces, if given: the areas are their sums.
+        Single surfaces, if they are known; ``areas`` must be the sums of their areas.
     dimensions : (x, y, z), optional
         Length, width and height of a shoebox, in m, for simulators.
     scene : Scene
         Mesh, sources and receivers, for simulators; empty by default.
     sources : mapping of str to str
-        Where the coefficients of each material are from; sound sources are in ``scene``.
+        Source of the coefficients of each material, such as a handbook.
     band_correlation : float
-        Prior correlation of one material's errors in bands an octave apart, 0 to below 1; it falls as
-        band_correlation ** octaves.
+        Correlation of the errors of one material's coefficients in bands an octave apart, 0 to below 1.
+        Bands n octaves apart have band_correlation ** n.
     material_correlation : mapping of (material, material) to float
-        Prior correlation of two materials' errors in the same band, for materials that share a source
-        or a mounting.
+        Correlation of the errors of two materials' coefficients in the same band, for materials that
+        share a source or a mounting.
     above_one : {"refuse", "clip"}
-        What to do with coefficients above 1, which laboratories report (ISO 354: the edges of the
-        specimen absorb too). Clipped ones are listed in ``clipped``.
+        Whether coefficients above 1, which laboratories report (ISO 354: the edges of the specimen
+        absorb too), raise an error or are set to 1 and listed in ``clipped``.
     calibration : CalibrationRecord, optional
-        Set in the room that a calibration returns, or `rtcal.calibration.archive.Archive.apply`.
+        Record of the calibration, in a room that a calibration or
+        `rtcal.calibration.archive.Archive.apply` returns.
     author : str
-        Who made the model, for the pages of its results.
+        Name of the author of the model, for pages with results.
     volume_sigma : float
-        Relative standard deviation of the volume, 0 to below 1; 0 takes it as exact.
+        Relative standard deviation of the volume, 0 (exact) to below 1.
     area_sigma : float, or array or mapping (n_materials,)
         Relative standard deviation of each material's area, independent of the others. A mapping may
-        state some in
-        m²: ``{"curtain": "1.5 m²"}``; materials that it lacks are exact.
+        also state m²: ``{"curtain": "1.5 m²"}``. Materials that it lacks have an exact area.
     common_area_sigma : float
-        Relative standard deviation that all areas have in common: the drawing's scale.
+        Relative standard deviation that all areas have in common, such as that of a drawing's scale.
     common_alpha_sigma : float
-        Relative standard deviation that all coefficients have in common, as if every table were too
-        high or too low.
+        Relative standard deviation that all coefficients have in common: all may be too high or too
+        low.
     climate_sigma : (temperature, humidity)
         Standard deviations of the air's temperature in K and relative humidity in %.
     pieces : sequence of str
-        Names of the materials that are pieces (`Piece`) and not surfaces: ``areas`` has their number,
-        ``alpha``, ``sigma`` and ``alpha_min`` the absorption area of one in m².
+        Names of the materials that are pieces (`Piece`) and no surfaces. Their ``areas`` are numbers of
+        pieces; ``alpha``, ``sigma`` and ``alpha_min`` are the absorption area of one piece in m².
 
     Raises
     ------
@@ -1061,17 +1065,17 @@ class Room:
 
     @cached_property
     def is_surface(self) -> NDArray[np.bool_]:
-        """Whether each material covers surfaces, and is not a piece, (n_materials,)."""
+        """Whether each material is a surface and not a piece, (n_materials,)."""
         return np.array([m not in self.pieces for m in self.materials])
 
     @cached_property
     def total_area(self) -> float:
-        """S, the sum of the surfaces' areas in m²."""
+        """Total area S of the surfaces in m²."""
         return float(np.sum(self.areas[self.is_surface]))
 
     @property
     def absorption_area(self) -> Array:
-        """S'alpha, the equivalent absorption area of surfaces and pieces in m², (n_bands,)."""
+        """Equivalent absorption area of surfaces and pieces in m², (n_bands,)."""
         return np.asarray(self.areas @ self.alpha)
 
     @property
@@ -1081,13 +1085,13 @@ class Room:
 
     @property
     def without_pieces(self) -> Room:
-        """The room with its surfaces alone."""
+        """Room with its surfaces alone, without pieces such as persons."""
         if not self.pieces:
             return self
         return self.with_rows([self.material(m) for m in self.materials if m not in self.pieces])
 
     def refuse_pieces(self, what: str) -> None:
-        """Raise DataError, which names ``what`` takes surfaces alone, if the room has pieces."""
+        """Raise DataError if the room has pieces, because ``what`` takes surfaces alone."""
         if self.pieces:
             raise DataError(
                 f'{what}: room "{self.name}" has the [[object]] "{self.pieces[0]}", which has no '
@@ -1103,13 +1107,13 @@ class Room:
 
     @cached_property
     def is_uncertain(self) -> bool:
-        """Whether the room has an uncertainty of its volume, areas or climate."""
+        """Whether the room states an uncertainty of its volume, areas or climate."""
         stated = (self.volume_sigma, self.common_area_sigma, *self.climate_sigma)
         return any(stated) or bool(self.area_sigma.any())
 
     @property
     def as_exact(self) -> Room:
-        """The room with its volume, areas and climate, all taken as exact."""
+        """Room with an exact volume, exact areas and an exact climate."""
         if not self.is_uncertain:
             return self
         return self.replace(
@@ -1118,20 +1122,19 @@ class Room:
 
     @cached_property
     def speed_of_sound(self) -> float:
-        """Speed of sound in m/s in the room's air; that at 20 °C in a room without air."""
+        """Speed of sound in the room's air in m/s; that at 20 °C in a room without air."""
         return (self.air or Air()).speed_of_sound
 
     def with_air(self, air: Air | None) -> Room:
-        """Return the room in another climate, to predict T there with the same coefficients.
+        """Return the room with other air, to predict T there with the same coefficients.
 
-        Only the air's attenuation and the speed of sound change; without air the climate's
-        uncertainty goes.
+        Without air, the room has no uncertainty of the climate either.
         """
         sigma = (0.0, 0.0) if air is None else self.climate_sigma
         return self.replace(air=air, climate_sigma=sigma)
 
     def in_bands(self, wanted: Iterable[float]) -> Room:
-        """Return the room in other bands in Hz, with the attenuation of its air in these bands.
+        """Return the room with its coefficients converted to other bands, given in Hz.
 
         Raises DataError if an octave lacks one of its thirds, or a third its octave.
         """
@@ -1141,12 +1144,12 @@ class Room:
         return self.replace(centre_frequencies=conversion.new, **converted)
 
     def place(self, name: str, material: int, band: int) -> str:
-        """Return the name of one value in messages: ``alpha["carpet", 500 Hz]``."""
+        """Return the name of a value in messages, such as ``alpha["carpet", 500 Hz]``."""
         frequency = bands.label(self.centre_frequencies[band])
         return f'{name}["{self.materials[material]}", {frequency}]'
 
     def material_index(self, name: str, place: str = "") -> int:
-        """Return the row of the material ``name``; DataError, after ``place``, if the room has none."""
+        """Return the row of a material by its name; DataError, after ``place``, if there is none."""
         if name not in self.materials:
             known = ", ".join(self.materials)
             raise DataError(
@@ -1155,7 +1158,7 @@ class Room:
         return self.materials.index(name)
 
     def material(self, name: str) -> Material:
-        """Return the material ``name`` with its area; DataError as `material_index`."""
+        """Return a material by its name, with its area; DataError if the room has none of this name."""
         row = self.material_index(name)
         return Material(
             name,
@@ -1169,10 +1172,10 @@ class Room:
         )
 
     def with_rows(self, rows: Sequence[Material], **changes: Any) -> Room:
-        """Return the room with these materials, each with its area, in place of its own.
+        """Return the room with other materials, each with its area.
 
-        ``changes`` are other fields, as for `replace`. Without scattering of all materials the room has
-        none.
+        ``changes`` are further fields that change, as in `replace`. The room keeps scattering
+        coefficients only if all materials have them.
 
         Examples
         --------
@@ -1196,23 +1199,26 @@ class Room:
 
     @property
     def least_alpha(self) -> Array:
-        """The lower bounds of alpha, (n_materials, n_bands)."""
+        """Lower bounds of the coefficients in a calibration, (n_materials, n_bands)."""
         return np.zeros_like(self.alpha) if self.alpha_min is None else self.alpha_min
 
     @property
     def most_alpha(self) -> Array:
-        """The upper bounds of alpha, (n_materials, n_bands): 1, and `LARGEST_PIECE` of pieces."""
+        """Upper bounds of the coefficients in a calibration, (n_materials, n_bands).
+
+        They are 1, and `LARGEST_PIECE` for pieces.
+        """
         most = np.where(self.is_surface, 1.0, LARGEST_PIECE)
         return np.broadcast_to(most[:, np.newaxis], (self.n_materials, self.n_bands))
 
     def material_rows(self, names: Sequence[str]) -> NDArray[np.int64]:
-        """Return the rows of materials, (n,); DataError as `material_index`."""
+        """Return the rows of materials by their names, (n,); DataError for an unknown name."""
         return np.array([self.material_index(name) for name in names], dtype=np.int64)
 
     def replace(self, **changes: Any) -> Room:
-        """Return the room with some fields changed, checked like a new one.
+        """Return the room with some fields changed; all rules are checked again.
 
-        Raises DataError as `Room` does, and for a field that it lacks.
+        Raises DataError as `Room`, and for a field that a room does not have.
         """
         try:
             return replace(self, **changes)
@@ -1230,13 +1236,12 @@ class Room:
         prior: SigmaRule | None = None,
         **stated: Any,
     ) -> Room:
-        """Return the room whose area per material is the sum over its surfaces, or the material's own.
+        """Return a room from its materials and single surfaces, whose areas are summed per material.
 
-        A wall may be drawn as two polygons, since only the area per material counts. Materials
-        without a surface and an area are left out. ``prior`` gives the sigma of materials that state
-        none; ``stated`` are the room's other fields. Raises DataError as `Room` does, for a surface
-        whose material is not among ``materials``, for a material with surfaces and an area, and for a
-        field that is missing or that a room does not have.
+        A material without surfaces must state its area; one with neither is left out. ``objects`` are
+        pieces such as persons. ``prior`` gives the sigma of materials that state none, and ``stated``
+        are the room's other fields. Raises DataError as `Room`, for a surface with an unknown material,
+        for a material with both surfaces and an area, and for a field that is missing or unknown.
         """
         frequencies = bands.as_bands(centre_frequencies)
         drawn = [*checks.listed("surfaces", surfaces)]
@@ -1298,10 +1303,10 @@ class Room:
     def from_geometry(
         cls, geometry: Any, patches: Iterable[tuple[str, str, float]] = (), **stated: Any
     ) -> Room:
-        """Return the room with the volume and surfaces of a `rtcal.simulators.Polyhedron`.
+        """Return a room with the volume and the surfaces of a `rtcal.simulators.Polyhedron`.
 
-        ``patches`` are those of `with_patches`, and ``stated`` goes to `from_surfaces`. Raises
-        DataError as these do.
+        ``patches`` are parts of surfaces with other materials (`with_patches`), ``stated`` the other
+        arguments of `from_surfaces`. Raises DataError as these two.
         """
         if not (hasattr(geometry, "volume") and hasattr(geometry, "surfaces")):
             raise DataError(
@@ -1312,9 +1317,9 @@ class Room:
         return cls.from_surfaces(volume=geometry.volume, surfaces=surfaces, **stated)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the tables of the room's file as plain values, without empty ones.
+        """Return the room as plain values of the tables of its file, without empty tables.
 
-        What was above 1 stands clipped in alpha.
+        Coefficients that were set to 1 are 1 there.
         """
         covered = {surface.material for surface in self.surfaces}
         rows = [
@@ -1359,10 +1364,10 @@ class Room:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], place: str = "") -> Room:
-        """Return the room of the tables of a file, as `to_dict` gives them.
+        """Return a room from plain values of the tables of a file, as `to_dict` returns them.
 
-        Raises DataError, which names ``place``, for an unknown key, for a value of the wrong kind, and
-        as `Room` does.
+        Raises DataError, which names ``place``, for an unknown key, for a value of a wrong type, and as
+        `Room`.
         """
         if isinstance(data, Mapping) and data and {*data} <= {*SceneTables.__struct_fields__}:
             raise DataError(
@@ -1373,7 +1378,7 @@ class Room:
 
     @classmethod
     def of_table(cls, file: RoomFile) -> Room:
-        """Return the room of a file's tables; DataError as `from_surfaces`, and without an area."""
+        """Return a room from the tables of a file; DataError as `from_surfaces`, and without areas."""
         covered = {surface.material for surface in file.surface}
         refuse_repeats("material", file.material)
         for m in file.material:
@@ -1405,39 +1410,40 @@ class Room:
 
     @classmethod
     def from_file(cls, path: str) -> Room:
-        """Read a room from TOML; docs/files.md describes the format."""
+        """Read a room from a TOML file; docs/files.md describes its format."""
         with expecting("a room", path):
             room = cls.from_text(read_text(path, MAX_BYTES), os.fspath(path))
         return room.replace(scene=room.scene.within(Path(path).parent)) if room.scene else room
 
     @classmethod
     def from_text(cls, text: str, place: str) -> Room:
-        """Return the room of a TOML text; messages begin with ``place``."""
+        """Return a room from the text of a TOML file; messages begin with ``place``."""
         try:
             return cls.from_dict(toml_table(text))
         except DataError as error:
             raise DataError(f"{place}: {error}") from error
 
     def to_text(self, folder: str | os.PathLike[str] | None = None) -> str:
-        """Return the text of the room's TOML file; reading it gives the same numbers.
+        """Return the room as the text of a TOML file, from which the same numbers are read.
 
-        The scene's mesh is named as seen from ``folder``, if that is given.
+        Paths of the scene are relative to ``folder``, if it is given.
         """
         room = self if folder is None else self.replace(scene=self.scene.seen_from(folder))
         return toml_text(room.to_dict())
 
     def save(self, path: str) -> None:
-        """Write the room to TOML, whole or not at all."""
+        """Write the room to a TOML file; an error leaves no incomplete file."""
         write_text(path, self.to_text(checks.path("path", path).parent))
 
 
 def of_materials(
     materials: Sequence[Material], frequencies: Array, prior: SigmaRule | None = None
 ) -> dict[str, Any]:
-    """Return the arguments of `Room` that materials state; ``prior`` is for those without a sigma.
+    """Return the arguments of `Room` that follow from materials, such as its names and coefficients.
 
-    Without scattering of all materials there is none. Raises DataError, which names the material, for
-    another number of values than bands, and for no sigma.
+    ``prior`` gives the sigma of materials that state none. Scattering coefficients are returned only if
+    all materials have them. Raises DataError, which names the material, for a wrong number of values,
+    and for a missing sigma.
     """
 
     def row(material: Material, name: str) -> Array:
@@ -1474,10 +1480,10 @@ def of_materials(
 
 
 def in_order(place: str, value: Any, materials: Sequence[str]) -> Any:
-    """Return the values of a mapping by material in the room's order; others as they are.
+    """Return the values of a mapping by material in the order of ``materials``; other values unchanged.
 
-    Raises DataError for other keys, and for a table with labels, such as pandas': its rows may have
-    another order.
+    Raises DataError for other keys, and for a table with labels, such as a pandas one, whose rows may
+    have another order.
     """
     if hasattr(value, "to_numpy"):
         raise DataError(
@@ -1493,7 +1499,7 @@ def in_order(place: str, value: Any, materials: Sequence[str]) -> Any:
 
 
 def above_one_hint(alpha: float) -> str:
-    """Return what can be done about a coefficient above 1 that a laboratory may report; else "".
+    """Return advice on a coefficient above 1 that a laboratory may report; "" for other values.
 
     Examples
     --------
@@ -1510,7 +1516,7 @@ def above_one_hint(alpha: float) -> str:
 
 
 def fingerprint(kind: str, values: Mapping[str, float]) -> str:
-    """Return the name of data as a room's record keeps it: the values themselves, NaN left out.
+    """Return the text by which a room's record identifies measured data: their values without NaN.
 
     Examples
     --------
@@ -1523,7 +1529,7 @@ def fingerprint(kind: str, values: Mapping[str, float]) -> str:
 def of_pairs(
     parameter: str, pairs: Sequence[tuple[str, str]], values: Array, centre_frequencies: Array
 ) -> str:
-    """Return the name of a parameter's values at pairs, (n_pairs, n_bands)."""
+    """Return the text by which a record identifies a parameter's values at pairs."""
     cells = {
         f"{'>'.join(quote(name, safe='') for name in pair)}@{f:g}": value
         for pair, row in zip(pairs, values.tolist(), strict=True)
@@ -1533,15 +1539,15 @@ def of_pairs(
 
 
 def is_calibrated(room: Room) -> bool:
-    """Return whether a room's coefficients are those of its own calibration."""
+    """Return whether a room's coefficients come from a calibration of this room."""
     return room.calibration is not None and room.calibration.method not in (ARCHIVE, CHANGED)
 
 
 def times_of(room: Room) -> Array:
-    """Return the T in s that a calibrated room's record names, (n_bands,); NaN where it names none.
+    """Return T in s to which a room was calibrated, (n_bands,), from its record; NaN where unknown.
 
-    A record with several T, as of several configurations, names none of the room alone; nor does that
-    of a room that was changed since.
+    T is unknown if the record has several T, as from several configurations, and if the room was
+    changed after the calibration.
     """
     record = room.calibration
     every = [] if record is None or record.method == CHANGED else record.measured.split()
@@ -1578,9 +1584,10 @@ def _shared(one: str, other: str) -> list[str]:
 
 
 def refuse_repeated_data(room: Room, *names: str) -> None:
-    """Raise DataError if the room was calibrated already on data of one of these names.
+    """Raise DataError if the room was already calibrated to some of these data.
 
-    A name may hold several names of data, with blanks between. The message names the shared values.
+    Each argument has one or more texts of `fingerprint`, separated by blanks. The message names the
+    values that would count twice.
     """
     before = [] if room.calibration is None else room.calibration.measured.split()
     anew = [one for name in names for one in name.split()]
@@ -1618,11 +1625,11 @@ def _value_in_words(kind: str, label: str) -> str:
 
 
 MAX_BYTES = 2**18
-"""Largest size of a room's file in bytes: thirty times a usual one."""
+"""Largest size of a room's file in bytes, thirty times a usual one."""
 
 
 class PriorTable(FileTable):
-    """The rule for the sigma of materials that state none."""
+    """Rule for the sigma of materials that state none."""
 
     relative: Share = 0.0
     minimum: Share = 0.0
@@ -1632,7 +1639,7 @@ class PriorTable(FileTable):
 
 
 class SurfaceTable(FileTable):
-    """A surface; in a file without its name, the name is its number."""
+    """Surface in a room's file. Without a name its number is its name."""
 
     material: str
     area: Number
@@ -1641,14 +1648,14 @@ class SurfaceTable(FileTable):
 
 
 class Correlation(FileTable):
-    """The correlation of two materials' errors in the same band."""
+    """Correlation of the errors of two materials' coefficients in the same band."""
 
     materials: tuple[str, str]
     value: Number
 
 
 class RoomFile(SceneTables, kw_only=True):
-    """A room's file, with its scene's tables."""
+    """Tables of a room's file, with those of its scene."""
 
     name: str = "room"
     author: str = ""

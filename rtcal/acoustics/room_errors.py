@@ -31,42 +31,46 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Assumptions:
-    """Standard deviations of a prediction's unknowns; benchmarks/studies/predictions tests them.
+    """Assumed uncertainties of a prediction of T after a change of the room.
 
     Parameters
     ----------
     volume, areas : float
-        Relative errors of V, and of the area of each material, where the room states none.
+        Relative standard deviations of the volume, and of each material's area, where the room states
+        none.
     common : float
-        Error of ln T that the equation makes in all states of a room alike. It also stands for
-        handbook coefficients that are wrong together: T alone cannot distinguish the two.
+        Standard deviation of the equation's error of ln T that is the same before and after the change.
+        It also stands for handbook coefficients that are all too high or too low, because T alone
+        cannot distinguish the two.
     factor : float
-        The equation counts the absorption of each material times an unknown factor f, the same in all
-        states of the room: standard deviation of ln f.
+        Standard deviation of ln f, where f is the factor by which the equation counts the absorption of
+        a material too high or too low, the same before and after the change.
     least : float
-        Least error of f as an absorption coefficient: least / alpha is a further standard deviation of
-        ln f, which is large for small alpha.
+        Standard deviation of f alpha that is added for each material as an absorption coefficient: a
+        further standard deviation least / alpha of ln f, which is large for small alpha.
     evenness, evenness_sigma : float
-        Mean and standard deviation of u, which is from 0 to 2 and interpolates ln T where the walls of
-        one axis absorb more than the others: 0 is the equation itself (diffuse field), 1
-        Arau-Puchades', 2 Fitzroy's.
+        Mean and standard deviation of a number from 0 to 2 that interpolates ln T between equations
+        where the surfaces of one axis absorb more than the others: 0 is the equation itself (diffuse
+        field), 1 Arau-Puchades', 2 Fitzroy's.
     one_surface : float
-        Probability that all exchanged surfaces face one axis, if the room does not give their axes.
+        Probability that all exchanged surfaces are on one axis, if the room does not give their axes.
     own : float
-        Relative error of a measured change of ln T between two states, beyond the errors of f and u.
+        Relative standard deviation of a change of ln T between two states of the room that the errors
+        above do not cover.
     changed : float
-        Least sigma of alpha of a new material in predictions at positions. A coefficient with sigma 0
-        is exact and stays so.
+        Least standard deviation of a new material's coefficients in predictions at positions. A
+        coefficient with sigma = 0 stays exact.
     time : float
-        Relative uncertainty of a measured T that states none: one just noticeable difference.
+        Relative standard uncertainty of a measured T that states none; by default one just noticeable
+        difference.
     band_correlation : float
-        Correlation of the errors of ln T in bands an octave apart; it falls as
-        band_correlation ** octaves. Only the probability of all bands together uses it.
+        Correlation of the errors of ln T in bands an octave apart; it falls as band_correlation **
+        octaves. It serves only for the probability that all bands together reach a target.
 
     Raises
     ------
     DataError
-        If one is below 0 or above 1.
+        If a value is below 0 or above 1.
 
     Examples
     --------
@@ -95,28 +99,29 @@ class Assumptions:
 
 
 HANDBOOK_SIGMA = 0.3
-"""Relative sigma of coefficients from a handbook."""
+"""Relative standard deviation of absorption coefficients from a handbook."""
 COMMON, TILT = 0.15, 0.10
-"""Usual standard deviations of ln alpha, of coefficients from a handbook (sigma 30 %): of a factor
-common to all materials, and of a tilt per octave from 1 kHz. Development rooms of
-benchmarks/studies/second_world have 0.13 and 0.05. In a measured room (BRAS CR2, T of seven octaves)
-the tilt is -0.18."""
+"""Usual standard deviations of ln alpha for handbook coefficients (sigma 30 %): of a factor that all
+materials have in common, and of a common slope per octave from 1 kHz. Development rooms of
+benchmarks/studies/second_world have 0.13 and 0.05; in a measured room (BRAS CR2, T of seven octaves)
+the slope is -0.18."""
 OWN, OWN_TILT = 0.25, 0.07
-"""The same of each material's own factor and tilt: what two catalogues differ by. Carpets, plasters
-and glass of one name differ by 20 to 60 % between tables (`rtcal.datasets.catalogue` and its
-sources)."""
+"""Usual standard deviations of ln alpha for one material: of its factor and of its slope per octave.
+Carpets, plasters and glass of one name differ by 20 to 60 % between tables
+(`rtcal.datasets.catalogue` and its sources)."""
 POWER = 2.0
-"""These errors fall with this power of the stated relative sigma over a handbook's, since a small sigma
-means measured coefficients."""
+"""Power of (relative sigma / handbook's sigma) by which these errors fall, since a small sigma means
+measured coefficients."""
 
 
 def common_error_columns(
     alpha: Array, sigma: Array, frequencies: Array, power: float = POWER
 ) -> tuple[Array, Array]:
-    """Return the changes of alpha by one standard deviation each, two of (2, n_materials, n_bands).
+    """Return the changes of coefficients by one standard deviation of each error of their tables.
 
-    First factor and tilt of all materials, then those of each material. ``alpha`` and ``sigma`` have
-    shape (n_materials, n_bands), ``frequencies`` (n_bands,) in Hz.
+    The first array has the factor and the slope over frequency that all materials have in common, the
+    second those of each material; each is (2, n_materials, n_bands). ``alpha`` and ``sigma`` have the
+    shape (n_materials, n_bands), ``frequencies`` (n_bands,) are in Hz.
 
     Examples
     --------
@@ -134,14 +139,17 @@ def common_error_columns(
 
 
 def of_absorption(areas: Array, alpha: Array, sigma: Array, frequencies: Array) -> Array:
-    """Return the changes of S'alpha in m² by one standard deviation each, (n_errors, n_bands)."""
+    """Return the changes of the absorption area by one standard deviation of each error of the tables.
+
+    They are in m², (n_errors, n_bands), for the errors of `common_error_columns`.
+    """
     both, own = common_error_columns(alpha, sigma, frequencies)
     each = areas[:, np.newaxis] * own
     return np.concatenate([np.einsum("m,tmb->tb", areas, both), *each])
 
 
 def in_words(room: Room) -> str:
-    """Return the room's uncertainty in words: "volume 5 %, areas 3 %"; "" without any.
+    """Return the stated uncertainty of a room in words: "volume 5 %, areas 3 %"; "" without any.
 
     Examples
     --------
@@ -167,8 +175,8 @@ def in_words(room: Room) -> str:
 def alpha_covariance(mean: Array, sigma: Array, correlation: Array, common: float) -> Array:
     """Return the covariance of coefficients, (..., n, n): sigma R sigma + t² mu mu'.
 
-    A coefficient with sigma 0 is exact. R is the ``correlation`` (n, n), and t, ``common``, is how far
-    all coefficients may be off together.
+    mu is their ``mean`` and R their ``correlation`` (n, n). t is ``common``, the relative standard
+    deviation that all coefficients have in common. A coefficient with sigma = 0 is exact.
     """
     together = np.where(sigma > 0, common * mean, 0.0)
     own = sigma[..., np.newaxis] * correlation * sigma[..., np.newaxis, :]
@@ -176,7 +184,7 @@ def alpha_covariance(mean: Array, sigma: Array, correlation: Array, common: floa
 
 
 def between_materials(materials: Sequence[str], rooms: Iterable[Room]) -> Array:
-    """Return the correlation of materials that rooms state, (n_materials, n_materials)."""
+    """Return the correlation of materials' errors that rooms state, (n_materials, n_materials)."""
     out = np.eye(len(materials))
     for room in rooms:
         for (a, b), r in room.material_correlation.items():
@@ -186,7 +194,7 @@ def between_materials(materials: Sequence[str], rooms: Iterable[Room]) -> Array:
 
 
 def prior_covariance(room: Room) -> Array:
-    """Return the covariance of a room's prior, (n_materials * n_bands,) squared.
+    """Return the covariance of a room's input coefficients, n_materials * n_bands rows and columns.
 
     Examples
     --------
@@ -203,11 +211,12 @@ def prior_covariance(room: Room) -> Array:
 
 
 def target_changes(equation: LinearEquation, room: Room, t: Array) -> Array:
-    """Return the changes of b - S'alpha by one standard deviation each, (n_changes, n_bands), in m².
+    """Return the changes of b - S'alpha in m² by one standard deviation of each error of the room.
 
-    In this order: the volume, what the areas have in common, the area of each material, temperature
-    and humidity. With the exponent a, b = S E^-1(a) and a = (k V / T - 4 m V) / S, at the stated room
-    and measured T
+    b is the absorption area that the measured T needs, and S'alpha that of the coefficients. The
+    changes (n_changes, n_bands) are in this order: volume, common error of the areas, area of each
+    material, temperature, humidity. With b = S E^-1(a) and the exponent a = (k V / T - 4 m V) / S, for
+    the stated room and the measured T,
 
         V db/dV = S a / E',  db/dS = b / S - a / E',  d(S'alpha)/dS_i = mu_i.
 
@@ -239,11 +248,11 @@ def target_changes(equation: LinearEquation, room: Room, t: Array) -> Array:
 
 
 def alike_alpha(room: Room) -> Array:
-    """Return changes of alpha that act as the room's errors do, (n_changes, n_materials, n_bands).
+    """Return changes of coefficients with the same effect as one standard deviation of each room error.
 
-    One standard deviation each, in the order of `target_changes`. An area larger by a share absorbs as
-    coefficients larger by that share. A larger volume decays as smaller coefficients do. The air's
-    change of m absorbs as 4 m V / S on every surface.
+    They are (n_changes, n_materials, n_bands), in the order of `target_changes`. A larger area acts as
+    coefficients larger by the same ratio, a larger volume as smaller coefficients, and a change of the
+    air's attenuation m as a change of 4 m V / S on every surface.
     """
     of_air = 4 * room.volume / room.total_area * np.ones((room.n_materials, 1))
     own = np.eye(room.n_materials)[:, :, np.newaxis] * room.area_sigma[:, np.newaxis, np.newaxis]
@@ -257,10 +266,10 @@ def alike_alpha(room: Room) -> Array:
 
 
 def value_changes(room: Room, matrix: Array, of_level: NDArray[np.bool_]) -> Array:
-    """Return the changes of values at positions by one standard deviation each, (n_changes, n_values).
+    """Return the changes of values at positions by one standard deviation of each room error.
 
-    Those of `alike_alpha`, by the derivatives ``matrix`` (n_values, n_materials * n_bands); but a
-    larger volume keeps the values that are levels (``of_level``).
+    They are (n_changes, n_values). ``matrix`` (n_values, n_materials * n_bands) are the derivatives by
+    the coefficients, which `alike_alpha` changes. The volume does not change levels (``of_level``).
     """
     alike = alike_alpha(room)
     changes = alike.reshape(len(alike), -1) @ matrix.T
@@ -269,9 +278,9 @@ def value_changes(room: Room, matrix: Array, of_level: NDArray[np.bool_]) -> Arr
 
 
 def of_climate(room: Room, quantity: Callable[[Room], Array]) -> tuple[Array, Array]:
-    """Return the change of a quantity by one standard deviation of temperature, and of humidity.
+    """Return the changes of a quantity by one standard deviation of temperature, and of humidity.
 
-    Each is (n_bands,), half the difference between one standard deviation below and one above.
+    Each is (n_bands,): half the difference of the values one standard deviation above and below.
     """
     air, (kelvin, percent) = room.air, room.climate_sigma
     none = np.zeros(room.n_bands)

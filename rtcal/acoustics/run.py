@@ -30,21 +30,21 @@ Flags: TypeAlias = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Values that a simulation program gave for a room with certain coefficients.
+    """Results of a simulation program for a room, with the coefficients that the program had.
 
     Parameters
     ----------
     room : Room
-        The room as it was simulated: its alpha are the coefficients that the program had.
+        Room as it was simulated: its alpha are the coefficients that the program had.
     simulated : Measurement
-        What the program gave: T20, T30, EDT, C80, ... by band, as means or by pair. It is kept in the
-        room's bands.
+        Results of the program: T20, T30, EDT, C80, ... by band, as means or by source-receiver pair.
+        They are converted to the room's bands.
 
     Raises
     ------
     DataError
-        For another kind of argument, or if room and simulation have no band in common. Bands that are
-        converted or left out are a warning.
+        For an argument of a wrong type, or if room and simulation have no band in common. Bands that
+        are converted or left out only give a warning.
 
     Examples
     --------
@@ -75,7 +75,7 @@ class Run:
         return f'<Run of "{self.room.name}": {names}>'
 
     def refuse_other(self, room: Room) -> None:
-        """Raise DataError unless the run is of ``room``, with perhaps other coefficients.
+        """Raise DataError if the run is of another room than ``room``.
 
         Materials, bands, areas, volume and air must be the same; alpha and scattering may differ.
         """
@@ -99,7 +99,10 @@ class Run:
             raise DataError(f"{of} {own.air or 'no air'}; it must have {room.air or 'no air'}")
 
     def nothing_common(self, measured: Measurement, what: str = "value") -> DataError:
-        """Return the error that there is none of ``what`` in both, with what each side has."""
+        """Return a DataError which says that run and measurement have nothing in common.
+
+        ``what`` is the name of the missing quantity in the message, such as "T20 or T30".
+        """
         return DataError(
             f"run and measurement have no {what} in common: the run has {contents(self.simulated)}, "
             f"the measurement has {contents(measured)}. T20 is compared with T20 alone, and T30 with "
@@ -107,24 +110,24 @@ class Run:
         )
 
     def beside(self, measured: Measurement, *, by_pair: bool = False) -> Beside:
-        """Return run and measurement with what both have, in the room's bands; all commands use it.
+        """Return the values that both run and measurement have, in the room's bands.
 
-        Both have the same parameters; T20 is compared only with T20, and T30 with T30. Where pairs of a
-        source and a receiver are common, both have these pairs alone, and a value is NaN where the
-        other lacks it, so that means are over the same values. Else each has its own pairs, or means,
-        and only their means can be compared.
+        T20 is compared only with T20, and T30 with T30. If some source-receiver pairs are in both, only
+        these pairs are returned, and a value that one side lacks is NaN in both, so that means are over
+        the same values. Otherwise both keep their pairs or means, and only the means can be compared.
 
         Parameters
         ----------
         measured : Measurement
+            Measurement that the run is compared with.
         by_pair : bool
-            Whether only values of common pairs count. A relative level, whose reference is that of each
-            source, can then be compared, and the run's G is one.
+            Whether only values of common pairs count. Relative levels, which have a reference for each
+            source, can then be compared, and G of the run counts as a relative level.
 
         Raises
         ------
         DataError
-            If no parameter has a value of both in any band, or ``by_pair`` no pair is common.
+            If no parameter has values of both in a common band, or with ``by_pair`` at a common pair.
         """
         run, measured = self.simulated, measured.in_bands(self.room.centre_frequencies)
         own = run.pairs, measured.pairs
@@ -195,20 +198,20 @@ _MOST_NAMED = 6
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """A run and a measurement with what both have (`Run.beside`), and what one of them lacks."""
+    """Values that both a run and a measurement have (`Run.beside`), and what one of them lacks."""
 
     run: Measurement
     measured: Measurement
     lacking: Mapping[str, Lacking]
-    """Parameters that cannot be compared, each with the side that does not have it. A relative level
-    cannot be compared without its ``"reference"``."""
+    """Parameters that cannot be compared, each with the side that lacks it. A relative level cannot be
+    compared without its ``"reference"``."""
     missing: Mapping[Lacking, Sequence[Pair]]
-    """Pairs by the side that does not have them; none where only means are compared."""
+    """Source-receiver pairs by the side that lacks them; empty where only means are compared."""
     known: Mapping[str, tuple[Flags, Flags]]
-    """Where run and measurement have a value of the other parameters, (n_pairs, n_bands) each."""
+    """Whether run and measurement each have a value, (n_pairs, n_bands), by compared parameter."""
 
     def left_out(self, parameters: Collection[str] = OBSERVABLES) -> list[str]:
-        """Return a sentence on what is not compared of some parameters, and one on means; [] else."""
+        """Return sentences on what is not compared of some parameters; [] without any."""
         each, pairs = [], [" to ".join(pair) for pair in self.measured.pairs]
         f, by_pair = self.run.centre_frequencies, self.run.pairs == self.measured.pairs
         for why, said in _WHY.items():
@@ -256,7 +259,7 @@ def _values_in_words(
 
 
 def contents(of: Measurement) -> str:
-    """Return what has values, in words: "T20 (6 bands, 125 to 4000 Hz)"."""
+    """Return in words the parameters and bands that have values: "T20 (6 bands, 125 to 4000 Hz)"."""
     known = {p: np.isfinite(values).any(axis=0) for p, values in of.values.items()}
     each = (
         f"{parameter_label(p)} ({bands.span(of.centre_frequencies[at])})"
