@@ -86,7 +86,7 @@ class Observable(ABC):
     """Whether the observed quantity is the logarithm of the value (with a relative uncertainty)."""
     rises: ClassVar[bool] = False  # with the absorption
     part: ClassVar[Part] = "early"
-    """Part of the decay that determines the value. Absorption near a position affects each differently."""
+    """Part of the decay that determines the value. Absorption near a position differs between parts."""
     teams: ClassVar[tuple[float, ...]]
     """Standard deviation of the observed quantity between teams at one pair, by `OCTAVES`."""
     unknown_error: ClassVar[float]

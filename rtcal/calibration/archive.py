@@ -48,7 +48,7 @@ _OFF = 2.0
 _ALIKE = 1.0
 """Largest difference of one material's tables: rms over the bands, in their standard deviations."""
 MISNAMED = 0.01
-"""Prior probability that one material of a room is another than it is named."""
+"""Prior probability that a material of a room is another than its name says."""
 
 
 _USUAL = {
@@ -70,19 +70,19 @@ _STEP = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """The spread of coefficients, found by marginal likelihood."""
+    """Standard deviations of coefficients within and between rooms, found by marginal likelihood."""
 
     table: float
     between: float
-    """In units of the stated sigma: how far an entry is off in all rooms, and how far a material of one
-    name differs between rooms."""
+    """``table``: error of a handbook entry in all rooms; ``between``: difference of a material of one
+    name between rooms. Both are in units of the input sigma."""
     room: float
     together: float
-    """Relative: the factor of a room, and of all tables together."""
+    """Relative standard deviation of a factor of one ``room``, and of all tables ``together``."""
     equation: float
-    """Relative error of b, of each state and band on its own."""
+    """Relative error of the absorption area from the equation, independent in each state and band."""
     correlation: float
-    """Of one material's errors an octave apart."""
+    """Correlation of one material's errors in bands an octave apart."""
 
 
 def _spread(x: Array) -> Spread:
@@ -103,10 +103,10 @@ def _point(spread: Spread) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RoomData:
-    """The evidence of a room: its absorption area by state and band, and how sure it is.
+    """Absorption area of a room that the measured T needs, by state and band, with its uncertainty.
 
-    ``target`` is b in m², NaN where there is no T. ``covariance`` (n_states n_bands squared) is that of
-    b through T, volume, areas and climate, in m⁴, the bands last.
+    ``target`` is the absorption area in m², (n_states, n_bands), NaN without T. ``covariance`` in m⁴,
+    with n_states * n_bands rows and columns, has the errors of T, volume, areas and climate.
     """
 
     areas: Array  # (n_states, n_materials), m² of each of the archive's materials
@@ -115,7 +115,7 @@ class RoomData:
 
 
 class Evidence:
-    """The rows b_rsk of all rooms, and the model's covariance of them."""
+    """Absorption areas of all rooms that T needs, and their covariance in the model of this module."""
 
     def __init__(self, rooms: Sequence[RoomData], mu: Array, sigma: Array, octaves: Array) -> None:
         self.mu, self.sigma, self.rooms, self.octaves = mu, sigma, rooms, octaves
@@ -140,7 +140,7 @@ class Evidence:
         return Evidence, (self.rooms, self.mu, self.sigma, self.octaves)
 
     def covariance(self, spread: Spread) -> Array:
-        """Return the covariance of the rows about S'mu, in m⁴."""
+        """Return the covariance of the rooms' absorption areas about those of the input, in m⁴."""
         shared = self.shared * self.correlation(spread)[np.ix_(self.band, self.band)]
         together = np.outer(self.expected, self.expected)
         common = spread.table**2 * shared + spread.together**2 * together
@@ -154,17 +154,17 @@ class Evidence:
         return np.asarray(spread.correlation**self.distance)
 
     def fitted(self, rows: NDArray[np.bool_] | None = None, start: Spread | None = None) -> Spread:
-        """Return the spread of the largest marginal likelihood of ``rows`` times `_USUAL`."""
+        """Return the most probable spread for some rows of the data."""
         from scipy.optimize import minimize
 
         first = _CENTRE if start is None else _point(start)
         return _spread(minimize(self._cost, first, (rows,), method="L-BFGS-B").x)
 
     def plausible(self, spread: Spread) -> list[Spread]:
-        """Return spreads of equal weight around the fitted one: samples of its uncertainty.
+        """Return equally weighted spreads around the fitted one, as samples of its uncertainty.
 
-        Two along each axis of the normal density that has the cost's curvature there, so that mean and
-        covariance are its own (Julier & Uhlmann 1997, Proc. SPIE 3068, Eq. 12).
+        There are two along each axis of the normal density with the curvature of the posterior, so that
+        they have its mean and covariance (Julier & Uhlmann 1997, Proc. SPIE 3068, Eq. 12).
         """
         centre, size = _point(spread), len(_CENTRE)
         steps = _STEP * np.eye(size)
@@ -195,10 +195,10 @@ class Evidence:
         return 0.5 * penalty - _log_density(miss, self.covariance(_spread(x))[used])
 
     def posterior(self, spread: Spread, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Return posterior means and covariance of the coefficients that all rooms have in common.
+        """Return means and covariance of the coefficients that rooms have in common, given the data.
 
-        They are mu + d + h mu of the model above, given the measured ``rows``. The means have the shape
-        (n_materials, n_bands), the covariance (n_materials n_bands, n_materials n_bands), bands last.
+        The means, mu + d + h mu in the model of this module, are (n_materials, n_bands). The covariance
+        has n_materials * n_bands rows and columns. ``rows`` selects the data.
         """
         n, k = self.mu.shape
         correlation = self.correlation(spread)
@@ -214,13 +214,13 @@ class Evidence:
         return mean.reshape(n, k), prior - cross @ cho_solve(factor, cross.T)
 
     def together(self, spread: Spread) -> tuple[float, float]:
-        """Return the mean and the variance of h, by which all tables are off together."""
+        """Return mean and variance of the relative error h that all tables have in common."""
         cross = spread.together**2 * self.expected
         gain = cho_solve(cho_factor(self.covariance(spread), lower=True), cross)
         return float(gain @ self.miss), float(spread.together**2 - gain @ cross)
 
     def matrix(self, areas: Array, band: NDArray[np.int_]) -> Array:
-        """Return areas over the entries, (n_rows, n_materials n_bands), from those of rows, in m²."""
+        """Return the areas in m² by row of the data and coefficient, (n_rows, n_materials n_bands)."""
         out = np.zeros((len(areas), *self.mu.shape))
         out[np.arange(len(out)), :, band] = areas
         return out.reshape(len(out), -1)
@@ -228,67 +228,67 @@ class Evidence:
 
 @dataclass(frozen=True, kw_only=True)
 class Lesson:
-    """The contribution of one room, and its agreement with the others."""
+    """Contribution of one room to the archive, and its agreement with the other rooms."""
 
     room: str
     factor: float
     factor_sigma: float
-    """The relative factor of all its coefficients, and its standard deviation."""
+    """Relative deviation of all coefficients of this room (``factor``), and its standard deviation."""
     q: float
     degrees_of_freedom: int
     p_value: float
-    """Of its T beside what all other rooms predict: chi-square."""
+    """p-value of the chi-square test of the room's T against the prediction from all other rooms."""
     taught: float
-    """By which share this room reduced the standard deviation of its materials' means."""
+    """Reduction by this room of the standard deviations of its materials' means, 0 to 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Suspect:
-    """A material of a room that is probably another material than its name says."""
+    """Material of a room that is probably another material than its name says."""
 
     room: str
     material: str
     instead: str
-    """The archive's material that it more likely is; "" for none of them."""
+    """Material of the archive that it more likely is; "" if it is none of them."""
     probability: float
-    """That it is another one; before the data 0.01."""
+    """Probability that it is another material; before the data it is 0.01."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Archive(Result):
-    """The materials that calibrated rooms share, as `rtcal.learn` returns them."""
+    """Coefficients of the materials that calibrated rooms share, as `rtcal.learn` returns them."""
 
     record_kind: ClassVar[str] = "archive 1"
 
     materials: tuple[str, ...]
     centre_frequencies: Array
-    """(n_bands,)."""
+    """Centre frequencies in Hz, (n_bands,)."""
     table: Array
     table_sigma: Array
-    """Input of the rooms, (n_materials, n_bands): the mean of their entries, and the largest sigma."""
+    """Input of the rooms, (n_materials, n_bands): mean of their coefficients, and largest sigma."""
     alpha: Array
     sigma: Array
-    """The library, (n_materials, n_bands): mean and standard deviation of a coefficient in the next
-    room."""
+    """Learned coefficients, (n_materials, n_bands): mean and standard deviation of a coefficient in the
+    next room."""
     mean_sigma: Array
-    """Standard deviation of the mean itself, (n_materials, n_bands): it falls with every room."""
+    """Standard deviation of the means ``alpha``, (n_materials, n_bands); it falls with every room."""
     seen: NDArray[np.int_]
-    """In how many rooms, (n_materials,)."""
+    """Number of rooms in which each material occurs, (n_materials,)."""
     spread: Spread
-    """The likeliest. Those above count what it leaves open."""
+    """Most probable spread within and between rooms; the sigmas above also have its uncertainty."""
     together: float
     together_sigma: float
-    """How far all tables are off together, relative, and its standard deviation."""
+    """Relative error that all tables have in common (``together``), and its standard deviation."""
     room_sigma: float
-    """Relative standard deviation of the next room's common factor."""
+    """Relative standard deviation of the next room's factor of all coefficients."""
     lessons: tuple[Lesson, ...]
     suspects: tuple[Suspect, ...]
-    """The likeliest first."""
+    """Materials that are likely misnamed, the most likely first."""
     measured: tuple[str, ...]
-    """Names of the measured T that it has learned from, as a `CalibrationRecord` keeps them."""
+    """Texts that identify the measured T from which the archive was learned (`CalibrationRecord`)."""
 
     def material(self, name: str) -> Material:
-        """Return one entry with its sigma and its source; DataError if it is not in the archive."""
+        """Return a material with its sigma and source; DataError if it is not in the archive."""
         if name not in self.materials:
             raise DataError(
                 f'"{name}" is not a material of the archive, which has {", ".join(self.materials)}'
@@ -302,27 +302,28 @@ class Archive(Result):
         )
 
     def apply(self, room: Room, names: Mapping[str, str] | None = None) -> Room:
-        """Return a room whose materials have the archive's alpha and sigma, if the archive has them.
+        """Return a room with the archive's coefficients and sigmas for the materials that it has.
 
-        A material that it does not know keeps its table times the factor by which all tables are off
-        together, unless the table is exact or made by an archive. Other bands stay, and a material
-        whose table is too far from that of the archive's rooms to be one with it: ``names`` takes it
-        nevertheless. ``common_alpha_sigma`` becomes the factor by which rooms differ. An ``alpha_min``
-        above the new coefficient is kept, and the coefficient raised to it. The room's record names the
-        T that the archive has learned from, so that a calibration to one of them is refused.
+        A material that is not in the archive keeps its coefficients times the factor that all tables
+        have in common, unless they are exact or from an archive. A material whose input differs too
+        much from the archive's keeps its values, unless ``names`` states it. Bands that the archive
+        lacks do not change. ``common_alpha_sigma`` becomes the standard deviation between rooms, and
+        coefficients are at least ``alpha_min``. A later calibration to T from which the archive was
+        learned raises an error.
 
         Parameters
         ----------
         room : Room
-            Not calibrated yet.
+            Room that is not calibrated yet.
         names : mapping of str to str, optional
-            From the room's names of materials to the archive's. They may be alike.
+            Name in the archive of each of the room's materials, where the two differ or are to be used
+            in any case.
 
         Raises
         ------
         DataError
-            If no material or no band of the room is known, ``names`` has an unknown one, or the
-            archive's rooms differ so far that they say nothing of the next.
+            If the archive has no material or no band of the room, ``names`` has an unknown name, or the
+            archive's rooms differ too much to predict the next.
         """
         checks.instance("room", room, Room).refuse_pieces("an archive")
         known, moved, columns = self._places(room, names)
@@ -372,9 +373,9 @@ class Archive(Result):
         )
 
     def left_as_stated(self, room: Room, names: Mapping[str, str] | None = None) -> tuple[str, ...]:
-        """Return sentences on the materials and bands that `apply` leaves at the room's own values.
+        """Return sentences on the materials and bands that `apply` does not change.
 
-        DataError if ``names`` has an unknown one.
+        Parameters are those of `apply`. Raises DataError if ``names`` has an unknown name.
         """
         known, moved, columns = self._places(room, names)
         left = [i for i in range(room.n_materials) if i not in known and i not in moved]
@@ -435,12 +436,12 @@ class Archive(Result):
 
     @property
     def off(self) -> Array:
-        """(alpha - table) / table, (n_materials, n_bands): how far each entry was off; NaN at 0."""
+        """Relative deviation (alpha - table) / table of each coefficient from the input; NaN for 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.table > 0, self.alpha / self.table - 1, np.nan)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the library, the rooms' lessons and the suspects as plain values."""
+        """Return materials, contributions of rooms and likely misnamed materials as plain values."""
         return {
             "centre_frequencies": json_numbers(self.centre_frequencies),
             "materials": [
@@ -564,38 +565,37 @@ def learn(
     *,
     scheduler: str | None = None,
 ) -> Archive:
-    """Learn the absorption of the materials that calibrated rooms share.
+    """Return an archive of the absorption coefficients that calibrated rooms have in common.
 
-    The model of alpha of a material in a room has three parts: the material's mean, a deviation in this
-    room, and a factor of the room; see `rtcal.calibration.archive`. Marginal likelihood gives how much
-    a material differs between rooms, and the separate and the common errors of the tables. The means
-    follow in one linear step and are then limited to 0 to 1. Only the rooms' input priors and measured
-    T count, not how they were calibrated. Nothing leaves the machine without ``scheduler``.
+    A coefficient of a material in a room is modelled as the material's mean, a deviation in this room,
+    and a factor of the room (`rtcal.calibration.archive`). How much materials differ between rooms, and
+    how wrong tables are, is estimated from all rooms together. Only the rooms' input coefficients and
+    measured T count, not how they were calibrated. Nothing leaves the machine without ``scheduler``.
 
     Parameters
     ----------
     rooms : sequence of CalibrationResult or JointResult
-        Two or more, each with a name of its own: that of the first configuration of a `JointResult`,
-        whose configurations are states of one room. Their common bands are used.
+        Calibrations of two or more rooms with different names. A `JointResult` is one room, with the
+        name of its first configuration. The bands that all have in common are used.
     names : mapping of str to str, optional
-        From a room's name of a material to the archive's, where the two differ. A name that it does not
-        give is one material where the rooms' tables are near; else the later room's name stands by it.
+        Name in the archive of a room's material, where the two differ. By default materials of one name
+        are one if their input coefficients are similar; else the room's name is added to the later one.
     scheduler : str, optional
-        Address of a Dask scheduler whose workers compare each room with the others; default: threads of
-        this machine.
+        Address of a Dask scheduler whose workers compare each room with the others; threads of this
+        machine by default.
 
     Returns
     -------
     Archive
-        The library, what each room taught, and materials that are likely misnamed.
+        Coefficients of the materials, the contribution of each room, and likely misnamed materials.
 
     Raises
     ------
     DataError
-        For fewer than two rooms, one that occurs twice, rooms without common bands, an unknown name in
-        ``names``, or a room in which two materials get one name.
+        For fewer than two rooms, a room that occurs twice, rooms without common bands, an unknown name
+        in ``names``, or a room in which two materials get one name.
     ClusterError
-        From the scheduler.
+        If the scheduler or its workers fail.
 
     Examples
     --------
@@ -825,15 +825,15 @@ def _log_density(miss: Array, covariance: Array) -> float:
 
 
 def materials(result: Calibrated) -> tuple[str, ...]:
-    """Return the names of all materials in the states of a calibrated room."""
+    """Return the names of all materials in the configurations of a calibrated room."""
     return tuple(_room(result).materials)
 
 
 def read_folder(folder: str | os.PathLike[str]) -> list[Calibrated]:
-    """Return the calibrations in a folder: each ``result.json`` of ``rtcal calibrate --out`` below it.
+    """Return the calibrations that ``rtcal calibrate --out`` has saved in a folder and below it.
 
-    Raises DataError if there is none, one that cannot be read, or more than 500. Files of other results
-    are left out.
+    They are the files ``result.json``; other results are left out. Raises DataError for no or more than
+    500 files, and for a file that cannot be read.
     """
     if not checks.path("folder", folder).is_dir():
         raise DataError(f"{folder}: this folder does not exist")

@@ -38,9 +38,9 @@ _KEPT = 1e-9
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Composition:
-    """An objective and constraints for a room, or for several configurations of one.
+    """Objective and constraints of a calibration, with the room or configurations that they are for.
 
-    The equation turns T into b.
+    ``equation`` is the reverberation equation that gives the absorption area b which T needs.
     """
 
     objective: Objective
@@ -50,12 +50,12 @@ class Composition:
 
     @cached_property
     def configurations(self) -> Configurations:
-        """The rooms, as configurations; one room is a single configuration."""
+        """Rooms of the calibration, as configurations; one room is a single configuration."""
         return Configurations([self.room]) if isinstance(self.room, Room) else self.room
 
     @cached_property
     def compiled(self) -> CompiledProblem:
-        """The compiled problem; compositions with equal terms, materials and bands share one.
+        """Compiled problem, which compositions with equal terms, materials and bands share.
 
         Raises DataError or ModelError if the terms do not fit the rooms.
         """
@@ -70,66 +70,66 @@ class Composition:
 
     @property
     def layout(self) -> Layout:
-        """The order of the unknowns."""
+        """Order of the unknowns of the calibration."""
         return self.compiled.layout
 
     @property
     def boxes(self) -> list[Bounds]:
-        """The constraints that are bounds; all others, except `Shared`, are rows of the QP."""
+        """Constraints that are lower and upper bounds of single unknowns."""
         return [c for c in self.constraints if isinstance(c, Bounds)]
 
     @property
     def row_constraints(self) -> list[Any]:
-        """The constraints that are rows of the QP."""
+        """Constraints that are no bounds and are therefore rows of the quadratic programme (QP)."""
         return [c for c in self.constraints if not isinstance(c, Bounds | Shared)]
 
     @property
     def matches(self) -> list[ExactMatch]:
-        """The constraints that hold S'alpha to the measured T."""
+        """Constraints that hold the absorption area S'alpha to that of the measured T."""
         return [c for c in self.constraints if isinstance(c, ExactMatch)]
 
     @cached_property
     def soft_match(self) -> SoftMatch | None:
-        """The term that weighs the misfit of T; None without one."""
+        """Term for the squared deviation from the measured T; None without one."""
         return next((t for t in self.objective.terms if isinstance(t, SoftMatch)), None)
 
     @cached_property
     def observations(self) -> list[LinearObservations]:
-        """The terms of linear observations."""
+        """Terms for linear observations of the coefficients."""
         return [t for t in self.objective.terms if isinstance(t, LinearObservations)]
 
     @cached_property
     def effects(self) -> list[AddedAbsorption]:
-        """The terms that bring an unknown of their own."""
+        """Terms that add a further unknown, the size of an effect."""
         return [t for t in self.objective.terms if isinstance(t, AddedAbsorption)]
 
     @cached_property
     def prior(self) -> Any:
-        """The term that makes alpha unique."""
+        """Term for the deviation from the input coefficients, which makes the answer unique."""
         return next(t for t in self.objective.terms if getattr(t, "is_prior", False))
 
     @cached_property
     def weights(self) -> tuple[float, ...]:
-        """The terms' weights, divided by the prior's, which changes no answer."""
+        """Weights of the terms over that of the prior; this division changes no answer."""
         every = self.objective.weights
         prior = every[self.objective.terms.index(self.prior)]
         return tuple(w / prior for w in every)
 
     def unknowns_at(self, numbers: Numbers, at: Active) -> Active:
-        """Return the active bounds of the unknowns, (size,), from those of the QP's variables."""
+        """Return the active bounds of the unknowns, (size,), from those of all variables of the QP."""
         return np.where(numbers.movable, at[self.compiled.places], 0).astype(np.int8)
 
     def without(self, term: Any) -> Composition:
-        """Return the composition without a term of the objective."""
+        """Return the composition without one term of the objective."""
         pairs = zip(self.objective.terms, self.objective.weights, strict=True)
         left = [(t, w) for t, w in pairs if t != term]
         terms, weights = zip(*left, strict=True)
         return replace(self, objective=Objective(terms, weights))
 
     def value(self, numbers: Numbers, u: Array) -> float:
-        """Return the objective at some unknowns, (size,), other variables at their best values.
+        """Return the objective for given unknowns, (size,), with optimal auxiliary variables.
 
-        Infinite where the unknowns do not keep the bounds and the constraints.
+        The value is infinite if the unknowns violate a bound or a constraint.
         """
         low, high = (u - end for end in numbers.box)
         slack = _KEPT * (1 + np.abs(u))
@@ -151,7 +151,10 @@ class Composition:
         return float(point.v @ (program.gradient(point.v) + program.c)) / 2
 
     def convexity(self, numbers: Numbers) -> float:
-        """Return m with f - m |x|² / 2 convex, x the deviations of all unknowns; 0 claims nothing."""
+        """Return the least curvature m of the objective: f - m |x|² / 2 is convex in all deviations x.
+
+        It is 0 where no such m is known.
+        """
         of_prior = getattr(self.prior, "convexity", None)
         pairs = zip(self.objective.terms, self.weights, strict=True)
         weights = [w for t, w in pairs if isinstance(t, AddedAbsorption)]

@@ -30,18 +30,18 @@ __all__ = ["OK", "least_squares", "maximum_likelihood", "multiplier", "scaling",
 __dir__ = __all__.copy
 
 OK, BELOW, ABOVE, BAD_INPUT = 0, 1, 2, 3
-"""Values of ``status``: solved; target below or above what the bounds allow; invalid datum."""
+"""Values of ``status``: solved; target below, or above, the range of the bounds; invalid input."""
 
 EPS = float(np.finfo(float).eps)
 LEAST_SIGMA = 1e-140
-"""Least sigma above 0. The squares of smaller ones, times an area, round to 0."""
+"""Smallest standard deviation above 0. The squares of smaller ones, times an area, round to 0."""
 
 
 class Answer(NamedTuple):
-    """The minimisers of a batch.
+    """Calibrated coefficients of many rooms and bands, as `solve` returns them.
 
-    ``alpha`` (..., n); ``multiplier`` D (...) in 1/m²; ``status`` (...) of `OK`, `BELOW`, `ABOVE`,
-    `BAD_INPUT`. Where status is not 0, alpha and multiplier are NaN.
+    ``alpha`` (..., n) are the coefficients, ``multiplier`` (...) is D in 1/m² (see `solve`), and
+    ``status`` (...) is `OK`, `BELOW`, `ABOVE` or `BAD_INPUT`. Where it is not `OK`, the others are NaN.
     """
 
     alpha: Array
@@ -59,38 +59,39 @@ def solve(
     *,
     uncertainty: ArrayLike = 0.0,
 ) -> Answer:
-    """Return the exact minimisers of a batch of calibration QPs, one band each.
+    """Return the calibrated coefficients of many rooms and bands at once, without a solver.
 
-    alpha = clip(mu - D S sigma², lower, upper) with S'alpha = b; with an ``uncertainty`` u the
-    objective has ½ (S'alpha - b)²/u² in place of the equality (then D = (S'alpha - b)/u²).
+    Each band is one problem: minimise ½ sum ((alpha - mu) / sigma)² with S'alpha = b within the bounds.
+    The answer is alpha = clip(mu - D S sigma², lower, upper), with the areas S and one number D. With
+    an ``uncertainty`` u the term ½ (S'alpha - b)² / u² replaces S'alpha = b, and D = (S'alpha - b) /
+    u².
 
     Parameters
     ----------
     mu, sigma : array (..., n)
-        Prior means and standard deviations. A coefficient with sigma = 0 is fixed at mu, which must
-        lie within the bounds. With sigma > 0, mu may lie outside them.
+        Input coefficients and their standard deviations. A coefficient with sigma = 0 stays at mu,
+        which must be within the bounds. With sigma > 0, mu may be outside.
     areas : array (..., n)
-        m², not negative.
+        Areas S in m², not negative.
     target : array (...)
-        b in m².
+        Absorption area b that the measured T needs, in m².
     lower, upper : float or array (..., n)
-        Bounds, finite.
+        Bounds of the coefficients, finite.
     uncertainty : float or array (...)
-        m², 0 for an exact match.
+        Standard uncertainty u of the absorption area b in m², 0 for an exact match.
 
     Returns
     -------
     Answer
-        ``alpha, multiplier, status``. b within 16 n eps sum |S bound| of the least or largest S'alpha
-        that the bounds allow counts as that end. At an end any multiplier of an interval is optimal;
-        the one nearest 0 is returned.
+        Coefficients, D and a status per problem. A target b within 16 n eps sum |S bound| of the least
+        or largest reachable value counts as that value; D is then the nearest to 0 that is optimal.
 
     Raises
     ------
     DataError
-        If shapes do not fit, or a value is not a number or masked. A row with NaN, a negative area, a
-        negative sigma, one above 0 and below `LEAST_SIGMA`, lower above upper or a fixed mu outside the
-        bounds raises no error: its status is 3.
+        If shapes do not fit, or a value is no number or masked. A problem with NaN, a negative area, a
+        negative sigma or one between 0 and `LEAST_SIGMA`, lower above upper, or a fixed mu outside the
+        bounds raises no error: its status is `BAD_INPUT`.
 
     References
     ----------
@@ -151,9 +152,11 @@ def _rows(x: Array, batch: tuple[int, ...], n: int) -> Array:
 
 
 def least_squares(mu: Array, areas: Array, target: Array | float) -> Array:
-    """Return the coefficients nearest to ``mu`` with S'alpha = b (Bellows & Katz 2025, Eqs. 9, 10).
+    """Return the coefficients nearest to the input that have a given absorption area, without sigma.
 
-    alpha = mu - C S,  C = (S'mu - b) / S'S.
+    alpha = mu - C S,  C = (S'mu - b) / S'S (Bellows & Katz 2025, Eqs. 9, 10), where ``mu`` are the
+    input coefficients, S the ``areas`` in m² and b the ``target`` absorption area in m². No bounds
+    apply.
 
     Examples
     --------
@@ -164,18 +167,18 @@ def least_squares(mu: Array, areas: Array, target: Array | float) -> Array:
 
 
 def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | float) -> Array:
-    """Return the likeliest coefficients with S'alpha = b (Bellows & Katz 2025, Eqs. 22 to 25).
+    """Return the most likely coefficients that have a given absorption area, without bounds.
 
-    alpha = mu - D S sigma²,  D = (S'mu - b) / sum S² sigma².
+    alpha = mu - D S sigma²,  D = (S'mu - b) / sum S² sigma² (Bellows & Katz 2025, Eqs. 22 to 25).
 
     Parameters
     ----------
     mu, sigma : array (n_materials,) or (n_materials, n_bands)
-        Prior means and standard deviations; a coefficient with sigma = 0 does not change.
+        Input coefficients and their standard deviations; a coefficient with sigma = 0 does not change.
     areas : array (n_materials,)
-        m².
+        Areas S in m².
     target : float or array (n_bands,)
-        b in m².
+        Absorption area b that the measured T needs, in m².
 
     Raises
     ------
@@ -194,7 +197,10 @@ def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | fl
 
 
 def multiplier(mu: Array, sigma: Array, areas: Array, target: Array | float) -> Array:
-    """Return D = (S'mu - b) / sum S² sigma² in 1/m², a scalar or (n_bands,) (Eqs. 23 to 25)."""
+    """Return D in 1/m² of `maximum_likelihood`, by which coefficients change as mu - D S sigma².
+
+    D = (S'mu - b) / sum S² sigma², a scalar or (n_bands,) (Bellows & Katz 2025, Eqs. 23 to 25).
+    """
     mu, areas, target = _checked(mu, areas, target)
     sigma = _finite("sigma", sigma)
     if sigma.shape != mu.shape:
@@ -211,12 +217,14 @@ def multiplier(mu: Array, sigma: Array, areas: Array, target: Array | float) -> 
 
 
 def scaling(mu: Array, areas: Array, target: Array | float) -> Array:
-    """Return the coefficients times one factor, alpha = mu b / S'mu (Bellows & Katz 2025, Eqs. 36, 37).
+    """Return the coefficients times one factor that gives a required absorption area, without bounds.
+
+    alpha = mu b / S'mu (Bellows & Katz 2025, Eqs. 36, 37), with the areas S and the ``target`` b in m².
 
     Raises
     ------
     DataError
-        If shapes do not fit, or S'mu = 0: no factor then gives b.
+        If shapes do not fit, or if S'mu = 0, so that no factor gives b.
 
     Examples
     --------

@@ -30,7 +30,7 @@ def solve_rows(
     multiplier: Array,
     status: NDArray[np.int8],
 ) -> None:
-    """Solve every row; an argument with one row is used for all rows.
+    """Solve every problem of a batch, one per row; an argument with one row is used for all.
 
     mu, sigma, areas, lower, upper: (rows or 1, n); target, uncertainty: (rows or 1,);
     alpha (rows, n), multiplier (rows,) and status (rows,) are written.
@@ -243,7 +243,7 @@ def fix(
 
 @compiled(reorder=False)
 def meeting(m: Array, w: Array, low: Array, high: Array, a: Array) -> float:
-    """Return D if all coefficients are at bounds: the optimal D nearest 0."""
+    """Return D of the optimum at which all coefficients are at bounds; of several, the nearest to 0."""
     start, stop = -np.inf, np.inf
     for i in range(m.size):
         if w[i] > 0 and low[i] < high[i]:
@@ -257,7 +257,7 @@ def meeting(m: Array, w: Array, low: Array, high: Array, a: Array) -> float:
 
 @compiled(reorder=False)
 def excess_of(s: Array, a: Array, b: float) -> float:
-    """Return S'a - b as if summed in twice the precision (Dekker's product, Knuth's sum)."""
+    """Return S'a - b with the accuracy of twice the precision (Dekker's product, Knuth's sum)."""
     total, lost = -b, 0.0
     for i in range(s.size):
         product = s[i] * a[i]

@@ -29,10 +29,10 @@ primal residual that an answer may have."""
 
 @dataclass(frozen=True)
 class Unreachable:
-    """A band whose measured T is beyond what coefficients within the bounds give.
+    """Band whose measured T no coefficients within the bounds can give.
 
-    ``target`` is the absorption area b in m² that T requires, NaN if no b has this T. The bounds allow
-    b from ``lowest`` to ``highest`` in m² and T from ``shortest`` to ``longest`` in s.
+    ``target`` is the absorption area in m² that T requires, NaN if no area has this T. The bounds allow
+    absorption areas from ``lowest`` to ``highest`` in m² and T from ``shortest`` to ``longest`` in s.
     """
 
     configuration: int
@@ -62,9 +62,9 @@ class Unreachable:
 def where_valid(
     quantity: Callable[[Room, Array], Array], room: Room, absorption_area: Array
 ) -> Array:
-    """Return a quantity of an equation per band, NaN in bands that the equation does not cover.
+    """Return T or the air's share per band, (n_bands,), NaN where the equation does not hold.
 
-    It is `LinearEquation.time` or `LinearEquation.air_share`, of S'alpha in m², (n_bands,).
+    ``quantity`` is `LinearEquation.time` or `LinearEquation.air_share`; ``absorption_area`` is in m².
     """
     try:
         return quantity(room, absorption_area)
@@ -77,9 +77,9 @@ def where_valid(
 
 
 def reach(numbers: Numbers) -> tuple[Array, Array]:
-    """Return the least and the most S'alpha in m² within the box, each (n_configurations, n_bands).
+    """Return the least and the largest absorption area in m² that the bounds of the unknowns allow.
 
-    Fixed unknowns count with their value. The sizes of effects add the range of their bounds.
+    Each is (n_configurations, n_bands). Effects count with the bounds of their sizes.
     """
     lower, upper = numbers.box
     least = numbers.areas @ numbers.alpha(lower)
@@ -97,15 +97,15 @@ def reach(numbers: Numbers) -> tuple[Array, Array]:
 def restrict_to_reach(
     numbers: Numbers, matches: Sequence[tuple[Array, Array]], unreachable: str
 ) -> tuple[Numbers, NDArray[np.int8], tuple[Unreachable, ...]]:
-    """Check every exactly matched target, and hold the bands that stand at an end there.
+    """Check whether coefficients can reach every matched T, and return numbers that can be solved.
 
-    Returns the numbers with an unreachable b moved to the nearest end; -1 or 1 for unknowns that a
-    target at an end forces to their lower or upper bound, else 0, (size,); and the unreachable bands.
-    ``matches`` are the least and the most S'alpha in m² that each match allows, (n_configurations,
-    n_bands) each.
+    Returns the numbers, in which an unreachable absorption area b is replaced by the nearest reachable
+    one; -1 or 1 for unknowns that a b at the end of the range forces to their lower or upper bound,
+    else 0, (size,); and the unreachable bands. ``matches`` are the least and the largest absorption
+    area in m² that each match allows, (n_configurations, n_bands) each.
 
-    Raises InfeasibleError with ``unreachable="raise"``, naming every band that cannot be reached; in a
-    problem without a match, for a T that is too short for any absorption.
+    Raises InfeasibleError, with the bands, if one is unreachable and ``unreachable="raise"``, and for a
+    T that is too short for any absorption if no term matches T.
     """
     times, rooms, equation = numbers.time, numbers.rooms, numbers.equation
     none_held = np.zeros(numbers.layout.size, dtype=np.int8)
@@ -186,12 +186,11 @@ _NOTHING = 1e-9
 
 
 def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
-    """Raise InfeasibleError, with the smallest relaxation, if the constraints contradict each other.
+    """Raise InfeasibleError, with the smallest change that helps, if constraints contradict each other.
 
-    An elastic linear programme (Chinneck 2008, ch. 6): minimise the sum of all relaxations, subject to
-    every row of a constraint and every bound, relaxed. Relaxations are in absorption coefficients; a
-    row's is divided by the sum of its coefficients of one sign. 0 <= alpha <= 1 and fixed unknowns are
-    not relaxed.
+    It minimises the sum of all relaxations of constraints and bounds, in absorption coefficients
+    (elastic linear programme, Chinneck 2008, ch. 6). 0 <= alpha <= 1 and fixed unknowns are not
+    relaxed.
     """
     from scipy.optimize import linprog
 

@@ -25,7 +25,7 @@ _FEW_VALUES = 4
 
 @dataclass(frozen=True, repr=False, eq=False)
 class MeasuredTimes:
-    """Measured T in a room's bands, (n_bands,) each, NaN where missing or unknown."""
+    """Measured T of a room in s and its standard uncertainty, (n_bands,) each, NaN where missing."""
 
     centre_frequencies: Array  # the room's, in Hz
     reverberation_time: Array  # s
@@ -39,7 +39,7 @@ class MeasuredTimes:
 
     @cached_property
     def ignored(self) -> tuple[float, ...]:
-        """The measured bands in Hz that the room lacks."""
+        """Measured bands in Hz that the room does not have."""
         if self.measured is None:
             return ()
         stated = self.measured.centre_frequencies
@@ -47,7 +47,7 @@ class MeasuredTimes:
 
     @cached_property
     def fingerprint(self) -> str:
-        """The names of the data: of T, and of T20 and T30 at every pair; "" without any T."""
+        """Texts that identify the measured data (T, and T20 and T30 at each pair); "" without T."""
         if not np.isfinite(self.reverberation_time).any():
             return ""
         labels = [f"{f:g}" for f in self.centre_frequencies.tolist()]
@@ -63,7 +63,7 @@ class MeasuredTimes:
 
     @cached_property
     def caution(self) -> str:
-        """That T was converted from other bands, or T30 is a copy; "" without a caution."""
+        """Caution that T was converted from other bands, or that T30 is a copy of T20; else ""."""
         if self.measured is None:
             return ""
         stated = self.measured.centre_frequencies
@@ -72,14 +72,14 @@ class MeasuredTimes:
 
     @cached_property
     def bent(self) -> tuple[TrustMark, ...]:
-        """The bands whose decay is not straight."""
+        """Cautions about bands with a curved decay."""
         if self.measured is None:
             return ()
         return bent_decays(self.measured.in_bands(self.centre_frequencies))
 
     @cached_property
     def mistyped(self) -> tuple[TrustMark, ...]:
-        """Likely typing errors of T, with the room's nearest band: of values, or else of their mean."""
+        """Cautions about likely typing errors of T, of single values or of their mean."""
         frequencies, of = self.centre_frequencies, self.measured
         name, found = "T", list[TrustMark]()
         if of is not None:
@@ -98,7 +98,7 @@ class MeasuredTimes:
 
 
 def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -> MeasuredTimes:
-    """Return the measured T in the room's bands; NaN where a band has none.
+    """Return the measured T and its uncertainty in the room's bands; NaN where a band has none.
 
     Raises DataError for a wrong shape, a T that is not above 0, an uncertainty above the value, or no
     band in common.
@@ -138,7 +138,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
 
 
 def notes_of_bands(room: Room, measured: Measurement) -> list[str]:
-    """Return what bands are converted or left out, and in which bands of the room no T was measured.
+    """Return notes on bands that are converted or left out, and on bands of the room without T.
 
     Raises DataError without a band in common.
     """
@@ -152,13 +152,13 @@ def notes_of_bands(room: Room, measured: Measurement) -> list[str]:
 
 
 def tell_data(room: Room, measured: Measurement) -> None:
-    """Warn of bands that are converted, left out or without T."""
+    """Warn about bands that are converted, left out or without T."""
     if told := notes_of_bands(room, measured):
         warnings.warn("; ".join(told), OtherBandsWarning, stacklevel=checks.stack_level())
 
 
 def copied(measured: Measurement) -> str:
-    """Return a caution if T20 and T30 are the same numbers; "" else."""
+    """Return a caution if T20 and T30 are the same numbers; otherwise ""."""
     t20, t30 = (measured.values.get(o.key, np.full(1, np.nan)) for o in REVERBERATION)
     both = (
         np.isfinite(t20) & np.isfinite(t30) if t20.shape == t30.shape else np.zeros(1, dtype=bool)
@@ -172,12 +172,12 @@ def copied(measured: Measurement) -> str:
 
 
 def no_times(room: Room) -> MeasuredTimes:
-    """Return measured times without any T, NaN in every band: other observations alone are matched."""
+    """Return measured times that are NaN in every band, for a calibration without T."""
     nothing = np.full(room.n_bands, np.nan)
     return MeasuredTimes(room.centre_frequencies, nothing, nothing, ("",) * room.n_bands)
 
 
 def data_history(room: Room, data: MeasuredTimes) -> str:
-    """Return the fingerprints of all data that the room was calibrated to, with these data."""
+    """Return the texts that identify all data to which the room was calibrated, with the new data."""
     before = [] if room.calibration is None else [room.calibration.measured]
     return " ".join([*before, data.fingerprint])

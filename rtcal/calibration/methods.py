@@ -55,26 +55,25 @@ METHODS: dict[str, Callable[[PriorDeviation, bool], Calibration]] = {
     "robust": lambda prior, uncertain: Calibration(_soft(HuberDeviation(), uncertain)),
     "joint": lambda prior, uncertain: Calibration(_soft(prior, uncertain)),
 }
-"""The calibration methods by name.
+"""Calibration methods by name.
 
-``mle``: the likeliest coefficients that give the measured T (Bellows & Katz 2025, Eq. 19).
-``lse``: the nearest coefficients, without sigma (Eq. 7).
+``mle``: the most likely coefficients that give the measured T (Bellows & Katz 2025, Eq. 19).
+``lse``: the coefficients nearest to the input that give T, without sigma (Eq. 7).
 ``soft``: the most probable coefficients if T is uncertain (by 5 % if no uncertainty is stated).
-``smooth``: soft, with a shift that changes slowly over frequency.
-``robust``: soft, but a few coefficients may be far from their stated value.
-``joint``: soft, for several configurations of one room.
+``smooth``: as soft, with changes of the coefficients that vary slowly over frequency.
+``robust``: as soft, but a few coefficients may be far from their input values.
+``joint``: as soft, for several configurations of one room.
 
 In a room that states an uncertainty of its volume, areas or climate, every method but ``lse`` matches T
-within it (``rtcal.terms.SoftMatch(room=True)``). ``mle`` then counts the uncertainty of T where one is
-stated.
+within it (``rtcal.terms.SoftMatch(room=True)``). ``mle`` then also uses a stated uncertainty of T.
 """
 
 
 def preset(method: str, room: Room | None = None) -> Calibration:
-    """Return the calibration of a method, with correlations and uncertainties that ``room`` states.
+    """Return the calibration of a method, with the correlations and uncertainties that a room states.
 
-    ``lse`` uses none of them, nor sigma. Raises ModelError for an unknown name, and for
-    ``robust`` with correlations, since it treats every coefficient separately.
+    ``lse`` uses no correlation, uncertainty or sigma. Raises ModelError for an unknown name, and for
+    ``robust`` with correlations, because it treats every coefficient separately.
     """
     if not isinstance(method, str) or method not in METHODS:
         raise ModelError(f'method "{method}" is unknown; known are {", ".join(METHODS)}')
@@ -144,40 +143,44 @@ def calibrate(
 ) -> CalibrationResult | JointResult:
     """Calibrate a room's absorption coefficients to its measured reverberation time.
 
-    minimise sum ((alpha - mu) / sigma)²  subject to  S'alpha = b,  alpha_min <= alpha <= 1,
-    in every band, with b the absorption area that gives the measured T (Bellows & Katz 2025). In a room
-    that states an uncertainty of its volume, areas or climate the equality becomes a term of the sum.
+    minimise sum ((alpha - mu) / sigma)²  subject to  S'alpha = b,  alpha_min <= alpha <= 1
+
+    in every band. mu are the input coefficients, sigma their standard deviations, and S'alpha is the
+    sum of area times coefficient, which must equal the absorption area b that the measured T needs
+    (Bellows & Katz 2025). In a room that states an uncertainty of its volume, areas or climate, T is
+    matched within that uncertainty.
 
     Parameters
     ----------
     room : Room or Configurations
-        Its alpha and sigma are the prior. Several configurations of one room share their
-        materials' coefficients; then ``measured`` has one entry per configuration.
+        Room with the input coefficients. Several configurations of one room share their materials'
+        coefficients; ``measured`` then has one entry per configuration.
     measured : Measurement, or T in s, (n_bands,)
-        Per band T20, else T30. A band with NaN keeps its prior.
+        Measured T per band: T20, else T30. Coefficients in a band with NaN do not change.
     method : {"mle", "lse", "soft", "smooth", "robust", "joint"}
-        ``mle``: by the input sigmas. ``lse``: all sigmas alike. ``soft``: T within its uncertainty.
-        ``smooth``: soft, with neighbouring bands alike. ``robust``: soft, and a single sigma may be
-        wrong. ``joint``: soft, of several configurations.
+        ``mle``: with the input sigmas. ``lse``: with one sigma for all. ``soft``: T within its
+        uncertainty. ``smooth``: as soft, with similar changes in neighbouring bands. ``robust``: as
+        soft, where single sigmas may be wrong. ``joint``: as soft, for several configurations.
     equation : Equation, optional
-        `rtcal.Eyring` with the room's air if not given.
+        Reverberation equation; `rtcal.Eyring` with the room's air by default.
     solver : {"clarabel", "osqp"}
     unreachable : {"raise", "nearest"}
-        Whether to take the nearest T within reach and list the band in the result; exact matches alone
-        ask it.
+        For a band whose T no coefficients within the bounds give: whether to raise an error, or to
+        match the nearest possible T and list the band in the result. Only exact matches need it.
     warm_start : bool
-        Whether OSQP starts from the closed form.
+        Whether OSQP starts from the solution without bounds.
     settings : mapping, optional
-        The solver's own settings; see `CalibrationProblem.solve`.
+        Settings of the solver by name; see `CalibrationProblem.solve`.
 
     Returns
     -------
     CalibrationResult, or JointResult for Configurations
+        Calibrated coefficients, with their uncertainty and cautions.
 
     Raises
     ------
     DataError, ModelError, InfeasibleError, SolverError
-        As `rtcal.calibration.problem.CalibrationProblem.solve`.
+        For the reasons that `rtcal.calibration.problem.CalibrationProblem.solve` names.
 
     Warns
     -----

@@ -41,32 +41,32 @@ _SINGLE = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """The distribution of alpha given the measurement."""
+    """Probability distribution of the coefficients, given the measurement."""
 
     alpha: Array
-    """The calibrated coefficients, (n_materials, n_bands)."""
+    """Calibrated coefficients, (n_materials, n_bands)."""
     mean: Array
     sigma: Array
-    """Posterior mean and standard deviation, (n_materials, n_bands)."""
+    """Means (``mean``) and standard deviations of the coefficients given the measurement,
+    (n_materials, n_bands)."""
     correlation: Array
-    """Correlations between the materials, per band, (n_bands, n_materials, n_materials)."""
+    """Correlations between the materials in each band, (n_bands, n_materials, n_materials)."""
     points: Array
-    """Quantiles of every coefficient at the normal values `rtcal.support.normal.NORMAL`, (n_materials,
+    """Quantiles of each coefficient at the normal values `rtcal.support.normal.NORMAL`, (n_materials,
     n_bands, 201)."""
     prior_sigma: Array
-    """Standard deviation of the truncated prior, (n_materials, n_bands)."""
+    """Standard deviation of the input coefficients, cut at their bounds, (n_materials, n_bands)."""
     samples: Array
-    """Draws of equal weight, (n_samples, n_materials, n_bands)."""
+    """Random samples of the coefficients, all of equal weight, (n_samples, n_materials, n_bands)."""
     effective_samples: Array
-    """Number of draws of equal weight that are worth those that the distribution rests on,
-    (n_materials, n_bands)."""
+    """Number of equally weighted samples with the same accuracy, (n_materials, n_bands)."""
     effects: dict[str, Array] = field(default_factory=dict)
-    """Samples of the sizes of further unknowns, (n_samples,)."""
+    """Samples of the size of each further unknown by its name, (n_samples,)."""
 
     def quantile(self, probability: float) -> Array:
-        """Return the quantile of every coefficient, (n_materials, n_bands).
+        """Return the value of each coefficient that is not exceeded with a probability, as an array.
 
-        Raises DataError for a probability that is not between 0 and 1.
+        It is (n_materials, n_bands). Raises DataError for a probability that is not between 0 and 1.
         """
         checks.number("probability", probability)
         if not 0 < probability < 1:
@@ -75,12 +75,10 @@ class Posterior:
         return np.apply_along_axis(lambda x: np.interp(z, NORMAL, x), -1, self.points)
 
     def interval(self, level: float = 0.9) -> tuple[Array, Array]:
-        """Return the ends of the credible interval, both (n_materials, n_bands).
+        """Return both ends of the credible interval of each coefficient, (n_materials, n_bands) each.
 
-        It is the central one, moved only as far as it takes to hold the calibrated coefficient. So at a
-        bound it ends there.
-
-        Raises DataError for a level that is not between 0 and 1.
+        ``level`` is the probability of the interval. It is the central interval, moved just far enough
+        to contain the calibrated coefficient. Raises DataError for a level that is not between 0 and 1.
         """
         checks.number("level", level)
         if not 0 < level < 1:
@@ -89,11 +87,11 @@ class Posterior:
 
     @property
     def identifiability(self) -> Array:
-        """1 - posterior variance / prior variance, (n_materials, n_bands).
+        """Share of each coefficient's variance that the measurement removes, (n_materials, n_bands).
 
-        At 1 the measurement determines the coefficient; at 0 it adds no information. The value is
-        slightly below 0 if the measurement moves a coefficient away from a bound that truncates its
-        prior.
+        At 1 the measurement determines the coefficient, at 0 it gives no information. A value is
+        slightly below 0 if the measurement moves a coefficient away from a bound that cuts its input
+        distribution.
         """
         before = self.prior_sigma**2
         ratio = np.divide(self.sigma**2, before, out=np.ones_like(before), where=before > 0)
@@ -101,29 +99,31 @@ class Posterior:
 
 
 def distribution(result: Any, n_samples: int = 1024, seed: int = 0) -> Posterior:
-    """Return the posterior distribution of a calibration's coefficients.
+    """Return the probability distribution of a calibration's coefficients, given the measurement.
 
-    The prior is normal with the room's sigma, truncated to the bounds. The error of b is normal with
-    the standard deviation u_b, 0 where it is unknown. With an exact match T alone says what S'alpha is,
-    to within u_b, and the prior how it is shared. With a soft match both count.
+    Before the measurement, coefficients are normal with the room's sigma, cut at their bounds. The
+    error of the absorption area that T needs is normal with its standard uncertainty, 0 where unknown.
+    With an exact match T alone determines the absorption area, and the input determines how the
+    materials share it. With a soft match T and the input both determine the absorption area.
 
     Parameters
     ----------
     result : CalibrationResult or JointResult
+        Calibration whose coefficients are asked for.
     n_samples : int
-        Number of samples, and at least as many draws are made.
+        Number of samples to return, from at least as many random draws.
     seed : int
-        Seed of the evenly spread points from which they come.
+        Seed of the random draws; the same seed gives the same samples.
 
     Raises
     ------
     ModelError
-        If the objective is not a log-density: a prior with one sigma for all (`lse`) or a
-        `HuberDeviation` (`robust`).
+        If the method has no probability distribution: one sigma for all (`lse`) or a `HuberDeviation`
+        (`robust`).
     SolverError
-        If no point inside the constraints was found.
+        If no coefficients within the constraints were found.
     DataError
-        If ``n_samples`` is not a whole number of at least 2, or ``seed`` not one of at least 0.
+        If ``n_samples`` is no whole number of at least 2, or ``seed`` none of at least 0.
 
     Examples
     --------
@@ -158,7 +158,7 @@ def distribution(result: Any, n_samples: int = 1024, seed: int = 0) -> Posterior
 
 
 def quantiles(layout: Any, density: Density, parts: Sequence[Draws]) -> Array:
-    """Return the coefficients' quantiles at `NORMAL`, (n_materials, n_bands, 201)."""
+    """Return quantiles of the coefficients at the values `NORMAL`, (n_materials, n_bands, 201)."""
     table = np.repeat(density.point[:, np.newaxis], len(NORMAL), axis=1)
     for part in parts:
         table[part.unknowns] = part.quantiles
@@ -166,7 +166,7 @@ def quantiles(layout: Any, density: Density, parts: Sequence[Draws]) -> Array:
 
 
 def correlations(layout: Any, density: Density, parts: Sequence[Draws]) -> Array:
-    """Return the correlations between the materials, (n_bands, n_materials, n_materials)."""
+    """Return the correlations between materials in each band, (n_bands, n_materials, n_materials)."""
     place = layout.expand(np.arange(len(density.point)))
     n, n_bands = place.shape
     out = np.tile(np.eye(n), (n_bands, 1, 1))
@@ -186,7 +186,7 @@ def correlations(layout: Any, density: Density, parts: Sequence[Draws]) -> Array
 
 
 def intervals(alpha: Array, points: Array, level: float) -> tuple[Array, Array]:
-    """Return the ends of `Posterior.interval` of quantiles (..., 201), shape (...)."""
+    """Return both ends of `Posterior.interval` from quantiles (..., 201), (...) each."""
     low, high = np.empty(alpha.shape), np.empty(alpha.shape)
     for place in np.ndindex(*alpha.shape):
         x, own = points[place], alpha[place]
@@ -207,15 +207,18 @@ def _moments(points: Array) -> tuple[Array, Array]:
 
 
 def sensitivity(result: Any) -> Array:
-    """Return d alpha / d T in 1/s, (n_materials, n_bands, n_configurations, n_bands).
+    """Return the derivatives of the calibrated coefficients by the measured T, in 1/s.
 
-    The last two axes are those of T. Coefficients at a bound stay there: the derivative is valid until
-    the next bound. For independent priors and an exact match, over the free coefficients F of the band,
-    d alpha_F / db = S_F sigma_F² / sum(S_F² sigma_F²),  times db/dT (docs/posterior.md).
+    They are (n_materials, n_bands, n_configurations, n_bands); the last two axes are those of T.
+    Coefficients at a bound stay there, so that a derivative holds up to the next bound. With
+    independent inputs and an exact match, the derivative by the absorption area b is
+    S_F sigma_F² / sum(S_F² sigma_F²) for the coefficients F of the band that are at no bound
+    (docs/posterior.md).
 
     Parameters
     ----------
     result : CalibrationResult or JointResult
+        Calibration whose coefficients are asked for.
 
     Examples
     --------
@@ -254,11 +257,11 @@ _POINTS = ndtr(np.linspace(-3.2, 3.2, 29))
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Density:
-    """A normal density within bounds, linear equalities and linear inequalities.
+    """Normal density of unknowns within bounds, linear equalities and linear inequalities.
 
     The density of u is proportional to exp(-g'(u - p) - ½ (u - p)'H(u - p)). A sum that an equality
-    gives to within a noise is normal about it, cut to its reach, whatever g, H and the bounds make of
-    it; they tell how it is shared. Arrays are (size,), those of rows (n_rows,).
+    gives with a noise is normal about its value, cut to its reach; g, H and the bounds determine only
+    how the unknowns share it. Arrays are (size,), those of rows (n_rows,).
     """
 
     point: Array  # p, where the equalities hold
@@ -276,7 +279,7 @@ class Density:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Weighted draws of unknowns that belong together."""
+    """Weighted random draws of unknowns that depend on each other."""
 
     unknowns: Integers  # their places among all, (n_unknowns,)
     values: Array  # (number, n_unknowns)
@@ -285,12 +288,12 @@ class Draws:
 
     @property
     def effective(self) -> float:
-        """Number of equal weights that are worth the weights."""
+        """Number of equally weighted draws with the same accuracy."""
         return float(1 / (self.weights @ self.weights))
 
 
 def samples(density: Density, parts: Sequence[Draws], number: int, seed: int) -> Array:
-    """Return draws of equal weight of all unknowns, (number, size)."""
+    """Return equally weighted random samples of all unknowns, (number, size)."""
     rng = np.random.default_rng(seed)
     out = np.tile(density.point, (number, 1))
     for part in parts:  # drawn from the same even points, hence the permutation
@@ -326,11 +329,10 @@ class _Part:
 
 
 def draws(density: Density, number: int = 1024, seed: int = 0) -> list[Draws]:
-    """Return marginals and weighted draws of the unknowns of a density, part by part.
+    """Return distributions and weighted draws of unknowns, for each part that is independent of others.
 
-    ``number`` is a power of two; with a stated sum twice as many are drawn. ``seed`` is of the points
-    that are spread evenly. Raises ModelError with more than 2,000 unknowns, SolverError if no draw is
-    inside the constraints.
+    ``number`` is a power of two; with a stated sum twice as many are drawn. Raises ModelError for more
+    than 2,000 unknowns, and SolverError if no draw is within the constraints.
     """
     parts = _parts(density)
     pieces = [(i, *piece) for i, part in enumerate(parts) for piece in _pieces(part, number, seed)]

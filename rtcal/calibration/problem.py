@@ -72,23 +72,22 @@ _EYRING = Eyring()
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """An objective and constraints, not yet tied to a room.
+    """Calibration that is composed of terms and constraints, for any room.
 
     Parameters
     ----------
     objective : term or sum of terms
-        Terms of `rtcal.terms`, or functions of a `rtcal.terms.Model` that return a cvxpy expression.
-        One of them is a prior (`rtcal.terms.PriorDeviation` or `rtcal.terms.HuberDeviation`), which
-        makes the answer unique.
+        Sum to be minimised: terms of `rtcal.terms`, or functions of a `rtcal.terms.Model` that return a
+        cvxpy expression. Exactly one must be `rtcal.terms.PriorDeviation` or
+        `rtcal.terms.HuberDeviation`, which keep coefficients near the input and make the answer unique.
     constraints : sequence, optional
-        Constraints of `rtcal.terms`, or functions of a model that return cvxpy constraints. If not
-        given, `ExactMatch`, unless the objective has a `SoftMatch`, which an exact match would make
-        useless.
+        Constraints of `rtcal.terms`, or functions of a model that return cvxpy constraints. By default
+        `rtcal.terms.ExactMatch`, or none if the objective has a `rtcal.terms.SoftMatch`.
 
     Raises
     ------
     ModelError
-        If there is no prior or more than one, or if a term occurs twice.
+        If not exactly one term is a deviation from the input, or if a term occurs twice.
     """
 
     objective: Any
@@ -153,20 +152,22 @@ class Calibration:
     def build(
         self, room: Room | Configurations, equation: Equation | None = None
     ) -> CalibrationProblem[CalibrationResult] | CalibrationProblem[JointResult]:
-        """Compile the calibration for rooms of this shape, or for several configurations of one.
+        """Return the calibration compiled for a room, or for several configurations of one room.
+
+        It can be solved for all rooms with the same materials and bands.
 
         Raises
         ------
         DataError
             If a term names a material or a band that the room lacks.
         ModelError
-            If the problem is not DPP (then every solve would compile anew), or the equation is
-            not a function of the mean absorption coefficient.
+            If cvxpy cannot compile the problem once for all numbers (it is not DPP), or the equation
+            is no function of the mean absorption coefficient.
 
         Warns
         -----
         MissingAirWarning
-            If a room states no air.
+            If a room has no air.
         """
         if not isinstance(room, Room | Configurations):
             raise DataError(f"room = {room!r} must be an rtcal.Room or Configurations of one")
@@ -195,10 +196,9 @@ class Calibration:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CalibrationProblem(Composition, Generic[R]):
-    """A calibration that is compiled for rooms of one shape: solve it for many measurements.
+    """Compiled calibration, which `solve` solves for many measurements without compiling again.
 
-    Built for a room it returns a `CalibrationResult`, built for `Configurations` of one a
-    `JointResult`. One room is one of several: only the arguments of `solve` differ.
+    Built for a room it returns a `CalibrationResult`, built for `Configurations` a `JointResult`.
     """
 
     def __repr__(self) -> str:
@@ -216,38 +216,33 @@ class CalibrationProblem(Composition, Generic[R]):
         warm_start: bool = True,
         settings: Mapping[str, Any] | None = None,
     ) -> R:
-        """Solve for one measurement, without compiling again.
-
-        1. T in the bands of each room (`measured_times`), and of it and the rooms the numbers.
-        2. `feasibility.restrict_to_reach`: is T within reach, and which unknowns holds a T at an end?
-        3. The compiled matrices are filled; `rtcal.calibration.qp.solve` asks the solver.
-        4. The first of `_candidates` that `rtcal.calibration.qp.certify` accepts is the answer.
+        """Return the calibration to one measurement, without compiling again.
 
         Parameters
         ----------
         measured : Measurement, or T in s, (n_bands,), or None
-            A band with NaN keeps its prior. None if no T was measured. Of several configurations, a
-            list with one entry for each.
+            Measured T; coefficients in a band with NaN do not change. None if no T was measured. For
+            several configurations, a list with one entry for each.
         room : Room or Configurations, optional
-            Other numbers for the same materials and bands; by default the room built with.
+            Room with other numbers for the same materials and bands; by default the room of `build`.
         observed : mapping of `rtcal.terms.LinearObservations` to `rtcal.terms.Observed`, optional
-            The numbers of each such term.
+            Observed values of each such term.
         method : str
-            The name that the result carries.
+            Name of the method in the result.
         solver, unreachable, warm_start
-            As for `rtcal.calibrate`.
+            Solver, treatment of unreachable T, and start of OSQP, as in `rtcal.calibrate`.
         settings : mapping, optional
-            The solver's own settings by name, beside `rtcal.calibration.qp.SETTINGS`.
+            Settings of the solver by name, which override `rtcal.calibration.qp.SETTINGS`.
 
         Raises
         ------
         DataError, ModelError
-            If the measurement, the room or an option does not fit.
+            If the measurement, the room or an option does not fit the problem.
         InfeasibleError
-            If a band cannot be reached, with ``unreachable="raise"``, or the constraints contradict
-            each other: then the message names the smallest relaxation that removes it.
+            If no coefficients give T in a band, with ``unreachable="raise"``, or if the constraints
+            contradict each other; the message then names the smallest change of them that helps.
         SolverError
-            If no answer passes the certificate.
+            If no answer is accurate enough.
         """
         if not (isinstance(solver, str) and solver in qp.SETTINGS):
             raise ModelError(f'solver = {solver!r} must be "clarabel" or "osqp"')
@@ -344,7 +339,7 @@ class CalibrationProblem(Composition, Generic[R]):
 def measured_times(
     configurations: Configurations, measured: Sequence[Times | None]
 ) -> list[MeasuredTimes]:
-    """Return one measurement per configuration, each in its room's bands."""
+    """Return the measured T of each configuration in its room's bands."""
     if isinstance(measured, str | Measurement) or not np.iterable(measured):
         raise DataError(
             f"measured = {measured!r} must be a list of measurements, one per configuration"
@@ -374,11 +369,11 @@ def _candidates(program: qp.QP, at: Active, raw: Iterate) -> Iterator[Iterate]:
 
 
 class Observation(Protocol):
-    """Data of a room, and the model that predicts them from its coefficients."""
+    """Measured data of a room, with a model that predicts them from the room's coefficients."""
 
     @property
     def values(self) -> Array:
-        """The data, (n,)."""
+        """Measured values, (n,)."""
         ...
 
     @property
@@ -387,24 +382,24 @@ class Observation(Protocol):
         ...
 
     def predict(self, alpha: Array) -> Array:
-        """Return the model's values for alpha (n_materials, n_bands), (n,).
+        """Return the model's values (n,) for coefficients ``alpha`` (n_materials, n_bands).
 
-        DataError or SimulatorError where it has none: a step there is refused.
+        Raises DataError or SimulatorError where the model has no values; a step there is not made.
         """
         ...
 
     def jacobian(self, alpha: Array) -> Array:
-        """Return their derivatives by alpha, (n, n_materials * n_bands)."""
+        """Return the derivatives of the model's values by alpha, (n, n_materials * n_bands)."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class GaussNewtonStep:
-    """A Gauss-Newton step.
+    """Step of a fit: a calibration with the model linearised at the present coefficients.
 
-    ``alpha`` (n_materials, n_bands) is where the model was linearised, ``matrix`` (n, n_materials *
-    n_bands) are the derivatives there, ``share`` is how much of the way to the ``answer`` of the QP was
-    gone: 0 where the step was refused.
+    ``alpha`` (n_materials, n_bands) are these coefficients, ``matrix`` (n, n_materials * n_bands) the
+    model's derivatives there, ``answer`` the calibration, and ``share`` the part of the way to its
+    coefficients that was made: 0 where the step was not made.
     """
 
     alpha: Array
@@ -415,7 +410,7 @@ class GaussNewtonStep:
 
 @dataclass(frozen=True, eq=False)
 class GaussNewtonFit:
-    """Where the steps ended, the steps, and whether the last one settled."""
+    """Result of a fit: the coefficients at its end, its steps, and whether the last one has settled."""
 
     alpha: Array
     steps: tuple[GaussNewtonStep, ...]
@@ -423,16 +418,16 @@ class GaussNewtonFit:
 
     @property
     def answer(self) -> CalibrationResult:
-        """The answer of the last step's QP."""
+        """Calibration of the last step."""
         return self.steps[-1].answer
 
 
 @dataclass(frozen=True, eq=False)
 class ModelObjective:
-    """The objective with a model itself in place of the linearised one.
+    """Objective of a fit with the model itself in place of its linearisation.
 
-    ``answer`` is that of a QP of the problem, ``term`` the one of the data, and ``factor`` the Cholesky
-    factor of their covariance.
+    ``answer`` is a calibration of the linearised problem, ``term`` the term of the data, and ``factor``
+    the Cholesky factor of their covariance.
     """
 
     answer: CalibrationResult
@@ -441,13 +436,14 @@ class ModelObjective:
 
     @cached_property
     def others(self) -> Composition:
-        """The problem without the data."""
+        """Objective and constraints without the term of the data."""
         return self.answer.joint.composition.without(self.term)
 
     def value(self, alpha: Array, residual: Array) -> float:
-        """Return the objective in nats, for the data less the model's values, (n,).
+        """Return the objective, a negative logarithm of probability, for some coefficients.
 
-        Infinite where the coefficients do not keep the bounds and the constraints.
+        ``residual`` (n,) is the measured less the model's values. The objective is infinite where the
+        coefficients violate a bound or a constraint.
         """
         white = solve_triangular(self.factor, residual, lower=True)
         layout, u = self.others.layout, self.answer.joint.unknowns.copy()
@@ -456,7 +452,7 @@ class ModelObjective:
 
 
 SETTLED = 0.05
-"""Change of alpha in prior sigmas after which no further step is taken."""
+"""Change of alpha in prior standard deviations below which a step is the last."""
 _HALVINGS = 6
 """Largest number of halvings of a step, before none is taken."""
 
@@ -474,19 +470,19 @@ def fit(
     allowed: Callable[[Array], bool] = lambda end: True,
     settled: Callable[[GaussNewtonStep, Array], bool] | None = None,
 ) -> GaussNewtonFit:
-    """Return where Gauss-Newton steps end: at no larger objective than that of the start.
+    """Return the coefficients that fit measured data by a model, found in Gauss-Newton steps.
 
-    The start counts where it keeps the problem's bounds and constraints; from elsewhere the first step
-    is taken. A step that raises the objective is halved, up to six times, and left out where it is
-    small as a whole.
+    Each step linearises the model and solves the calibration. A step that raises the objective is
+    halved, up to six times. The objective at the end is at most that of the start, if the start keeps
+    the bounds and constraints.
 
-    The problem was built with ``term``, whose numbers are the linearised data; ``times`` are the
-    measured T of its other terms, and ``method`` is the name of the result's. ``start`` is
-    (n_materials, n_bands), ``most`` the largest number of steps. A ``covariance`` (n, n) takes in the
-    QP the place of that of the data, which judges the steps all the same. ``allowed`` says whether a
-    point may be an end, whatever its objective, ``settled`` whether a step, and the alpha at which it
-    ended, is the last: by default if the whole step changes no coefficient by more than `SETTLED` of
-    its prior sigma. Raises InfeasibleError and SolverError as `CalibrationProblem.solve`.
+    The problem must be built with ``term``, which stands for the data; ``times`` is the measured T for
+    its other terms, and ``method`` the name of the method in the result. ``start`` are coefficients
+    (n_materials, n_bands), ``most`` is the largest number of steps. A ``covariance`` (n, n) replaces
+    that of the data in the calibration, but not in the objective. ``allowed`` returns whether the fit
+    may end at some coefficients, ``settled`` whether a step, with the coefficients after it, is the
+    last: by default if no coefficient changes by more than `SETTLED` of its prior sigma. Raises
+    InfeasibleError and SolverError as `CalibrationProblem.solve`.
     """
     factor = np.asarray(np.linalg.cholesky(data.covariance))
     in_qp = data.covariance if covariance is None else covariance

@@ -37,7 +37,7 @@ from rtcal.support.types import Array
 
 _EPS = np.finfo(float).eps
 Active = NDArray[np.int8]
-"""The active bounds: -1 at the lower bound, 1 at the upper, 0 between them. In this module ``at``."""
+"""State of bounds: -1 for a value at its lower bound, 1 at its upper bound, 0 between them."""
 
 SETTINGS: dict[str, dict[str, Any]] = {
     # Polishing asks for the active set alone: 1e-5 gives the same as Clarabel's own 1e-8, two
@@ -59,19 +59,18 @@ SETTINGS: dict[str, dict[str, Any]] = {
         "check_termination": 5,
     },
 }
-"""The solvers, with the settings that differ from their own defaults."""
+"""Settings of each solver that differ from its defaults."""
 
 
 class CompiledProblem:
-    """A calibration that cvxpy has compiled for rooms of one layout: `filled` makes a `QP` of it.
+    """Calibration that cvxpy has compiled for given materials and bands; `filled` returns its QP.
 
-    Callers share it through `compile_once`: its terms are those of `Term.structure`, equal to the
-    caller's but for the numbers that enter through the parameters. ``shape`` is materials, centre
-    frequencies in Hz and the number of configurations; ``terms`` and ``constraints`` are functions of a
-    `Model`, and `Shared` among the constraints.
+    ``shape`` is materials, centre frequencies in Hz and the number of configurations. ``terms`` and
+    ``constraints`` are functions of a `Model`; constraints may also be `Shared`. `compile_once` shares
+    compiled problems between callers.
 
-    Raises ModelError if a term is no convex quadratic expression, a constraint is not linear, or the
-    problem is not DPP, so that every solve would compile anew.
+    Raises ModelError if a term is no convex quadratic expression, a constraint is not linear, or every
+    solve would compile anew (the problem is not DPP).
     """
 
     def __init__(
@@ -156,7 +155,7 @@ class CompiledProblem:
         return (rows[: len(columns)], columns), rows[len(columns) :]
 
     def filled(self, numbers: Numbers) -> QP:
-        """Return the QP of a set of numbers."""
+        """Return the quadratic programme (QP) for the numbers of one solve."""
         program = self._program
         theta = np.ones(program.total_param_size + 1)  # its last entry is what is constant
         for parameter, compute in self.model.parameters:
@@ -201,10 +200,10 @@ def compile_once(
     weights: Sequence[float],
     constraints: Sequence[Any],
 ) -> CompiledProblem:
-    """Return the compiled problem of these terms, reused if everything that it depends on is unchanged.
+    """Return the compiled problem of terms and constraints, reused if they are the same as before.
 
-    The 16 used last are kept. A term that cannot be hashed is compiled anew. What a function refers to
-    must not change: its numbers are constants of the compiled problem.
+    The 16 problems used last are kept. A term that cannot be hashed is compiled anew. Values that a
+    function refers to must not change, because they are constants of the compiled problem.
     """
     structure = tuple(t.structure() if isinstance(t, Term) else t for t in terms)
     key = shape, structure, tuple(weights), tuple(constraints)
@@ -217,7 +216,7 @@ def compile_once(
 
 
 def forget() -> None:
-    """Forget the compiled problems that later calibrations of equal shape would use again.
+    """Remove the compiled problems, which later calibrations of the same materials would use again.
 
     Examples
     --------
@@ -229,9 +228,10 @@ def forget() -> None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class QP:
-    """minimise ½ v'Pv + c'v  subject to  A v = b or A v <= b,  lower <= v <= upper.
+    """Quadratic programme of a calibration, as solvers take it.
 
-    c and bounds are (size,), b is (n_rows,).
+    minimise ½ v'Pv + c'v  subject to  A v = b or A v <= b,  lower <= v <= upper, where c and the bounds
+    are (size,) and b is (n_rows,).
     """
 
     compiled: CompiledProblem
@@ -246,23 +246,23 @@ class QP:
     fixed_area: float  # m² of the materials if b has some of sigma 0, which no row of A has; else 0
 
     def unknowns(self, numbers: Numbers, v: Array) -> Array:
-        """Return the unknowns u = mu + sigma x of a point v, (size,)."""
+        """Return the unknowns u = mu + sigma x of a point v of the QP, (size,)."""
         return np.asarray(numbers.mu + numbers.sigma * v[self.compiled.places])
 
     @functools.cached_property
     def fixed(self) -> Flags:
-        """Variables whose bounds are equal."""
+        """Whether each variable is fixed because its bounds are equal."""
         return np.asarray(self.lower == self.upper)
 
     @functools.cached_property
     def row_size(self) -> Array:
-        """Sum of each row's coefficients by the unknowns: for the match of a band the area."""
+        """Sum of each row's coefficients; for the row of a matched band it is the total area."""
         unit = np.divide(1.0, self.scale, out=np.zeros_like(self.scale), where=self.scale > 0)
         return self.absolute.row_sums(unit)
 
     @functools.cached_property
     def matrices(self) -> tuple[Any, Any]:
-        """P and A as sparse arrays."""
+        """Matrices P and A as sparse arrays."""
         of, n, m = self.compiled, len(self.c), len(self.b)
         return (
             sp.csc_array((self.P, (of.P_rows, of.P_columns)), (n, n)),
@@ -270,13 +270,13 @@ class QP:
         )
 
     def row_sums(self, v: Array, entries: Array | None = None) -> Array:
-        """Return A v, (n_rows,), of A or of other entries at its places."""
+        """Return A v, (n_rows,), for a point v; ``entries`` replaces the entries of A."""
         of, entries = self.compiled, self.A if entries is None else entries
         products = entries * v[of.A_columns]
         return np.asarray(np.bincount(of.A_rows, products, minlength=len(self.b)), float)
 
     def gradient(self, v: Array) -> Array:
-        """Return P v + c, (size,)."""
+        """Return the gradient P v + c of the objective, (size,)."""
         products = self.P * v[self.compiled.P_columns]
         return self.c + np.bincount(self.compiled.P_rows, products, minlength=len(self.c))
 
@@ -287,22 +287,22 @@ class QP:
 
     @functools.cached_property
     def absolute(self) -> QP:
-        """The QP of the absolute values of P, c, A and b; its sums bound the rounding errors here."""
+        """QP of the absolute values of P, c, A and b, whose sums bound rounding errors."""
         return replace(self, **{name: np.abs(getattr(self, name)) for name in "PcAb"})
 
     def at_bounds(self, at: Active) -> Array:
-        """Return v with the unknowns at a bound there, and 0, the prior, for all others."""
+        """Return a point with variables at the bounds of ``at``, and 0, the input, for all others."""
         held = np.where((at < 0) | self.fixed, self.lower, np.where(at > 0, self.upper, 0.0))
         return np.where(np.isfinite(held), held, 0.0)
 
 
 class System:
-    """The optimality (KKT) conditions on an active set, factored.
+    """Factored optimality (KKT) conditions for given active bounds and rows.
 
         P dv + A'dy = force,  A dv = limit
 
-    over the free variables and the active rows; the rows are scaled to unit length there. A little
-    regularisation lets rows be dependent, and refinement removes its effect.
+    over the free variables and the active rows. A small regularisation allows dependent rows, and
+    refinement removes its effect.
     """
 
     _SHIFT = 1e-11
@@ -332,9 +332,9 @@ class System:
             ) from error
 
     def solve(self, force: Array, limit: Array, refine: bool = True) -> tuple[Array, Array]:
-        """Return dv (size, ...) and dy (n_rows, ...), 0 for unknowns not free and rows not active.
+        """Return dv (size, ...) and dy (n_rows, ...); they are 0 for fixed variables and inactive rows.
 
-        ``force`` (size,) and ``limit`` (n_rows,) may have a second axis, of several right sides.
+        ``force`` (size,) and ``limit`` (n_rows,) may have a second axis for several right sides.
         """
         right = np.concatenate([force, (limit.T * self._unit).T])
         right[~self._on] = 0.0
@@ -352,7 +352,7 @@ class System:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Iterate:
-    """A point of a QP with its multipliers and its active set, (size,) or (n_rows,) each."""
+    """Point of a QP with its multipliers, active bounds and active rows, (size,) or (n_rows,) each."""
 
     v: Array  # the variables
     y: Array  # the rows' multipliers
@@ -364,7 +364,7 @@ class Iterate:
     seconds: float = float("nan")
 
     def active(self, program: QP) -> tuple[Active, Flags]:
-        """Return which bounds and which rows are active: of a slack and its multiplier one is 0."""
+        """Return the active bounds and rows: those whose multiplier exceeds their distance."""
         at = (self.z > program.upper - self.v).astype(np.int8) - (-self.z > self.v - program.lower)
         square = program.row_sums(np.ones(len(self.v)), program.A**2)
         return at, self.y * square > program.b - program.row_sums(self.v)
@@ -378,13 +378,12 @@ _ROUNDING = 1e-13
 
 
 def polish(program: QP, at: Active, tight: Flags) -> Iterate | None:
-    """Return the optimum, by the active-set method from a first guess; None if it does not converge.
+    """Return the optimum, by the active-set method from a guess; None if it does not converge.
 
-    Each round solves the optimality conditions on the active set from the prior on, so that the answer
-    depends on the final set alone, to the last bit. What is violated joins the set; only if nothing is,
-    what has a multiplier of the wrong sign leaves it. The guesses are variables at their lower bound
-    (-1) or upper bound (1), ``at`` (size,), and inequalities that hold with equality, ``tight``
-    (n_rows,).
+    Each round solves the optimality conditions for the active bounds and rows. Violated ones join the
+    set; if none is violated, those with a multiplier of the wrong sign leave it. The answer depends on
+    the final set alone. The guess is ``at`` (size,), -1 or 1 for variables at their lower or upper
+    bound, and ``tight`` (n_rows,), True for inequalities that hold with equality.
     """
     at, tight, absolute = at.copy(), tight | program.equal, program.absolute
     at[program.fixed] = 0
@@ -475,13 +474,12 @@ def _rows_alone(
 
 
 def closed_form(program: QP, at: Active | None = None) -> Iterate | None:
-    """Return the optimum by `polish`, with no inequality and only the bounds of ``at`` guessed active.
+    """Return the optimum by `polish`, from the solution without inequalities.
 
-    Only its first round is closed: without inequalities the QP is one linear system, for an independent
-    prior with an exact match that of the paper (Bellows & Katz 2025, Eqs. 22 to 25; by itself, and as
-    the oracle of the tests, in `rtcal.calibration.exact`). Where that violates bounds, these are held
-    and the system is solved again, as in every `polish`. Variables of a term's own that have a bound,
-    such as the parts beyond a threshold, begin there. ``at`` is that of `polish`.
+    The first round is one linear system. For independent coefficients with an exact match it is the
+    closed form of Bellows & Katz (2025), Eqs. 22 to 25, as in `rtcal.calibration.exact`. Violated
+    bounds are then held, and the system is solved again. Auxiliary variables of a term that have a
+    bound begin at it. ``at`` is as for `polish`.
     """
     own = np.isfinite(program.lower)
     own[program.compiled.places] = False
@@ -496,18 +494,17 @@ def solve(
     settings: Mapping[str, Any] | None = None,
     warm_start: bool = True,
 ) -> Iterate:
-    """Return a solver's answer to a QP.
+    """Return the answer of a solver, such as Clarabel, to a QP.
 
-    What stands at a bound by ``at`` (-1, 1), or has equal bounds, is in no row. The rows have
-    unit length, so that no band weighs more than another. ``settings`` override `SETTINGS`.
+    Variables that ``at`` (-1 or 1) holds at a bound, or that have equal bounds, are constants.
+    ``settings`` override `SETTINGS`.
 
     Raises
     ------
     ModelError
         If the solver refuses a setting.
     SolverError
-        If it returns no values. That is no failure of the calibration: its caller goes on to
-        `closed_form`, which needs none.
+        If the solver returns no values.
     """
     of, start = program.compiled, program.at_bounds(at)
     on = (at == 0) & ~program.fixed
@@ -605,23 +602,23 @@ _ACCEPTED = 1e-9
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate:
-    """Residuals of the optimality conditions, computed from P, c, A and b."""
+    """Residuals of the optimality conditions of an answer, which bound its error."""
 
     primal_residual: float
-    """The largest of |S'alpha - b| / sum S and the violation of the box."""
+    """Largest violation of a match (|S'alpha - b| / sum S) or of a bound, as a coefficient."""
     dual_residual: float
-    """max |sigma (gradient + S D - z_lower + z_upper)|."""
+    """Largest unbalanced gradient, max |sigma (gradient + S D - z_lower + z_upper)|."""
     duality_gap: float
-    """sum z_lower (alpha - lower) + z_upper (upper - alpha), and D slack of the inequalities."""
+    """Sum of multipliers times distances from bounds and inequalities, which is 0 at the optimum."""
     alpha_error_bound: Array
-    """No coefficient is farther than this from the optimum, (n_materials, n_bands); see `certify`."""
+    """Largest possible distance of each coefficient from the optimum, (n_materials, n_bands)."""
     accepted: bool
-    """Whether three numbers are at most 1e-9: the primal residual; the largest dual residual over 1 and
-    the sum of the absolute values of its parts; the gap over the largest of these sums."""
+    """Whether the residuals are at most 1e-9: the primal one; the dual one over 1 and the sum of its
+    parts' absolute values; the duality gap over the largest of these sums."""
 
     @property
     def worst(self) -> float:
-        """The largest of the three residuals."""
+        """Largest of the primal residual, the dual residual and the duality gap."""
         return max(self.primal_residual, self.dual_residual, self.duality_gap)
 
     def __repr__(self) -> str:
@@ -632,16 +629,15 @@ class Certificate:
 
 
 def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
-    """Return the certificate of a point.
+    """Return the certificate of a point: its distance from the optimum, and its residuals.
 
-    The error bound. f - m |x|²/2 is convex, with x the deviations and m the ``convexity`` of the prior;
-    with 0 the box alone bounds the error. From a point of dual residual r and gap g that keeps its
-    rows, the optimum x* is within
+    f - m |x|²/2 is convex in the deviations x, with the ``convexity`` m; with m = 0 the bounds of the
+    coefficients alone limit the error. From a point with dual residual r and duality gap g that keeps
+    its rows, the optimum x* is within
 
         m |x - x*|² <= |r| |x - x*| + g.
 
-    The step that the optimality conditions on the active set still ask for, which removes residuals of
-    the rows and their rounding, counts in addition.
+    The step that would remove the residuals of the rows and their rounding is added.
     """
     v, y, z = point.v, point.y, point.z
     force = program.force(v, y)

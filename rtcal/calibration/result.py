@@ -85,54 +85,55 @@ coefficient that T alone determines contradict the next T by millions of standar
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JointResult(Result):
-    """One calibration of several configurations of a room: shared alpha, one T per configuration."""
+    """Calibration of several configurations of a room, which share their coefficients."""
 
     record_kind: ClassVar[str] = "joint 1"
 
     composition: Composition
-    """The objective, the constraints, the rooms and the equation."""
+    """Objective, constraints, rooms and equation of the calibration."""
     unknowns: Array
-    """The answer, (size,)."""
+    """Calibrated values of all unknowns, (size,): coefficients, then sizes of effects."""
     target: Array
-    """b in m², (n_configurations, n_bands); the nearest within reach where T is beyond it."""
+    """Absorption area b in m² that the measured T needs, (n_configurations, n_bands); the nearest that
+    can be reached where T cannot."""
     point: Iterate
-    """The answer over the variables of the QP, with its multipliers."""
+    """Answer as a point of the QP, with its multipliers."""
     certificate: Certificate
-    """Error bounds of the answer: its distance from the optimum."""
+    """Residuals of the answer, and a bound of its distance from the optimum."""
     raw: Iterate
-    """Answer that the solver returned, before the polish."""
+    """Answer that the solver returned, before it was refined to numerical precision."""
     polished: bool
-    """Whether the answer is that of the active-set method (from the solver's guess, or from the closed
-    form); else the solver's own passed the certificate."""
+    """Whether the answer was refined by the active-set method, from the solver's answer or from the
+    closed form; otherwise it is the solver's, which was accurate enough."""
     unreachable: tuple[Unreachable, ...]
     method: str
     solver: str
-    """As stated in the call."""
+    """Name of the solver, as in the call."""
     measured_times: tuple[MeasuredTimes, ...]
-    """One per configuration."""
+    """Measured T of each configuration."""
     observed: Mapping[LinearObservations, Observed] | None = None
-    """The numbers of linear observations."""
+    """Numbers of the terms of linear observations."""
     versions: Mapping[str, str] = field(default_factory=table.versions)
-    """Of rtcal, Python and the libraries that made it."""
+    """Versions of rtcal, Python and the libraries that made the result."""
 
     @property
     def configurations(self) -> Configurations:
-        """The rooms before the calibration."""
+        """Rooms before the calibration, as configurations."""
         return self.composition.configurations
 
     @property
     def equation(self) -> LinearEquation:
-        """The equation that turned T into b."""
+        """Reverberation equation of the calibration."""
         return self.composition.equation
 
     @property
     def materials(self) -> tuple[str, ...]:
-        """Every material of any configuration."""
+        """Names of all materials of all configurations."""
         return self.configurations.materials
 
     @cached_property
     def numbers(self) -> Numbers:
-        """The numbers of the solve, made anew: a saved result has its inputs and its answer alone."""
+        """Numbers of the solve, which are calculated again from the inputs."""
         return replace(self.numbers_of(self.measured_times), target=self.target)
 
     def numbers_of(self, measured: Sequence[MeasuredTimes]) -> Numbers:
@@ -141,18 +142,18 @@ class JointResult(Result):
 
     @cached_property
     def qp(self) -> QP:
-        """The QP that was solved."""
+        """Quadratic programme (QP) that was solved."""
         return self.composition.compiled.filled(self.numbers)
 
     @cached_property
     def raw_alpha(self) -> Array:
-        """Coefficients that the solver returned, before the polish, (n_materials, n_bands)."""
+        """Coefficients that the solver returned, before refinement, (n_materials, n_bands)."""
         u = self.qp.unknowns(self.numbers, self.raw.v)
         return self.composition.layout.expand(u)
 
     @cached_property
     def raw_certificate(self) -> Certificate:
-        """Certificate of the answer before the polish, bounded by its distance from ``alpha``."""
+        """Residuals of the solver's answer before refinement, and its distance from ``alpha``."""
         if not self.polished:
             return self.certificate
         bound = np.abs(self.raw_alpha - self.alpha) + self.certificate.alpha_error_bound
@@ -160,29 +161,32 @@ class JointResult(Result):
 
     @cached_property
     def alpha(self) -> Array:
-        """The calibrated coefficients, (n_materials, n_bands)."""
+        """Calibrated coefficients, (n_materials, n_bands)."""
         return self.composition.layout.expand(self.unknowns)
 
     @cached_property
     def at_bounds(self) -> Active:
-        """-1 for an unknown at its lower bound, 1 at the upper, 0 for a free one, (size,)."""
+        """State of each unknown: -1 at its lower bound, 1 at its upper bound, 0 between, (size,)."""
         return self.composition.unknowns_at(self.numbers, self.point.at)
 
     @cached_property
     def active(self) -> Active:
-        """The same of the coefficients, (n_materials, n_bands)."""
+        """State of each coefficient: -1 at its lower bound, 1 at its upper bound, 0 between.
+
+        The shape is (n_materials, n_bands).
+        """
         return self.composition.layout.expand(self.at_bounds)
 
     @property
     def asks_for_measured_time(self) -> bool:
-        """Whether a constraint or a term of weight above 0 ties alpha to the measured T."""
+        """Whether a constraint, or a term of weight above 0, uses the measured T."""
         composed = self.composition
         terms = zip(composed.objective.terms, composed.weights, strict=True)
         return bool(composed.matches) or any(t is composed.soft_match and w > 0 for t, w in terms)
 
     @cached_property
     def effects(self) -> dict[str, float]:
-        """The sizes of the further unknowns, by name."""
+        """Sizes of the further unknowns (effects), by name."""
         layout = self.composition.layout
         sizes = self.unknowns[layout.n_alpha :]
         return dict(zip(layout.further, sizes.tolist(), strict=True))
@@ -195,15 +199,15 @@ class JointResult(Result):
 
     @property
     def has_density(self) -> bool:
-        """Whether the objective is a log-density: not of `lse` and `robust`."""
+        """Whether the method has a probability distribution: not `lse` and `robust`."""
         prior = self.composition.prior
         return isinstance(prior, PriorDeviation) and prior.sigma is None
 
     def density(self, *, measured: bool = True) -> Density:
-        """Return the density of the unknowns given T, or of the prior alone.
+        """Return the probability density of the unknowns given the measured T, or before T is known.
 
-        A match with an uncertain b gives its sum to within u_b. Raises ModelError if the objective is
-        no log-density (`lse`, `robust`).
+        ``measured`` says whether T is given. An exact match gives the absorption area with its
+        uncertainty. Raises ModelError for a method without a distribution (`lse`, `robust`).
         """
         prior, numbers, layout = self.composition.prior, self.numbers, self.composition.layout
         if not self.has_density:
@@ -241,8 +245,9 @@ class JointResult(Result):
         )
 
     def by_time(self) -> Array:
-        """Return d alpha / dT in 1/s, (n_materials, n_bands, n_configurations, n_bands).
+        """Return the derivatives of the coefficients by the measured T in 1/s.
 
+        They are (n_materials, n_bands, n_configurations, n_bands); the last two axes are those of T.
         Coefficients at a bound stay there.
         """
         layout = self.composition.layout
@@ -293,11 +298,11 @@ class JointResult(Result):
 
     @cached_property
     def estimate_sigma(self) -> Array:
-        """Standard deviation of the linear estimate's error, (size,) over the unknowns.
+        """Standard deviation of the error of each unknown's linear estimate, (size,), without bounds.
 
-        The prior's covariance is the room's, also if the method assumes another covariance. An unknown
-        uncertainty of T counts as 0. With linear observations it is the Gaussian posterior's, with the
-        objective's prior.
+        The input has the room's covariance, also if the method uses another. An unknown uncertainty of
+        T counts as 0. With linear observations it is that of the normal distribution given the data,
+        with the objective's covariance of the input.
         """
         if self.composition.observations:
             return self._gaussian_sigma()
@@ -343,9 +348,10 @@ class JointResult(Result):
         return np.where(numbers.movable, numbers.sigma * np.sqrt(np.maximum(variance, 0.0)), 0.0)
 
     def unbounded(self, sigma: Array) -> Array:
-        """Return where the unknowns would be without the box, (size,): m sigma² beyond a bound.
+        """Return the values that the unknowns would have without bounds, (size,).
 
-        m is the bound's multiplier, ``sigma`` (size,) the standard deviation without the box.
+        An unknown at a bound would be m sigma² beyond it, where m is the bound's multiplier and
+        ``sigma`` (size,) the standard deviation without bounds.
         """
         held = self.point.z[self.qp.compiled.places] * self.numbers.inverse_sigma
         return np.asarray(self.unknowns + held * sigma**2)
@@ -362,12 +368,12 @@ class JointResult(Result):
 
     @cached_property
     def innovation(self) -> tuple[Array, Array]:
-        """b - S'mu in m², (n_configurations * n_bands,), and its covariance S'KS + U.
+        """Absorption area that T needs less that of the input coefficients, in m², and its covariance.
 
-        K is the prior's covariance with the room's sigma and correlations. U is that of b through T (0
-        where unknown) and through the volume, areas and climate that the room calls uncertain. The
-        sizes of effects have their own prior. b is NaN in a band without a match. An unreachable band
-        counts with the b of its measured T, or with the nearest reachable b if no b has that T.
+        The difference b - S'mu is (n_configurations * n_bands,), NaN in a band without a match. The
+        covariance is S'KS + U: K is that of the input coefficients, with the room's sigma and
+        correlations, and U is that of b through T (0 where unknown), volume, areas and climate. For a T
+        that cannot be reached, b is that of T, or the nearest reachable b if no b has this T.
         """
         numbers = self.numbers
         target = numbers.target.copy()
@@ -407,7 +413,7 @@ class JointResult(Result):
 
     @cached_property
     def results(self) -> tuple[CalibrationResult, ...]:
-        """The result of each configuration."""
+        """Calibration result of each configuration."""
         return tuple(
             CalibrationResult(joint=self, configuration=c)
             for c in range(len(self.configurations.rooms))
@@ -437,15 +443,15 @@ class JointResult(Result):
 
     @property
     def is_exact(self) -> bool:
-        """Whether the intervals are exact: there is a posterior, and the bands are independent."""
+        """Whether the intervals are exact: bands are independent, and the method has a distribution."""
         return self._separate is not None
 
     @cached_property
     def points(self) -> Array:
-        """Quantiles of the coefficients at `NORMAL`, (n_materials, n_bands, 201).
+        """Quantiles of the coefficients at the values `NORMAL`, (n_materials, n_bands, 201).
 
-        The posterior's where each band stands for itself; else those of the linear estimate's error,
-        normal and cut at the bounds, which every method has.
+        If the bands are independent, they are those of the distribution given T; otherwise those of the
+        linear estimate, with a normal error that is cut at the bounds.
         """
         layout = self.composition.layout
         if self._separate is not None:
@@ -460,7 +466,7 @@ class JointResult(Result):
 
     @cached_property
     def correlation(self) -> Array:
-        """Correlation between the coefficients of each band, (n_bands, n_materials, n_materials)."""
+        """Correlation between the coefficients in each band, (n_bands, n_materials, n_materials)."""
         layout = self.composition.layout
         if self._separate is not None:
             return correlations(layout, *self._separate)
@@ -480,15 +486,15 @@ class JointResult(Result):
 
     @cached_property
     def interval(self) -> tuple[Array, Array]:
-        """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
+        """Ends of the 90 % interval of each coefficient, (n_materials, n_bands) each.
 
-        That of `points`: it holds the calibrated coefficient, and has the uncertainty of T, where one
-        is stated.
+        The interval follows from `points` and contains the calibrated coefficient. It includes the
+        uncertainty of T where that is stated.
         """
         return intervals(self.alpha, self.points, 0.9)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return each configuration's `CalibrationResult.to_dict` by name."""
+        """Return the `CalibrationResult.to_dict` of each configuration by its name."""
         names = self.configurations.names
         by_name = zip(names, self.results, strict=True)
         return {"configurations": [{"name": n, **r.to_dict()} for n, r in by_name]}
@@ -507,17 +513,17 @@ class JointResult(Result):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CalibrationResult(Result):
-    """A calibrated room, with certificate, plausibility and cautions of the calibration.
-
-    Of several configurations, it is the result of one; see `JointResult`.
+    """Calibrated room, with the plausibility, the cautions and the accuracy of its calibration.
 
     Attributes
     ----------
     joint : JointResult
+        Calibration of all configurations of the room; a single room is one configuration.
     configuration : int
+        Number of the configuration to which this result belongs.
     shares : array (n_materials, 3), optional
-        Directions of the materials, as `rtcal.acoustics.changes.facing` returns them of a mesh.
-        Without it, those that the room itself states.
+        Shares of each material's area that face x, y and z, as `rtcal.acoustics.changes.facing`
+        returns them for a mesh; by default those that the room states.
     """
 
     record_kind: ClassVar[str] = table.KIND
@@ -528,27 +534,27 @@ class CalibrationResult(Result):
 
     @property
     def prior(self) -> Room:
-        """The room before the calibration."""
+        """Room before the calibration."""
         return self.joint.configurations.rooms[self.configuration]
 
     @property
     def states(self) -> tuple[CalibrationResult, ...]:
-        """The results of all measured configurations, for `rtcal.prediction.predict`."""
+        """Results of all measured configurations, for `rtcal.prediction.predict`."""
         return self.joint.results
 
     @property
     def equation(self) -> LinearEquation:
-        """The equation that turned T into b."""
+        """Reverberation equation of the calibration."""
         return self.joint.equation
 
     @property
     def method(self) -> str:
-        """The method's name."""
+        """Name of the calibration method."""
         return self.joint.method
 
     @property
     def measured_data(self) -> MeasuredTimes:
-        """The measurement, in the room's bands."""
+        """Measured T with its uncertainty, in the room's bands."""
         return self.joint.measured_times[self.configuration]
 
     @cached_property
@@ -559,22 +565,25 @@ class CalibrationResult(Result):
 
     @cached_property
     def alpha(self) -> Array:
-        """The calibrated coefficients, (n_materials, n_bands)."""
+        """Calibrated coefficients, (n_materials, n_bands)."""
         return read_only_view(self.joint.alpha[self._rows])
 
     @property
     def target(self) -> Array:
-        """Absorption area b that the measured T requires, in m², (n_bands,); NaN without T."""
+        """Absorption area that the measured T needs, in m², (n_bands,); NaN where T is missing."""
         return np.asarray(self.joint.numbers.target[self.configuration])
 
     @property
     def target_uncertainty(self) -> Array:
-        """Standard uncertainty of the `target` in m², (n_bands,), NaN where unknown."""
+        """Standard uncertainty of the absorption area `target` in m², (n_bands,); NaN where unknown."""
         return np.asarray(self.joint.numbers.target_uncertainty[self.configuration])
 
     @property
     def multipliers(self) -> Array:
-        """D in 1/m², (n_bands,): free coefficients are mu - D S sigma² (Eq. 25)."""
+        """Lagrange multiplier D of the match in 1/m², (n_bands,).
+
+        Coefficients at no bound are mu - D S sigma² (Bellows & Katz 2025, Eq. 25).
+        """
         composed, matched = self.joint.composition, np.isfinite(self.joint.target)
         found = np.full(matched.shape, np.nan)
         for term, stated in composed.compiled.rows_of:
@@ -588,34 +597,37 @@ class CalibrationResult(Result):
 
     @cached_property
     def active(self) -> Active:
-        """State of coefficients, (n_materials, n_bands): -1 at lower bound, 1 at upper, 0 free."""
+        """State of each coefficient: -1 at its lower bound, 1 at its upper bound, 0 between.
+
+        The shape is (n_materials, n_bands).
+        """
         return read_only_view(self.joint.active[self._rows])
 
     @cached_property
     def certificate(self) -> Certificate:
-        """Error bounds of the answer: its distance from the optimum."""
+        """Residuals of the answer, and a bound of its distance from the optimum."""
         of_all = self.joint.certificate
         return replace(of_all, alpha_error_bound=of_all.alpha_error_bound[self._rows])
 
     @property
     def raw(self) -> Iterate:
-        """Answer that the solver returned, before the polish that gives ``alpha``."""
+        """Answer that the solver returned, before the refinement that gives ``alpha``."""
         return self.joint.raw
 
     @property
     def unreachable(self) -> tuple[Unreachable, ...]:
-        """Bands whose T could not be reached and was replaced by the nearest that could."""
+        """Bands whose measured T could not be reached, so that the nearest possible T was matched."""
         every = self.joint.unreachable
         return tuple(u for u in every if u.configuration == self.configuration)
 
     @property
     def effects(self) -> dict[str, float]:
-        """The sizes of the further unknowns, by name."""
+        """Sizes of the further unknowns (effects), by name."""
         return self.joint.effects
 
     @cached_property
     def added_absorption(self) -> Array:
-        """Absorption area in m² that effects add to the room's S'alpha, (n_bands,)."""
+        """Absorption area in m² that effects add to that of the room's materials, (n_bands,)."""
         data = self.joint.numbers
         sizes = data.further(self.joint.unknowns)
         return read_only_view(np.asarray(data.gains[self.configuration] @ sizes))
@@ -632,45 +644,45 @@ class CalibrationResult(Result):
 
     @property
     def matched(self) -> Array:
-        """Which bands were matched to T, (n_bands,) of bool; none without a term that uses T."""
+        """Whether each band was matched to T, (n_bands,) of bool; False without a term that uses T."""
         return np.asarray(np.isfinite(self.target) & self.joint.asks_for_measured_time)
 
     @cached_property
     def reverberation_time_before(self) -> Array:
-        """T of the prior in s, (n_bands,); NaN where the equation does not hold for the prior."""
+        """T of the input coefficients in s, (n_bands,); NaN where the equation does not hold."""
         times = where_valid(self.equation.time, self.prior, self.prior.absorption_area)
         return read_only_view(times)
 
     @cached_property
     def reverberation_time_after(self) -> Array:
-        """T of the calibrated room in s, (n_bands,); NaN where the equation does not hold for it."""
+        """T of the calibrated coefficients in s, (n_bands,); NaN where the equation does not hold."""
         area = self.prior.areas @ self.alpha + self.added_absorption
         return read_only_view(where_valid(self.equation.time, self.prior, area))
 
     @property
     def gap_before(self) -> Array:
-        """Deviation T of the prior - T measured, in JND of 5 %, signed, (n_bands,)."""
+        """Deviation T of the input - T measured, in JND of 5 %, with its sign, (n_bands,)."""
         return gap_jnd(self.reverberation_time_before, self.measured)
 
     @property
     def gap_after(self) -> Array:
-        """Deviation T calibrated - T measured, in JND of 5 %, signed, (n_bands,)."""
+        """Deviation T calibrated - T measured, in JND of 5 %, with its sign, (n_bands,)."""
         return gap_jnd(self.reverberation_time_after, self.measured)
 
     @property
     def shift(self) -> Array:
-        """Shift of each coefficient by the calibration, alpha - mu, (n_materials, n_bands)."""
+        """Change of each coefficient by the calibration, (n_materials, n_bands)."""
         return self.alpha - self.prior.alpha
 
     @property
     def shift_in_sigmas(self) -> Array:
-        """Shift (alpha - mu) / sigma of each coefficient, (n_materials, n_bands); 0 where sigma = 0."""
+        """Change of each coefficient over its sigma, (n_materials, n_bands); 0 where sigma = 0."""
         sigma = self.prior.sigma
         return np.divide(self.shift, sigma, out=np.zeros_like(sigma), where=sigma > 0)
 
     @cached_property
     def plausibility(self) -> Plausibility:
-        """Distance of the measured T from the prior, with the room's sigma; see `Plausibility`."""
+        """Agreement of the measured T with the input coefficients, as a `Plausibility`."""
         deviation, covariance = self.joint.innovation
         bands = slice(
             self.configuration * self.prior.n_bands, (self.configuration + 1) * self.prior.n_bands
@@ -692,18 +704,18 @@ class CalibrationResult(Result):
 
     @cached_property
     def air_share(self) -> Array:
-        """The air's share of the whole absorption of the calibrated room, (n_bands,)."""
+        """Share of the air in the whole absorption of the calibrated room, (n_bands,)."""
         area = self.prior.areas @ self.alpha + self.added_absorption
         return read_only_view(where_valid(self.equation.air_share, self.prior, area))
 
     @cached_property
     def doubts(self) -> tuple[TrustMark, ...]:
-        """The marks of the input: likely typing errors of the room and of T."""
+        """Cautions about the input: likely typing errors of the room and of T."""
         return of_input(self.prior, self.measured, self.measured_data.mistyped)
 
     @cached_property
     def trust_marks(self) -> tuple[TrustMark, ...]:
-        """Reasons to doubt single bands or the whole room, with advice; `doubts` first."""
+        """Cautions about single bands or the whole room, with advice; `doubts` first."""
         calibrated = self.prior.replace(alpha=self.alpha)
         uneven = uneven_marks(
             calibrated, facing(calibrated) if self.shares is None else self.shares
@@ -729,21 +741,21 @@ class CalibrationResult(Result):
     def posterior_sigma(self) -> Array:
         """Standard deviation of the calibrated coefficients, (n_materials, n_bands).
 
-        It follows from the room's sigma and the uncertainty of T, and is that of `interval` before the
-        bounds cut it: so is the stated sigma, which it is comparable with.
+        It follows from the room's sigma and the uncertainty of T, without the effect of bounds, so that
+        it can be compared with the room's sigma.
         """
         return read_only_view(self.joint.posterior_sigma[self._rows])
 
     @cached_property
     def room(self) -> Room:
-        """The room with calibrated coefficients, the posterior's sigma and the `record`."""
+        """Room with the calibrated coefficients, their standard deviations and the `record`."""
         return self.prior.replace(
             alpha=self.alpha, sigma=self.posterior_sigma, calibration=self.record
         )
 
     @property
     def record(self) -> CalibrationRecord:
-        """Method, equation, data, solver and version, for the calibrated room."""
+        """Record of method, equation, data, solver and version, for the calibrated room."""
         return CalibrationRecord(
             method=self.method,
             equation=self.equation.name,
@@ -754,16 +766,16 @@ class CalibrationResult(Result):
 
     @property
     def interval(self) -> tuple[Array, Array]:
-        """`JointResult.interval` of the room's materials."""
+        """Ends of the 90 % interval of each coefficient, (n_materials, n_bands) each."""
         low, high = self.joint.interval
         return low[self._rows], high[self._rows]
 
     @cached_property
     def known(self) -> KnownRoom:
-        """The room before a change, as `rtcal.prediction` takes it.
+        """Calibrated room before a change, as `rtcal.prediction` needs it.
 
-        ModelError if the calibration has further unknowns or observations, which a prediction does not
-        know of, or if its equation gives no T for the calibrated room.
+        Raises ModelError if the calibration has further unknowns or observations, which a prediction
+        cannot use, or if its equation gives no T for the calibrated room.
         """
         joint, room = self.joint, self.prior
         if joint.effects or joint.composition.observations:
@@ -808,22 +820,22 @@ class CalibrationResult(Result):
         run: Run | None = None,
         run_after: Measurement | None = None,
     ) -> Prediction:
-        """Predict T after a change of this room: T calibrated times the ratio that the change gives.
+        """Predict T after a change of this room.
 
-        See `rtcal.prediction.predict`. Of several configurations all measured T count. The ratio is a
-        program's with its ``run`` before the change and ``run_after`` it.
-
-        Raises ModelError as `known`, and as `rtcal.prediction.predict`.
+        T is the calibrated T times the ratio of T after and before the change. The equation gives the
+        ratio, or a simulation program with its results before (``run``) and after the change
+        (``run_after``). `rtcal.prediction.predict` describes the arguments and errors. All measured
+        configurations are used. Raises ModelError also as `known`.
         """
         return predict(
             self, changes, assumptions=assumptions, name=name, run=run, run_after=run_after
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain numbers, lists and text; None where a value is missing.
+        """Return the result as plain numbers, lists and text for JSON; None where a value is missing.
 
-        ``inputs`` holds the room and the mean T as the texts of their files, so that the record
-        suffices to repeat the calibration.
+        ``inputs`` has the room and the mean T as texts of their files, from which the calibration can
+        be repeated.
         """
         return self._record(whole=True)
 
@@ -897,7 +909,7 @@ class CalibrationResult(Result):
 
     @cached_property
     def verdict(self) -> CalibrationVerdict:
-        """Statement on model and measurement that text, page and JSON share."""
+        """Statement on whether model and measurement agree, for text, page and JSON."""
         return CalibrationVerdict(**self._record(whole=False)["verdict"])
 
     def __repr__(self) -> str:
@@ -909,7 +921,7 @@ class CalibrationResult(Result):
         )
 
     def blocks(self) -> list[Block]:
-        """Return the tables of the bands and the coefficients, shaded by deviation and by shift."""
+        """Return the tables of the bands and the coefficients, for text and page."""
         return blocks_of(self._record(whole=False))
 
 

@@ -27,7 +27,7 @@ from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
 
 KIND = "calibration 1"
-"""The value of the key ``rtcal`` in a saved calibration."""
+"""Value of the key ``rtcal`` in the file of a saved calibration."""
 
 _LIBRARIES = ("numpy", "scipy", "cvxpy", "clarabel", "osqp")
 _RESIDUALS = ("primal_residual", "dual_residual", "duality_gap")
@@ -104,7 +104,7 @@ def materials(
 def coefficients(
     prior: Room, alpha: Array, sigma: Array | None, interval: Sequence[Array] | None
 ) -> list[dict[str, Any]]:
-    """Return alpha and sigma before and after, with its interval: one entry per material."""
+    """Return coefficients and sigmas before and after with intervals, one entry per material."""
     return [
         {
             "name": name,
@@ -119,7 +119,7 @@ def coefficients(
 
 
 def residuals(certificate: Certificate) -> dict[str, float]:
-    """Return the certificate's residuals."""
+    """Return the residuals of a certificate as plain numbers."""
     return {name: getattr(certificate, name) for name in _RESIDUALS}
 
 
@@ -148,9 +148,9 @@ _SEEN = 0.05
 
 
 def blocks_of(record: Mapping[str, Any]) -> list[Block]:
-    """Return the blocks of a calibration: verdict, cautions, bands, materials, and how it was made.
+    """Return the parts of a calibration's output: verdict, cautions, bands, materials, and details.
 
-    Input coefficients and all shifts are details, which a terminal leaves out. ``record`` is as
+    A terminal leaves out the details: input coefficients, all changes, and the solver. ``record`` is as
     `CalibrationResult.to_dict` returns it.
     """
     labels, materials = bands.labels(record["centre_frequencies"]), record["materials"]
@@ -191,7 +191,7 @@ def _largest_shift(material: Mapping[str, Any], labels: Sequence[str]) -> str:
 
 
 def shift_rows(record: Mapping[str, Any]) -> list[Row]:
-    """Return the shift of each material's coefficients in prior standard deviations, by band."""
+    """Return rows with the change of each material's coefficients, in input sigmas, by band."""
     shifts = [(m["name"], numbers(m["shift_in_sigmas"])) for m in record["materials"]]
     return [Row(name, of, "+.1f", np.nan_to_num(of) / _STRONG_SHIFT) for name, of in shifts]
 
@@ -215,7 +215,7 @@ def _made(record: Mapping[str, Any]) -> list[str]:
 def absorption_share(record: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the share of each material, further effects and the air in the absorption of each band.
 
-    The largest mean over the bands is first: what to change first. The shares of a band sum to 1.
+    The largest mean over the bands is first. The shares of a band sum to 1.
     """
     parts = [(m["name"], m["area"] * numbers(m["alpha_after"])) for m in record["materials"]]
     if any(added := record["added_absorption"]):
@@ -228,7 +228,7 @@ def absorption_share(record: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def share_rows(record: Mapping[str, Any]) -> list[Row]:
-    """Return the shares of `absorption_share` in %, shaded."""
+    """Return rows with the shares of `absorption_share` in %."""
     each = [(one["name"], numbers(one["share"])) for one in record["absorption_share"]]
     return [Row(name, 100 * share, ".0f", np.nan_to_num(share)) for name, share in each]
 
@@ -279,7 +279,7 @@ def _trust_marks(record: Mapping[str, Any]) -> list[TrustMark]:
 
 
 def remarks(record: Mapping[str, Any]) -> list[str]:
-    """Return a sentence each on exact inputs, omitted bands, missing and unreachable T."""
+    """Return sentences on exact inputs, omitted bands, and bands with a missing or unreachable T."""
     measured, uncertainty = record["measured"], record.get("room_uncertainty")
     if not record["room_taken_as_exact"]:
         first = (
@@ -308,7 +308,7 @@ def remarks(record: Mapping[str, Any]) -> list[str]:
 
 
 def certificate(record: Mapping[str, Any]) -> str:
-    """Return how exactly the problem was solved."""
+    """Return a sentence on how exactly the problem was solved."""
     worst = max(abs(record["certificate"][name]) for name in _RESIDUALS)
     bound = np.max([numbers(material["error_bound"]) for material in record["materials"]])
     return (
@@ -330,7 +330,7 @@ def _bands_beyond_equation(record: Mapping[str, Any]) -> list[str]:
 
 
 LARGE_GAP = 3.0
-"""Deviation before calibration in JND that is audible; a sigma that allows it means nothing."""
+"""Deviation in JND before calibration that is clearly audible, whatever the input sigma allows."""
 _AGAINST = "The measurement contradicts the input coefficients"
 _ALIKE = "The measurement agrees with the input coefficients only if all of them err the same way"
 _SOMETHING = (
@@ -347,10 +347,10 @@ _OF_ROOM = (
 
 
 class CalibrationVerdict(NamedTuple):
-    """The statement of a calibration on model and measurement, which all sentences follow.
+    """Statement of a calibration on whether model and measurement agree.
 
-    ``level`` is "agrees", "open" or "contradicts", ``heading`` a sentence without its point, and
-    ``text`` the evidence.
+    ``level`` is "agrees", "open" or "contradicts", ``heading`` a sentence without its full stop, and
+    ``text`` the reason.
     """
 
     level: Literal["agrees", "open", "contradicts"]
@@ -359,11 +359,12 @@ class CalibrationVerdict(NamedTuple):
 
 
 def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
-    """Return what a calibration shows: the one statement that text, page and JSON share.
+    """Return the statement of a calibration on whether model and measurement agree.
 
-    In this order: a likely typing error; a calibration that does not ask for T; a gap that remains;
-    what p and z say of the materials, which a reservation about the whole room or about every band
-    leaves open. ``record`` is as `rtcal.calibration.CalibrationResult.to_dict` returns it.
+    The first that applies counts: a likely typing error; a calibration that does not use T; a remaining
+    deviation; the agreement of T with the input coefficients, which stays open if a caution is about
+    the whole room or all bands. ``record`` is as `rtcal.calibration.CalibrationResult.to_dict` returns
+    it.
     """
     marks = record["trust_marks"]
     if typed := [mark for mark in _trust_marks(record) if mark.is_error]:
@@ -529,9 +530,9 @@ def numbers(values: Sequence[float | None] | Array) -> Array:
 
 
 def remaining_gap(record: Mapping[str, Any]) -> str:
-    """Return that the calibrated room lacks the measured T, where it does, and why.
+    """Return a sentence on bands in which the calibrated room does not have the measured T, and why.
 
-    "" where T is met in every band that has one, and where nothing asks for T. ``record`` is as for
+    It is "" if every measured T is met or the calibration does not use T. ``record`` is as for
     `rtcal.calibration.table.blocks_of`.
     """
     after, before = (np.abs(numbers(record[key])) for key in ("gap_after_jnd", "gap_before_jnd"))

@@ -59,23 +59,23 @@ __all__ = [
 __dir__ = __all__.copy
 
 SMALLEST_UNCERTAINTY = 1e-6
-"""Of T, relative. Below it the soft match dwarfs the prior, and rounding decides alpha."""
+"""Smallest relative uncertainty of T for a soft match. With a smaller one rounding decides alpha."""
 
 
 class Model:
-    """The unknowns, and the numbers of room and measurement, as cvxpy expressions for terms.
+    """Unknowns of a calibration, and values of room and measurement, as cvxpy expressions for terms.
 
     Attributes
     ----------
     layout : Layout
-        The materials, bands, configurations and effects.
+        Order of the materials, bands, configurations and effects.
     x : variable (n_materials * n_bands,)
-        (alpha - mu) / sigma, row by row. Materials that share their coefficients have one row. Where
-        sigma = 0 the coefficient is mu, whatever x is.
+        Deviation of each coefficient from the input in sigmas, (alpha - mu) / sigma, row by row.
+        Materials that share their coefficients have one row. Where sigma = 0 the coefficient is mu.
     deviation : expression (n_materials, n_bands)
-        The same by material and band.
+        Deviation of each coefficient from the input in sigmas, by material and band.
     effects : variable (n_effects,), optional
-        The deviations of the effects' sizes, (size - mean) / sigma.
+        Deviation of each effect's size from its input, (size - mean) / sigma.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -88,30 +88,30 @@ class Model:
         self.nonnegative: list[Any] = []
 
     def parameter(self, shape: Any, compute: Callable[[Numbers], Any]) -> Any:
-        """Return a cvxpy parameter that has the value ``compute(numbers)`` in every solve."""
+        """Return a cvxpy parameter whose value is ``compute(numbers)`` in every solve."""
         parameter = cp.Parameter(shape)
         self.parameters.append((parameter, compute))
         return parameter
 
     def by_band(self, compute: Callable[[Numbers], Any]) -> Any:
-        """Return a parameter of one number per configuration and band."""
+        """Return a cvxpy parameter with one number per configuration and band."""
         return self.parameter((self.layout.n_configurations, self.layout.n_bands), compute)
 
     def defined(self, expression: Any) -> Any:
-        """Return a variable that equals an expression, so that it may be multiplied by a parameter."""
+        """Return a cvxpy variable that equals an expression, so that a parameter may multiply it."""
         variable = cp.Variable(expression.shape)
         self.definitions.append(variable == expression)
         return variable
 
     def at_least_zero(self, shape: Any) -> Any:
-        """Return a new auxiliary variable of one term, 0 or more."""
+        """Return a new auxiliary cvxpy variable that is 0 or more."""
         variable = cp.Variable(shape)
         self.nonnegative.append(variable)
         return variable
 
     @cached_property
     def alpha(self) -> Any:
-        """The absorption coefficients, (n_materials, n_bands)."""
+        """Absorption coefficients, (n_materials, n_bands)."""
         shape = self.deviation.shape
         sigma = self.parameter(shape, lambda numbers: numbers.alpha(numbers.sigma))
         mu = self.parameter(shape, lambda numbers: numbers.alpha(numbers.mu))
@@ -119,17 +119,20 @@ class Model:
 
     @cached_property
     def absorption_area(self) -> Any:
-        """S'alpha and what effects add, in m², (n_configurations, n_bands); 0 in bands without T."""
+        """Absorption area of materials and effects in m², (n_configurations, n_bands); 0 without T."""
         return self._area(lambda numbers: np.where(numbers.matched, 1.0, 0.0))
 
     @cached_property
     def target(self) -> Any:
-        """b of the measured T in m², (n_configurations, n_bands); 0 in bands without T."""
+        """Absorption area in m² that the measured T needs, (n_configurations, n_bands); 0 without T."""
         return self.by_band(lambda numbers: np.where(numbers.matched, numbers.target, 0.0))
 
     @cached_property
     def misfit(self) -> Any:
-        """(S'alpha - b) / u_b, (n_configurations, n_bands); 0 in bands without T."""
+        """Absorption area less that of the measured T, over its standard uncertainty; 0 without T.
+
+        It is (S'alpha - b) / u_b, (n_configurations, n_bands).
+        """
 
         def steep(numbers: Numbers) -> Array:
             u = np.where(numbers.matched, np.nan_to_num(numbers.target_uncertainty), 0.0)
@@ -163,7 +166,7 @@ class Model:
         configuration: int,
         scale: Callable[[Numbers], Any] = lambda _: 1.0,
     ) -> Any:
-        """Return the absorption area of some rows of unknowns, (n_bands,), in m² times a scale."""
+        """Return the absorption area of some rows of unknowns in m² times a scale, (n_bands,)."""
         chosen = list(rows)
         x = self.deviation if len(chosen) == self.layout.n_alpha_rows else self.deviation[chosen]
 
@@ -177,16 +180,16 @@ class Model:
 
 
 def product(factors: Any, x: Any) -> Any:
-    """Return the product by elements of a parameter and an expression, 40 of their rows at a time.
+    """Return the product by elements of a cvxpy parameter and an expression, in blocks of 40 rows.
 
-    cvxpy compiles a product of n factors with memory for n² numbers.
+    Blocks save memory: cvxpy compiles a product of n factors with n² numbers.
     """
     blocks = range(0, x.shape[0], 40)
     return cp.vstack([cp.multiply(factors[i : i + 40], x[i : i + 40]) for i in blocks])
 
 
 def half_squares(expression: Any) -> Any:
-    """Return half the sum of squares of an expression."""
+    """Return half the sum of squares of a cvxpy expression."""
     return 0.5 * cp.sum_squares(expression)
 
 
@@ -219,37 +222,37 @@ class _Summand:
 
 @dataclass(frozen=True)
 class Objective(_Summand):
-    """A weighted sum of objective terms."""
+    """Weighted sum of objective terms."""
 
     terms: tuple[AnyTerm, ...]
     weights: tuple[float, ...]
 
 
 class Term(_Summand, ABC):
-    """Base of the objective terms. A function of a `Model`, added to a term, is a term as well."""
+    """Base of the terms of an objective. Terms and functions of a `Model` can be added."""
 
     is_prior: ClassVar[bool] = False
-    """Whether it makes alpha unique; a calibration has exactly one such term."""
+    """Whether the term keeps coefficients near the input; a calibration has exactly one such term."""
     in_numbers: ClassVar[Mapping[str, Any]] = {}
-    """The fields that enter through the parameters, with the values that the compiled problem has."""
+    """Fields that may change without compiling anew, with their values in the compiled problem."""
 
     @abstractmethod
     def __call__(self, m: Model) -> Any:
         """Return the cvxpy expression to be minimised."""
 
     def convexity(self, numbers: Numbers) -> float:
-        """Return m, at most the curvature by each deviation x; 0 if unknown."""
+        """Return a lower limit m of the term's curvature by each deviation x; 0 if it is unknown."""
         return 0.0
 
     def structure(self) -> Term:
-        """Return a term of the same compiled problem, one for all values of the parameters."""
+        """Return the term that stands for all terms with the same compiled problem."""
         alike = copy.copy(self)
         vars(alike).update(self.in_numbers)
         return alike
 
 
 def as_objective(term: Any) -> Objective:
-    """Return a term, or a sum of them, as an `Objective`; ModelError for anything else."""
+    """Return a term, or a sum of terms, as an `Objective`; ModelError for any other value."""
     if isinstance(term, Objective):
         return term
     if isinstance(term, type):
@@ -261,33 +264,35 @@ def as_objective(term: Any) -> Objective:
 
 @dataclass(frozen=True)
 class PriorDeviation(Term):
-    """½ x'R⁻¹x, x = (alpha - mu) / sigma: half the squared shift from the prior mean in sigmas.
+    """Term that keeps coefficients near the input: half the sum of squared deviations in sigmas.
 
-    When to use it: always (or `HuberDeviation`); it makes the answer unique. The paper's
-    maximum-likelihood estimate (Bellows & Katz 2025, Eq. 19) is this term, independent (R = 1),
-    and `ExactMatch`; its least-squares estimate (Eq. 7) is the same with every sigma equal,
-    ``PriorDeviation(sigma=1)``. Give correlations where errors go together: a data sheet that is
-    too low at 500 Hz is likely too low at 1 kHz; two boards of one maker err alike. They change
-    nothing with an exact match, no coefficient at a bound, and sigmas that are a material's factor
-    times a band's (see docs/modelling.md).
+    It is ½ x'R⁻¹x with x = (alpha - mu) / sigma, the input coefficients mu, and the correlation R of
+    their errors.
+
+    When to use it: always, or `HuberDeviation` in its place. With `ExactMatch` and no correlation it
+    gives the maximum-likelihood estimate of Bellows & Katz (2025), Eq. 19, and with
+    ``PriorDeviation(sigma=1)`` their least-squares estimate (Eq. 7). Give correlations where errors go
+    together: a data sheet that is too low at 500 Hz is likely too low at 1 kHz. docs/modelling.md says
+    when they change nothing.
 
     Parameters
     ----------
     sigma : float, optional
-        One standard deviation for every coefficient in place of the room's (but 0 stays 0), above 0.
-        It enters through x: `rtcal.calibration.problem.CalibrationProblem.numbers` takes it.
+        One standard deviation for all coefficients in place of the room's, above 0. Coefficients with
+        sigma = 0 in the room stay exact.
     band_correlation : float
-        r below 1 is the correlation of two bands an octave apart: r ** octaves.
+        Correlation r, below 1, of errors in bands an octave apart; bands n octaves apart have r ** n.
     material_correlation : mapping of pairs to float
-        Between the same bands of two materials: ``{("door", "panel"): 0.7}``.
+        Correlation of two materials' errors in the same band: ``{("door", "panel"): 0.7}``.
     common : bool
-        Whether all coefficients may be off together, by the room's ``common_alpha_sigma`` t: then the
-        covariance is sigma R sigma + t² mu mu' over all materials and bands.
+        Whether all coefficients may be too high or too low together, by the room's
+        ``common_alpha_sigma`` t: the covariance is then sigma R sigma + t² mu mu'.
 
     Raises
     ------
     ModelError
-        For a band correlation not below 1, or (when built) materials' that is not positive definite.
+        For a band correlation that is not below 1, or (when built) a correlation of materials that is
+        not positive definite.
     """
 
     sigma: float | None = None
@@ -318,7 +323,7 @@ class PriorDeviation(Term):
 
     @property
     def correlated(self) -> bool:
-        """Whether there is any correlation, or a part that all coefficients have in common."""
+        """Whether errors are correlated, or have a part that all coefficients have in common."""
         return bool(self.band_correlation or self.material_correlation or self.common)
 
     def __call__(self, m: Model) -> Any:
@@ -334,13 +339,13 @@ class PriorDeviation(Term):
         return 0.5 * cp.quad_form(x, _correlation(self, m.layout)[1], assume_PSD=True) + of_common
 
     def convexity(self, numbers: Numbers) -> float:
-        """Return the least eigenvalue of the inverse correlation."""
+        """Return the least eigenvalue of the inverse correlation, a lower limit of the curvature."""
         q = numbers.common_shift * numbers.inverse_sigma
         largest = _correlation(self, numbers.layout)[2]
         return float(1 / (largest + (q @ q if self.common else 0.0)))
 
     def correlate(self, columns: Array, layout: Layout) -> Array:
-        """Return R @ columns, (size, n); further unknowns are independent."""
+        """Return R @ columns, (size, n), with the correlation R; further unknowns are independent."""
         root, *_ = _correlation(self, layout)
         alpha = root @ (root.T @ columns[: layout.n_alpha])
         return np.concatenate([alpha, columns[layout.n_alpha :]])
@@ -374,18 +379,18 @@ def _correlation(term: PriorDeviation, layout: Layout) -> tuple[Any, Any, float]
 
 @dataclass(frozen=True)
 class HuberDeviation(Term):
-    """sum of e x²/2 + (1 - e) h(x): like `PriorDeviation` near mu, but straight beyond t sigmas.
+    """Term that keeps coefficients near the input, but allows few of them to be far from it.
 
-    h(x) = x²/2 for |x| <= t, t |x| - t²/2 beyond (Huber 1964, Eq. 2.4).
+    It is the sum of e x²/2 + (1 - e) h(x) over x = (alpha - mu) / sigma, with h(x) = x²/2 for |x| <= t
+    and t |x| - t²/2 beyond (Huber 1964, Eq. 2.4). e = 0.01 makes the answer unique.
 
-    When to use it: when some sigma may be wrong (a material taken for another): one
-    coefficient may then move far at a bounded price, and the others need not follow. Huber's own
-    minimiser is not unique, so a small strictly convex part, e = 0.01 of the square, is mixed in.
+    When to use it: when some sigma may be wrong, as when a material was taken for another. One
+    coefficient may then move far, and the others need not follow.
 
     Parameters
     ----------
     threshold : float
-        t, in sigmas, above 0; beyond it a coefficient counts as an outlier.
+        Deviation t in sigmas, above 0, beyond which a coefficient counts as an outlier.
     """
 
     threshold: float = 1.5
@@ -406,16 +411,18 @@ class HuberDeviation(Term):
         return self.convex * half_squares(m.x) + (1 - self.convex) * near
 
     def convexity(self, numbers: Numbers) -> float:
-        """Return e."""
+        """Return e, a lower limit of the curvature."""
         return self.convex
 
 
 @dataclass(frozen=True)
 class ExactMatch:
-    """S'alpha = b in every band that has a measured T (Bellows & Katz 2025, Eq. 4).
+    """Constraint that the coefficients give the measured T exactly, in every band that has one.
 
-    When to use it: as the paper does, or when the uncertainty of T is not known. It forces the
-    noise of T into alpha; `SoftMatch` does not.
+    It is S'alpha = b: the absorption area equals that of T (Bellows & Katz 2025, Eq. 4).
+
+    When to use it: when the uncertainty of T is not known. Errors of T then change the coefficients,
+    which `SoftMatch` avoids.
     """
 
     def __call__(self, m: Model) -> list[Any]:
@@ -423,28 +430,28 @@ class ExactMatch:
         return [m.absorption_area == m.target]
 
     def target_limits(self, numbers: Numbers) -> tuple[Array, Array]:
-        """Return the least and the most absorption area in m² that this match allows.
+        """Return the least and the largest absorption area in m² that this match allows.
 
-        Both are (n_configurations, n_bands). An exact match allows only the target b.
+        Both are (n_configurations, n_bands), and both are the area that the measured T needs.
         """
         return numbers.target, numbers.target
 
     def label(self, row: int, layout: Layout) -> str:
-        """Return the band that a row matches."""
+        """Return the name of the band that a row of the constraint matches."""
         return f"exact match of T at {layout.band_label(row)} (m² of absorption)"
 
 
 @dataclass(frozen=True)
 class MatchWithin(ExactMatch):
-    """|T - T measured| <= tolerance, in just noticeable differences of 5 %.
+    """Constraint that T is within a tolerance of the measured T, in every band that has one.
 
-    When to use it: when nobody would hear a smaller deviation, so that coefficients should not move for
-    it. The answer is the nearest to the prior that is within the tolerance.
+    When to use it: when nobody would hear a smaller deviation, so that coefficients should not change
+    for it. The answer is the nearest to the input that is within the tolerance.
 
     Parameters
     ----------
     jnd : float
-        Above 0, below 20 (where T would have to be 0).
+        Tolerance of T in just noticeable differences of 5 %, above 0 and below 20.
     """
 
     jnd: float = 1.0
@@ -481,35 +488,33 @@ class MatchWithin(ExactMatch):
         return np.fmin(low, numbers.target), np.fmax(high, numbers.target)
 
     def label(self, row: int, layout: Layout) -> str:
-        """Return the band that a row matches."""
+        """Return the name of the band that a row of the constraint matches."""
         return f"match of T within {self.jnd:g} JND at {layout.band_label(row)} (m² of absorption)"
 
 
 @dataclass(frozen=True)
 class SoftMatch(Term):
-    """½ sum ((S'alpha - b) / u_b)²: match T within its uncertainty u_b.
+    """Term that matches the measured T within its uncertainty, so that errors of T change alpha less.
 
-    u_b = |db/dT| u_T. docs/modelling.md compares it with other terms.
+    It is ½ sum ((S'alpha - b) / u_b)², with the absorption area S'alpha, the area b that T needs and
+    its standard uncertainty u_b = |db/dT| u_T. docs/modelling.md compares it with other terms.
 
-    When to use it: whenever the uncertainty of T is known, or can be given; with several
-    configurations always. It keeps the noise of T out of alpha. Weight 1 is the right one: then
-    with `PriorDeviation` the answer is the most probable one.
+    When to use it: whenever the uncertainty of T is known, and always for several configurations. With
+    weight 1 and `PriorDeviation` the answer is the most probable one.
 
-    With ``room``, it is ½ r'C⁻¹r, r = b - S'alpha: C is the covariance of r over all bands, u_b² on its
-    diagonal and what the room states of its volume, areas and climate
-    (`rtcal.acoustics.room_errors.target_changes`). It is the QP with A_ik = alpha_ik S_i, every S_i and
-    the volume unknown and shared by all bands, after these are minimised out. Eyring's and Kuttruff's b
-    is linearised in them (docs/uncertain_room.md). An error of the volume then changes all bands alike,
-    and goes less into the coefficients.
+    With ``room``, it is ½ r'C⁻¹r, r = b - S'alpha. C is the covariance of r over all bands from the
+    uncertainties of T and of the room's volume, areas and climate
+    (`rtcal.acoustics.room_errors.target_changes`, docs/uncertain_room.md). An error of the volume,
+    which is the same in all bands, then changes the coefficients less.
 
     Parameters
     ----------
     relative : float, optional
-        u_T / T, at most 1, for bands whose measurement states no uncertainty. Without it those are
-        refused.
+        Relative uncertainty u_T / T, at most 1, for bands whose measurement states none. Without it
+        such bands raise an error.
     room : bool
-        Whether the room's ``volume_sigma``, ``area_sigma`` and ``climate_sigma`` count. With them
-        `rtcal.calibrate` sets it for every method but ``lse``.
+        Whether the room's ``volume_sigma``, ``area_sigma`` and ``climate_sigma`` count. In a room that
+        states them, `rtcal.calibrate` sets it for every method but ``lse``.
 
     Examples
     --------
@@ -545,7 +550,10 @@ class SoftMatch(Term):
         return half_squares(m.parameter((n, n), whitener) @ cp.vec(m.misfit, order="C"))
 
     def uncertainty(self, numbers: Numbers) -> Array:
-        """Return u_b in m², (n_configurations, n_bands); DataError if unknown, 0 or infinite."""
+        """Return the uncertainty u_b of the absorption area in m²; DataError if it is unknown or 0.
+
+        It is (n_configurations, n_bands).
+        """
         u = numbers.target_uncertainty
         unknown = numbers.matched & ~np.isfinite(u)
         if self.relative is not None and unknown.any():
@@ -576,19 +584,19 @@ class SoftMatch(Term):
 
 @dataclass(frozen=True)
 class LinearObservations(Term):
-    """½ (y - J alpha)' C⁻¹ (y - J alpha): linear observations y of alpha; C is the errors' covariance.
+    """Term for measured values that depend linearly on the coefficients, beside T.
 
-    The numbers are an `Observed`, and are given to `rtcal.Calibration`'s problem when it is solved:
-    ``problem.solve(measured, observed={term: Observed(...)})``. So the problem is compiled once,
-    whatever the number of observations, and solved for each of them.
+    It is ½ (y - J alpha)' C⁻¹ (y - J alpha), with the values y, their derivatives J by alpha and the
+    covariance C of their errors. These are given as an `Observed` when the problem is solved:
+    ``problem.solve(measured, observed={term: Observed(...)})``.
 
-    When to use it: where measurements determine more of alpha than one T per band. J and y come from
-    a simulator's derivatives in `rtcal.calibrate_positions`; weight 1 is then the right one.
+    When to use it: where measurements determine more of alpha than one T per band does, as those at
+    positions in `rtcal.calibrate_positions`. Use weight 1.
 
     Parameters
     ----------
     name : str
-        Tells several of them apart.
+        Name of the term, which distinguishes several of them.
 
     References
     ----------
@@ -612,12 +620,14 @@ class LinearObservations(Term):
 
 @dataclass(frozen=True)
 class BandSmoothness(Term):
-    """½ sum (x_k+1 - x_k)² / d_k, x = (alpha - mu) / sigma, d_k octaves from band k to k+1.
+    """Term that keeps the changes of a material's coefficients similar in neighbouring bands.
 
-    When to use it: with `SoftMatch` or bands without T, when a material's error is expected to
-    change slowly over frequency. It smooths the *shift* in sigmas, not alpha: a resonant absorber
-    keeps its peak. With an exact match and separable sigma it changes nothing (see
-    docs/modelling.md).
+    It is ½ sum (x_k+1 - x_k)² / d_k, with the deviation x = (alpha - mu) / sigma from the input and d_k
+    octaves between bands k and k+1.
+
+    When to use it: with `SoftMatch` or bands without T, when a material's error is expected to change
+    slowly over frequency. It smooths the change and not alpha, so that a resonant absorber keeps its
+    peak. docs/modelling.md says when it changes nothing.
     """
 
     def __call__(self, m: Model) -> Any:
@@ -636,22 +646,24 @@ class BandSmoothness(Term):
 
 @dataclass(frozen=True)
 class AddedAbsorption(Term):
-    """A further unknown theta >= 0: an effect that adds theta times its gain to S'alpha.
+    """Term that adds absorption of unknown size and known spectrum to the room.
 
-    ½ ((theta - mean) / sigma)² is its prior in the objective (docs/modelling.md).
+    The size theta >= 0 is calibrated with the coefficients, and theta times ``gain`` is added to the
+    absorption area. The term is ½ ((theta - mean) / sigma)² (docs/modelling.md).
 
-    When to use it: when something other than the listed surfaces absorbs (an opening, furniture, an
-    audience) and its spectrum is known but not its amount. theta comes out beside alpha.
+    When to use it: when something other than the listed materials absorbs, such as an opening,
+    furniture or an audience.
 
     Parameters
     ----------
     name : str
+        Name of the added absorption.
     gain : sequence (n_bands,) or (n_configurations, n_bands)
-        m² of absorption that theta = 1 adds in each band.
+        Absorption area in m² that the size theta = 1 adds in each band.
     sigma : float
-        Prior standard deviation of theta, above 0.
+        Standard deviation of theta before the calibration, above 0.
     mean : float
-        Prior mean of theta.
+        Expected theta before the calibration.
     """
 
     name: str
@@ -677,7 +689,7 @@ class AddedAbsorption(Term):
         return half_squares(m.effects[m.layout.further.index(self.name)])
 
     def gains(self, n_configurations: int, n_bands: int) -> Array:
-        """Return the gain by configuration and band in m²; ModelError if it does not fit."""
+        """Return the gain in m² by configuration and band; ModelError if its shape does not fit."""
         gain = np.array(self.gain)
         if gain.shape[1] != n_bands or gain.shape[0] not in (1, n_configurations):
             raise ModelError(
@@ -689,18 +701,18 @@ class AddedAbsorption(Term):
 
 @dataclass(frozen=True)
 class Bounds:
-    """lower <= alpha <= upper, for all materials and bands or for some.
+    """Constraint that coefficients are within bounds, for all or some materials and bands.
 
     When to use it: where physics or a data sheet gives limits tighter than 0 to 1.
 
     Parameters
     ----------
     lower, upper : float, optional
-        None is the prior mean.
+        Bounds of the coefficients; None stands for the input coefficient.
     material : str, optional
-        Only this material.
+        Material that the bounds are for; all materials by default.
     band : float, optional
-        Only this band, by its centre frequency in Hz.
+        Centre frequency in Hz of the band that the bounds are for; all bands by default.
     """
 
     lower: float | None = 0.0
@@ -716,23 +728,25 @@ class Bounds:
             raise DataError(f"{name}: {stated} must satisfy 0 <= lower <= upper <= 1")
 
     def of(self, mu: Array) -> Any:
-        """Return both bounds of coefficients whose prior means are ``mu``."""
+        """Return the lower and the upper bound of coefficients with the input values ``mu``."""
         return [mu if end is None else end for end in (self.lower, self.upper)]
 
 
 class Fixed(Bounds):
-    """alpha = value (its prior mean if not given): a coefficient that the measurement may not move.
+    """Constraint that coefficients of a material do not change in the calibration.
 
-    When to use it: for a material that was measured in the laboratory, or whose answer must stay
-    comparable. Alpha is as with sigma = 0 in the room. Unlike there, its input sigma still counts in z
-    and Q, in correlations with other bands, and in the coefficients' uncertainty.
+    When to use it: for a material that was measured in the laboratory, or whose result must stay
+    comparable. The coefficients are the same as with sigma = 0 in the room, but sigma still counts in
+    the plausibility, in correlations with other bands, and in the coefficients' uncertainty.
 
     Parameters
     ----------
     material : str
+        Name of the material.
     value : float, optional
+        Value of the coefficients; the input coefficients by default.
     band : float, optional
-        Only this band, by its centre frequency in Hz.
+        Centre frequency in Hz of the only band that is fixed; all bands by default.
     """
 
     def __init__(
@@ -743,10 +757,10 @@ class Fixed(Bounds):
 
 @dataclass(frozen=True)
 class Shared:
-    """The coefficients of several materials are the same unknowns: ``Shared("wall", "wall 2")``.
+    """Constraint that several materials have the same coefficients: ``Shared("wall", "wall 2")``.
 
-    When to use it: when one material goes by several names. Their rows become one, with the sum of
-    their areas; their common prior counts once.
+    When to use it: when one material has several names. The materials become one, with the sum of their
+    areas, and their input coefficients, which must be equal, count once.
     """
 
     materials: tuple[str, ...]
@@ -759,16 +773,16 @@ class Shared:
 
 @dataclass(frozen=True)
 class AtMost:
-    """alpha of one material <= alpha of another: ``AtMost("glazing", "curtain")``.
+    """Constraint that one material absorbs at most as another: ``AtMost("glazing", "curtain")``.
 
-    When to use it: when the order is certain though neither value is.
+    When to use it: when the order of two coefficients is certain, but not their values.
 
     Parameters
     ----------
     lesser, greater : str
-        Materials.
+        Names of the less and of the more absorbing material.
     band : float, optional
-        Only this band, by its centre frequency in Hz.
+        Centre frequency in Hz of the only band that it is for; all bands by default.
     """
 
     lesser: str
@@ -789,7 +803,7 @@ class AtMost:
         return [lesser <= greater]
 
     def label(self, row: int, layout: Layout) -> str:
-        """Return the order and its band."""
+        """Return the order and the band that a row of the constraint requires."""
         lesser, greater = self._places(layout)
         return f"{layout.place(int(lesser[row]))} at most {layout.place(int(greater[row]))}"
 
@@ -799,18 +813,19 @@ class AtMost:
 
 @dataclass(frozen=True)
 class GroupAbsorption:
-    """least <= S'alpha <= most over a group of materials, in m²; S is that of the first room.
+    """Constraint that the absorption area of a group of materials is within limits.
 
-    When to use it: when the total of a group is known better than its members, such as all seating
-    from a table of audience absorption.
+    When to use it: when the total of a group is known better than each material, such as that of all
+    seating. For several configurations the areas are those of the first.
 
     Parameters
     ----------
     materials : sequence of str
+        Names of the materials of the group.
     least, most : float, optional
-        m²; at least one of them.
+        Limits of the absorption area in m²; give at least one.
     band : float, optional
-        Only this band, by its centre frequency in Hz.
+        Centre frequency in Hz of the only band that it is for; all bands by default.
     """
 
     materials: Sequence[str]
@@ -853,7 +868,7 @@ class GroupAbsorption:
         ]
 
     def label(self, row: int, layout: Layout) -> str:
-        """Return the group and the band."""
+        """Return the group and the band that a row of the constraint limits."""
         band = bands.label(layout.centre_frequencies[self._bands(layout)[row]])
         return f"absorption of {', '.join(self.materials)} at {band} (m²)"
 

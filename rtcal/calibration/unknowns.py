@@ -47,20 +47,20 @@ else:
 
 @dataclass(frozen=True, eq=False)
 class Configurations:
-    """Several configurations of one room, which share their materials' coefficients.
+    """Several measured configurations of one room, which share their materials' coefficients.
 
     Parameters
     ----------
     rooms : sequence of Room
-        One per configuration, each with its volume, air and areas. Materials of the same name are
-        one unknown, so all rooms must state the same alpha and sigma for them.
+        Room of each configuration, with its volume, air and areas. A material must have the same alpha
+        and sigma in all rooms, because it has one coefficient per band.
     names : sequence of str, optional
         Names of the configurations; the rooms' names by default.
 
     Raises
     ------
     DataError
-        If the bands differ, or a material's prior does.
+        If the bands differ, or a material has different coefficients or sigmas.
 
     Examples
     --------
@@ -143,7 +143,7 @@ class Configurations:
 
     @property
     def materials(self) -> tuple[str, ...]:
-        """Every material of any configuration, in order of appearance."""
+        """Names of all materials of all configurations, in order of appearance."""
         return tuple(dict.fromkeys(m for room in self.rooms for m in room.materials))
 
     @cached_property
@@ -158,10 +158,11 @@ class Configurations:
         return areas
 
     def target_changes(self, equation: LinearEquation, times: Array) -> Array:
-        """Return `rtcal.acoustics.room_errors.target_changes`, (n_changes, n_configurations n_bands).
+        """Return the changes of b - S'alpha in m² by one standard deviation of each error of the rooms.
 
-        Configurations share the volume and the areas; each has a climate of its own. Without any change
-        where no room is uncertain. ``times`` is (n_configurations, n_bands) in s.
+        They are (n_changes, n_configurations n_bands), as `rtcal.acoustics.room_errors.target_changes`
+        defines them. Configurations share the errors of volume and areas, but not those of the climate.
+        ``times`` are the measured T in s, (n_configurations, n_bands).
         """
         checks.instance("equation", equation, LinearEquation)
         times = checks.array("times", times)
@@ -182,7 +183,7 @@ class Configurations:
 
     @cached_property
     def union(self) -> Room:
-        """A room with every material once: prior, largest area and largest error of this area."""
+        """Room with every material once: its coefficients, largest area and that area's error."""
         if len(self.rooms) == 1:
             return self.rooms[0]
         first = self.rooms[0]
@@ -217,7 +218,7 @@ class Configurations:
 
 @dataclass(frozen=True, repr=False)
 class Layout:
-    """The unknowns: one flat vector, alpha row by row with the bands last, then further ones."""
+    """Order of the unknowns in one vector: coefficients material by material and band, then effects."""
 
     materials: tuple[str, ...]  # all of them
     alpha_rows: tuple[
@@ -235,7 +236,7 @@ class Layout:
 
     @cached_property
     def n_alpha_rows(self) -> int:
-        """Number of unknown rows of alpha."""
+        """Number of materials with different coefficients."""
         return max(self.alpha_rows) + 1
 
     @property
@@ -255,13 +256,13 @@ class Layout:
 
     @cached_property
     def first(self) -> Integers:
-        """Index of the first material of each row, (n_alpha_rows,)."""
+        """Index of the first material of each row of coefficients, (n_alpha_rows,)."""
         return np.array([self.alpha_rows.index(row) for row in range(self.n_alpha_rows)])
 
     def index(self, material: str | None = None, band: float | None = None) -> Integers:
         """Return the indices of the coefficients of one material in one band; None stands for all.
 
-        Raises DataError for a material or a band that the layout lacks.
+        Raises DataError for an unknown material or band.
         """
         rows, columns = np.arange(self.n_alpha_rows), np.arange(self.n_bands)
         if material is not None:
@@ -281,14 +282,14 @@ class Layout:
         return np.asarray((rows[:, np.newaxis] * self.n_bands + columns).ravel())
 
     def sharing(self, group: Iterable[str]) -> Layout:
-        """Return the layout in which some materials, and all that share with them, are one row."""
+        """Return the layout in which some materials, and all that share with them, have one row."""
         merged = {int(self.index(name)[0]) // self.n_bands for name in group}
         heads = [min(merged) if row in merged else row for row in self.alpha_rows]
         order = list(dict.fromkeys(heads))
         return replace(self, alpha_rows=tuple(order.index(head) for head in heads))
 
     def place(self, unknown: int) -> str:
-        """Return the name of an unknown in messages: ``alpha["carpet", 500 Hz]``."""
+        """Return the name of an unknown in messages, such as ``alpha["carpet", 500 Hz]``."""
         if unknown >= self.n_alpha:
             return f'size of "{self.further[unknown - self.n_alpha]}"'
         row, band = divmod(int(unknown), self.n_bands)
@@ -306,27 +307,29 @@ class Layout:
         )
 
     def expand(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the coefficients of values of the unknowns, (size, ...), by material and band."""
+        """Return the coefficients among values of all unknowns, (size, ...), by material and band."""
         by_row = values[: self.n_alpha].reshape(-1, self.n_bands, *values.shape[1:])
         return np.asarray(by_row[list(self.alpha_rows)])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observed:
-    """Numbers of a `LinearObservations`: values = matrix @ alpha and an error of zero mean.
+    """Values of a `LinearObservations` term: values = matrix @ alpha + errors of zero mean.
 
     Parameters
     ----------
     matrix : array (n_observations, n_materials * n_bands)
-        Alpha row by row, the bands last. Materials that share a coefficient have their own columns.
+        Derivatives of the values by alpha, material by material and band. Materials that share a
+        coefficient have separate columns.
     values : array (n_observations,)
+        Observed values.
     covariance : array (n_observations, n_observations)
         Covariance of the errors; positive definite.
 
     Raises
     ------
     DataError
-        For shapes that do not fit, a number that is not finite, or a covariance that is none.
+        For shapes that do not fit, a number that is not finite, or a matrix that is no covariance.
     """
 
     matrix: Array
@@ -357,11 +360,11 @@ class Observed:
         return f"<Observed: {self.values.size} observations of {self.matrix.shape[1]} coefficients>"
 
     def over(self, layout: Layout, mu: Array, sigma: Array) -> Array:
-        """Return R and z, (n_alpha, n_alpha + 1): ½ |R x - z|² is the misfit, but for a constant.
+        """Return R and z, (n_alpha, n_alpha + 1), with ½ |R x - z|² the misfit except for a constant.
 
-        R is the upper triangle of the QR of the whitened J sigma, by the deviations x from ``mu``
-        (n_alpha,), with as many rows as there are coefficients: those that lack observations are 0.
-        Columns of materials that share their coefficients are added up.
+        x are the deviations of the coefficients from ``mu`` (n_alpha,) in sigmas. R is the upper
+        triangle of the QR decomposition of the whitened J sigma. Columns of materials that share their
+        coefficients are added up.
 
         Raises DataError if the matrix has columns of other materials or bands.
         """
@@ -385,10 +388,10 @@ class Observed:
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Numbers:
-    """The numbers of one solve, by which the parameters of a compiled problem are filled.
+    """Numbers of one solve, with which a compiled problem is filled.
 
-    The prior and the box are (size,): an unknown with sigma = 0 stays at mu, one whose bounds are equal
-    there. T and what follows of it are (n_configurations, n_bands), NaN where missing.
+    Input values, sigmas and bounds of the unknowns are (size,). T and what follows from it are
+    (n_configurations, n_bands), NaN where missing.
     """
 
     layout: Layout
@@ -422,38 +425,38 @@ class Numbers:
 
     @cached_property
     def matched(self) -> Flags:
-        """Where there is a target, (n_configurations, n_bands)."""
+        """Whether a band has a T to match, (n_configurations, n_bands)."""
         return np.isfinite(self.target)
 
     @cached_property
     def movable(self) -> Flags:
-        """Unknowns that the calibration may change, (size,)."""
+        """Whether the calibration may change each unknown, (size,)."""
         return (self.sigma > 0) & (self.lower < self.upper)
 
     @cached_property
     def inverse_sigma(self) -> Array:
-        """1 / sigma, 0 where sigma = 0, (size,)."""
+        """Inverse standard deviation of each unknown, 0 where sigma = 0, (size,)."""
         return np.divide(1.0, self.sigma, out=np.zeros_like(self.sigma), where=self.sigma > 0)
 
     @cached_property
     def box(self) -> tuple[Array, Array]:
-        """The box, (size,) each, in which an unknown with sigma = 0 has mu as both sides."""
+        """Lower and upper bounds of the unknowns, (size,) each; both are mu where sigma = 0."""
         exact = self.sigma == 0
         return np.where(exact, self.mu, self.lower), np.where(exact, self.mu, self.upper)
 
     @property
     def largest_target(self) -> Array:
-        """The largest b in m² that the equation can invert, (n_configurations, 1)."""
+        """Largest absorption area in m² that the equation can invert, (n_configurations, 1)."""
         return np.array([[self.equation.largest_mean * room.total_area] for room in self.rooms])
 
     def target_of(self, times: Array) -> Array:
-        """Return b in m² for any T in s, both (n_configurations, n_bands)."""
+        """Return the absorption area in m² that T in s needs, both (n_configurations, n_bands)."""
         pairs = zip(self.rooms, times, strict=True)
         return np.array([self.equation.target(room, t) for room, t in pairs])
 
     @cached_property
     def match_matrix(self) -> Any:
-        """S' over the unknowns, sparse, one row per configuration and band, 0 without T."""
+        """Areas by unknown, as a sparse matrix with one row per configuration and band, 0 without T."""
         layout = self.layout
         c, n, k = layout.n_configurations, layout.n_alpha_rows, layout.n_bands
         areas = np.where(self.matched[:, :, np.newaxis], self.areas[:, np.newaxis, :], 0.0)
@@ -466,9 +469,10 @@ class Numbers:
 
     @cached_property
     def target_covariance(self) -> Array:
-        """Covariance of b - S'alpha in m⁴, (n_matches, n_matches); an unknown u_b counts as 0.
+        """Covariance in m⁴ of the absorption area b that T needs less that of alpha.
 
-        The sum of that of b, through T, and of that through volume, areas and climate.
+        It is (n_matches, n_matches), from the errors of T, volume, areas and climate; an unknown
+        uncertainty of T counts as 0.
         """
         noise = np.diag(np.nan_to_num(self.target_uncertainty).ravel() ** 2)
         changes = self.room_changes
@@ -476,9 +480,9 @@ class Numbers:
 
     @cached_property
     def match_whitener(self) -> Array:
-        """W, lower triangular, with W'W the inverse of `target_covariance` over what is matched.
+        """Lower triangular matrix W in 1/m² with W'W the inverse of `target_covariance`.
 
-        Rows and columns without a match are 0. (n_matches, n_matches) in 1/m².
+        It is (n_matches, n_matches); rows and columns without a match are 0.
         """
         used = np.flatnonzero(self.matched.ravel())
         whitener = np.zeros_like(self.target_covariance)
@@ -489,7 +493,7 @@ class Numbers:
 
     @cached_property
     def common_shift(self) -> Array:
-        """Change of the unknowns by one standard deviation of all coefficients together, (size,)."""
+        """Change of each unknown by one standard deviation of all coefficients together, (size,)."""
         shift = np.where(self.sigma > 0, self.common * self.mu, 0.0)
         shift[self.layout.n_alpha :] = 0.0
         return shift
@@ -499,5 +503,5 @@ class Numbers:
         return u[: self.layout.n_alpha].reshape(self.layout.n_alpha_rows, self.layout.n_bands)
 
     def further(self, u: Array) -> Array:
-        """Return the further unknowns, (n_further,)."""
+        """Return the sizes of effects among the unknowns, (n_further,)."""
         return u[self.layout.n_alpha :]
