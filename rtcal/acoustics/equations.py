@@ -98,7 +98,14 @@ def register(equation: type[E]) -> type[E]:
 
 
 def equation_keys(kind: type[Any] = ReverberationEquation) -> tuple[str, ...]:
-    """Return the keys of the equations that are of a given class, in alphabetical order."""
+    """Return the keys of the equations that are of a given class, in alphabetical order.
+
+    Examples
+    --------
+    >>> from rtcal.acoustics.equations import LinearEquation
+    >>> equation_keys(LinearEquation)
+    ('eyring', 'kuttruff', 'sabine')
+    """
     return tuple(sorted(key for key, e in EQUATIONS.items() if issubclass(e, kind)))
 
 

@@ -43,76 +43,76 @@ from rtcal.support.types import Array
 
 @runtime_checkable
 class Simulator(Protocol):
-    """A simulator of a room, which turns absorption coefficients into a `Measurement`."""
+    """Simulator of a room, which returns room-acoustic parameters for absorption coefficients."""
 
     @property
     def name(self) -> str:
-        """Name of the simulator with the settings that change T."""
+        """Name of the simulator, with the settings that change T."""
         ...
 
     @property
     def materials(self) -> Sequence[str]:
-        """Materials of the rows of alpha, as in the `Room`, (n_materials,)."""
+        """Names of the materials that the rows of the coefficients belong to, (n_materials,)."""
         ...
 
     @property
     def centre_frequencies(self) -> Array:
-        """Bands of the columns of alpha in Hz, (n_bands,)."""
+        """Centre frequencies in Hz that the columns of the coefficients belong to, (n_bands,)."""
         ...
 
     @property
     def deterministic(self) -> bool:
-        """Whether the result does not depend on the seed."""
+        """Whether the result does not depend on the seed of the random numbers."""
         ...
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return the simulated measurement for alpha (n_materials, n_bands), which is read-only."""
+        """Return the simulated parameters for coefficients (n_materials, n_bands), read-only."""
         ...
 
 
 class RoomSimulator:
     """Base of the simulators that are built for a `Room`, with its materials and bands.
 
-    What a calibration to every position asks of a simulator beyond `Simulator` has defaults here, those
-    of a simulator without traced paths; `PathTracing` has its own.
+    It adds what `rtcal.calibrate_positions` needs beyond `Simulator`, with defaults for a simulator
+    that does not trace paths.
     """
 
     room: Room
 
     @property
     def tracing(self) -> Any:
-        """A path tracing of the same room, for reference simulations; None without a geometry."""
+        """Path tracing of the same room, for reference simulations; None without a geometry."""
         return None
 
     @property
     def fits_scattering(self) -> bool:
-        """Whether derivatives by the scattering of materials are known, so that it can be fitted."""
+        """Whether scattering coefficients can be fitted, because derivatives by them are known."""
         return False
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Doubts and assumptions about the geometry and the sources."""
+        """Cautions and assumptions about the geometry and the sources."""
         return ()
 
     def denser(self, factor: int = 1, n_batches: int | None = None) -> Any:
-        """Return the simulator with less noise of its paths; a simulator without noise is unchanged."""
+        """Return the simulator with more paths and less noise; unchanged if it has no noise."""
         return self
 
     def trace_ahead(self, alpha: Array, factor: float, *, seed: int = 0) -> None:
-        """Trace the paths for ``factor`` times Eyring's T; nothing is done without paths."""
+        """Trace paths for ``factor`` times Eyring's T, so that later simulations reuse them."""
 
     def observe_in_groups(
         self, alpha: Array, number: int, match: Sequence[str] = MATCH, *, seed: int = 0
     ) -> Array | None:
-        """Return observations of groups of the paths, whose differences are noise; None without."""
+        """Return parameters from groups of the paths, which differ by noise; None without paths."""
         return None
 
     def trusted(self, match: Sequence[str]) -> tuple[str, ...]:
-        """Return the parameters that can be used if the directivity of a source is unknown."""
+        """Return the parameters that do not need the directivities of sources."""
         return tuple(match)
 
     def with_air(self, air: Air) -> Any:
-        """Return the simulator with another air; DataError if its air is fixed."""
+        """Return the simulator of the room with other air; DataError if its air cannot change."""
         raise DataError(
             "another climate needs PathTracing as the simulator; this one keeps its own air"
         )
@@ -125,12 +125,12 @@ class RoomSimulator:
 
     @property
     def materials(self) -> tuple[str, ...]:
-        """Materials of the rows of alpha."""
+        """Names of the room's materials, (n_materials,)."""
         return tuple(self.room.materials)
 
     @property
     def centre_frequencies(self) -> Array:
-        """Bands of the columns of alpha in Hz."""
+        """Centre frequencies of the room in Hz, (n_bands,)."""
         return self.room.centre_frequencies
 
 
@@ -145,15 +145,14 @@ class _Foreign(RoomSimulator):
 
 
 def complete(simulator: Simulator) -> RoomSimulator:
-    """Return a simulator with everything that a calibration to every position needs."""
+    """Return a simulator with all methods that `rtcal.calibrate_positions` needs."""
     return simulator if isinstance(simulator, RoomSimulator) else _Foreign(simulator)
 
 
 def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
-    """Return a read-only copy of alpha for a simulator or a room.
+    """Return a read-only copy of coefficients, once they are checked for a simulator or a room.
 
-    The copy protects the caller's coefficients from a simulator that changes alpha in place. Raises
-    DataError if alpha is not (n_materials, n_bands), or a coefficient is not in [0, 1].
+    Raises DataError if ``alpha`` is not (n_materials, n_bands), or a coefficient is not from 0 to 1.
     """
     materials, frequencies = of.materials, of.centre_frequencies
     ordered = in_order("alpha", alpha, materials)
@@ -166,15 +165,15 @@ def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
 
 
 def run(simulator: Simulator, alpha: Array, *, seed: int = 0) -> Measurement:
-    """Simulate a read-only copy of alpha and check the measurement.
+    """Return a simulator's result for coefficients, once both are checked.
 
     Raises
     ------
     DataError
-        For a seed that is not a whole number of at least 0, or an alpha as in `check_alpha`.
+        For a seed that is no whole number of at least 0, and as `check_alpha`.
     SimulatorError
-        If the simulator raises anything but an `RtcalError`, or returns no `Measurement`, other
-        bands, or no T20 for some pair.
+        If the simulator raises an error that is no `RtcalError`, or returns no `Measurement`, other
+        bands, or no T20 for a pair.
     """
     checks.whole("seed", seed, 0)
     alpha = check_alpha(simulator, alpha)
@@ -210,7 +209,7 @@ def run(simulator: Simulator, alpha: Array, *, seed: int = 0) -> Measurement:
 
 
 def lost_paths(simulator: Simulator) -> tuple[str, ...]:
-    """Return a note of the paths that left through gaps of the geometry; () if none did."""
+    """Return a note on paths that left the room through gaps of the geometry; () without any."""
     share = getattr(simulator, "lost_share", 0.0)
     if not share:
         return ()
@@ -221,10 +220,10 @@ def lost_paths(simulator: Simulator) -> tuple[str, ...]:
 
 
 def at_places(simulator: Simulator, measured: Measurement) -> tuple[Measurement, tuple[str, ...]]:
-    """Return the measurement with the pairs at one place averaged, and a note of them.
+    """Return the measurement with repeats at one position averaged, and a note on them.
 
-    Names that the simulator puts within `SAME_PLACE` of each other are repeats:
-    counted as positions, they would make their mean surer than it is.
+    Names whose positions in the simulator are within `SAME_PLACE` count as repeats. As separate
+    positions they would make the uncertainty of the mean too small.
     """
     checks.instance("measured", measured, Measurement)
     same: dict[str, dict[str, str]] = {"sources": {}, "receivers": {}}
@@ -247,7 +246,7 @@ def at_places(simulator: Simulator, measured: Measurement) -> tuple[Measurement,
 
 
 def check_fits(simulator: Simulator, room: Room) -> None:
-    """Raise DataError unless this is a simulator with the room's materials and bands."""
+    """Raise DataError if an object is no simulator, or has other materials or bands than the room."""
     checks.instance("room", room, Room)
     if isinstance(simulator, type) or not isinstance(simulator, Simulator):
         raise DataError(
@@ -264,18 +263,18 @@ def check_fits(simulator: Simulator, room: Room) -> None:
 
 
 LARGEST_ALPHA = 0.999
-"""Largest alpha in an analytic derivative: beyond it nothing is reflected, and it would be 0 / 0."""
+"""Largest coefficient in an analytic derivative, because nothing is reflected at 1."""
 STEP = 0.01
-"""Step in alpha of the differences. T of a diffuse field changes by 1 to 20 % over it, far more than
-rounding, and its curvature adds less than 1 % to the slope."""
+"""Step of alpha in derivatives by differences. T of a diffuse field changes by 1 to 20 % over it, far
+more than by rounding, and its curvature changes the slope by less than 1 %."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observations:
-    """Parameters by pair and band, in units in which they are nearly linear in alpha.
+    """Room-acoustic parameters by pair and band, on a scale that is nearly linear in alpha.
 
-    ``parameters`` are keys of `rtcal.acoustics.observables.OBSERVABLES`; decay times and Ts are
-    logarithms.
+    ``parameters`` are keys of `rtcal.acoustics.observables.OBSERVABLES`. Decay times and Ts are given
+    as logarithms.
     """
 
     parameters: tuple[str, ...]
@@ -302,13 +301,13 @@ class Observations:
         )
 
     def natural(self, parameter: str) -> Array:
-        """Return a parameter in its own unit, s or dB, (n_pairs, n_bands)."""
+        """Return the values of a parameter in s or dB, (n_pairs, n_bands)."""
         values = self.values[self.parameters.index(parameter)]
         return observable(parameter).natural(values)
 
     @property
     def one_jnd(self) -> Array:
-        """One JND of each value, as a difference of values, (n_parameters, n_pairs, n_bands)."""
+        """One just noticeable difference (JND) of each value, (n_parameters, n_pairs, n_bands)."""
         found = np.empty(self.values.shape)
         for row, name in zip(found, self.parameters, strict=True):
             kind, own = observable(name), self.natural(name)
@@ -316,7 +315,7 @@ class Observations:
         return found
 
     def at(self, like: Observations) -> Observations:
-        """Return the observations of another's parameters and pairs, which these have, too."""
+        """Return these observations for the parameters and pairs of other observations."""
         rows = [self.parameters.index(p) for p in like.parameters]
         columns = [self.pairs.index(pair) for pair in like.pairs]
         shape = (len(rows), len(columns), len(self.centre_frequencies))
@@ -331,9 +330,9 @@ class Observations:
     def of_measurement(
         cls, measurement: Measurement, parameters: Sequence[str], pairs: Sequence[tuple[str, str]]
     ) -> Observations:
-        """Return the observations of measured or simulated values, NaN where one is missing.
+        """Return the observations from measured or simulated values, NaN where one is missing.
 
-        The level is ``"level"``, or else ``"g"``.
+        The relative level is that of ``"level"``, or else of ``"g"``.
         """
         checks.instance("measurement", measurement, Measurement)
         parameters = checks.texts("parameters", parameters)
@@ -358,13 +357,13 @@ class Observations:
 
 
 def given(measurement: Measurement) -> tuple[str, ...]:
-    """Return the parameters that a measurement has; G is a level too."""
+    """Return the parameters that a measurement has; G counts as a relative level, too."""
     stood_in = [k for k, o in OBSERVABLES.items() if o.stand_in in measurement.values]
     return tuple(dict.fromkeys((*measurement.values, *stood_in)))
 
 
 def checked_parameters(match: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of parameters; DataError for an unknown one, a repeated one or none."""
+    """Return names of parameters; DataError for an unknown name, a repeated one or none."""
     names = checks.listed("match", match)
     if not names:
         raise DataError("match is empty; give at least one parameter")
@@ -379,11 +378,11 @@ def checked_parameters(match: Sequence[str]) -> tuple[str, ...]:
 
 
 def derivatives(simulator: Simulator) -> Any:
-    """Return a simulator that has `observe` and `jacobian` of its own; None for others.
+    """Return the simulator if it has the methods ``observe`` and ``jacobian``; None otherwise.
 
-    They are ``observe(alpha, match, *, seed)``, which returns `Observations`, and
-    ``jacobian(alpha, match, *, seed)``, which returns their derivatives, (n_parameters, n_pairs,
-    n_bands, n_materials). No observation depends on alpha of another band.
+    ``observe(alpha, match, *, seed)`` must return `Observations`, and ``jacobian(alpha, match, *,
+    seed)`` their derivatives, (n_parameters, n_pairs, n_bands, n_materials). An observation must not
+    depend on coefficients of another band.
     """
     return simulator if hasattr(simulator, "observe") and hasattr(simulator, "jacobian") else None
 
@@ -391,10 +390,11 @@ def derivatives(simulator: Simulator) -> Any:
 def observe(
     simulator: Simulator, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0
 ) -> Observations:
-    """Return the observations at a simulator's positions for alpha (n_materials, n_bands).
+    """Return the simulated parameters at a simulator's positions, as `Observations`.
 
-    DataError for an unknown parameter, a seed or an alpha that breaks its rule; SimulatorError if the
-    simulator raises it, or does not give a parameter.
+    ``alpha`` are the coefficients (n_materials, n_bands), ``match`` the parameters. Raises DataError
+    for an unknown parameter, a wrong seed or alpha, and SimulatorError if the simulator does not return
+    a parameter.
     """
     if (own := derivatives(simulator)) is not None:
         if not isinstance(own, RoomSimulator):  # those check it themselves
@@ -414,9 +414,9 @@ def observe(
 def jacobian(
     simulator: Simulator, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0
 ) -> Array:
-    """Return the derivatives of `observe`, (n_parameters, n_pairs, n_bands, n_materials).
+    """Return the derivatives of `observe` by alpha, (n_parameters, n_pairs, n_bands, n_materials).
 
-    A simulator without a method of its own is differentiated by `differences`.
+    They come from the simulator's method ``jacobian``, or else from `differences`.
     """
     match = checked_parameters(match)
     if (own := derivatives(simulator)) is not None:
@@ -427,11 +427,11 @@ def jacobian(
 def differences(
     simulator: Simulator, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0
 ) -> Array:
-    """Return the derivatives by differences, (n_parameters, n_pairs, n_bands, n_materials).
+    """Return the derivatives of `observe` by alpha from differences between simulations.
 
-    Each material takes two simulations with alpha changed by `STEP` in all bands. Both have the same
-    seed, so that random numbers that do not depend on alpha cancel. Where the decays of one of them are
-    too short, alpha itself takes its place.
+    They are (n_parameters, n_pairs, n_bands, n_materials). Each material needs two simulations with
+    alpha changed by `STEP` in all bands, with the same seed. Where a decay of one of them is too short,
+    a simulation with the unchanged alpha takes its place.
     """
     alpha = check_alpha(simulator, alpha)
     columns = []
@@ -460,11 +460,11 @@ def of_decays(
     centre_frequencies: Array,
     cause: str = "too little is reflected",
 ) -> Observations:
-    """Return the observations of energy decays, (n_pairs, n_bands, n_bins) in 1/m².
+    """Return the observations from energy decays, (n_pairs, n_bands, n_bins) in 1/m².
 
-    The level is that of a source of unit energy, relative to 10 m in the free field: G. ``cause`` is
-    why a decay may lack a parameter: TooShortError if it is cut off before it holds a decay time,
-    DataError if it lacks another.
+    The level is G: that of a source of unit energy, relative to 10 m in the free field. ``cause`` is
+    the reason that error messages give for a missing parameter. Raises TooShortError if a decay is too
+    short for a decay time, DataError if another parameter is missing.
     """
     energy = checked_decay(energy, bin_width)
     return Observations(
@@ -484,7 +484,7 @@ def values_of_decays(
     centre_frequencies: Array,
     cause: str = "too little is reflected",
 ) -> Array:
-    """Return the values of `of_decays`, of decays that need no check.
+    """Return the values of `of_decays`, without a check of the decays.
 
     Decays (..., n_pairs, n_bands, n_bins) give (n_parameters, ..., n_pairs, n_bands).
     """

@@ -31,24 +31,24 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class External(RoomSimulator):
-    """Calls a function that simulates, for example by running another program.
+    """Simulator that calls your function, for example to run another simulation program.
 
     Parameters
     ----------
     room : Room
-        Alpha has its materials and bands.
+        Room whose materials and bands the coefficients have.
     run : callable
-        ``run(alpha, seed)`` returns a `Measurement` in the room's bands, or T20 in s, (n_bands,).
-        Alpha, (n_materials, n_bands), is a read-only copy.
+        Function ``run(alpha, seed)`` that returns a `Measurement` in the room's bands, or T20 in s,
+        (n_bands,). ``alpha`` are the coefficients, (n_materials, n_bands), read-only.
     name : str
-        Calibrated coefficients belong to the program of this name.
+        Name of the program, to which calibrated coefficients belong.
     deterministic : bool
         Whether the result does not depend on the seed.
 
     Raises
     ------
     DataError
-        For an argument of another type, or an empty name.
+        For an argument of a wrong type, or an empty name.
 
     Examples
     --------
@@ -76,15 +76,15 @@ class External(RoomSimulator):
         checks.flag("deterministic", self.deterministic)
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return the function's result for alpha (n_materials, n_bands) as a measurement.
+        """Return the result of the function for coefficients (n_materials, n_bands).
 
         Raises
         ------
         DataError
-            For an alpha that is not (n_materials, n_bands) or not in [0, 1], or a negative seed.
+            For coefficients of a wrong shape or not from 0 to 1, or a negative seed.
         SimulatorError
-            If the function calls ``sys.exit``, or returns anything but a `Measurement` or n_bands
-            finite times above 0. Its other exceptions pass unchanged.
+            If the function calls ``sys.exit``, or returns neither a `Measurement` nor n_bands finite
+            times above 0. Other exceptions of the function are not changed.
         """
         alpha, seed = check_alpha(self, alpha), checks.whole("seed", seed, 0)
         try:
@@ -117,35 +117,36 @@ class External(RoomSimulator):
 
 
 KEPT_ERRORS = 2**16
-"""Number of bytes at the end of a program's error output that are read."""
+"""Largest number of bytes that are read from the end of a program's error output."""
 QUOTED_ERRORS = 300
-"""Number of characters of the last line of error output that a message quotes."""
+"""Largest number of characters of the last line of error output in a message."""
 
 
 def command(
     arguments: Sequence[str], room: Room, time_limit: float | None = None
 ) -> Callable[[Array, int], Measurement]:
-    r"""Return a ``run`` for `External` that starts a program and exchanges files with it.
+    r"""Return a function for `External` that runs a program, which reads and writes files.
 
-    The program is started as ``arguments + [room file, measurement file, seed]``. It reads the room
-    with the new coefficients (TOML) and writes the measurement (CSV), both in rtcal's own formats.
+    The program is started as ``arguments + [room file, measurement file, seed]``. It must read the room
+    with the new coefficients (TOML) and write the measurement (CSV), both in rtcal's formats.
 
     Parameters
     ----------
     arguments : sequence of str
         The program and its first arguments.
-    room : Room
+        room : Room
+            Room whose coefficients change.
     time_limit : float, optional
-        Limit in s. A program that exceeds it is ended together with the processes it started, except
-        those that it started in a session of their own (such as daemons).
+        Longest time in s that the program may take. It is then ended with the processes that it
+        started, except daemons and others that have a separate session.
 
     Raises
     ------
     DataError
-        For arguments that are not texts, or a limit that is not above 0.
+        For arguments that are no texts, or a time limit that is not above 0.
     SimulatorError
-        From the returned function: if the program cannot be started, ends with a status other than
-        0, exceeds the limit, or writes no measurement.
+        By the returned function, if the program cannot be started, ends with a status other than 0,
+        exceeds the time limit, or writes no measurement.
 
     Examples
     --------
@@ -231,10 +232,10 @@ def _end(program: subprocess.Popen[bytes]) -> None:
 
 
 def of_equation(equation: Equation, room: Room) -> External:
-    """Return the T of an equation as a simulator, also of one without a linear target.
+    """Return a simulator whose T is that of a reverberation equation.
 
-    For example Fitzroy's, which `rtcal.calibrate` cannot invert but the closed loop can. It raises
-    DataError where nothing absorbs, and for what is no equation.
+    With it `rtcal.calibrate_simulator` can use equations that `rtcal.calibrate` cannot, such as
+    Fitzroy's. Raises DataError if nothing absorbs, and for an object that is no equation.
 
     Examples
     --------

@@ -26,54 +26,53 @@ from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 SHOEBOX_WALLS = ("west", "east", "south", "north", "floor", "ceiling")
-"""Faces of a shoebox in order: x = 0, x = length, y = 0, y = width, z = 0, z = height."""
+"""Names of a shoebox's walls, in this order: x = 0, x = length, y = 0, y = width, z = 0, z = height."""
 
 PLANARITY = 2e-3
-"""Largest distance in m of a vertex from the plane of its face: two roundings to a millimetre."""
+"""Largest distance in m of a vertex from the plane of its face, twice the rounding to a millimetre."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Polyhedron:
-    """A room bounded by plane faces.
+    """Geometry of a room that is bounded by plane faces.
 
-    Faces may have either orientation; the constructor reverses those whose normal points into the
-    room's air. The largest closed surface is the room. Every other one is an object in it, whose
-    volume is subtracted. Faces are simple polygons; a wall with a hole is drawn as two faces. An
-    edge may run along several shorter ones. Faces that cut each other are not detected.
+    The largest closed surface is the room; every other one is an object in it, whose volume is
+    subtracted. Faces must be simple polygons, so that a wall with a hole needs two faces. They may have
+    either orientation, and an edge may lie along several shorter ones. Faces that cut each other are
+    not detected.
 
     Parameters
     ----------
     vertices : array (n_vertices, 3)
-        x, y, z in m.
+        Coordinates x, y, z of the vertices in m.
     faces : sequence of sequences of int
-        Each face's vertices in order, counted from 0, (n_faces,).
+        Numbers of each face's vertices in order, counted from 0, (n_faces,).
     materials : sequence of str (n_faces,)
         Name of each face's material.
     names : sequence of str (n_faces,), optional
         Name of each face, by default "face 1", "face 2", ...
     leaks : bool
-        Whether the walls may have small holes. `rtcal.simulators.path_tracing.by_chords` says how much
-        of the surface they are; the volume lacks what they cut off.
+        Whether the walls may have small holes. `rtcal.simulators.path_tracing.by_chords` returns their
+        share of the surface. The volume is then too small by the part that the holes cut off.
 
     Attributes
     ----------
     face_areas : array (n_faces,)
-        m².
+        Area of each face in m².
     normals : array (n_faces, 3)
-        Unit normals, out of the room's air.
+        Unit normal of each face, which points out of the room's air.
     triangles : array (n_triangles, 3, 3)
-        Corners in m, with the orientation of the faces.
+        Corners of triangles that make up the faces, in m.
     triangle_faces : int array (n_triangles,)
         Face that each triangle belongs to.
     volume : float
-        In m³, by the divergence theorem: the sum over faces of p·A / 3, with a vertex p and the
-        vector area A.
+        Volume in m³, the sum over the faces of p·A / 3, with a vertex p and the vector area A.
 
     Raises
     ------
     DataError
-        If the walls do not close (the message names the edge), a face is not plane or has no area,
-        an index has no vertex, or an argument has another type or shape.
+        If the walls do not close (the message names the edge), a face is not plane or has no area, a
+        vertex does not exist, or an argument has a wrong type or shape.
 
     Examples
     --------
@@ -160,7 +159,7 @@ class Polyhedron:
 
     @classmethod
     def shoebox(cls, dimensions: Sequence[float], materials: str | Mapping[str, str]) -> Polyhedron:
-        """Return the box from the origin to ``dimensions`` (x, y, z) in m.
+        """Return a box with one corner at the origin and the given length, width and height in m.
 
         ``materials`` is one name for all walls, or a name for each of `SHOEBOX_WALLS`.
         """
@@ -186,7 +185,7 @@ class Polyhedron:
     def from_polygons(
         cls, polygons: Iterable[tuple[str, str, Any]], *, leaks: bool = False
     ) -> Polyhedron:
-        """Return the polyhedron of faces (name, material, points), with points (n, 3) in m."""
+        """Return a polyhedron from its faces (name, material, points), with points (n, 3) in m."""
         polygons = checks.listed("polygons", polygons)
         if any(len(checks.listed("polygons", polygon)) != 3 for polygon in polygons):
             raise DataError("polygons must have a (name, material, points) for each face")
@@ -210,7 +209,7 @@ class Polyhedron:
 
     @property
     def surfaces(self) -> tuple[Surface, ...]:
-        """The faces as surfaces of a `Room`, with the axis of those perpendicular to one."""
+        """Faces as surfaces of a `Room`, with an axis where a face is perpendicular to one."""
         axes = [
             AXES[int(np.argmax(np.abs(n)))] if np.abs(n).max() > 1 - 1e-6 else None
             for n in self.normals
@@ -228,15 +227,15 @@ class Polyhedron:
         return float(4 * self.volume / np.sum(self.face_areas))
 
     def contains(self, points: Any) -> NDArray[np.bool_]:
-        """Return whether each point, (n_points, 3) in m, lies in the room's air, (n_points,)."""
+        """Return whether each point, (n_points, 3) in m, is in the room's air, (n_points,) of bool."""
         return np.asarray(winding_number(_points("points", points), self.triangles) > 0.5)
 
     def wall_distance(self, points: Any) -> Array:
-        """Return each point's distance in m from the nearest wall, (n_points,)."""
+        """Return the distance of each point from the nearest wall in m, (n_points,)."""
         return distance(_points("points", points), self.triangles)
 
     def to_text(self) -> str:
-        """Return the room as OBJ in m; `rtcal.io.obj.read` gives the same room."""
+        """Return the geometry as text of an OBJ file in m, which `rtcal.io.obj.read` reads."""
         for material in self.materials:
             if not material or material.strip() != material or not material.isprintable():
                 raise DataError(
@@ -257,11 +256,11 @@ class Polyhedron:
         return "\n".join(rows) + "\n"
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the room as OBJ in m, whole or not at all."""
+        """Write the geometry to an OBJ file in m; an error leaves no incomplete file."""
         write_text(path, self.to_text())
 
     def require_inside(self, kind: str, points: Mapping[str, Any]) -> Array:
-        """Return points by name as an array (n_points, 3).
+        """Return points by name as an array (n_points, 3), once all are in the room.
 
         Raises DataError for a point outside the room or closer than `WELD` to a wall. ``kind`` is
         "source" or "receiver", for the message.
@@ -281,10 +280,10 @@ class Polyhedron:
     def positions(
         self, sources: Mapping[str, Any], receivers: Mapping[str, Any]
     ) -> tuple[Array, Array]:
-        """Return the positions of sources and receivers, (n, 3) each.
+        """Return the positions of sources and receivers in m, (n, 3) each, once they are checked.
 
-        Raises DataError as `require_inside`, and for a source and a receiver at one place, within a
-        centimetre: their direct sound has no limit.
+        Raises DataError as `require_inside`, and for a source within a centimetre of a receiver, where
+        direct sound is unlimited.
         """
         of_sources = self.require_inside("source", sources)
         of_receivers = self.require_inside("receiver", receivers)
@@ -391,10 +390,10 @@ def _shells(
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """Axes in the plane of some faces, and the rectangle that bounds them.
+    """Plane of some faces, with two axes in it and the rectangle that bounds the faces.
 
-    ``along`` is the direction of the longest edge of their outline. ``size`` (2,) are the rectangle's
-    sides in m.
+    ``along`` is the direction of the longest edge of the faces' outline. ``size`` (2,) are the
+    rectangle's sides in m.
     """
 
     along: Array
@@ -404,7 +403,7 @@ class Plane:
 
     @classmethod
     def of(cls, geometry: Polyhedron, faces: Sequence[int]) -> Plane:
-        """Return the plane of faces, in that of the first of which the axes lie."""
+        """Return the plane of some faces, which is that of the first of them."""
         normal = geometry.normals[faces[0]]
         edges = outline(geometry, faces)
         edges = edges - (edges @ normal)[:, np.newaxis] * normal
@@ -418,7 +417,7 @@ class Plane:
         return cls(along, across, middle, ends[:, 1] - ends[:, 0])
 
     def half_planes(self, centre: Array, scale: float) -> list[tuple[Array, float]]:
-        """Return the sides of the bounding rectangle, scaled about a point: x @ normal <= offset."""
+        """Return the rectangle's sides, scaled about a point: x @ normal <= offset."""
         return [
             (sign * axis, float(sign * centre @ axis + scale * side / 2))
             for axis, side in ((self.along, self.size[0]), (self.across, self.size[1]))
@@ -427,9 +426,9 @@ class Plane:
 
 
 def outline(geometry: Polyhedron, faces: Sequence[int]) -> Array:
-    """Return the edges (n, 3) of faces that no two of them share; all, where none is left.
+    """Return the edges (n, 3) of the outline of faces, such as of a wall that is drawn as triangles.
 
-    A mesh divides a wall into triangles, whose diagonals are no edges of the wall.
+    They are edges that no two of the faces share, or all edges if there are none of these.
     """
     rings = [geometry.faces[i] for i in faces]
     every = [edge for ring in rings for edge in zip(ring, [*ring[1:], ring[0]], strict=True)]
@@ -440,7 +439,7 @@ def outline(geometry: Polyhedron, faces: Sequence[int]) -> Array:
 
 
 def convex_parts(geometry: Polyhedron, face: int) -> list[Array]:
-    """Return a convex face as it is, another one as its triangles."""
+    """Return convex polygons that make up a face: the face if it is convex, else its triangles."""
     corners = geometry.vertices[list(geometry.faces[face])]
     edges = np.roll(corners, -1, axis=0) - corners
     if (np.cross(edges, np.roll(edges, -1, axis=0)) @ geometry.normals[face] >= 0).all():
@@ -449,7 +448,7 @@ def convex_parts(geometry: Polyhedron, face: int) -> list[Array]:
 
 
 WELD = 1e-4
-"""Distance in m below which vertices are merged, since mesh files round their coordinates."""
+"""Distance in m below which vertices are merged, because mesh files round their coordinates."""
 
 Edge = tuple[int, int]
 
@@ -458,10 +457,9 @@ _NEXT, _LAST = np.array([[1, 2, 0], [2, 0, 1]])
 
 
 def vector_area(polygon: Array) -> Array:
-    """Return the polygon's area in m² times its unit normal, (3,).
+    """Return the area of a plane polygon in m² times its unit normal, (3,).
 
-    ½ sum of p_i x p_(i+1) (Newell), for any plane polygon. Seen against the normal, the vertices
-    run counter-clockwise.
+    It is ½ sum of p_i x p_(i+1) (Newell). Seen against the normal, the vertices run counter-clockwise.
     """
     local = polygon - polygon[0]  # near the origin the products lose no digits
     after = np.concatenate((local[1:], local[:1]))
@@ -473,7 +471,7 @@ def vector_area(polygon: Array) -> Array:
 
 
 def vector_areas(vertices: Array, faces: Sequence[Sequence[int]]) -> Array:
-    """Return the `vector_area` of each face of these vertices, (n_faces, 3)."""
+    """Return the area in m² times the unit normal of each face, (n_faces, 3)."""
     sizes = np.array([len(face) for face in faces], dtype=int)
     starts = np.cumsum(sizes) - sizes
     corners = vertices[np.array([v for face in faces for v in face], dtype=int)]
@@ -483,10 +481,7 @@ def vector_areas(vertices: Array, faces: Sequence[Sequence[int]]) -> Array:
 
 
 def triangulate(polygon: Array) -> list[tuple[int, int, int]]:
-    """Return triangles of vertex indices that cover a simple plane polygon, wound as it is.
-
-    Ear clipping: cut off convex corners that contain no other vertex, until a triangle is left.
-    """
+    """Return triangles that cover a simple plane polygon, as indices of its vertices in its order."""
     normal = vector_area(polygon)
     if len(polygon) == 3:
         return [(0, 1, 2)] if normal.any() else []
@@ -534,10 +529,11 @@ def _ear(flat: Array, left: Sequence[int], tiny: float) -> int:
 
 
 def winding_number(points: Array, triangles: Array) -> Array:
-    """Return the winding number of the closed surface at each point, (n_points,): 1 inside, else 0.
+    """Return 1 for points inside a closed surface and 0 for points outside, (n_points,).
 
-    It is the sum of the triangles' solid angles over 4 pi (Van Oosterom & Strackee 1983, IEEE Trans.
-    Biomed. Eng. 30(2), Eq. 8). ``points`` (n_points, 3), ``triangles`` (n_triangles, 3, 3).
+    This winding number is the sum of the triangles' solid angles over 4 pi (Van Oosterom & Strackee
+    1983, IEEE Trans. Biomed. Eng. 30(2), Eq. 8). ``points`` (n_points, 3), ``triangles`` (n_triangles,
+    3, 3).
     """
     corners = triangles[np.newaxis] - points[:, np.newaxis, np.newaxis, :]
     a, b, c = corners[:, :, 0], corners[:, :, 1], corners[:, :, 2]
@@ -553,15 +549,12 @@ def winding_number(points: Array, triangles: Array) -> Array:
 
 
 def distance(points: Array, triangles: Array) -> Array:
-    """Return each point's distance in m from the nearest triangle, (n_points,); see `distances`."""
+    """Return the distance of each point from the nearest triangle in m, (n_points,)."""
     return np.asarray(np.min(distances(points, triangles), axis=-1))
 
 
 def distances(points: Array, triangles: Array) -> Array:
-    """Return each point's distance in m from each triangle, (n_points, n_triangles).
-
-    The distance is perpendicular if the foot lies in the triangle, else that from the nearest edge.
-    """
+    """Return the distance of each point from each triangle in m, (n_points, n_triangles)."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     normal = np.cross(b - a, c - a)
     normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -584,10 +577,10 @@ _PAIRS = 150_000
 
 
 def first_hit(p: Array, v: Array, planes: Array, sides: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the first triangle that each ray hits and its distance, infinite if it hits none.
+    """Return the first triangle that each ray hits, and its distance in m, infinite without a hit.
 
-    ``p`` and ``v`` (n_rays, 3) are the rays' origins and directions. Planes and sides are those of
-    `rtcal.simulators.path_tracing.planes_of`.
+    ``p`` and ``v`` (n_rays, 3) are the origins and directions of the rays, ``planes`` and ``sides``
+    those of `rtcal.simulators.path_tracing.planes_of`.
     """
     triangle, length = np.empty(len(p), dtype=np.int64), np.empty(len(p))
     step = max(1, _PAIRS // len(planes))
@@ -610,7 +603,7 @@ def first_hit(p: Array, v: Array, planes: Array, sides: Array) -> tuple[NDArray[
 
 
 def welded(vertices: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Return vertices of which no two are closer than `WELD`, and the new number of each old one."""
+    """Return vertices without any two closer than `WELD`, and the new number of each old vertex."""
     index = np.zeros(len(vertices), dtype=np.int64)
     kept: list[int] = []
     is_kept = np.zeros(len(vertices), dtype=bool)
@@ -634,9 +627,9 @@ def _tree(points: Array) -> Any:
 def edge_owners(
     vertices: Array, faces: Sequence[Sequence[int]]
 ) -> dict[Edge, list[tuple[int, bool]]]:
-    """Return the faces at each piece of an edge, and whether each runs from its lower vertex.
+    """Return the faces at each piece of an edge, and whether each face runs from the lower vertex.
 
-    Every vertex of the ``faces`` that lies on an edge divides it.
+    Vertices of the ``faces`` that lie on an edge divide it into pieces.
     """
     sides = [(i, face[k - 1], face[k]) for i, face in enumerate(faces) for k in range(len(face))]
     edges = list({(min(a, b), max(a, b)): None for _, a, b in sides})
@@ -673,12 +666,12 @@ def _between(vertices: Array, edge: Edge, candidates: NDArray[np.int64]) -> list
 
 
 def area(part: Array) -> float:
-    """Return the area of a polygon in m², 0 with fewer than three corners."""
+    """Return the area of a polygon in m², 0 for fewer than three corners."""
     return float(np.linalg.norm(vector_area(part))) if len(part) > 2 else 0.0
 
 
 def cut(part: Array, normal: Array, offset: float) -> tuple[Array, Array]:
-    """Return the pieces of a convex polygon where x @ normal is below an offset, and above."""
+    """Return the two pieces of a convex polygon where x @ normal is below and above an offset in m."""
     height = part @ normal - offset
     height[np.abs(height) < WELD] = 0.0
     below, above = [], []
@@ -696,9 +689,10 @@ def cut(part: Array, normal: Array, offset: float) -> tuple[Array, Array]:
 
 
 def cut_face(geometry: Polyhedron, face: int, edges: Sequence[tuple[Array, float]]) -> list[Array]:
-    """Return the pieces of a face on either side of every edge; the face itself without any.
+    """Return the pieces into which lines cut a face; the face itself without any line.
 
-    An edge is where x @ direction is an offset in m. Pieces are convex, unless there is no edge.
+    Each of ``edges`` is a line (direction, offset) where x @ direction is the offset in m. Pieces are
+    convex, unless there is no line.
     """
     if not edges:
         return [geometry.vertices[list(geometry.faces[face])]]
@@ -715,7 +709,7 @@ def cut_face(geometry: Polyhedron, face: int, edges: Sequence[tuple[Array, float
 
 
 def divided(part: Array, sides: Sequence[tuple[Array, float]]) -> tuple[Array, list[Array]]:
-    """Return the piece of a convex polygon within all sides, and the pieces beyond each."""
+    """Return the piece of a convex polygon within all sides, and the pieces beyond each side."""
     outside = []
     for normal, offset in sides:
         part, beyond = cut(part, normal, offset)
@@ -730,7 +724,7 @@ def inside(part: Array, sides: Sequence[tuple[Array, float]]) -> Array:
 
 
 def is_face(piece: Array) -> bool:
-    """Return whether a piece is wider than `WELD`, below which corners are one."""
+    """Return whether a piece is wider than `WELD`, below which corners are merged."""
     if len(piece) < 3:
         return False
     length = float(np.linalg.norm(np.roll(piece, -1, axis=0) - piece, axis=1).max())
@@ -738,7 +732,7 @@ def is_face(piece: Array) -> bool:
 
 
 def distance_in_plane(point: Array, normal: Array, parts: Sequence[Array]) -> float:
-    """Return a point's distance in m from the nearest of some convex polygons in one plane."""
+    """Return the distance in m of a point from the nearest of some convex polygons in one plane."""
     return min(_distance_of(point, normal, part) for part in parts)
 
 

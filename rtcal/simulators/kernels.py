@@ -22,10 +22,11 @@ _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = (np.uint64(s) for s in (30, 27, 31, 11))
 Batch = tuple[Any, Any, Any, Any]
-"""Events, starts, lengths and weights of paths; see `rtcal.simulators.path_tracing.Batch`."""
+"""Events, starts, lengths and weights of paths, as in `rtcal.simulators.path_tracing.Batch`."""
 Weighing = tuple[Array, Array, Array, float]
-"""ln(1 - alpha) of every code of a wall hit, (n_codes, n_bands); air attenuation, (n_bands,), in 1/m;
-length of each receiver's first sound, (n_receivers,), and of a bin, in m."""
+"""Numbers that give paths their energy: ln(1 - alpha) for each code of a wall hit, (n_codes, n_bands);
+air attenuation in 1/m, (n_bands,); lengths in m of each receiver's first sound, (n_receivers,), and of
+a bin."""
 
 _DISTANCES = 4096
 """Distances from paths to planes that are computed together, by vector instructions."""
@@ -33,7 +34,7 @@ _DISTANCES = 4096
 
 @compiled(reorder=False)
 def uniform(state: Any, step: int) -> float:
-    """Return a random number in [0, 1): that of a state of 64 bits after some steps."""
+    """Return the random number in [0, 1) that a state of 64 bits has after some steps."""
     z = state + np.uint64(step) * _GOLDEN
     z = (z ^ (z >> _S30)) * _FIRST
     z = (z ^ (z >> _S27)) * _SECOND
@@ -43,7 +44,7 @@ def uniform(state: Any, step: int) -> float:
 
 @compiled(reorder=False)
 def hit(order: Any, begins: Any, plane: int, sides: Array, x: float, y: float, z: float) -> int:
-    """Return the triangle of a plane that holds a point of it, -1 if none does; see `trace`."""
+    """Return the triangle of a plane that contains a point of the plane, -1 if none does."""
     for number in range(begins[plane], begins[plane + 1]):
         i = order[number]
         a = sides[i, 0, 0] * x + sides[i, 0, 1] * y + sides[i, 0, 2] * z - sides[i, 0, 3]
@@ -55,7 +56,7 @@ def hit(order: Any, begins: Any, plane: int, sides: Array, x: float, y: float, z
 
 @compiled(reorder=False)
 def grown(array: Any, needed: int) -> Any:
-    """Return a copy with space for ``needed`` elements, at least twice as large."""
+    """Return a copy of an array with space for ``needed`` elements, at least twice as large."""
     larger = np.empty(max(2 * array.size, needed), array.dtype)
     for i in range(array.size):  # a slice takes numba a second to compile
         larger[i] = array[i]
@@ -64,7 +65,7 @@ def grown(array: Any, needed: int) -> Any:
 
 @compiled(reorder=False)
 def distances(rays: Array, n: int, plane: Array, out: Array) -> None:
-    """Set the distance of each ray to a plane, infinite from behind or parallel to it."""
+    """Write to ``out`` the distance of each ray to a plane, infinite from behind or parallel to it."""
     a, b, c, offset = plane[0], plane[1], plane[2], plane[3]
     for j in range(n):
         approach = -(a * rays[3, j] + b * rays[4, j] + c * rays[5, j])
@@ -74,7 +75,7 @@ def distances(rays: Array, n: int, plane: Array, out: Array) -> None:
 
 @compiled(reorder=False)
 def passages(rays: Array, n: int, centre: Array, square: float, out: Array) -> None:
-    """Set the distance at which each ray is nearest to a receiver, -1 where it misses it."""
+    """Write to ``out`` where each ray is nearest to a receiver, -1 where it misses it."""
     a, b, c = centre[0], centre[1], centre[2]
     for j in range(n):
         x, y, z = a - rays[0, j], b - rays[1, j], c - rays[2, j]
@@ -84,7 +85,7 @@ def passages(rays: Array, n: int, centre: Array, square: float, out: Array) -> N
 
 @compiled(reorder=False)
 def by_path(paths: Any, lost: Any) -> tuple[Any, Any]:
-    """Return where each path's entries begin, and their numbers, path by path but for the lost."""
+    """Return where the entries of each path begin, and the entries path by path without lost paths."""
     starts = np.zeros(len(lost) + 1, np.int64)
     for path in paths:
         if not lost[path]:
@@ -118,7 +119,7 @@ def trace(
     thinned: float,
     shares: Array,
 ) -> tuple[Any, Any, Any, Any, Any, Any, Array]:
-    """Trace paths; return what `path_tracing.Batch` has, not yet path by path, and counts.
+    """Return the events of traced paths for `path_tracing.Batch`, not yet path by path, and counts.
 
     Those are the events, which of them belong to the paths one after the other, and where each path
     begins there; lengths and weights of the receptions, and which of them belong to the paths.
@@ -126,7 +127,7 @@ def trace(
     ``order`` has the triangles' numbers, those of a plane together, and ``begins`` where each plane
     begins (`rtcal.simulators.path_tracing.by_plane`). ``owners`` has the face of each triangle,
     ``scattering`` the coefficient of each face. Paths whose number 2^i does not divide end at i times
-    the length ``thinned``; what is heard after it weighs 1 / ``shares[i]`` times as much.
+    the length ``thinned``; receptions after it count 1 / ``shares[i]`` times.
     ``counts``: paths lost; free paths, their sum and their sum of squares. A path that hits no wall is
     lost: none of its events is kept.
     """
@@ -251,7 +252,7 @@ def trace(
 
 @compiled(reorder=False)
 def histogram(batch: Batch, weighing: Weighing, out: Array) -> None:
-    """Add the energy that the receivers hear to ``out``, (n_receivers, n_bands, n_bins).
+    """Add the energy at the receivers to ``out``, (n_receivers, n_bands, n_bins).
 
     The air's attenuation is that to the middle of a bin, times a series within the bin. So no reception
     takes an exponential.
@@ -300,7 +301,7 @@ def histogram_gradient(
     out: Array,
     gradient: Array,
 ) -> None:
-    """Add the energy to ``out``, and its products with sums over each group's hits to ``gradient``.
+    """Add the energy at receivers to ``out``, and its sums weighted by wall hits to ``gradient``.
 
     ``groups`` (n_codes,) is the group of each code of a wall hit, and ``counts`` (n_codes,) what a hit
     adds to the sum. ``out`` (n_receivers, n_bands, n_bins), ``gradient`` (n_receivers, n_bins,
@@ -337,7 +338,7 @@ def histogram_gradient(
 
 @compiled(reorder=False)
 def most_hits(events: Any, starts: Any, held: Any) -> int:
-    """Return the most hits of a path on the faces of one group; ``held`` as in `histogram_changed`."""
+    """Return the largest number of hits of a path on one group of faces."""
     n_codes, n_groups = held.shape
     hits = np.zeros(n_groups, dtype=np.int64)
     most = 0
@@ -361,7 +362,7 @@ def histogram_changed(
     powers: Array,
     out: Array,
 ) -> None:
-    """Add to ``out`` the energy with each group of faces changed, in one sweep of the paths.
+    """Add to ``out`` the energy at receivers if the absorption of a group of faces is changed.
 
     ``held`` (n_codes, n_groups) is 1 where the face of a code belongs to a group, else 0. ``powers``
     (n_groups, n_hits, n_changes, n_bands) multiply the energy after as many hits on a group. ``out``
@@ -438,7 +439,7 @@ def weigh(
     weights: Array,
     n_bins: int,
 ) -> Array:
-    """Return the energy of each bin of image sources, (n_bands, n_bins).
+    """Return the energy of image sources in each time bin, (n_bands, n_bins).
 
     ``x``, ``y`` and ``z``, (n_bands, n_lattice): product of (1 - alpha) over the hits along an axis.
     ``rows``, ``starts``, ``bins`` and ``weights`` as in `rtcal.simulators.shoebox.Images`. Unsigned
@@ -465,7 +466,7 @@ def blocks(
     heard: Array,
     n: int,
 ) -> Array:
-    """Run a network in blocks of its smallest delay; return the response (n_bands, n).
+    """Return the response (n_bands, n) of a delay network, computed in blocks of its smallest delay.
 
     ``delays`` (6, 5), ``source_delays`` and ``tap_delays`` (6,) are in samples. ``lines`` (6, 5,
     n_bands), ``reflection``, ``injected`` and ``heard`` (6, n_bands) are gains.

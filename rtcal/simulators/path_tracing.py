@@ -42,32 +42,31 @@ from rtcal.support.text import rounded
 from rtcal.support.types import Array, read_only
 
 ScatteringModel = Literal["random", "vector"]
-"""How a wall with the scattering coefficient s reflects a path.
+"""Model of the reflection of a path at a wall with the scattering coefficient s.
 
-``"random"``: with probability s in a random direction after Lambert's law, else specularly (Heinz
+``"random"``: with probability s in a random direction after Lambert's law, else specular (Heinz
 1993; Vorlaender 2008, Sect. 11.3). ``"vector"``: along s·Lambert + (1 - s)·specular, both unit
-vectors (Christensen & Rindel 2005, Forum Acusticum; also pyroomacoustics). The two models agree at
-s = 0 and s = 1 only.
+vectors (Christensen & Rindel 2005, Forum Acusticum; also pyroomacoustics). The two models agree only
+for s = 0 and s = 1.
 """
 
 
 LONGEST = 60.0
-"""Longest decay in s that a tracer follows. A decay that then holds no T20 is a `TooShortError`.
+"""Longest decay in s that is traced. It gives T20 up to a reverberation time of 144 s.
 
-It holds the T20 of a reverberation time of 144 s. The longest that was measured is 112 s (Inchindown
-oil tank, 125 Hz; Cox 2014). At 343 m/s a path of 60 s has 5,100 reflections in 300 m³, whose mean free
-path is 4 m: 80 MB for 8000 paths. Memory grows in proportion."""
+A longer decay raises `TooShortError`. The longest measured T is 112 s (Inchindown oil tank, 125 Hz; Cox
+2014). In 300 m³ a path of 60 s has 5,100 reflections, so that 8000 paths take 80 MB of memory."""
 
 RADIUS_SHARE = 0.075
-"""A receiver's default radius over the cube root of the volume: 0.5 m in 300 m³, 1.6 m in 10,000 m³."""
+"""Default radius of a receiver over the cube root of the volume: 0.5 m in 300, 1.6 m in 10,000 m³."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Tracer(RoomSimulator, ABC):
-    """A simulator that follows rays or paths through a `Polyhedron`, in independent batches.
+    """Base of simulators that trace rays or paths through a `Polyhedron`, in independent batches.
 
-    The parameters are described by `PathTracing` and `RayTracing`. ``made_of`` (n_faces,) is the number
-    of each face's material.
+    `PathTracing` and `RayTracing` describe the parameters. ``made_of`` (n_faces,) is the number of each
+    face's material.
     """
 
     geometry: Polyhedron
@@ -99,7 +98,7 @@ class Tracer(RoomSimulator, ABC):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Areas that the geometry contradicts."""
+        """Cautions about areas of the room that differ from those of the geometry."""
         doubt = area_doubt(self.geometry, self.room)
         return (doubt,) if doubt else ()
 
@@ -119,22 +118,24 @@ class Tracer(RoomSimulator, ABC):
 
     @cached_property
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Names of source and receiver of each pair, source by source."""
+        """Names of source and receiver of each pair, ordered by source."""
         return tuple((s, r) for s in self.sources for r in self.receivers)
 
     @abstractmethod
     def energy(self, alpha: Array, seconds: float, *, seed: int = 0) -> Array:
-        """Return energy decays, (n_batches, n_sources, n_receivers, n_bands, n_bins), in 1/m².
+        """Return energy decays for coefficients ``alpha``, by batch of the paths, in 1/m².
 
+        They are (n_batches, n_sources, n_receivers, n_bands, n_bins) and last ``seconds`` s. Raises
         DataError for ``seconds`` above `LONGEST`.
         """
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return the parameters of a response for alpha (n_materials, n_bands), by pair.
+        """Return the parameters at each pair for coefficients ``alpha`` (n_materials, n_bands).
 
-        The uncertainty of EDT, T20, C50 and C80 is the standard error that tracing causes. The
-        decay is traced for longer until it holds T20: TooShortError if one of `LONGEST` does not.
-        DataError for a negative seed, or alpha of another shape or not in [0, 1].
+        EDT, T20, C50 and C80 have the standard uncertainty that follows from the number of paths.
+        Decays are traced until they are long enough for T20; TooShortError is raised if a decay of
+        `LONGEST` is too short. Raises DataError for a negative seed, and as
+        `rtcal.simulators.base.check_alpha`.
         """
         alpha = check_alpha(self, alpha)
         energy = decay_long_enough(
@@ -160,7 +161,7 @@ class Tracer(RoomSimulator, ABC):
 
     @cached_property
     def bands_of_paths(self) -> list[NDArray[np.int64]]:
-        """The bands' numbers in groups whose paths carry the same energy but for absorption."""
+        """Numbers of the bands, in groups that share their paths and differ in absorption only."""
         columns, group = np.unique(self._alike, axis=1, return_inverse=True)
         return [np.flatnonzero(group.reshape(-1) == g) for g in range(columns.shape[1])]
 
@@ -171,9 +172,9 @@ class Tracer(RoomSimulator, ABC):
 
 
 def of_all_bands(groups: Sequence[NDArray[np.int64]], decays: Sequence[Array]) -> Array:
-    """Return decays of groups of bands, (..., n_bands, n_bins), as those of all bands.
+    """Return the decays of all bands, (..., n_bands, n_bins), from those of groups of bands.
 
-    They have as many bins as every group has.
+    They have as many time bins as the group with the fewest.
     """
     n_bins = min([group.shape[-1] for group in decays])
     out = np.empty((*decays[0].shape[:-2], sum(map(len, groups)), n_bins))
@@ -190,10 +191,10 @@ def check_seconds(seconds: float) -> float:
 
 
 def check_walls(geometry: Polyhedron, room: Room) -> NDArray[np.int64]:
-    """Return the number of each face's material, (n_faces,).
+    """Return the number of each face's material, (n_faces,), once geometry and room are compared.
 
-    DataError for a wall material that the room lacks, a volume off by `OFF_VOLUME`, and as
-    `refuse_powers_of_ten`.
+    Raises DataError for a material of a face that the room lacks, for a volume that differs by more
+    than `OFF_VOLUME`, and as `refuse_powers_of_ten`.
     """
     room.refuse_pieces("a tracing")
     rows = room.material_rows(geometry.materials)
@@ -204,9 +205,9 @@ def check_walls(geometry: Polyhedron, room: Room) -> NDArray[np.int64]:
 
 
 def refuse_powers_of_ten(geometry: Polyhedron, room: Room) -> None:
-    """Raise DataError where the volume or an area is a power of ten times that of the geometry.
+    """Raise DataError if the volume or an area is a power of ten times that of the geometry.
 
-    A unit or a decimal point is wrong, and nothing that is computed with it could be right.
+    A unit or a decimal point is then wrong.
     """
     sizes = [("volume", "m³", room.volume, geometry.volume)]
     sizes += [
@@ -234,7 +235,7 @@ def _face_areas(geometry: Polyhedron, room: Room) -> Array:
 
 
 def volume_doubt(geometry: Polyhedron, room: Room) -> str:
-    """Return the sentence on a volume that differs by more than `OFF_VOLUME`; "" if it does not."""
+    """Return a sentence on a volume that differs by more than `OFF_VOLUME`; "" if it does not."""
     if abs(room.volume / geometry.volume - 1) <= OFF_VOLUME:
         return ""
     return (
@@ -244,9 +245,9 @@ def volume_doubt(geometry: Polyhedron, room: Room) -> str:
 
 
 def area_doubt(geometry: Polyhedron, room: Room) -> str:
-    """Return the sentence on areas that are off by more than `OFF_VOLUME` in a geometry, or "".
+    """Return a sentence on areas that differ from the geometry by more than `OFF_VOLUME`, or "".
 
-    Of materials that the geometry lacks, such as small objects, nothing is said.
+    Materials that the geometry lacks, such as small objects, do not count.
     """
     own = _face_areas(geometry, room)
     off = [i for i in np.flatnonzero(own).tolist() if abs(room.areas[i] / own[i] - 1) > OFF_VOLUME]
@@ -263,7 +264,7 @@ def area_doubt(geometry: Polyhedron, room: Room) -> str:
 
 
 def scattering_coefficients(room: Room, scattering: Any) -> Array:
-    """Return read-only scattering coefficients (n_materials, n_bands), by default the room's."""
+    """Return scattering coefficients (n_materials, n_bands), by default the room's, read-only."""
     shape = (room.n_materials, room.n_bands)
     if scattering is None:
         if room.scattering is None:
@@ -286,10 +287,10 @@ def scattering_coefficients(room: Room, scattering: Any) -> Array:
 
 
 def jackknife(estimate: Callable[[Array], Array], batches: Array) -> Array:
-    """Return the standard error of ``estimate(mean over batches)``; batches on axis 0.
+    """Return the standard error of an estimate from the mean over n independent batches (axis 0).
 
-    Leave-one-out (Efron & Stein 1981): sqrt((n - 1)/n sum (estimate_i - mean)²). The standard error is
-    NaN, that is unknown, if an estimate without one of the batches is not finite.
+    It is sqrt((n - 1)/n sum (estimate_i - mean)²), where estimate_i leaves out batch i (Efron & Stein
+    1981), and NaN (unknown) if an estimate_i is not finite.
     """
     n = len(batches)
     total = batches.sum(axis=0)
@@ -302,10 +303,10 @@ def jackknife(estimate: Callable[[Array], Array], batches: Array) -> Array:
 def measurement(
     energy: Array, bin_width: float, centre_frequencies: Array, pairs: Sequence[tuple[str, str]]
 ) -> Measurement:
-    """Return the parameters of energy decays in batches, (n_batches, n_pairs, n_bands, n_bins).
+    """Return the parameters of energy decays (n_batches, n_pairs, n_bands, n_bins).
 
-    The parameters belong to the mean over batches. The uncertainty of EDT, T20, C50 and C80 is the
-    batches' jackknife standard error.
+    They are those of the mean over the batches. The uncertainty of EDT, T20, C50 and C80 is the
+    standard error from the batches (`jackknife`).
     """
     noise = {
         key: jackknife(partial(o.value, bin_width=bin_width), energy)
@@ -332,9 +333,9 @@ def decay_long_enough(
     parameter: DecaySlope = TARGET,
     most: float = LONGEST,
 ) -> Array:
-    """Return ``trace(seconds)``, (n_batches, ...), with seconds doubled until it holds the parameter.
+    """Return decays that are long enough for a parameter, (n_batches, ...), from ``trace(seconds)``.
 
-    Starts with Eyring's T for alpha, and stops at ``most``.
+    ``seconds`` is first Eyring's T for alpha, and is doubled up to ``most``.
     """
     most = min(most, LONGEST)
     seconds = min(eyring_seconds(room, alpha), most)
@@ -354,15 +355,15 @@ _TOGETHER = 100_000
 
 
 LARGEST_CODE = int(np.iinfo(np.uint16).max)
-"""Largest number of an event."""
+"""Largest code of an event of a path (wall hit or reception)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Paths from one source: wall hits and receptions in order.
+    """Paths from one source, with their wall hits and their receptions in order.
 
-    ``events[starts[i]:starts[i + 1]]`` belongs to path i. A wall hit is the number of the face, plus
-    n_faces where the path was scattered under the model "random". A reception is 2 n_faces + receiver.
+    ``events[starts[i]:starts[i + 1]]`` are those of path i. A wall hit is the number of the face, plus
+    n_faces if the path was scattered in the model "random". A reception is 2 n_faces + receiver.
     ``lengths`` (m) and ``weights`` (1/m²) have one value per reception. All arrays are read-only.
     """
 
@@ -380,7 +381,7 @@ class Batch:
 
     @cached_property
     def arrays(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Events, starts, lengths and weights, as the kernels take them."""
+        """Events, starts, lengths and weights, as the compiled functions take them."""
         return self.events, self.starts, self.lengths, self.weights
 
 
@@ -388,11 +389,11 @@ class Batch:
 class Paths:
     """Paths from every source to every receiver, in independent batches of equal size.
 
-    Made by `trace`. The energies and derivatives of its methods are those for ``alpha``, an array
-    (n_materials, n_bands) of 0 to 1, ``air_attenuation``, (n_bands,) in 1/m, and bins of ``bin_length``
-    in m: the speed of sound times the width in s. The first bin starts with the first sound, and there
-    are as many as every pair fills. Energy is per area, in 1/m², for a source of unit energy: the
-    direct sound is 1/(4 pi r²). The spread of the batches gives the standard error.
+    `trace` returns them. Its methods return energies and derivatives for ``alpha``, the coefficients
+    (n_materials, n_bands), ``air_attenuation`` in 1/m, (n_bands,), and ``bin_length``, the width of the
+    time bins times the speed of sound, in m. The first bin starts with the first sound, and there are
+    as many bins as all pairs have. Energy is per area, in 1/m², for a source of unit energy, so that
+    the direct sound is 1/(4 pi r²). The spread of the batches gives the standard error.
     """
 
     batches: tuple[tuple[Batch, ...], ...]  # by source
@@ -415,10 +416,10 @@ class Paths:
             getattr(self, name).setflags(write=False)
 
     def aimed(self, lobes: Mapping[int, Directivity], to_receivers: Array) -> Paths:
-        """Return the same paths from sources that are not omnidirectional.
+        """Return the same paths, weighted by the directivities of the sources.
 
-        ``lobes`` are by a source's number, of one band each; ``to_receivers`` (n_sources, n_receivers,
-        3) is the direction of the direct sound.
+        ``lobes`` are the directivities in one band, by the number of the source; ``to_receivers``
+        (n_sources, n_receivers, 3) is the direction of the direct sound.
         """
         batches, direct_gain = list(self.batches), self.direct_gain.copy()
         for s, lobe in lobes.items():
@@ -452,26 +453,27 @@ class Paths:
 
     @property
     def free_paths(self) -> tuple[float, float]:
-        """Mean length in m between two reflections, 4V/S in a diffuse field; Kuttruff's gamma².
+        """Mean and relative variance of the free paths between two reflections.
 
-        gamma² is the variance of the free paths over their squared mean.
+        The mean is in m, and 4V/S in a diffuse field. The relative variance is Kuttruff's gamma².
         """
         every = np.sum([b.free_paths for source in self.batches for b in source], axis=0)
         number, total, squares = map(float, every)
         return total / number, squares / number / (total / number) ** 2 - 1
 
     def by_source(self, weigh: Callable[[int], Any]) -> list[Any]:
-        """Return the results of each source, by its number, computed on threads."""
+        """Return a result for each source, by its number; sources are computed in parallel."""
         with thread_pool(self.workers) as pool:
             return list(pool.map(weigh, range(len(self.batches))))
 
     def energy(
         self, alpha: Array, air_attenuation: Array, bin_length: float, number: int | None = None
     ) -> Array:
-        """Return the energy that each receiver hears; the estimate is the mean over groups.
+        """Return the energy at each receiver, from groups of the batches.
 
-        (number, n_sources, n_receivers, n_bands, n_bins). ``number`` is of groups of batches, which it
-        divides, by default of batches.
+        It is (number, n_sources, n_receivers, n_bands, n_bins); the mean over the groups is the
+        estimate. ``number`` is the number of groups, by default that of the batches, which it must
+        divide.
         """
         from rtcal.simulators import kernels
 
@@ -498,16 +500,18 @@ class Paths:
         bin_length: float,
         number: int | None = None,
     ) -> tuple[Array, Array]:
-        """Return the energies of one source, and their derivatives, in one sweep of its paths.
+        """Return the energies of one source, and their derivatives by absorption or by scattering.
 
         The energy (n_receivers, n_bands, n_bins) is the mean over the batches. The derivatives are
-        (number, n_receivers, n_bins, n_materials, n_bands), without the materials beyond the last that
-        a face has. Without a ``number`` they are those by alpha, which is nowhere 1. With it, they are
-        those by the scattering of each material, of as many independent groups of the batches, which it
-        divides. A path that material j scattered d times and reflected r times without scattering has a
-        probability proportional to s^d (1 - s)^r. So its energy counts with (1 - s) d - s r in the
-        derivative by the log odds ln(s / (1 - s)) (Glynn 1990, likelihood ratios). It is 0 where s is 0
-        or 1. DataError for a ``number`` if the paths have another scattering model than "random".
+        (number, n_receivers, n_bins, n_materials, n_bands), without materials after the last that a
+        face has. Without a ``number`` they are by alpha, which must be below 1. With a ``number`` they
+        are by the log odds ln(s / (1 - s)) of each material's scattering s, for as many independent
+        groups of the batches, which it must divide. They are 0 where s is 0 or 1. Raises DataError for
+        a ``number`` if the scattering model is not "random".
+
+        A path that a material scattered d times and reflected r times without scattering has a
+        probability proportional to s^d (1 - s)^r, so that the derivative by the log odds is its energy
+        times (1 - s) d - s r (Glynn 1990, likelihood ratios).
         """
         from rtcal.simulators import kernels
 
@@ -549,15 +553,12 @@ class Paths:
         groups: NDArray[np.bool_],
         changed: Array,
     ) -> Array:
-        """Return the energy with each group of materials changed, in one sweep of the paths.
+        """Return the energy at receivers if the coefficients of a group of materials change.
 
-        (n_groups, n_changes, n_sources, n_receivers, n_bands, n_bins), the mean over the batches.
-        ``groups`` (n_groups, n_materials) says which materials a group holds, ``changed`` (n_changes,
-        n_materials, n_bands) is alpha of a material whose group is changed; no alpha is 1.
-
-        A path whose group's materials all change alike is worth its energy times a factor to the power
-        of its hits on them. So the sweep sums energies by hits, for any number of changes. A group
-        whose materials change differently is weighed anew for each change.
+        It is (n_groups, n_changes, n_sources, n_receivers, n_bands, n_bins), the mean over the batches.
+        ``groups`` (n_groups, n_materials) says which materials are in a group. ``changed`` (n_changes,
+        n_materials, n_bands) are the coefficients of the materials in the changed group, below 1. The
+        computation is fast if all materials of a group change by the same factor of 1 - alpha.
         """
         weights = self._weights(alpha, air_attenuation, bin_length)
         ratio = (1 - changed) / (1 - alpha)
@@ -639,25 +640,25 @@ class Paths:
 
 
 MOST_LOST = 0.01
-"""Largest share of paths that may leave through gaps between the faces; they are dropped.
+"""Largest share of paths that may leave through gaps between the faces; these paths are left out.
 
 Surveyed meshes have gaps: in CR2 of BRAS (503 triangles) 1 to 2 of 8000 paths are lost. A path has some
-100 reflections in the time of a T20. So 1 % are lost through gaps of 1/10,000 of the surface, which
-would change a mean alpha by 0.0001 if the paths were not dropped. A missing face loses far more."""
+100 reflections during T20, so that 1 % are lost through gaps of 1/10,000 of the surface, which would
+change a mean alpha by 0.0001. Through a missing face far more are lost."""
 
 
 MOST_LEAKED = 0.02
-"""Largest share of paths that may leave through the holes of a geometry that leaks; they are dropped,
-too. 2 % leave through 1/5,000 of the surface."""
+"""Largest share of paths that may leave through the holes of a geometry with ``leaks``; they are left
+out. 2 % leave through 1/5,000 of the surface."""
 _REFLECTIONS = 100
 """Number of reflections of a path in the time of a T20."""
 
 
 class Chords(NamedTuple):
-    """Estimates from rays, wall to wall, of a geometry that leaks.
+    """Estimates of volume and surface of a geometry with holes, from rays between its walls.
 
-    ``volume`` and ``area`` in m³ and m², with those of the holes, and their standard uncertainties.
-    ``lost`` is the share of the rays that leave.
+    ``volume`` in m³ and ``area`` in m² include the parts that the holes cut off, and have standard
+    uncertainties. ``lost`` is the share of the rays that leave through holes.
     """
 
     volume: float
@@ -668,7 +669,7 @@ class Chords(NamedTuple):
 
     @property
     def lost_paths(self) -> float:
-        """Share of the paths of a tracing that leave, about."""
+        """Approximate share of the paths of a simulation that would leave through holes."""
         return 1 - (1 - self.lost) ** _REFLECTIONS
 
     def __str__(self) -> str:
@@ -681,12 +682,12 @@ class Chords(NamedTuple):
 
 
 def by_chords(geometry: Polyhedron, number: int = 100_000, seed: int = 0) -> Chords:
-    """Return V and S of a geometry from rays between its faces, and how many leave.
+    """Return estimates of volume and surface of a geometry with holes, from rays between its faces.
 
-    Rays start evenly on the faces, in directions by Lambert's law. Their mean length is then 4 V / S
-    (Kuttruff 2009, Eq. 5.4). The share of them that leaves is the area of the holes over that of the
-    faces, as long as no hole is seen from another. Those that leave count with the mean length of the
-    others, and its standard deviation as uncertainty.
+    Rays start evenly on the faces, in directions by Lambert's law, so that their mean length is 4 V / S
+    (Kuttruff 2009, Eq. 5.4). The share of rays that leave is the area of the holes over that of the
+    faces, if no hole is seen from another. Rays that leave count with the mean length of the others,
+    and with its standard deviation as uncertainty.
 
     Examples
     --------
@@ -723,7 +724,7 @@ def by_chords(geometry: Polyhedron, number: int = 100_000, seed: int = 0) -> Cho
 
 
 HALVINGS = 4
-"""How often the number of paths is halved at most where it is thinned."""
+"""Largest number of times that the number of paths is halved as the sound decays."""
 _LEFT = 32
 """Least number of paths of a batch that are left."""
 
@@ -744,26 +745,26 @@ def trace(
     workers: int | None = None,
     thinned: float = np.inf,
 ) -> Paths:
-    """Trace ``n_paths`` from each source, in independent batches.
+    """Return ``n_paths`` paths from each source, traced in independent batches.
 
-    A path that leaves through a gap between faces is dropped whole, and the others of its source weigh
-    the more. Receivers are spheres of radius r. A path without a diffuse reflection is weighed by 1 /
-    (L² solid angle), with the sphere's solid angle at its image source, every other path by 1 / (pi
-    r²). The expected energy is then that at the receiver's centre for any radius, exactly if no edge
-    shades a part of the sphere. The direct sound is not traced but calculated.
+    A path that leaves through a gap between faces is left out, and the other paths of its source count
+    more. Receivers are spheres of radius r. A path without a diffuse reflection has the weight
+    1 / (L² solid angle), with the sphere's solid angle at its image source, every other path the weight
+    1 / (pi r²). The expected energy is then that at the receiver's centre for any radius, unless an
+    edge hides a part of the sphere. The direct sound is calculated.
 
     Sources and receivers (n, 3) are inside the room, in m; ``radii`` (n_receivers,) no more than the
     distance to the nearest wall. ``materials`` (n_faces,) are the numbers of the faces' materials,
     ``scattering`` is (n_materials,). Each path is followed to the length ``longest`` in m.
 
-    The same seed gives the same paths for any ``longest`` and ``workers``: longer paths start as the
-    shorter ones do. After the length ``thinned`` in m every second path ends, and again after each
-    further such length, until 1 in 2**`HALVINGS` is left, or few. Those left weigh as many times more
-    (Russian roulette, Spanier & Gelbard 1969), so that the expected energy is the same.
+    The same seed gives the same paths for any ``longest`` and ``workers``. After the length ``thinned``
+    in m, and after each further such length, every second path ends, until 1 in 2**`HALVINGS` is left,
+    or few. The remaining paths count twice each time (Russian roulette, Spanier & Gelbard 1969), so
+    that the expected energy is the same.
 
-    Raises DataError if more than `MOST_LOST` of the paths hit no wall, or `MOST_LEAKED` of a geometry
-    that leaks: the faces leave gaps or cut each other. Also for more faces and receivers than the
-    events' codes can tell.
+    Raises DataError if more than `MOST_LOST` of the paths hit no wall, or `MOST_LEAKED` in a geometry
+    with ``leaks``, because the faces leave gaps or cut each other; also for too many faces and
+    receivers.
     """
     from rtcal.simulators import kernels
 
@@ -844,10 +845,10 @@ def _first(
 
 
 def planes_of(geometry: Polyhedron) -> tuple[Array, Array]:
-    """Return each triangle's plane (inward normal, offset) and its two barycentric functions.
+    """Return the plane of each triangle (inward normal, offset) and two functions of its sides.
 
-    A point x of the plane lies in the triangle where n·x - d is 0 or more for both rows of
-    ``sides`` (n_triangles, 2, 4), and their sum at most 1 (Havel & Herout 2010).
+    A point x of the plane is in the triangle if n·x - d is 0 or more for both rows (n, d) of ``sides``
+    (n_triangles, 2, 4), and their sum is at most 1 (Havel & Herout 2010).
     """
     a, b, c = np.moveaxis(geometry.triangles, 1, 0)
     u, v = b - a, c - a
@@ -861,7 +862,7 @@ def planes_of(geometry: Polyhedron) -> tuple[Array, Array]:
 
 
 def by_plane(planes: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the triangles' numbers, those of a plane together, and where each plane begins."""
+    """Return the triangles' numbers ordered by plane, and the index at which each plane begins."""
     left, groups = np.arange(len(planes)), []
     while len(left):
         same = np.abs(planes[left] - planes[left[0]]).max(axis=1) < 1e-12
@@ -871,7 +872,7 @@ def by_plane(planes: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def sphere(n: int, rng: np.random.Generator) -> Array:
-    """Return n directions of a Fibonacci lattice on the sphere, rotated at random."""
+    """Return n evenly spread directions (Fibonacci lattice on the sphere), rotated at random."""
     height = 1 - (2 * np.arange(n) + 1) / n
     turn = np.pi * (1 + np.sqrt(5)) * np.arange(n)
     across = np.sqrt(1 - height**2)
@@ -881,7 +882,7 @@ def sphere(n: int, rng: np.random.Generator) -> Array:
 
 
 def direct_lengths(geometry: Polyhedron, sources: Array, receivers: Array) -> Array:
-    """Return the lengths of the direct sounds in m, (n_sources, n_receivers), NaN where hidden."""
+    """Return the length of each direct sound in m, (n_sources, n_receivers), NaN where it is hidden."""
     walls, sides = planes_of(geometry)
     lengths = np.empty((len(sources), len(receivers)))
     for s, source in enumerate(sources):
@@ -897,11 +898,13 @@ def direct_lengths(geometry: Polyhedron, sources: Array, receivers: Array) -> Ar
 _REFLECTING = 0.7
 """Mean alpha below which enough is reflected for every parameter: 25 dB take five reflections."""
 DENSER = 3
-"""Factor of the number of paths where they are thinned (`PathTracing.denser`). In a development room of
-200 m³ with T from 0.4 to 1.1 s this and `LARGER` leave a seventh of the noise's variance."""
+"""Factor of the number of paths in a simulation with less noise (`PathTracing.denser`). In a
+development room of 200 m³ with T from 0.4 to 1.1 s this and `LARGER` leave a seventh of the noise's
+variance."""
 LARGER = 0.15
-"""Radius of their receivers over the cube root of the volume. In that room parameters differ from those
-with half the radius by 0.3 % (Ts), 0.2 % (EDT), 0.03 dB (C80) and less than 0.1 % (T20)."""
+"""Radius of the receivers in such a simulation, over the cube root of the volume. In that room
+parameters differ from those with half the radius by 0.3 % (Ts), 0.2 % (EDT), 0.03 dB (C80) and less
+than 0.1 % (T20)."""
 _THINNED = 0.25
 """Time after which every second path ends, over Eyring's T of the band with the longest."""
 
@@ -911,52 +914,52 @@ _Weighing = tuple[Array, Array, float]
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PathTracing(Tracer):
-    """Traces paths in a room with plane walls, and weighs the same paths for every alpha.
+    """Simulator that traces paths in a room with plane walls, and reuses them for all coefficients.
 
     Parameters
     ----------
     geometry : Polyhedron
-        Its walls have the room's materials, and it holds the room's volume within 10 %.
+        Geometry whose walls have the room's materials, and whose volume is the room's within 10 %.
     room : Room
-        Alpha has its materials and bands. The simulation takes its air and speed of sound.
+        Room with the materials, the bands, the air and the speed of sound.
     sources, receivers : mapping of str to (x, y, z)
         Positions in m, inside the room.
     directivity : mapping of str to Directivity or "unknown"
-        Directivity of each source (`rtcal.io.balloon.read` for a balloon). Sources without, and
-        unknown ones, radiate alike in all directions.
+        Directivity of each source (`rtcal.io.balloon.read` reads a balloon). A source without one, or
+        with an unknown one, is omnidirectional.
     n_paths : int
-        Paths per source. 8000 give the mean T20 over four receivers of a 334 m³ hall a standard
-        error of about 1 %.
+        Number of paths per source. With 8000 the mean T20 over four receivers of a 334 m³ hall has a
+        standard error of about 1 %.
     n_batches : int
-        Independent batches of paths; their spread gives the standard errors.
+        Number of independent batches of paths, whose spread gives the standard errors.
     scattering : float, array (n_materials,) or (n_materials, n_bands), optional
-        Scattering coefficients, by default the room's. Bands with equal ones share their paths.
+        Scattering coefficients, by default the room's. Bands with equal coefficients share their paths.
     scattering_model : {"random", "vector"}, optional
-        How a wall scatters, by default as the room states; see
-        `rtcal.simulators.path_tracing.ScatteringModel`. The two models give different decays in long or
+        Model of scattering at a wall, by default the room's; see
+        `rtcal.simulators.path_tracing.ScatteringModel`. The models give different decays in long or
         flat rooms.
     radius : float, optional
-        Radius of the receivers in m, by default 0.075 times the cube root of the volume. A receiver
-        nearer to a wall has the distance from it as radius. The standard errors depend on the
-        radius, the expected energy does not.
+        Radius of the receivers in m, by default 0.075 times the cube root of the volume, but at most
+        the distance of a receiver from the nearest wall. It changes the standard errors, not the
+        expected energy.
     bin_width : float
-        Width of the bins of the energy decays in s, at most 0.01.
+        Width of the time bins of the energy decays in s, at most 0.01.
     workers : int, optional
-        Number of threads, by default the number of processors.
+        Number of threads; that of the processors by default.
     thinned : float, optional
-        Time in s after which every second path ends, and again after each further such time; those left
-        weigh twice as much. See `trace`.
+        Time in s after which, and after each further such time, every second path ends and the others
+        count twice; see `rtcal.simulators.path_tracing.trace`.
 
     Raises
     ------
     DataError
-        For positions outside the room, a source at a receiver, walls of other materials, another
-        volume, or a number outside its range.
+        For positions outside the room, a source at a receiver, a geometry with other materials or
+        another volume than the room, or a number outside its range.
 
     Notes
     -----
-    Calibrated coefficients belong to the simulator and its scattering model: T differs under
-    another one. `rtcal.simulators.path_tracing` describes the method, docs/path_tracing.md its limits.
+    Calibrated coefficients belong to the simulator and its scattering model, because others give
+    another T. `rtcal.simulators.path_tracing` describes the method, docs/path_tracing.md its limits.
 
     Examples
     --------
@@ -1007,30 +1010,30 @@ class PathTracing(Tracer):
 
     @property
     def tracing(self) -> PathTracing:
-        """The tracing itself, in which reference simulations are traced."""
+        """Path tracing in which reference simulations are traced: this one."""
         return self
 
     @property
     def fits_scattering(self) -> bool:
-        """Whether scattering can be fitted: the model is "random", and a material scatters in part."""
+        """Whether scattering can be fitted: the model is "random", and a material has 0 < s < 1."""
         return self.scattering_model == "random" and not np.isin(self.scattering, (0.0, 1.0)).all()
 
     @property
     def unknown_sources(self) -> tuple[str, ...]:
-        """The sources whose directivity is "unknown"."""
+        """Names of the sources whose directivity is "unknown"."""
         return tuple(name for name, of in self.directivity.items() if isinstance(of, str))
 
     @cached_property
     def aimed_sources(self) -> dict[int, Directivity]:
-        """The directivities that are known, by the number of the source."""
+        """Known directivities, by the number of the source."""
         stated = {s: self.directivity.get(name) for s, name in enumerate(self.sources)}
         return {s: of for s, of in stated.items() if isinstance(of, Directivity)}
 
     def trusted(self, match: Sequence[str]) -> tuple[str, ...]:
-        """Return the parameters that can be used although a source's directivity is unknown.
+        """Return the parameters that can be used although the directivity of a source is unknown.
 
-        Early sound depends on where a loudspeaker aims, and so does the level near it. T20 and T30
-        depend on it little. DataError where none is left.
+        Early sound and the level near a loudspeaker depend on its direction; T20 and T30 hardly do.
+        Raises DataError if no parameter can be used.
         """
         names = base.checked_parameters(match)
         kept = tuple(n for n in names if not self.unknown_sources or OBSERVABLES[n].part == "late")
@@ -1043,7 +1046,7 @@ class PathTracing(Tracer):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Areas that the geometry contradicts, and the assumption on the sources' directivities."""
+        """Cautions about areas that differ from the geometry, and assumptions about directivities."""
         notes = [*super().notes]
         if unknown := ", ".join(self.unknown_sources):
             notes.append(
@@ -1055,16 +1058,16 @@ class PathTracing(Tracer):
         return tuple(notes)
 
     def with_air(self, air: Air) -> PathTracing:
-        """Return the tracing with another air."""
+        """Return the path tracing of the room with other air."""
         return replace(self, room=self.room.with_air(air))
 
     def denser(self, factor: int = 1, n_batches: int | None = None) -> PathTracing:
-        """Return the tracing with `DENSER` times ``factor`` as many paths, whose noise is lower.
+        """Return the path tracing with `DENSER` times ``factor`` as many paths and less noise.
 
-        Paths are thinned as the sound dies away, so that they take about as long, and receivers without
-        a stated radius have one of `LARGER` times the cube root of the volume. Where the tracing is
-        thinned already, it has ``factor`` times its paths; with a factor of 1 it is this one, with the
-        paths that it has traced. ``n_batches`` is another number of batches.
+        Paths end one after the other as the sound decays (``thinned``), so that the time is about the
+        same. Receivers without a stated radius have one of `LARGER` times the cube root of the volume.
+        A tracing that is thinned already has ``factor`` times its paths. ``n_batches`` is the new
+        number of batches.
         """
         checks.whole("factor", factor, 1)
         n_batches = n_batches or self.n_batches
@@ -1081,9 +1084,9 @@ class PathTracing(Tracer):
         )
 
     def aimed(self, directivity: Mapping[str, Directivity]) -> PathTracing:
-        """Return the tracing with other directivities of some sources; its paths are kept.
+        """Return the path tracing with other directivities of some sources, and with the same paths.
 
-        Each has a value per band.
+        Each directivity must have a value per band.
         """
         for name, of in checks.mapped("directivity", directivity).items():
             checks.instance(f"directivity[{checks.shown(name)}]", of, Directivity)
@@ -1097,9 +1100,9 @@ class PathTracing(Tracer):
         return changed
 
     def trace_ahead(self, alpha: Array, factor: float, *, seed: int = 0) -> None:
-        """Trace the paths for ``factor`` times Eyring's T for alpha (n_materials, n_bands).
+        """Trace the paths for ``factor`` times Eyring's T for coefficients ``alpha``.
 
-        Simulations with this seed then trace none, unless a decay needs longer paths.
+        Later simulations with this seed reuse them, unless a decay needs longer paths.
         """
         alpha = check_alpha(self, alpha)
         seconds = min(checks.positive("factor", factor) * eyring_seconds(self.room, alpha), LONGEST)
@@ -1108,21 +1111,21 @@ class PathTracing(Tracer):
 
     @property
     def lost_share(self) -> float:
-        """Largest share of the paths of a trace that left through gaps of the geometry.
+        """Largest share of paths that left through gaps of the geometry, and are left out.
 
-        They are dropped. Of the traces that are kept; 0 before the first.
+        It is that of the paths in memory; 0 before the first simulation.
         """
         return max((traced.lost_share for traced in self._traced.values()), default=0.0)
 
     def energy(
         self, alpha: Array, seconds: float, *, seed: int = 0, number: int | None = None
     ) -> Array:
-        """Return energy decays, (number, n_sources, n_receivers, n_bands, n_bins), in 1/m².
+        """Return energy decays for coefficients ``alpha`` and a source of unit energy, in 1/m².
 
-        ``number`` is of groups of batches, by default ``n_batches``, which it divides.
-        The source has unit energy. The first bin starts with the first sound. The decays end at
-        least ``seconds`` after the emission; see `Paths.energy`. DataError
-        for ``seconds`` above `rtcal.simulators.path_tracing.LONGEST`, or another ``number``.
+        They are (number, n_sources, n_receivers, n_bands, n_bins). ``number`` is the number of groups
+        of batches, by default ``n_batches``, which it must divide. The first bin starts with the first
+        sound, and decays end at least ``seconds`` after the emission. Raises DataError for ``seconds``
+        above `rtcal.simulators.path_tracing.LONGEST`, or another ``number``.
         """
         self._check_groups(1 if number is None else number)
         alpha = check_alpha(self, alpha)
@@ -1135,9 +1138,9 @@ class PathTracing(Tracer):
     def swept(
         self, sweep: Callable[[Paths, NDArray[np.int64]], Array], seconds: float, *, seed: int = 0
     ) -> Array:
-        """Return the decays of all bands, (..., n_bands, n_bins), from one tracing per group of bands.
+        """Return the decays of all bands, (..., n_bands, n_bins), from the paths of groups of bands.
 
-        ``sweep`` gives those of some bands, (..., n_some, n_bins), from their paths, which are followed
+        ``sweep`` returns those of some bands, (..., n_some, n_bins), from their paths, which are traced
         for ``seconds`` or longer.
         """
         groups = self.bands_of_paths
@@ -1152,10 +1155,10 @@ class PathTracing(Tracer):
     def observe(
         self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0, again: bool = True
     ) -> Observations:
-        """Return the values at each position for alpha (n_materials, n_bands).
+        """Return the parameters at each pair as `Observations`, for alpha (n_materials, n_bands).
 
-        The level is G of a source whose power is known. Raises as `simulate` does, and
-        `TooShortError` where paths that were traced end too early and are not to be traced ``again``.
+        The level is G of a source of known power. Raises as `simulate`, and `TooShortError` if the
+        paths in memory are too short and ``again`` forbids to trace longer ones.
         """
         most = LONGEST
         if not checks.flag("again", again):
@@ -1167,9 +1170,9 @@ class PathTracing(Tracer):
     def observe_in_groups(
         self, alpha: Array, number: int, match: Sequence[str] = MATCH, *, seed: int = 0
     ) -> Array:
-        """Return the values by groups of the paths, (number, n_parameters, n_pairs, n_bands).
+        """Return the parameters from groups of the paths, (number, n_parameters, n_pairs, n_bands).
 
-        Their differences are the noise of as many paths. ``number`` divides ``n_batches``.
+        The differences between groups are noise. ``number`` must divide ``n_batches``.
         """
         return np.array([of.values for of in self._observed(alpha, match, number, seed)])
 
@@ -1200,13 +1203,12 @@ class PathTracing(Tracer):
         return [base.of_decays(energy, self.bin_width, *of_room) for energy in by_pair]
 
     def jacobian(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Array:
-        """Return the derivatives of `observe`, (n_parameters, n_pairs, n_bands, n_materials).
+        """Return the derivatives of `observe` by alpha, (n_parameters, n_pairs, n_bands, n_materials).
 
-        One sweep of the paths gives those by all materials, because a path that hit material j n times
-        has dE / d alpha_j = -n E / (1 - alpha_j). Coefficients above 0.999 count as 0.999. Decay times
-        of few paths are staircases in alpha, since the range of levels is fitted bin by bin. Their
-        derivatives are those of the mean over the steps: with one seed a difference departs from them,
-        in the mean over seeds it does not. Raises as `simulate` does.
+        They follow from the paths, because the energy E of a path that hit material j n times has
+        dE / d alpha_j = -n E / (1 - alpha_j). Coefficients above 0.999 count as 0.999. Decay times from
+        few paths change with alpha in small steps, and the derivatives are those of the mean over the
+        steps. Raises as `simulate`.
         """
         alpha = np.minimum(check_alpha(self, alpha), base.LARGEST_ALPHA)
         return np.asarray(self._derivatives(alpha, match, seed, Paths.gradient)[0])
@@ -1214,12 +1216,11 @@ class PathTracing(Tracer):
     def scattering_jacobian(
         self, alpha: Array, match: Sequence[str] = MATCH, *, number: int = 2, seed: int = 0
     ) -> Array:
-        """Return the derivatives of `observe` by the scattering of each material.
+        """Return the derivatives of `observe` by the scattering coefficient s of each material.
 
-        The derivatives are by the log odds ln(s / (1 - s)), alike in all bands. They come from the
-        paths of `observe`, of ``number`` independent groups, which divides ``n_batches``: their mean is
-        the derivative, their differences its noise. Materials with s = 0 or 1 have 0. See
-        `Paths.gradient`.
+        They are by the log odds ln(s / (1 - s)), which change equally in all bands, and 0 for s = 0 or
+        1. They come from ``number`` independent groups of paths: the mean is the derivative, and the
+        differences are noise. ``number`` must divide ``n_batches``. See `Paths.gradient`.
 
         Returns
         -------
@@ -1228,8 +1229,8 @@ class PathTracing(Tracer):
         Raises
         ------
         DataError, TooShortError
-            As `observe` does, for a ``number`` that does not divide, and if ``scattering_model`` is
-            not "random".
+            As `observe`, for a ``number`` that does not divide ``n_batches``, and if
+            ``scattering_model`` is not "random".
         """
         self._check_groups(number)
         gradient = partial(Paths.gradient, number=number)
@@ -1279,9 +1280,9 @@ class PathTracing(Tracer):
         return out.reshape(number, len(match), len(self.pairs), self.room.n_bands, n_unknowns)
 
     def traced(self, band: int, seconds: float, *, seed: int = 0) -> Paths:
-        """Return the paths of a band, followed for ``seconds`` or longer.
+        """Return the paths of a band, traced for ``seconds`` or longer.
 
-        Paths are reused as long as the seed stays the same. DataError for ``seconds`` above
+        Paths are reused while the seed stays the same. Raises DataError for ``seconds`` above
         `rtcal.simulators.path_tracing.LONGEST`.
         """
         if checks.whole("band", band, 0) >= self.room.n_bands:

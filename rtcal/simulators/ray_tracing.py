@@ -40,32 +40,32 @@ _FINE = 8 / _RATE  # s; the engine's bins start at the emission, rtcal's at the 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RayTracing(Tracer):
-    """Traces rays with pyroomacoustics, anew for every alpha.
+    """Simulator that traces rays with pyroomacoustics, anew for all coefficients.
 
     Parameters
     ----------
     geometry, room, sources, receivers, n_batches, scattering
-        See `rtcal.simulators.PathTracing`. Sources are omnidirectional. Bands with equal scattering
-        coefficients are traced together.
+        Arguments as for `rtcal.simulators.PathTracing`. Sources are omnidirectional. Bands with equal
+        scattering coefficients are traced together.
     n_rays : int
-        Rays per source.
+        Number of rays per source.
     radius : float, optional
-        Radius of all receivers in m, by default 0.075 times the cube root of the volume, and at
-        most the distance of any receiver from the nearest wall.
+        Radius of all receivers in m, by default 0.075 times the cube root of the volume, but at most
+        the distance of any receiver from the nearest wall.
     bin_width : float
-        Width of the bins of the energy decays in s: a multiple of 0.0005, at most 0.01.
+        Width of the time bins of the energy decays in s: a multiple of 0.0005, at most 0.01.
 
     Raises
     ------
     DataError
-        For positions outside the room, walls of other materials, another volume, or a number
-        outside its range.
+        For positions outside the room, a geometry with other materials or another volume than the
+        room, or a number outside its range.
     MissingDependencyError
         If pyroomacoustics is not installed.
 
     Notes
     -----
-    pyroomacoustics has one random generator for the whole process. `simulate` seeds it.
+    pyroomacoustics has one random generator for the whole process, which `simulate` seeds.
     """
 
     n_rays: int = 8000
@@ -84,10 +84,11 @@ class RayTracing(Tracer):
         return f"pyroomacoustics' ray tracing of {self.room.name}"
 
     def energy(self, alpha: Array, seconds: float, *, seed: int = 0) -> Array:
-        """Return energy decays, (n_batches, n_sources, n_receivers, n_bands, n_bins), in 1/m².
+        """Return energy decays for coefficients ``alpha`` and a source of unit energy, in 1/m².
 
-        The source has unit energy. The first bin starts with the direct sound, whose mean energy is
-        1/(4 pi r²). Later energy is up to twice too high, since scattered sound is counted twice.
+        They are (n_batches, n_sources, n_receivers, n_bands, n_bins). The first bin starts with the
+        direct sound, whose mean energy is 1/(4 pi r²). Later energy is up to two times too high,
+        because pyroomacoustics counts scattered sound twice.
         """
         alpha = np.maximum(check_alpha(self, alpha), LEAST_ALPHA)
         check_seconds(seconds)

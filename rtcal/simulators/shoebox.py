@@ -46,37 +46,37 @@ Point = Sequence[float]
 
 
 class Shoebox(NamedTuple):
-    """A shoebox with sources and receivers; its arrays are read-only."""
+    """Shoebox-shaped room with sources and receivers; its arrays are read-only."""
 
     dimensions: Array
-    """(3,) in m."""
+    """Length, width and height in m, (3,)."""
     walls: NDArray[np.int64]
-    """Row of alpha of each wall, (6,), in the order of `SHOEBOX_WALLS`."""
+    """Number of the material of each wall, (6,), in the order of `SHOEBOX_WALLS`."""
     sources: Array
     receivers: Array
-    """Positions in m, (n, 3)."""
+    """Positions of ``sources`` and ``receivers`` in m, (n, 3) each."""
     pairs: tuple[tuple[str, str], ...]
-    """Names of source and receiver, source by source."""
+    """Names of source and receiver of each pair, ordered by source."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ShoeboxSimulator(RoomSimulator, ABC):
-    """A deterministic simulator of shoeboxes, whose T is a smooth function of alpha.
+    """Base of simulators of shoebox-shaped rooms without random numbers.
 
     Parameters
     ----------
     room : Room
-        A shoebox: with dimensions, and a surface for each of
-        `rtcal.simulators.geometry.SHOEBOX_WALLS` or a single material. The simulation takes its
-        bands, air and speed of sound, not its alpha.
-    sources, receivers : mapping of name to (x, y, z)
+        Room with dimensions, and with a single material or a surface for each of
+        `rtcal.simulators.geometry.SHOEBOX_WALLS`. Its bands, air and speed of sound are used, but not
+        its coefficients.
+    sources, receivers : mapping of str to (x, y, z)
         Positions in m, inside the room.
 
     Raises
     ------
     DataError
-        If the room is no shoebox, an area differs from the walls' by over 1 %, a position is outside
-        it, or a source and a receiver are at the same place.
+        If the room is no shoebox, an area differs from that of the walls by over 1 %, a position is
+        outside the room, or a source and a receiver are at the same place.
     """
 
     room: Room
@@ -114,7 +114,7 @@ class ShoeboxSimulator(RoomSimulator, ABC):
 
     @property
     def tracing(self) -> PathTracing:
-        """A path tracing of the box, whose walls scatter half."""
+        """Path tracing of the same box, with scattering coefficients of 0.5."""
         return PathTracing(
             geometry=Polyhedron.shoebox(
                 self.box.dimensions.tolist(),
@@ -128,16 +128,16 @@ class ShoeboxSimulator(RoomSimulator, ABC):
 
     @abstractmethod
     def decays(self, alpha: Array) -> tuple[Array, float]:
-        """Return energy decays from the direct sound on, and the width of their bins in s.
+        """Return energy decays for coefficients ``alpha``, and the width of their time bins in s.
 
-        (n_pairs, n_bands, n_bins), in 1/m²: the direct sound of a source of unit energy is
-        1 / (4 pi d²).
+        The decays are (n_pairs, n_bands, n_bins) in 1/m², from the direct sound on, which is 1 / (4 pi
+        d²) for a source of unit energy.
         """
 
     def observe(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Observations:
-        """Return what each position hears for alpha (n_materials, n_bands); the seed has no effect.
+        """Return the parameters at each pair as `Observations`, for alpha (n_materials, n_bands).
 
-        The level is G of a source whose power is known. Raises as `simulate` does.
+        The level is G of a source of known power. The seed has no effect. Raises as `simulate`.
         """
         checks.whole("seed", seed, 0)
         match = base.checked_parameters(match)
@@ -145,13 +145,13 @@ class ShoeboxSimulator(RoomSimulator, ABC):
         return base.of_decays(energy, width, match, self.box.pairs, self.centre_frequencies)
 
     def jacobian(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Array:
-        """Return the derivatives of `observe`, as `rtcal.simulators.base.differences` has them."""
+        """Return the derivatives of `observe` by alpha, from `rtcal.simulators.base.differences`."""
         return base.differences(self, alpha, match, seed=seed)
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return the parameters of a response for alpha (n_materials, n_bands), by pair.
+        """Return the parameters at each pair for coefficients ``alpha`` (n_materials, n_bands).
 
-        The seed has no effect. Raises `TooShortError` if a decay does not hold T20.
+        The seed has no effect. Raises `TooShortError` if a decay is too short for T20.
         """
         checks.whole("seed", seed, 0)
         return Measurement.from_decays(
@@ -160,9 +160,10 @@ class ShoeboxSimulator(RoomSimulator, ABC):
 
 
 def box_of(room: Room) -> Polyhedron:
-    """Return the box of a room's dimensions, of a single material or with a surface for each wall.
+    """Return the box of a room's dimensions, with the material of each wall.
 
-    Raises DataError for a room without dimensions, and for a wall of which no surface has the name.
+    The walls have the room's single material, or that of the surface with the wall's name. Raises
+    DataError for a room without dimensions, and for a wall without a surface of its name.
     """
     checks.instance("room", room, Room).refuse_pieces("a simulation of the shoebox")
     if (sides := room.dimensions) is None:
@@ -184,38 +185,38 @@ _MOST_IMAGES = 50_000_000
 
 
 class Images(NamedTuple):
-    """The images of one source as received by one receiver; its arrays are read-only.
+    """Image sources of one source for one receiver; the arrays are read-only.
 
     A run is a sequence of images that differ only in their position along the last axis.
     """
 
     hits: tuple[NDArray[np.int64], ...]
-    """By axis: hits on the near and on the far wall, (n_lattice, 2)."""
+    """Numbers of hits on the near and on the far wall, (n_lattice, 2) for each axis."""
     rows: NDArray[np.uint64]
-    """By axis, the row of ``hits`` of each run's first image, (n_runs, 3)."""
+    """Row of ``hits`` of each run's first image, by axis, (n_runs, 3)."""
     starts: NDArray[np.uint64]
     """Index of each run's first image, (n_runs + 1,)."""
     bins: NDArray[np.uint32]
     """Time bin of each image, (n_images,)."""
     weights: Array
-    """1 / (4 pi d²) of each image in 1/m²."""
+    """Energy 1 / (4 pi d²) of each image at the distance d without absorption, in 1/m²."""
     lengths: Array
-    """Mean d of each bin's images in m, (n_bins,)."""
+    """Mean distance of the images in each time bin in m, (n_bins,)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ImageSource(ShoeboxSimulator):
-    """The image sources of a shoebox, whose energies are added in time bins.
+    """Simulator of a shoebox by image sources, whose energies are added in time bins.
 
     Parameters
     ----------
     room, sources, receivers
-        See `ShoeboxSimulator`.
+        Room and positions as for `ShoeboxSimulator`.
     duration : float
-        Length of the decay in s after the direct sound. A decay of two thirds of T holds T20. The
-        number of images grows with the cube of the duration.
+        Length of the decay in s after the direct sound. Two thirds of T are enough for T20. The number
+        of images grows with the cube of the duration.
     bin_width : float
-        Width of the bins in s, at most 0.01.
+        Width of the time bins in s, at most 0.01.
 
     Raises
     ------
@@ -260,9 +261,10 @@ class ImageSource(ShoeboxSimulator):
         object.__setattr__(self, "images", tuple(self._images(s, r) for s, r in positions))
 
     def decays(self, alpha: Array) -> tuple[Array, float]:
-        """Return the energy in each bin after the direct sound, and the width of the bins in s.
+        """Return energy decays for coefficients ``alpha``, and the width of their time bins in s.
 
-        The air attenuates each bin by the mean length of its images.
+        The decays are (n_pairs, n_bands, n_bins), from the direct sound on. The air attenuates each bin
+        by the mean distance of its images.
         """
         from rtcal.simulators import kernels
 
@@ -325,7 +327,7 @@ class ImageSource(ShoeboxSimulator):
 def lattice(
     dimensions: Array, source: Array, radius: float
 ) -> tuple[list[Array], list[NDArray[np.int64]]]:
-    """Return the images' coordinates and wall hits by axis, at least to the distance ``radius`` m.
+    """Return coordinates and wall hits of image sources by axis, at least up to ``radius`` m.
 
     Coordinates (n_lattice,) in m increase. Hits (n_lattice, 2) count the near and the far wall: the
     image (-1)^u x + 2 n L was mirrored |n - u| times in the wall at 0 and |n| times in that at L
@@ -346,7 +348,7 @@ _DIRECTIONS = 300
 
 
 def mean_energy(room: Room, alpha: Array, distances: Array, times: Array) -> Array:
-    """Return the energy per second, (n_distances, n_bands, n_times), in 1/(m² s).
+    """Return the mean energy per second in a shoebox, (n_distances, n_bands, n_times), in 1/(m² s).
 
     The source has unit energy: its direct sound is 1 / (4 pi d²) (E. A. Lehmann, A. M. Johansson, J.
     Acoust. Soc. Am. 124, 2008). The room is a shoebox with dimensions; ``alpha`` (3, n_bands), below 1,
@@ -388,7 +390,7 @@ _NEIGHBOUR = np.array([[j + (j >= k) for j in range(_PORTS)] for k in range(_NOD
 
 
 class Network(NamedTuple):
-    """The delays in samples and lengths in m of one source-receiver pair; its arrays are read-only.
+    """Delays in samples and lengths in m of the delay network of one source-receiver pair.
 
     ``lines`` and ``line_lengths`` (6, 5) lead from node to node, ``source_delays`` and
     ``source_lengths`` (6,) from the source to the nodes, ``tap_delays`` and ``tap_lengths`` (6,)
@@ -407,9 +409,9 @@ class Network(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ScatteringDelayNetwork(ShoeboxSimulator):
-    """A scattering delay network (SDN) of a shoebox, all bands at once.
+    """Simulator of a shoebox by a scattering delay network (SDN), which gives impulse responses.
 
-    Node k scatters the waves p+ from its five neighbours and p_S from the source:
+    Each wall has a node, which scatters the waves p+ from its five neighbours and p_S from the source:
 
         p- = beta (A (p+ + p_S / 2)),   A = (2/5) 1 1' - I,   beta = sqrt(1 - alpha).
 
@@ -418,8 +420,8 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
     Air attenuates every line by exp(-m d / 2). Delays are d fs / c, rounded so that first-order
     reflections arrive within half a sample.
 
-    At high absorption T20 spans few arrivals and depends on the positions: average at least four
-    positions, or leave the line of sight out.
+    At high absorption few arrivals determine T20, which then depends on the positions: average at least
+    four positions, or leave the line of sight out.
 
     The method is covered by US patent 8,908,875 B2 (De Sena, Hacihabiboglu, Cvetkovic; granted
     2014). Its use in a product may need a licence.
@@ -427,13 +429,14 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
     Parameters
     ----------
     room, sources, receivers
-        See `ShoeboxSimulator`.
+        Room and positions as for `ShoeboxSimulator`.
     sampling_rate : float
-        In Hz. Delays are whole samples, so the mean free path 4V/S needs at least 10 samples.
+        Sampling rate in Hz. Delays are whole samples, so that the mean free path 4V/S must have at
+        least 10 samples.
     line_of_sight : bool
         Whether the response contains the direct sound.
     longest : float
-        Largest length of the responses in s. They are as long as T20 needs, up to this limit.
+        Longest response in s. Responses are as long as T20 needs, up to this limit.
 
     Raises
     ------
@@ -484,14 +487,14 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
 
     @property
     def mean_free_path(self) -> float:
-        """Mean free path 4V/S in m."""
+        """Mean free path 4V/S of the room in m."""
         return 4 * self.room.volume / self.room.total_area
 
     def impulse_responses(self, alpha: Array, duration: float) -> Array:
-        """Return the pressure responses, (n_pairs, n_bands, n_samples), from the emission on.
+        """Return pressure impulse responses from the emission on, (n_pairs, n_bands, n_samples).
 
-        ``duration`` is in s, at most ``longest``. A band's response is the full-band response with its
-        coefficients, not filtered.
+        ``duration`` is in s, at most ``longest``. The response of a band has the band's coefficients
+        and is not filtered.
         """
         alpha = check_alpha(self, alpha)
         if checks.positive("duration", duration, "s") > self.longest:
@@ -506,7 +509,7 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
         return out
 
     def decays(self, alpha: Array) -> tuple[Array, float]:
-        """Return energy decays that hold T20, or of ``longest``, and the width of their bins in s."""
+        """Return energy decays long enough for T20, or of ``longest``, and their bin width in s."""
         # T20 needs two thirds of Eyring's T in the most reverberant band, after the first delay.
         delays = [network.direct_delay for network in self.networks]
         t = Eyring().time(self.room, self.room.areas @ check_alpha(self, alpha)).max()
