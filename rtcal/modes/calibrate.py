@@ -49,8 +49,8 @@ from rtcal.support.types import Array
 MODES = LinearObservations("modes")
 
 MODEL_ERROR = 0.05
-"""Relative standard deviation of a calculated decay: geometry, admittance that varies over a wall.
-Beside it stands delta / omega."""
+"""Relative standard deviation of a mode's calculated decay, from geometry and from an admittance that
+varies over a wall. An error of delta / omega is added."""
 _STEPS = 5
 
 
@@ -62,34 +62,37 @@ def calibrate_modes(
     geometry: Polyhedron | None = None,
     equation: LinearEquation | None = None,
 ) -> ModesResult:
-    """Calibrate a room's coefficients to the decays of its modes, together with T.
+    """Calibrate a room's coefficients to the decays of its modes at low frequencies, and to T above.
 
     Parameters
     ----------
     room : Room
-        Its alpha and sigma are the prior. It states a mesh, or dimensions and a surface per wall. A
-        coefficient's errors an octave apart have its ``band_correlation``, or 0.8 where that is 0.
+        Room with the input coefficients, and with a mesh, or dimensions and a surface per wall. The
+        errors of a material's coefficients an octave apart have the room's ``band_correlation``, or a
+        correlation of 0.8 if that is 0.
     modes : MeasuredModes or Responses
-        As `rtcal.modes.read` reads them, or `rtcal.modes.find_modes` finds them; or responses as
-        `rtcal.io.sofa.read` reads them.
+        Measured modes, from `rtcal.modes.read` or `rtcal.modes.find_modes`, or impulse responses, from
+        `rtcal.io.sofa.read`, in which modes are found.
     measured : Measurement, or T in s, (n_bands,), optional
-        Matched above the Schroeder frequency as method ``mle`` of `rtcal.calibrate` matches it, and
-        not used below it. Its uncertainty counts in the intervals.
+        Measured reverberation time. It is matched exactly in bands above the Schroeder frequency
+        (method ``mle`` of `rtcal.calibrate`) and not used below. Its uncertainty widens the intervals.
     geometry : Polyhedron, optional
-        In place of the room's scene.
+        Geometry of the room, if its scene has no mesh or another one.
     equation : Equation, optional
-        `rtcal.Eyring` if not given.
+        Reverberation equation; `rtcal.Eyring` by default.
 
     Returns
     -------
     ModesResult
+        Calibrated coefficients with their uncertainty, and the modes that were used.
 
     Raises
     ------
     DataError
-        If an argument breaks its rule, the room has no geometry, or no mode could be matched.
+        If an argument breaks a rule, the room has no geometry, or no measured mode could be assigned to
+        a calculated mode.
     ModelError, InfeasibleError, SolverError
-        As `rtcal.calibrate`.
+        For the reasons that `rtcal.calibrate` names.
     MissingDependencyError
         If the room is no box and scikit-fem is not installed (``rtcal[modes]``).
     """
@@ -167,10 +170,10 @@ def calibrate_modes(
 
 @dataclass(frozen=True, eq=False)
 class Decays:
-    """The decays of modes as an `Observation`, in 1/s.
+    """Measured decays of modes in 1/s, with the model that predicts them (an `Observation`).
 
-    ``chosen`` (n_used,) are the calculated modes that were measured, and ``covariance`` is that of
-    measured less modelled decays, with the prior's slopes.
+    ``chosen`` (n_used,) are the calculated modes that were measured. ``covariance`` is that of measured
+    less modelled decays, for the input coefficients.
     """
 
     model: RoomPoles
@@ -179,23 +182,23 @@ class Decays:
     covariance: Array
 
     def predict(self, alpha: Array) -> Array:
-        """Return the modelled decays, (n_used,)."""
+        """Return the modelled decays in 1/s for coefficients, (n_used,)."""
         return self.model.linear(alpha, self.chosen)[0]
 
     def jacobian(self, alpha: Array) -> Array:
-        """Return their derivatives, (n_used, n_materials * n_bands)."""
+        """Return the derivatives of the modelled decays by alpha, (n_used, n_materials * n_bands)."""
         return self.model.linear(alpha, self.chosen)[1]
 
 
 def above_schroeder(measured: Measurement, room: Room, low: NDArray[np.bool_]) -> Measurement:
-    """Return a measurement, with its uncertainty, without the bands ``low`` of the room."""
+    """Return a measurement without the bands ``low`` of the room, with its uncertainty."""
     wanted = room.centre_frequencies[~low]
     possible = bands.obtainable(measured.centre_frequencies, wanted)
     return measured.in_bands(possible)
 
 
 def below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:
-    """Return which bands lie below the Schroeder frequency; all where no T was measured."""
+    """Return whether each band is below the Schroeder frequency; True for all without a measured T."""
     t = times.reverberation_time
     middle = mid_frequency_time(t, room.centre_frequencies)
     limit = float(schroeder_frequency(np.array(middle), room.volume))
@@ -203,17 +206,18 @@ def below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:
 
 
 CARRIED = 3
-"""Modes from which a band's mark falls away: in it, or for the lowest one up to an octave below."""
+"""Number of modes that a band needs to have no caution: in the band, or up to an octave below for the
+lowest one."""
 _HEADER = ["mode / Hz", "T measured / s", "T before / s", "T after / s", "mostly from"]
 P_MODES = 0.01
-"""p-value of the modes below which they and what was stated contradict each other."""
+"""p-value below which measured modes and input coefficients contradict each other."""
 _ALIKE = 0.02  # share of the largest by which walls that a mode tells as much of may differ
 _FACTOR_Z = 3.0  # standard deviations of all decays together from what was stated, that are told
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ModesResult(Result):
-    """A room calibrated to the decays of its modes."""
+    """Room that is calibrated to the decays of its modes, with the modes that were used."""
 
     record_kind: ClassVar[str] = "modes 1"
     in_file: ClassVar[str] = (
@@ -223,71 +227,72 @@ class ModesResult(Result):
     )
 
     prior: Room
-    """The room as it was given."""
+    """Room before the calibration."""
     alpha: Array
-    """The calibrated coefficients, (n_materials, n_bands)."""
+    """Calibrated coefficients, (n_materials, n_bands)."""
     answer: CalibrationResult
-    """Of the last step's QP."""
+    """Calibration of the last step, with linearised modes."""
     modes: MeasuredModes
     used: NDArray[np.intp]
     matched: NDArray[np.intp]
-    """Measured modes that were used, and the calculated modes that they are, (n_used,)."""
+    """Numbers of the measured modes that were used (``used``), and of the calculated modes to which
+    they were assigned, (n_used,)."""
     probability: Array
-    """Of each match, (n_used,)."""
+    """Probability that each used mode is assigned to the right calculated mode, (n_used,)."""
     scale: float
-    """Measured over calculated frequencies, all modes together."""
+    """Ratio of measured to calculated frequencies that all modes have in common."""
     frequencies: Array
     decays_before: Array
     decays_after: Array
-    """Of all calculated modes, (n_calculated,): frequencies in Hz and decays with the prior, and decays
-    with the calibrated coefficients, in 1/s."""
+    """Frequency in Hz of all calculated modes, and their decays in 1/s with the input coefficients and
+    with the calibrated coefficients, (n_calculated,)."""
     below: NDArray[np.bool_]
-    """Bands below the Schroeder frequency, in which T is not used, (n_bands,)."""
+    """Whether each band is below the Schroeder frequency, where T is not used, (n_bands,)."""
     data: MeasuredTimes
-    """The measured T."""
+    """Measured T with its uncertainty."""
     steps: int
     settled: bool
     notes: tuple[str, ...]
 
     @property
     def measured(self) -> Array:
-        """Measured decays of the modes used in 1/s, (n_used,)."""
+        """Measured decays in 1/s of the modes that were used, (n_used,)."""
         return self.modes.decays[self.used]
 
     @property
     def before(self) -> Array:
-        """Their decays with the prior in 1/s, (n_used,)."""
+        """Decays in 1/s of the used modes with the input coefficients, (n_used,)."""
         return self.decays_before[self.matched]
 
     @property
     def after(self) -> Array:
-        """Their decays with the calibrated coefficients in 1/s, (n_used,)."""
+        """Decays in 1/s of the used modes with the calibrated coefficients, (n_used,)."""
         return self.decays_after[self.matched]
 
     @cached_property
     def linearised(self) -> Observed:
-        """The decays linearised at the last step, and the covariance of their errors, in 1/s."""
+        """Decays in 1/s linearised in alpha at the last step, with the covariance of their errors."""
         return (self.answer.joint.observed or {})[MODES]
 
     @property
     def sigma(self) -> Array:
-        """Posterior standard deviation of alpha, (n_materials, n_bands), before the bounds."""
+        """Standard deviation of the calibrated coefficients, (n_materials, n_bands), without bounds."""
         return self.answer.posterior_sigma
 
     @property
     def interval(self) -> tuple[Array, Array]:
-        """Ends of the 90 % interval of alpha within its bounds, each (n_materials, n_bands)."""
+        """Ends of the 90 % interval of each coefficient, (n_materials, n_bands) each."""
         low, high = self.answer.interval
         return np.minimum(low, self.alpha), np.maximum(high, self.alpha)
 
     @property
     def certificate(self) -> Certificate:
-        """Error bounds of the last step's QP."""
+        """Residuals of the last step's answer, and a bound of its distance from the optimum."""
         return self.answer.certificate
 
     @cached_property
     def room(self) -> Room:
-        """The room with calibrated coefficients, their posterior sigma, and a record."""
+        """Room with calibrated coefficients, their standard deviations and a record."""
         data = f"{data_history(self.prior, self.data)} {self.modes.fingerprint}"
         record = replace(self.answer.record, measured=data)
         return self.prior.replace(
@@ -296,9 +301,10 @@ class ModesResult(Result):
 
     @cached_property
     def plausibility(self) -> Plausibility:
-        """Distance of the measured decays from those of the prior: z of each mode used, and Q.
+        """Agreement of measured decays with those of the input coefficients, with z of each used mode.
 
-        Of the decays linearised at the last answer; the covariance is the prior's and the decays' own.
+        Decays are linearised at the last answer. Their covariance is that of the input coefficients and
+        of the decays' errors.
         """
         return plausibility(*self._off, bound_active=False)
 
@@ -312,9 +318,10 @@ class ModesResult(Result):
 
     @cached_property
     def sensitivity(self) -> Array:
-        """Sensitivity of each mode to each material, (n_used, n_materials).
+        """Sensitivity of each used mode's decay to each material, (n_used, n_materials).
 
-        Change of its decay in its uncertainty by one prior sigma of the coefficients in all bands.
+        It is the change of the decay, over its uncertainty, if the material's coefficients change by
+        one input sigma in all bands.
         """
         by_sigma = self.linearised.matrix.reshape(-1, *self.prior.alpha.shape) * self.prior.sigma
         own = np.sqrt(np.diag(self.linearised.covariance))
@@ -322,7 +329,7 @@ class ModesResult(Result):
 
     @cached_property
     def reach(self) -> tuple[Array, Array]:
-        """Frequencies in Hz from and up to which modes carry each band, (n_bands,) each."""
+        """Lower and upper frequency in Hz of the modes that determine each band, (n_bands,) each."""
         centres = self.prior.centre_frequencies
         between = np.sqrt(centres[1:] * centres[:-1])
         ends = np.concatenate([[centres[0] / 2], between, [centres[-1] * np.sqrt(2)]])
@@ -330,7 +337,7 @@ class ModesResult(Result):
 
     @cached_property
     def carried(self) -> NDArray[np.bool_]:
-        """Bands below the Schroeder frequency that at least three used modes carry, (n_bands,)."""
+        """Whether three or more used modes determine a band below the Schroeder frequency."""
         (low, high), f = self.reach, self.modes.frequencies[self.used]
         near = (f >= low[:, np.newaxis]) & (f < high[:, np.newaxis])
         own = near & (f >= self.prior.centre_frequencies[:, np.newaxis] / np.sqrt(2))
@@ -338,7 +345,7 @@ class ModesResult(Result):
 
     @property
     def trust_marks(self) -> tuple[TrustMark, ...]:
-        """Reasons to doubt bands: below the Schroeder frequency only where no modes carry them."""
+        """Cautions about bands; those below the Schroeder frequency only where modes are missing."""
         centres = self.prior.centre_frequencies
         # The QP had no T of these.
         low = self.below & np.isfinite(self.data.reverberation_time)
@@ -350,7 +357,7 @@ class ModesResult(Result):
         return (*self.own_marks, *marks, *self.uncarried(low & ~self.carried))
 
     def uncarried(self, chosen: NDArray[np.bool_]) -> tuple[TrustMark, ...]:
-        """Return the marks of chosen bands, (n_bands,), which too few modes carry."""
+        """Return cautions about chosen bands, (n_bands,), that too few modes determine."""
         ends = zip(self.prior.centre_frequencies, *self.reach, strict=True)
         return tuple(
             mark(
@@ -365,7 +372,7 @@ class ModesResult(Result):
 
     @property
     def own_marks(self) -> tuple[TrustMark, ...]:
-        """Reasons to doubt the modes themselves."""
+        """Cautions about the measured modes."""
         found, (off, covariance) = self.plausibility, self._off
         pulled = np.linalg.solve(covariance, self.before)
         together = float(pulled @ off / (pulled @ self.before))
@@ -384,10 +391,10 @@ class ModesResult(Result):
         return (mark("implausible_modes", None, text),)
 
     def in_loop(self, measured: Measurement) -> ModesResult:
-        """Return the modes for a loop, with the bands that are low by the measured T.
+        """Return the result for use in `rtcal.calibrate_simulator`, with low bands by the measured T.
 
-        Raises DataError if the modes were calibrated to T, too, or if every measured band lies below
-        the Schroeder frequency.
+        Raises DataError if the modes were calibrated together with T, or if every measured band is
+        below the Schroeder frequency.
         """
         if np.isfinite(self.data.reverberation_time).any():
             raise DataError(
@@ -407,12 +414,12 @@ class ModesResult(Result):
 
     @property
     def loop_marks(self) -> tuple[TrustMark, ...]:
-        """Marks of the modes themselves, and of the low bands that no modes carry."""
+        """Cautions about the measured modes, and about low bands that no modes determine."""
         return (*self.own_marks, *self.uncarried(self.below & ~self.carried))
 
     @property
     def loop_note(self) -> str:
-        """Sentences on the room modes that replace the measured T, and on their doubts."""
+        """Sentences on the room modes that replace the measured T, and on their cautions."""
         said = "No band lies below the Schroeder frequency; the modes are part of the prior."
         if self.below.any():
             low = bands.labels(self.prior.centre_frequencies[self.below])
@@ -427,7 +434,7 @@ class ModesResult(Result):
 
     @property
     def doubts(self) -> list[str]:
-        """Reasons to doubt the matches."""
+        """Cautions about the assignment of measured to calculated modes."""
         return [note for note in self.notes if note.startswith("Doubtful")]
 
     def __repr__(self) -> str:
@@ -437,9 +444,10 @@ class ModesResult(Result):
         )
 
     def blocks(self) -> list[Block]:
-        """Return the blocks that the result prints.
+        """Return the tables that the result prints.
 
-        Of each mode used: frequency in Hz; T, T before and after in s, and what it tells most of.
+        For each used mode they have the frequency in Hz, T measured, before and after in s, and the
+        material to which the mode is most sensitive.
         """
         most = self.sensitivity >= (1 - _ALIKE) * self.sensitivity.max(axis=1, keepdims=True)
         shown = zip(self.used, self.measured, self.before, self.after, most, strict=True)
@@ -475,7 +483,7 @@ class ModesResult(Result):
 
     @property
     def every_note(self) -> list[str]:
-        """The ``notes``, and the cautions about the result itself."""
+        """Notes and cautions about the result."""
         q = self.plausibility
         first = (
             f"{len(self.used)} of {len(self.modes.frequencies)} measured modes determine alpha below "
@@ -487,7 +495,7 @@ class ModesResult(Result):
 
     @property
     def each(self) -> list[dict[str, Any]]:
-        """Measured and calculated values of each mode used, decays in 1/s."""
+        """Measured and calculated values of each used mode, with decays in 1/s, for JSON."""
         columns = {
             "frequency": self.modes.frequencies[self.used],
             "calculated_frequency": self.frequencies[self.matched],
@@ -503,5 +511,5 @@ class ModesResult(Result):
 
     @property
     def materials(self) -> list[dict[str, Any]]:
-        """Alpha and sigma before and after, with the interval, of each material."""
+        """Alpha and sigma of each material before and after, with the interval, for JSON."""
         return coefficients(self.prior, self.alpha, self.sigma, self.interval)

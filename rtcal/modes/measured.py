@@ -94,31 +94,32 @@ _OF_MODES = (*_NUMBERS, "amplitudes", "calculated")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredModes:
-    """Measured room modes: frequencies, decays and, if known, amplitudes.
+    """Measured room modes with their frequencies, their decays and, if known, their amplitudes.
 
     Parameters
     ----------
     frequencies : array (n_modes,)
-        Hz, above 0, rising.
+        Frequency of each mode in Hz, above 0, rising.
     decays : array (n_modes,)
-        Delta in 1/s, above 0: the pressure falls as exp(-delta t). It is 6.91 / T.
+        Decay constant delta = 6.91 / T of each mode in 1/s, above 0: the pressure falls as
+        exp(-delta t).
     decay_uncertainty : array (n_modes,)
-        Standard uncertainty of delta in 1/s, above 0.
+        Standard uncertainty of each decay constant in 1/s, above 0.
     frequency_uncertainty : array (n_modes,), optional
-        Hz; 0.01 Hz by default.
+        Standard uncertainty of each frequency in Hz; 0.01 Hz by default.
     amplitudes : complex array (n_modes, n_pairs), optional
-        Complex amplitude of each mode at each pair of positions: its pattern over them.
+        Complex amplitude of each mode at each pair of source and receiver.
     calculated : int array (n_modes,), optional
-        Which calculated mode of the room each is, where they were found as these.
+        Number of the calculated mode that each mode is, if the modes were found with a calculation.
     largest : float, optional
-        Hz up to which modes of the room had been calculated then.
+        Frequency in Hz up to which modes were calculated for that.
     notes : sequence of str
-        How they were found, and what was left out.
+        Sentences on how the modes were found, and on what was left out.
 
     Raises
     ------
     DataError
-        For shapes that do not fit, or a value that breaks its rule.
+        For shapes that do not fit, or a value that breaks a rule.
 
     Examples
     --------
@@ -189,17 +190,17 @@ class MeasuredModes:
 
     @property
     def fingerprint(self) -> str:
-        """Name of these data: frequencies in Hz and decays in 1/s."""
+        """Text that identifies the measured modes by frequencies in Hz and decays in 1/s."""
         labels = (f"{f:.2f}" for f in self.frequencies.tolist())
         return fingerprint("modes", dict(zip(labels, self.decays.tolist(), strict=True)))
 
     @property
     def decay_times(self) -> Array:
-        """T of each mode in s, (n_modes,)."""
+        """Decay time T of each mode in s, (n_modes,)."""
         return np.asarray(DECAY / self.decays)
 
     def only(self, chosen: Sequence[int] | NDArray[np.intp]) -> MeasuredModes:
-        """Return some of the modes, in their order."""
+        """Return some of the modes, by their numbers, in this order."""
         rows = np.sort(np.asarray(chosen, dtype=int))
         inside = rows.size and rows[0] >= 0 and rows[-1] < self.frequencies.size
         if not inside:
@@ -211,18 +212,18 @@ class MeasuredModes:
 
 
 def read(path: str | os.PathLike[str]) -> MeasuredModes:
-    r"""Read a table (CSV, or a workbook's sheet) of modes.
+    r"""Return measured modes that are read from a table (CSV file, or sheet of a workbook).
 
-    Columns: ``frequency`` in Hz; ``decay`` in 1/s or ``T`` in s; ``u_decay`` or ``u_T``, their standard
-    uncertainty; and ``u_frequency``, which may be left out. A header, or a row of units below it, may
-    state another unit: kHz, ms or, of an uncertainty, %. Decimals may have a comma where columns are
-    separated by ``;``. A value without a unit is refused where another unit is likelier: a frequency
-    below 1 Hz, a decay time outside 0.03 to 30 s, an uncertainty above 0.3 of its value.
+    The table must have the columns ``frequency`` in Hz; ``decay`` in 1/s or ``T`` in s; and ``u_decay``
+    or ``u_T``, its standard uncertainty. It may have ``u_frequency``. A header, or a row of units below
+    it, may state other units: kHz, ms or, for an uncertainty, %. Decimals may have a comma if columns
+    are separated by ``;``. A value without a unit raises an error where another unit is more likely: a
+    frequency below 1 Hz, a decay time outside 0.03 to 30 s, an uncertainty above 0.3 of its value.
 
     Raises
     ------
     DataError
-        For a file that cannot be read, a column that is missing, or a value that breaks its rule.
+        For a file that cannot be read, a missing column, or a value that breaks a rule.
 
     Examples
     --------
@@ -351,14 +352,14 @@ def _columns(header: Sequence[str], place: str) -> dict[str, tuple[int, str]]:
 
 
 SURE = 0.9
-"""Probability from which a match is used."""
+"""Probability from which a measured mode is taken for a calculated mode."""
 COMMON_ERROR = 0.012
-"""Standard deviation of the error that all calculated frequencies share, relative: 1 % of the size, and
-some 4 K of temperature."""
+"""Relative standard deviation of the error that all calculated frequencies have in common: 1 % of the
+room's size, and some 4 K of temperature."""
 OWN_ERROR = 0.004
-"""Standard deviation of each calculated frequency's own error, relative: reactance, shape."""
+"""Relative standard deviation of the independent error of each calculated frequency."""
 DECAY_ERROR = 0.5
-"""Standard deviation of the logarithm of a calculated decay: the walls are not calibrated yet."""
+"""Standard deviation of the logarithm of a calculated decay, before the walls are calibrated."""
 _REACTANCE = 0.7
 """Standard deviation of a frequency's shift by reactance, of half the mode's width delta / (2 pi)."""
 _STRANGER = 0.05
@@ -375,11 +376,11 @@ _ODD = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Measured modes, each with its calculated mode.
+    """Assignment of measured modes to calculated modes.
 
-    ``measured`` and ``calculated`` (n_matches,) are indices of the modes that belong together, with
-    their ``probability``. ``scale`` is the factor of the calculated frequencies under which those
-    measured are likeliest. ``doubts`` say what speaks against the matches.
+    ``measured`` and ``calculated`` (n_matches,) are the numbers of modes that belong together, with the
+    ``probability`` that this is right. ``scale`` is the most likely ratio of measured to calculated
+    frequencies, and ``doubts`` are cautions about the assignment.
     """
 
     measured: NDArray[np.intp]
@@ -390,12 +391,11 @@ class Matches:
 
 
 def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches:
-    """Match measured modes to calculated ones.
+    """Return the assignment of measured modes to calculated modes.
 
-    Their frequencies in Hz and decays in 1/s are (n_calculated,).
-
-    Raises DataError for no more matches than random frequencies have, or a common factor at the end of
-    its range.
+    ``frequencies`` in Hz and ``decays`` in 1/s are those of the calculated modes, (n_calculated,).
+    Raises DataError if random frequencies would fit as well, or if the ratio of measured to calculated
+    frequencies is at the end of its range.
     """
     from scipy.special import bdtrc
 
@@ -480,15 +480,15 @@ def _likely(
 
 
 def frequency_error(frequencies: Array, decays: Array) -> Array:
-    """Return the standard deviation of each calculated frequency's own error in Hz, same shape."""
+    """Return the standard deviation of the independent error of each calculated frequency in Hz."""
     return np.asarray(np.hypot(OWN_ERROR * frequencies, _REACTANCE * decays / (2 * np.pi)))
 
 
 AMPLITUDE = 0.3
-"""Relative standard deviation of an amplitude at a pair, before anything was heard: positions, the
-walls' effect on the shape."""
+"""Relative standard deviation of a calculated amplitude at a pair, before the measurement: positions,
+and the effect of the walls on the mode's shape."""
 LEAST_AMPLITUDE = 0.15
-"""Least standard deviation that the amplitudes heard may tell."""
+"""Smallest relative standard deviation of amplitudes that may be estimated from the measurement."""
 _SMOOTH = 20.0
 """Hz over which the source's spectrum is smooth."""
 _LOCAL = 8.0
@@ -496,16 +496,17 @@ _LOCAL = 8.0
 _LEAST_RANGE = 15.0
 """dB between the first eighth of the responses and their last eighth, within the frequencies sought."""
 FARTHEST = 2.5 * COMMON_ERROR
-"""Largest relative error that all frequencies share and that is sought."""
+"""Largest relative error of all frequencies together that is tried."""
 _SCALES = 41
 _STEPS = 25
 
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Spectra of the responses: ``values`` (n_bins, n_pairs) at ``omega`` in 1/s, and their noise.
+    """Spectra of impulse responses, with their noise.
 
-    ``noise`` is the variance of the real part of a bin.
+    ``values`` (n_bins, n_pairs) are at the angular frequencies ``omega`` in 1/s. ``noise`` is the
+    variance of the real part of a value.
     """
 
     values: Complex
@@ -516,7 +517,11 @@ class Spectra:
 
     @classmethod
     def of(cls, signals: Array, rate: float, lowest: float, highest: float) -> Spectra:
-        """Return the spectra of responses (n_pairs, n_samples); DataError without a decay in them."""
+        """Return the spectra of responses (n_pairs, n_samples) in a frequency range in Hz.
+
+        ``rate`` is the sampling rate in Hz. Raises DataError if the responses have no decay above
+        noise.
+        """
         n = signals.shape[1]
         f = np.fft.rfftfreq(n, 1 / rate)
         inside = (f >= 0.75 * lowest) & (f <= 1.03 * highest)
@@ -536,7 +541,7 @@ class Spectra:
         return cls(spectra.T, np.asarray(2 * np.pi * f[inside]), noise, n, 1 / rate)
 
     def kernel(self, poles: Complex) -> tuple[Complex, Complex]:
-        """Return the spectra of exp(s t) and their derivatives by s, each (n_bins, n_poles)."""
+        """Return the spectra of exp(s t) for poles s and their derivatives, (n_bins, n_poles) each."""
         n, dt = self.samples, self.step
         turn = -1j * self.omega[:, np.newaxis] * dt
         step, last = np.exp(poles * dt) * np.exp(turn), np.exp(poles * dt * n) * np.exp(turn * n)
@@ -545,13 +550,13 @@ class Spectra:
 
     @cached_property
     def residuals(self) -> Complex:
-        """Spectra of the modes below and above those sought, (n_bins, 3): 1 / w, 1 and w."""
+        """Spectra of modes below and above the frequency range, (n_bins, 3): 1 / w, 1 and w."""
         x = self.omega / self.omega.mean()
         size = np.sqrt((np.abs(self.values) ** 2).mean())
         return np.asarray(size * x[:, np.newaxis] ** np.array([-1.0, 0.0, 1.0]), dtype=complex)
 
     def local(self, off: Complex) -> Array:
-        """Return the variance of a bin's real part, (n_bins,), averaged over its neighbours."""
+        """Return the variance of a bin's real part, (n_bins,), as a mean over its neighbours."""
         half = max(int(_LOCAL * 2 * np.pi / (self.omega[1] - self.omega[0])), 1)
         window = np.ones(2 * half + 1)
         power = np.convolve((np.abs(off) ** 2).mean(axis=1) / 2, window, "same")
@@ -562,9 +567,10 @@ class Spectra:
 
 
 def fitted(heard: Spectra, poles: Poles, psi: Complex) -> Point:
-    """Return the poles and amplitudes of the least squares.
+    """Return the poles and amplitudes that fit spectra by least squares.
 
-    How far amplitudes are from the calculated patterns is known only then, and counts in a second fit.
+    ``poles`` are the calculated poles, and ``psi`` (n_poles, n_pairs) their amplitudes at the pairs. A
+    second fit uses the deviation of the amplitudes from ``psi`` that the first one shows.
     """
     scale, amplitudes = _scanned(heard, poles.values, psi)
     own = frequency_error(poles.frequencies, poles.decays)
@@ -634,12 +640,12 @@ def _scanned(heard: Spectra, poles: Complex, psi: Complex) -> tuple[float, Compl
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Point:
-    """A point of the least squares: poles and amplitudes, with the errors there.
+    """Point of the least-squares fit of modes: poles and amplitudes, with their errors.
 
-    ``psi`` (n_poles, n_pairs) is what the pairs hear of each calculated pole, ``scale`` times whose
-    frequencies in Hz, and the logarithms of whose decays, are the ``prior`` (2 n_poles,) with its
-    standard deviation ``spread``. ``at`` are those of this point. ``amplitudes`` (n_poles + 3, n_pairs)
-    are of the poles and of the residuals.
+    ``at`` (2 n_poles,) are the frequencies in Hz and the logarithms of the decays in 1/s. ``prior`` are
+    their expected values, with ``scale`` times the calculated frequencies, and ``spread`` the standard
+    deviations. ``psi`` (n_poles, n_pairs) are the calculated amplitudes, ``amplitudes`` (n_poles + 3,
+    n_pairs) the fitted ones of the poles and of the modes out of range.
     """
 
     heard: Spectra
@@ -653,7 +659,7 @@ class Point:
 
     @property
     def frequencies(self) -> Array:
-        """Hz, (n_poles,)."""
+        """Frequencies in Hz, (n_poles,)."""
         return self.at[: len(self.psi)]
 
     @property
@@ -663,10 +669,10 @@ class Point:
 
     @cached_property
     def columns(self) -> Complex:
-        """Derivatives of the spectra, (n_bins, 2 n_amplitudes + 2 n_poles).
+        """Derivatives of the spectra by amplitudes and poles, (n_bins, 2 n_amplitudes + 2 n_poles).
 
-        By the amplitudes' real parts and imaginary parts; and two for each pole, which each pair mixes
-        by its amplitude. The residuals have no poles of their own.
+        They are by the real and imaginary parts of the amplitudes, and two for each pole, which count
+        with the pole's amplitude at each pair.
         """
         heard = self.heard
         poles, rest = -np.exp(self.log_decays) + 2j * np.pi * self.frequencies, heard.residuals
@@ -679,7 +685,7 @@ class Point:
 
     @cached_property
     def off(self) -> Complex:
-        """Spectra less those of the modes, (n_bins, n_pairs)."""
+        """Deviation of the measured spectra from those of the modes, (n_bins, n_pairs)."""
         parts = np.vstack([self.amplitudes.real, self.amplitudes.imag])
         return np.asarray(self.heard.values - self.columns[:, : len(parts)] @ parts)
 
@@ -690,7 +696,7 @@ class Point:
 
     @cached_property
     def expected(self) -> Complex:
-        """Amplitudes of the calculated patterns with the source's smooth spectrum."""
+        """Calculated amplitudes of the modes, times the source's smooth spectrum."""
         psi, f, own = self.psi, self.frequencies, self.own
         near = np.exp(-(((f[:, np.newaxis] - f) / _SMOOTH) ** 2))
         q = near @ (psi.conj() * own).sum(axis=1) / (near @ (np.abs(psi) ** 2).sum(axis=1))
@@ -699,7 +705,7 @@ class Point:
 
     @cached_property
     def ridge(self) -> Array:
-        """Weight of each mode's amplitudes, (n_poles,)."""
+        """Weight by which the amplitudes of each mode are held to the calculated ones, (n_poles,)."""
         n = len(self.own)
         size = np.sqrt((np.abs(self.expected[:n]) ** 2).mean(axis=1))
         spread = self.spread_of_amplitudes
@@ -708,37 +714,34 @@ class Point:
 
     @cached_property
     def weight(self) -> Array:
-        """Weights of the bins, (n_bins,)."""
+        """Weights of the bins in the least squares, (n_bins,)."""
         return np.asarray(1 / np.sqrt(self.heard.local(self.off)))
 
     @property
     def unexplained(self) -> float:
-        """Share of the responses' power that the modes leave."""
+        """Share of the responses' power that the modes do not explain."""
         return _share(self.off, self.heard.values)
 
     @property
     def strange(self) -> float:
-        """Share of the amplitudes' power that the calculated patterns leave."""
+        """Share of the amplitudes' power that the calculated modes do not explain."""
         within = self.frequencies <= self.heard.omega[-1] / (2 * np.pi)
         own = self.own[within]
         return _share(own - self.expected[: len(within)][within], own)
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the poles, (2 n_poles, 2 n_poles), with their prior."""
+        """Covariance of frequencies and ln decays of the poles, (2 n_poles, 2 n_poles)."""
         return np.asarray(np.linalg.inv(self._reduced(0.0)[0]))
 
     def misfit(self, there: Point) -> float:
-        """Return the weighted sum of squares at the point ``there``: residuals and prior.
-
-        The weights are those of this point.
-        """
+        """Return the weighted sum of squared deviations at another point, with this point's weights."""
         left = np.abs(there.off) ** 2 * self.weight[:, np.newaxis] ** 2
         far = np.abs(there.amplitudes - self.expected) ** 2 * self.ridge[:, np.newaxis]
         return float(left.sum() + far.sum() + (((there.at - self.prior) / self.spread) ** 2).sum())
 
     def moved(self, damping: float) -> Point:
-        """Return the point after a damped step."""
+        """Return the point after a damped step of the fit."""
         from scipy.linalg import solve_triangular
 
         matrix, right, lower, across, sides = self._reduced(damping)
@@ -799,10 +802,10 @@ def _share(part: Complex, whole: Complex) -> float:
 HIGHEST = 150.0  # Hz, where none is stated
 LARGEST_ERROR = 0.5  # largest relative uncertainty of a decay that is used
 UNEXPLAINED = 0.2
-"""Share of the responses' power, or of the amplitudes', from which these are not the room's modes.
+"""Share of unexplained power of responses or amplitudes above which they do not fit the room.
 
-In seven rooms with their own positions at most 2 % of the amplitudes' were unexplained. With receivers
-exchanged or a time axis 20 ms late it was 33 % or more.
+In seven rooms with their right positions at most 2 % of the amplitudes' power was unexplained; with
+exchanged receivers, or a time axis that is 20 ms late, it was 33 % or more.
 """
 _INFLATED = 1.5  # uncertainty over what independent errors give: what is left is no white noise
 
@@ -818,29 +821,29 @@ def find_modes(
     highest: float = HIGHEST,
     geometry: Polyhedron | None = None,
 ) -> MeasuredModes:
-    """Find the modes of a room in impulse responses at several positions.
+    """Return the modes of a room that are found in impulse responses at several positions.
 
     Parameters
     ----------
     room : Room
-        Room with geometry and positions. The search begins at its coefficients.
+        Room with its geometry and positions, and coefficients at which the search begins.
     responses : array (n_pairs, n_samples)
-        All in one unit and on one time axis, which begins when the sound begins.
+        Impulse responses, all in one unit, and all with a time axis that starts when the source emits.
     rate : float
-        Samples per second.
+        Sampling rate in Hz.
     pairs : sequence of (source, receiver)
-        Names of the positions in the room's scene.
+        Names of source and receiver of each response, as in the room's scene.
     lowest, highest : float
-        Hz within which modes are sought.
+        Frequency range in Hz in which modes are searched for.
     geometry : Polyhedron, optional
-        In place of the room's scene.
+        Geometry of the room, if its scene has no mesh or another one.
 
     Raises
     ------
     DataError
-        For fewer than two pairs, a pair that stands there twice, a shape or value that breaks its rule,
-        a clipped response, noise that leaves no decay, responses that the room's modes do not explain,
-        frequencies at the end of what is sought, or no mode that is sure enough.
+        For fewer than two pairs, a pair that occurs twice, a shape or value that breaks a rule, a
+        clipped response, noise that hides the decay, responses that the room's modes do not explain,
+        frequencies that differ too much from the calculated ones, or no mode that is certain enough.
     """
     pairs = checks.pairs("pairs", pairs)
     signals = _checked(responses, rate, pairs, lowest, highest)
@@ -864,9 +867,9 @@ def find_modes(
 
 
 def modes_in(room: Room, responses: Responses, geometry: Polyhedron | None) -> MeasuredModes:
-    """Return the modes of a SOFA file's responses, of the first channel; errors as `find_modes`.
+    """Return the modes that are found in the first channel of a SOFA file's responses.
 
-    A pair that was measured several times counts once.
+    A pair that was measured several times counts once. Errors are those of `find_modes`.
     """
     first: dict[tuple[str, str], Array] = {}
     placed, note = responses.placed(room.scene)

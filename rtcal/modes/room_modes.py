@@ -61,7 +61,7 @@ from rtcal.support.errors import DataError, MissingDependencyError, ModelError
 from rtcal.support.types import Array
 
 DECAY = 3 * float(np.log(10))
-"""Decay time of a mode times its delta: the level falls by 60 dB."""
+"""Product of a mode's decay time T and its decay constant delta, for a fall of the level by 60 dB."""
 
 _ROUNDS = 12
 _CONVERGED = 1e-7
@@ -74,12 +74,12 @@ Complex = NDArray[np.complex128]
 Integers = NDArray[np.intp]
 
 Admittances = Callable[[float], Complex]
-"""Specific admittance of each wall, (n_walls,), at a frequency in Hz."""
+"""Function that returns the specific admittance of each wall, (n_walls,), at a frequency in Hz."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoomModes:
-    """Modes of a room with rigid walls, up to a frequency.
+    """Modes of a room with rigid walls up to a frequency, from which those with absorption follow.
 
     Examples
     --------
@@ -89,20 +89,21 @@ class RoomModes:
     """
 
     frequencies: Array
-    """Hz, rising, without the mode of frequency 0, (n_modes,)."""
+    """Frequencies in Hz, rising, without that of constant pressure (0 Hz), (n_modes,)."""
     coupling: Array
-    """B in 1/m, (n_walls, n_modes + 1, n_modes + 1): integrals over each wall of the products of two
-    modes. Last is that of frequency 0, the constant pressure."""
+    """Integrals of the products of two modes over each wall in 1/m, (n_walls, n_modes + 1, n_modes +
+    1). The last mode is that of frequency 0, the constant pressure."""
     materials: Sequence[str]
-    """The material of each wall, (n_walls,)."""
+    """Name of the material of each wall, (n_walls,)."""
     speed_of_sound: float
-    """m/s."""
+    """Speed of sound in m/s."""
     largest: float
-    """Frequency in Hz up to which modes are wanted; those above it complete the others' shapes."""
+    """Frequency in Hz up to which modes are wanted. Modes above it improve the others' shapes."""
     shapes: Callable[[Array], Array]
-    """Function of points (n_points, 3) in m: the modes' values, (n_points, n_modes + 1) in m^(-3/2)."""
+    """Function that returns the modes' values in m^(-3/2), (n_points, n_modes + 1), at points
+    (n_points, 3) in m."""
     known: dict[bytes, Poles] = field(default_factory=dict, repr=False)
-    """The last poles that were asked, by the coefficients: kept for the next responses."""
+    """Poles that were calculated last, by the coefficients, for use with further responses."""
 
     @property
     def wanted(self) -> int:
@@ -110,12 +111,11 @@ class RoomModes:
         return int(np.searchsorted(self.frequencies, self.largest, side="right"))
 
     def poles(self, admittances: Admittances, like: Complex | None = None) -> Poles:
-        """Return the poles of the modes up to ``largest``.
+        """Return the poles (complex frequencies) of the modes up to ``largest`` with absorbing walls.
 
-        With ``like``, mixtures (n_modes + 1, n_poles), those whose shapes are like these: where two
-        modes lie close together, walls decide which is which, and the rigid room does not.
-
-        Raises ModelError if a pole does not converge: walls too far from rigid.
+        ``like`` (n_modes + 1, n_poles) are mixtures of rigid modes. With it the poles with the most
+        similar shapes are returned, which matters where two modes are close together. Raises ModelError
+        if a pole does not converge because walls are too far from rigid.
         """
         from scipy.optimize import linear_sum_assignment
 
@@ -201,10 +201,10 @@ class RoomModes:
 
 @dataclass(frozen=True, eq=False)
 class Poles:
-    """Poles of a room with absorbing walls.
+    """Poles (complex frequencies) of the modes of a room with absorbing walls.
 
-    A pole contributes a b / norm to the transfer function from a source to a receiver, where a and b
-    are the values of its mixture x at these points. The norm of a pole s is
+    Each mode is a mixture x of rigid modes. It contributes a b / norm to the transfer function from a
+    source to a receiver, where a and b are its values at these points. The norm of a pole s is
     x' (2 s + c sum_i beta_i B_i) x.
     """
 
@@ -215,17 +215,17 @@ class Poles:
 
     @property
     def frequencies(self) -> Array:
-        """Hz."""
+        """Frequencies of the modes in Hz."""
         return np.asarray(self.values.imag / (2 * np.pi))
 
     @property
     def decays(self) -> Array:
-        """Delta in 1/s."""
+        """Decay constants delta of the modes in 1/s."""
         return np.asarray(-self.values.real)
 
 
 PER_WAVELENGTH = 3.5
-"""Grid lines per wavelength of the highest mode that is wanted."""
+"""Number of grid lines per wavelength at the highest wanted frequency."""
 _PLANE = 1e-3
 """Distance in m from a wall within which the boundary of the mesh belongs to it."""
 _PATTERN = 0.3
@@ -244,25 +244,25 @@ def modes_of(
     *,
     spacing: float | None = None,
 ) -> RoomModes:
-    """Return the modes of a room with rigid walls up to a frequency.
+    """Return the modes of a room with rigid walls, up to a frequency.
 
     Parameters
     ----------
     geometry : Polyhedron
-        A box from the origin on, as `Polyhedron.shoebox` makes it, has closed forms.
+        Geometry of the room. A box, as `Polyhedron.shoebox` returns it, is calculated in closed form.
     largest : float
-        Hz.
+        Frequency in Hz up to which modes are wanted.
     speed_of_sound : float
-        m/s.
+        Speed of sound in m/s.
     spacing : float, optional
-        Edge length of the mesh in m: finite elements are then used for a box, too.
+        Edge length of the finite elements in m, which are then used for a box, too.
 
     Raises
     ------
     DataError
-        For an argument that breaks its rule.
+        For an argument that breaks a rule.
     ModelError
-        For a geometry of too many planes.
+        For a geometry with too many planes.
     MissingDependencyError
         If scikit-fem is needed and not installed.
 
@@ -396,9 +396,9 @@ def _library() -> Any:
 
 
 BEYOND = 1.1
-"""Modes up to this times the largest wanted frequency complete the shapes of those wanted."""
+"""Factor of the largest wanted frequency up to which modes are calculated, for more exact shapes."""
 MOST = 600
-"""Largest number of modes, about."""
+"""Approximate largest number of modes."""
 _LARGEST_SIDE = 500.0
 """m. A longer room is likely in mm."""
 _SUMMED = 200
@@ -406,12 +406,12 @@ _SUMMED = 200
 
 
 def box_modes(sides: Array, materials: Sequence[str], largest: float, c: float) -> RoomModes:
-    """Return the modes of a box from the origin to ``sides`` (3,) in m; see `modes_of`.
+    """Return the modes of a rigid box from the origin to ``sides`` (3,) in m, in closed form.
 
     phi = prod cos(n_i pi x_i / L_i) / norm, f = c / 2 |n / L| (Kuttruff 2009, Eq. 3.15 and 3.17).
 
-    ``materials`` (6,) are of west (x = 0), east, south, north, floor and ceiling; ``c`` is the speed of
-    sound in m/s. Raises DataError for too many modes up to ``largest``.
+    ``materials`` (6,) are those of west (x = 0), east, south, north, floor and ceiling; ``c`` is the
+    speed of sound in m/s. Raises DataError for too many modes up to ``largest`` in Hz.
     """
     top = BEYOND * largest
     counts = np.floor(2 * top * sides / c).astype(int)
@@ -466,7 +466,7 @@ def box_modes(sides: Array, materials: Sequence[str], largest: float, c: float) 
 
 
 def refuse_many(count: float, largest: float, sides: Array) -> None:
-    """Raise DataError for more than `MOST` modes up to ``largest`` in Hz; ``sides`` in m."""
+    """Raise DataError for more than `MOST` modes up to ``largest`` in Hz in a box of ``sides`` in m."""
     if count > MOST:
         size = " x ".join(f"{side:.3g}" for side in sides)
         raise DataError(
@@ -500,10 +500,10 @@ def _beyond(
 
 
 Plane = tuple[Array, float]
-"""Normal and offset in m."""
+"""Normal of a plane, and its offset in m."""
 
 MOST_TETRAHEDRA = 150_000
-"""Largest number of tetrahedra."""
+"""Largest number of tetrahedra of finite elements."""
 _TOO_MANY = (
     f"the room's {{}} need over {MOST_TETRAHEDRA} tetrahedra: give a mesh without small objects"
 )
@@ -516,10 +516,11 @@ _EDGES = np.array([*combinations(range(4), 2)])
 
 
 def fill(geometry: Polyhedron, spacing: float) -> tuple[Array, Integers]:
-    """Return vertices (n_vertices, 3) in m and tetrahedra (n_tetrahedra, 4) of a room.
+    """Return a mesh of tetrahedra that fills a room, for finite elements.
 
-    ``spacing`` is the largest distance of grid lines in m. Raises ModelError for a room that would need
-    more than `MOST_TETRAHEDRA` tetrahedra.
+    It is vertices (n_vertices, 3) in m, and their numbers by tetrahedron, (n_tetrahedra, 4).
+    ``spacing`` is the largest distance of grid lines in m. Raises ModelError for more than
+    `MOST_TETRAHEDRA` tetrahedra.
     """
     lines = [_lines(geometry.vertices[:, axis], spacing) for axis in range(3)]
     if 6 * np.prod([len(line) - 1.0 for line in lines]) > MOST_TETRAHEDRA:
@@ -601,14 +602,16 @@ def _cut(points: Array, tetrahedra: Integers, plane: Plane) -> tuple[Array, Inte
 
 
 LARGEST = 0.856
-"""alpha above which beta follows its tangent, nine tenths of the largest: beta says nothing of alpha
-there."""
+"""Coefficient alpha above which the admittance follows its tangent: nine tenths of the largest alpha of
+a real admittance, near which the admittance does not determine alpha."""
 _NEWTON = 8
 """Steps: the last ones change no digit, at `LARGEST` either."""
 
 
 def absorption(beta: Complex | Array) -> Array:
-    """Return the random-incidence absorption coefficient of specific admittances, same shape.
+    """Return the random-incidence absorption coefficients of walls with given specific admittances.
+
+    ``beta`` is rho c over the wall's impedance; the coefficients have its shape.
 
     Raises DataError for an admittance that is not finite or whose real part is below 0.
 
@@ -629,10 +632,10 @@ def absorption(beta: Complex | Array) -> Array:
 
 
 def admittance(alpha: Array) -> Array:
-    """Return the real specific admittance of this random-incidence absorption coefficient, same shape.
+    """Return the real specific admittances of walls with given random-incidence coefficients.
 
-    ``alpha`` is from 0 to 1. Above `LARGEST` beta follows its tangent. Raises DataError for an alpha
-    outside.
+    ``alpha`` is from 0 to 1; the admittances have its shape. Above `LARGEST` they follow their tangent.
+    Raises DataError for other coefficients.
 
     Examples
     --------
@@ -646,7 +649,7 @@ def admittance(alpha: Array) -> Array:
 
 
 def admittance_slope(alpha: Array) -> Array:
-    """Return d beta / d alpha, same shape; errors as `admittance`."""
+    """Return the derivative of the real specific admittance by alpha; errors as `admittance`."""
     return _with_slope(np.asarray(alpha, dtype=float))[1]
 
 
@@ -670,20 +673,21 @@ def _rise(beta: Array) -> Array:
 
 
 CORRELATION = 0.8
-"""Correlation of a coefficient's error an octave apart, where the ``band_correlation`` stated is 0."""
+"""Correlation of a coefficient's errors an octave apart if the room's ``band_correlation`` is 0."""
 ABOVE = 1.08
-"""Modes are calculated up to this times the highest frequency that is asked of them."""
+"""Factor of the highest frequency in use up to which modes are calculated."""
 _STEP = 10.0
 _MOST_POLES = 12
 
 
 @dataclass(frozen=True, eq=False)
 class AtFrequencies:
-    """The coefficients of a room's materials at single frequencies.
+    """Coefficients of a room's materials at single frequencies, interpolated from those in bands.
 
-    ``mean`` and ``sigma`` (n_materials, n_frequencies) are alpha's prior there, ``weights``
-    (n_frequencies, n_bands) W of the errors in prior sigmas, and ``remainder`` (n_frequencies,
-    n_frequencies) R in prior variances.
+    ``mean`` and ``sigma`` (n_materials, n_frequencies) are the input coefficients there and their
+    standard deviations. ``weights`` (n_frequencies, n_bands) interpolate changes of the coefficients in
+    sigmas, and ``remainder`` (n_frequencies, n_frequencies) is the covariance that remains, in sigmas
+    squared.
     """
 
     mean: Array
@@ -694,7 +698,7 @@ class AtFrequencies:
 
     @classmethod
     def of(cls, room: Room, frequencies: Array) -> AtFrequencies:
-        """Return the coefficients of a room with correlated bands at these frequencies in Hz."""
+        """Return the coefficients of a room at single frequencies in Hz."""
         n, places = room.n_bands, np.log2(frequencies)
         every = np.concatenate([room.centre_frequencies, frequencies])
         correlation = bands.correlation(every, room.band_correlation)
@@ -708,7 +712,7 @@ class AtFrequencies:
         return cls(mean, sigma, weights, remainder, room)
 
     def alpha(self, alpha: Array) -> Array:
-        """Return alpha there, (n_materials, n_frequencies), of alpha in the bands."""
+        """Return coefficients at the frequencies, (n_materials, n_frequencies), from those in bands."""
         room = self.prior
         shift = np.divide(
             alpha - room.alpha, room.sigma, out=np.zeros_like(alpha), where=room.sigma > 0
@@ -717,7 +721,7 @@ class AtFrequencies:
         return np.asarray(np.clip(self.mean + self.sigma * (shift @ self.weights.T), 0.0, 1.0))
 
     def slope(self) -> Array:
-        """Return d alpha(f) / d alpha(band), (n_materials, n_frequencies, n_bands)."""
+        """Return their derivatives by those in bands, (n_materials, n_frequencies, n_bands)."""
         sigma = self.prior.sigma
         inverse = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0)
         return np.asarray(self.sigma[:, :, np.newaxis] * self.weights * inverse[:, np.newaxis, :])
@@ -725,9 +729,9 @@ class AtFrequencies:
 
 @dataclass(frozen=True, eq=False)
 class RoomPoles:
-    """The room's poles as functions of alpha in its bands.
+    """Poles (complex frequencies) of a room's modes, as functions of its coefficients in bands.
 
-    ``room`` states the correlation of its bands.
+    ``room`` must state a correlation of its bands.
     """
 
     room: Room
@@ -735,7 +739,7 @@ class RoomPoles:
 
     @classmethod
     def of(cls, room: Room, largest: float, geometry: Polyhedron | None = None) -> RoomPoles:
-        """Return the poles of a room's modes up to at least ``largest`` in Hz.
+        """Return the poles of a room's modes up to a frequency ``largest`` in Hz, or somewhat higher.
 
         Errors as `rtcal.calibrate_modes`.
         """
@@ -754,21 +758,21 @@ class RoomPoles:
 
     @cached_property
     def at(self) -> AtFrequencies:
-        """The coefficients at the modes' frequencies, those that complete the shapes as well."""
+        """Coefficients at the modes' frequencies, also of the modes above the wanted frequencies."""
         return AtFrequencies.of(self.room, self.modes.frequencies)
 
     @cached_property
     def rows(self) -> list[int]:
-        """The material of each wall."""
+        """Number of the material of each wall."""
         return [self.room.material_index(m) for m in self.modes.materials]
 
     @cached_property
     def calculated(self) -> Poles:
-        """All poles with the room's own coefficients."""
+        """Poles of all modes with the input coefficients of the room."""
         return self.poles(self.room.alpha)
 
     def poles(self, alpha: Array) -> Poles:
-        """Return all poles, with the shapes of those `calculated`; the modes keep the last ones."""
+        """Return the poles of all modes for coefficients, in the order of those `calculated`."""
         own = np.array_equal(alpha, self.room.alpha)
         walls = [of[self.rows].tobytes() for of in (self.at.mean, self.at.alpha(alpha))]
         known, key = self.modes.known, walls[0] if own else b"".join(walls)
@@ -786,9 +790,9 @@ class RoomPoles:
         return known[key]
 
     def amplitudes(self, pairs: Sequence[tuple[str, str]]) -> Complex:
-        """Return what each pair of positions hears of each pole, (n_poles, n_pairs).
+        """Return the amplitude of each mode at each pair of positions, (n_poles, n_pairs).
 
-        Of a source of the same strength at all frequencies, with the room's own coefficients.
+        It is that of a source with the same strength at all frequencies, with the room's coefficients.
         """
         scene, poles = self.room.scene, self.calculated
         for source, receiver in pairs:
@@ -811,9 +815,10 @@ class RoomPoles:
         return np.asarray((at[0] * at[1] / poles.norms).T)
 
     def linear(self, alpha: Array, chosen: Integers) -> tuple[Array, Array, Array]:
-        """Return chosen modes' decays, their slopes by alpha in the bands, and the remainder.
+        """Return decays of chosen modes, their derivatives by alpha, and their remaining covariance.
 
-        (n_modes,), (n_modes, n_materials * n_bands) and (n_modes, n_modes), in 1/s.
+        They are (n_modes,), (n_modes, n_materials * n_bands) and (n_modes, n_modes), for decays in 1/s.
+        The covariance is that of the coefficients between the bands' centre frequencies.
         """
         poles, columns = self.poles(alpha), chosen.tolist()
         beta_slope = admittance_slope(self.at.alpha(alpha)[:, columns])
