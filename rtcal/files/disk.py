@@ -33,7 +33,8 @@ from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 RECORD = ".rtcal_files.json"
-"""The record of a folder's sets; without it files are read as they are, and replaced with --force."""
+"""Name of the file that records which files of a folder rtcal wrote; others are only replaced with
+--force."""
 NEW = ".rtcal-new"
 """Ending of a file while it is written."""
 _MOST_RECORD = 2**22
@@ -72,7 +73,7 @@ _current: _Set | None = None
 
 @contextmanager
 def one_set(command: str) -> Iterator[None]:
-    """Let all that is written in the block be one set, which `commit` writes, of this command."""
+    """Collect the files that are written in the block as one set of a command, for `commit`."""
     global _current
     outer, _current = _current, _Set(command)
     try:
@@ -89,7 +90,7 @@ def command() -> str:
 
 @contextmanager
 def at_once() -> Iterator[None]:
-    """Write what is written in the block at once, apart from the running command's set."""
+    """Write the files of the block at once, apart from the running command's set."""
     global _current
     outer, _current = _current, None
     try:
@@ -99,7 +100,7 @@ def at_once() -> Iterator[None]:
 
 
 def may_replace(path: str | os.PathLike[str] | None = None) -> None:
-    """Let the running command replace a file that rtcal did not write; without a path, every one."""
+    """Let the running command replace a file that rtcal did not write; every file without a path."""
     if _current is None or _current.replaced is None:
         return
     if path is None:
@@ -109,7 +110,7 @@ def may_replace(path: str | os.PathLike[str] | None = None) -> None:
 
 
 def commit() -> list[str]:
-    """Write what the running command has to write, as one set; return what it has written so far."""
+    """Write the files of the running command as one set, and return the names of all it has written."""
     if _current is None:
         return []
     contents, _current.contents = _current.contents, {}
@@ -120,7 +121,7 @@ def commit() -> list[str]:
 
 
 def target(path: Path) -> Path:
-    """Return the file that a path or link refers to; OSError if the target is not a file."""
+    """Return the path of the file that a path or link refers to; OSError if that is not a file."""
     try:
         file = path.resolve()
         kind = file.stat().st_mode
@@ -225,7 +226,7 @@ def _require_whole(path: Path) -> None:
 
 
 def refuse_foreign(path: str | os.PathLike[str]) -> None:
-    """Raise DataError if the running command would replace a file that is not rtcal's own."""
+    """Raise DataError if the running command would replace a file that rtcal did not write."""
     if _current is None or _current.replaced is None:
         return
     known = _current.replaced | _current.contents.keys()
@@ -271,7 +272,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file whole at once, without a record: a piece of a study, or what a cache keeps."""
+    """Write a file whole at once, without a record, such as a piece of a study or of a cache."""
     new = path.with_name(f".{path.name}.{os.getpid()}{NEW}")
     with _naming(path, _UNWRITTEN):
         _write_file(new, content)
@@ -279,11 +280,11 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 MAX_BYTES = 2**28
-"""Largest size of a file; errors of 60 reference rooms in 60 configurations have 1 MB."""
+"""Largest size of a kept array's file in bytes; errors of 60 rooms in 60 configurations have 1 MB."""
 
 
 def read(path: Path, limit: int = MAX_BYTES) -> Array | None:
-    """Return the array that `write` kept under this name; None if there is none."""
+    """Return the array that `write` kept under this path; None if there is none."""
     try:
         kept = read_bytes(path, limit)
     except DataError:
@@ -296,9 +297,9 @@ def read(path: Path, limit: int = MAX_BYTES) -> Array | None:
 
 
 def write(path: Path, array: Array) -> None:
-    """Keep an array of numbers. The name must identify what the array depends on, such as by a hash.
+    """Write an array of numbers into a cache, under a path that must identify what it depends on.
 
-    Where the folder cannot be written, nothing is kept.
+    If the folder cannot be written, nothing is kept.
     """
     content = io.BytesIO()
     np.save(content, array, allow_pickle=False)
@@ -313,9 +314,10 @@ def _sealed(path: Path, content: bytes) -> bytes:
 
 
 def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
-    """Return a file's bytes; DataError if it is missing, no regular file, or above ``limit``.
+    """Return the bytes of a file.
 
-    Also if it is of a set that was written in part.
+    Raises DataError if the file is missing, is not a regular file, has more than ``limit`` bytes, or is
+    of a set of files that was written only in part.
     """
     with _naming(path):
         if Path(path).exists() and not Path(path).is_file():
@@ -337,7 +339,10 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
 
 
 def read_text(path: str | os.PathLike[str], limit: int) -> str:
-    """Return a file's text; DataError if it cannot be read, is above ``limit`` bytes or no UTF-8."""
+    """Return the text of a file in UTF-8.
+
+    Raises DataError if it cannot be read, has more than ``limit`` bytes, or is not UTF-8.
+    """
     content = read_bytes(path, limit)
     try:
         return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
@@ -350,9 +355,9 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
 def spare(
     written: Sequence[str | os.PathLike[str]], read: Sequence[str | os.PathLike[str]]
 ) -> None:
-    """Raise DataError if a path to be written is also read, or is to be written twice.
+    """Raise DataError if a path to be written is also read, or would be written twice.
 
-    Also if a command would replace a file that is not rtcal's own.
+    This includes a file that rtcal did not write and that a command would replace.
     """
     taken = {Path(path).resolve(): path for path in read}
     for path in written:
@@ -369,17 +374,17 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write bytes whole or not at all; DataError if the place cannot be written."""
+    """Write a file's bytes whole or not at all; raises DataError if the file cannot be written."""
     write_all({checks.path("path", path): content})
 
 
 def write_all(contents: Mapping[Any, bytes], folder: str | os.PathLike[str] | None = None) -> None:
-    """Write several files as one set: each whole, or all as they were if one cannot be written.
+    """Write several files as one set: if one cannot be written, all stay as they were.
 
-    In a command they are written at its end, with all else that it writes. If the process is killed
-    while they are written, readers refuse them until they are written anew. Links are followed, and
-    existing files keep their mode. The keys are paths, in a ``folder`` that is made. Raises DataError,
-    naming the file, if a place cannot be written.
+    The keys of ``contents`` are paths, in ``folder`` if it is given, which is made if needed. In a
+    command the files are written at its end. If the process is killed meanwhile, rtcal refuses to read
+    the files until they are written again. Links are followed, and existing files keep their mode.
+    Raises DataError, which names the file, if it cannot be written.
     """
     if folder is not None:
         make_folder(folder)
@@ -399,16 +404,16 @@ def write_all(contents: Mapping[Any, bytes], folder: str | os.PathLike[str] | No
 
 
 def make_folder(path: str | os.PathLike[str]) -> None:
-    """Make a folder, with those above it, unless it exists; DataError if that fails."""
+    """Make a folder and those above it, unless it exists; raises DataError if that fails."""
     with _naming(path):
         Path(path).mkdir(parents=True, exist_ok=True)
 
 
 def json_numbers(value: Any) -> Any:
-    """Return a value as JSON has it: numbers, texts, lists and objects; None for NaN, which JSON lacks.
+    """Return a value as plain numbers, texts, lists and objects for JSON; NaN becomes None.
 
-    A table, an array with names, is a list with an object per row. What has a ``to_dict`` is what that
-    returns; another dataclass its fields, or its text where it has one.
+    An array with named columns becomes a list with an object per row. An object with a ``to_dict``
+    becomes the value of that; another dataclass becomes its fields, or its text if it has one.
     """
     if value is None or isinstance(value, str | bool):
         return value
@@ -434,5 +439,5 @@ def json_numbers(value: Any) -> Any:
 
 
 def json_text(record: Mapping[str, Any], *, ascii_only: bool = False) -> str:
-    """Return a record as JSON (`json_numbers`), other characters as escapes if ``ascii_only``."""
+    """Return a record as JSON text, with other characters as escapes if ``ascii_only``."""
     return json.dumps(json_numbers(record), indent=1, ensure_ascii=ascii_only, allow_nan=False)

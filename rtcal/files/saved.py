@@ -30,36 +30,36 @@ from rtcal.support.blocks import Block, lines, notebook
 from rtcal.support.errors import DataError
 
 NUMBERS = "result.json"
-"""Name of a result's file in its folder."""
+"""Name of the result's file in its folder."""
 MAX_BYTES = 2**28
-"""Largest size of a file in bytes: reference simulations of a large room have some 10 MB."""
+"""Largest size of a result's file in bytes; reference simulations of a large room have some 10 MB."""
 NOT_SAVED = {"saved": False}
-"""Metadata of a dataclass field that is not stored, such as what was compiled."""
+"""Metadata of a dataclass field that is not saved, such as a compiled problem."""
 _OBJECT = "object"
 _KINDS = "bifcU"  # of arrays: truth values, integers, floats, complex numbers, texts
 
 
 class CannotBeSavedError(DataError):
-    """An object that no file can hold, such as a function or a simulator of the user's own class."""
+    """Report an object that no file can hold, such as a function or a simulator of your own class."""
 
 
 class Result(ABC):  # some kinds have methods that each of them must have
-    """A result that can be saved and loaded again: a frozen dataclass of the data behind it."""
+    """Hold a result that can be saved and loaded again: base of the results that rtcal returns."""
 
     record_kind: ClassVar[str]
-    """Value of the key ``rtcal`` in its file."""
+    """Value of the key ``rtcal`` in the result's file, such as "loop 1"."""
     in_file: ClassVar[str] = ""
-    """Names of the attributes that `to_dict` states, some as key=path, such as room=prior.name."""
+    """Names of the attributes that `to_dict` writes, some as key=path, such as room=prior.name."""
     words_in: ClassVar[str] = ""
-    """Module whose ``blocks`` makes those of the result, imported when they are asked for."""
+    """Name of the module whose function ``blocks`` makes the printed text of the result."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as plain numbers, lists and text, None where a value is missing."""
+        """Return the result as plain numbers, lists and text for JSON; a missing value is None."""
         named = (name.partition("=") for name in self.in_file.split())
         return {key: json_numbers(attrgetter(path or key)(self)) for key, _, path in named}
 
     def blocks(self) -> list[Block]:
-        """Return what the result shows, as tables and notes."""
+        """Return the tables and notes that the result prints."""
         made: list[Block] = import_module(self.words_in).blocks(self) if self.words_in else []
         return made
 
@@ -72,11 +72,11 @@ class Result(ABC):  # some kinds have methods that each of them must have
         return notebook(repr(self).strip("<>"), shown) if shown else None
 
     def to_json(self, folder: str | os.PathLike[str] | None = None) -> str:
-        """Return the text of its file: the numbers of `to_dict`, and the result itself.
+        """Return the JSON text that `save` writes: the numbers of `to_dict`, and the data to load it.
 
-        Files that it names, such as a room's mesh, are named as seen from ``folder``, in which the text
-        is written; without one, by their whole path. A result that holds an object of the user's own
-        class, such as a simulator, has its numbers alone, and the reason.
+        Names of other files, such as a room's mesh, are relative to ``folder``, or whole paths without
+        one. If the result has an object of your own class, such as a simulator, it cannot be loaded
+        again: the text then has only the numbers, and the reason.
         """
         try:
             return self._text({"objects": plain(self, folder)})
@@ -89,11 +89,11 @@ class Result(ABC):  # some kinds have methods that each of them must have
         return f'{numbers},\n "{_OBJECT}": {json.dumps(itself, allow_nan=False)}\n}}\n'
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write a file that `rtcal.load` reads, whole or not at all, and return its path.
+        """Write the result as a file that `rtcal.load` reads, and return the path of the file.
 
-        ``path`` is a folder, which gets a ``result.json``, or a file's name that ends in ``.json``.
-        Raises DataError if the file cannot be written, or the result holds an object that no file can
-        hold.
+        ``path`` is a folder, which gets a ``result.json``, or a file's name that ends in ``.json``. The
+        file is written whole or not at all. Raises DataError if it cannot be written, or if the result
+        has an object that no file can hold.
         """
         place = checks.path("path", path)
         if place.suffix != ".json" or place.is_dir():
@@ -104,23 +104,23 @@ class Result(ABC):  # some kinds have methods that each of them must have
 
 
 def load(path: str | os.PathLike[str]) -> Any:
-    """Return the result that a folder or a file holds, with its room, its data and all its methods.
+    """Return a saved result from its folder or file, as the object that was saved.
 
     Parameters
     ----------
     path : path
-        The folder that `save`, ``rtcal calibrate --out`` or another command wrote, or the
-        ``result.json`` in it.
+        Folder that ``save``, ``rtcal calibrate --out`` or another command wrote, or the ``result.json``
+        in it.
 
     Returns
     -------
     CalibrationResult, JointResult, Loop, PositionsResult, Finding, Verification or another
-        It prints the same as the one that was saved.
+        Result with its room, data and methods, which prints the same as when it was saved.
 
     Raises
     ------
     DataError
-        If the file is no result, or another version of rtcal wrote it.
+        If the file is not a result, or if an incompatible version of rtcal wrote it.
     """
     place = checks.path("path", path)
     if place.is_dir():
@@ -154,10 +154,10 @@ def load(path: str | os.PathLike[str]) -> Any:
 
 
 def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]:
-    """Return a dataclass as a list of plain objects for JSON: each after those that it holds.
+    """Return a dataclass as a list of plain objects for JSON, each after the objects that it contains.
 
-    Files are named as seen from ``folder``; without one, by their whole path. Raises CannotBeSavedError
-    for an object that is no dataclass of rtcal's kinds.
+    Names of files are relative to ``folder``, or whole paths without one. Raises CannotBeSavedError for
+    an object that is not one of rtcal's dataclasses.
 
     Examples
     --------
@@ -215,7 +215,10 @@ def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]
 
 
 def restored(objects: Any, folder: str | os.PathLike[str] = "") -> Any:
-    """Return the value that `plain` wrote for a file in ``folder``; DataError for anything else."""
+    """Return the object that `plain` turned into ``objects``; raises DataError for anything else.
+
+    Names of files are relative to ``folder``.
+    """
     made: list[Any] = []
 
     def value(entry: Any) -> Any:

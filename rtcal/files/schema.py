@@ -44,14 +44,18 @@ _REFUSED = msgspec.ValidationError, UnicodeEncodeError, IndexError, TypeError
 
 
 class FileTable(msgspec.Struct, forbid_unknown_fields=True):
-    """A table of a file: its fields are the keys that it may have; those without a default it must."""
+    """Describe a table of a file: its fields are the keys that may be there.
+
+    Those without a default must.
+    """
 
 
 def read(kind: type[T], data: object, place: str = "") -> T:
-    """Return the content of a file, or of a part of it, as a value of a type that msgspec knows.
+    """Return the content of a file, or of a part of it, as a value of the type ``kind``.
 
-    ``data`` is as `json_object` and `toml_table` return it. ``place`` is the part's name in messages,
-    "" for the whole file; with ``:`` at its end a message goes on after a blank, else after a dot.
+    ``data`` is what `json_object` or `toml_table` returned, ``kind`` a type that msgspec knows.
+    ``place`` is the part's name in messages, "" for the whole file; the name of a key follows it after
+    a dot, or after a blank if it ends in ``:``.
     Raises DataError for an unknown or missing key, a value of another type, or one that an object's
     constructor refuses; the message names place, value and rule, and the key that is likely meant.
 
@@ -345,7 +349,7 @@ _MOST_OF_A_FILE = 2**25
 
 
 def kind_of(path: str | os.PathLike[str]) -> str:
-    """Return which kind of rtcal's files a file is, "" for another one.
+    """Return the kind of rtcal's files to which a file belongs, "" for another file.
 
     It is `RESULT`, `TABLE`, "a room", "a case", "a file of variants" or "a file of treatments".
     """
@@ -365,7 +369,7 @@ def kind_of(path: str | os.PathLike[str]) -> str:
 
 
 class OtherKindError(DataError):
-    """A file of another kind than the one that is needed in its place."""
+    """Report a file of another kind than the one that is needed."""
 
     path: str
     needed: str
@@ -373,7 +377,10 @@ class OtherKindError(DataError):
 
 @contextmanager
 def expecting(kind: str, path: str | os.PathLike[str]) -> Iterator[None]:
-    """Let errors of reading a file name it; OtherKindError where `kind_of` knows it as another kind."""
+    """Add the file's name to errors of reading it.
+
+    OtherKindError if it is another kind of rtcal's files.
+    """
     place = os.fspath(checks.path("path", path))
     try:
         yield

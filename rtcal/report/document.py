@@ -35,7 +35,7 @@ __dir__ = __all__.copy
 PAGE = "report.html"
 """Name of a page in its folder."""
 MOST_MATERIALS = 100
-"""Largest number of materials in a page's tables: those that absorb, or were learned of, most."""
+"""Largest number of materials in a page's tables: those that absorb or changed most are shown."""
 MAX_BYTES = 2 * 10**6
 """Largest size of a page in bytes."""
 _ABREAST, _WORDY = 7, 16
@@ -44,16 +44,17 @@ _ABREAST, _WORDY = 7, 16
 
 @dataclass(frozen=True)
 class Heading:
-    """The head of a page, which each sheet repeats when it is printed.
+    """Hold title, author and date of a page, which each printed sheet repeats.
 
     Attributes
     ----------
     title : str
-        By default the room's name.
+        Title of the page; by default the room's name.
     author : str
-        Who made it; by default the room's author, if it has one.
+        Author of the page; by default the room's author, if it has one.
     date : str
-        As it is to be printed; nothing by default, so that the same result gives the same bytes.
+        Date as it is to be printed. By default there is none, so that a result always gives the same
+        file.
 
     Raises
     ------
@@ -72,7 +73,10 @@ class Heading:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading of a page; ``name`` is its anchor, ``new_sheet`` says that paper begins anew there."""
+    """Hold a heading of a page.
+
+    ``name`` is its anchor, and ``new_sheet`` starts a new sheet of paper.
+    """
 
     title: str
     name: str
@@ -82,7 +86,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Box:
-    """A verdict: "agrees", "open" or "contradicts", with its first sentence and the reasons."""
+    """Hold a verdict, "agrees", "open" or "contradicts", with its first sentence and the reasons."""
 
     level: str
     lead: str
@@ -91,21 +95,21 @@ class Box:
 
 @dataclass(frozen=True)
 class Items:
-    """Sentences as a list; without any, nothing."""
+    """Hold sentences that a page shows as a list, or nothing without any."""
 
     texts: Sequence[str]
 
 
 @dataclass(frozen=True)
 class Code:
-    """Commands to copy."""
+    """Hold commands that a reader of the page can copy."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Files:
-    """Files within the page, by name, with instructions for the reader: "Save a and b" and ``text``."""
+    """Hold files within a page, by name, with instructions for the reader."""
 
     contents: Mapping[str, bytes]
     text: str
@@ -113,10 +117,10 @@ class Files:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A figure, which ``draw`` makes once, and its caption; ``tall`` says that it may be high.
+    """Hold a figure, which ``draw`` makes once, and its caption; ``tall`` allows it to be high.
 
-    ``alt`` stands in its place for who does not see it; without one the caption does. A figure with a
-    ``name`` is a file of its own, too.
+    ``alt`` is the text for readers who cannot see the figure, by default the caption. A figure with a
+    ``name`` is also written as a separate file.
     """
 
     draw: Callable[[], Any]
@@ -127,13 +131,13 @@ class Picture:
 
     @cached_property
     def figure(self) -> Any:
-        """The figure of matplotlib."""
+        """Figure of matplotlib."""
         return self.draw()
 
 
 @dataclass(frozen=True, eq=False)
 class SideBySide:
-    """Parts that stand side by side where the page is wide; ``kind`` is their class."""
+    """Hold parts of a page that are shown side by side if the page is wide; ``kind`` is their class."""
 
     parts: Sequence[Sequence[Any]]
     kind: str = ""
@@ -141,7 +145,7 @@ class SideBySide:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """A page: its subject, its author, its heading, and its blocks.
+    """Hold the subject, the author, the heading and the blocks of a page.
 
     Blocks are those of `rtcal.support.blocks`, the classes of this module, and the room of
     `rtcal.report.room_view`.
@@ -156,7 +160,7 @@ class Page:
 def render(
     page: Page, heading: Heading | None = None, progress: Callable[[], None] | None = None
 ) -> str:
-    """Return a page as HTML; ``progress`` is called after each figure."""
+    """Return a page as HTML text; the function ``progress`` is called after each figure."""
     stated = heading or Heading()
     title = stated.title or shortened(page.name, LONGEST_NAME)
     whole = Heading(title, stated.author or page.author, stated.date)
@@ -188,7 +192,7 @@ def render(
 def page_files(
     page: Page, result: Result, folder: Path, heading: Heading | None = None
 ) -> dict[Path, bytes]:
-    """Return by path a page, the numbers of its result and its figures that have a name."""
+    """Return the files of a page by path: the page, its result's numbers, and figures with a name."""
     out = {
         folder / PAGE: render(page, heading).encode(),
         folder / NUMBERS: result.to_json(folder).encode(),
@@ -200,7 +204,7 @@ def page_files(
 
 
 def source(picture: Picture) -> str:
-    """Return a figure as a data URI, a separate document whose ids do not clash with the page's."""
+    """Return a figure as a data URI, whose ids cannot clash with those of the page."""
     return data_of(figures.rendered(picture.figure, "svg"), "image/svg+xml")
 
 
@@ -210,14 +214,14 @@ def data_of(content: bytes, kind: str = "text/plain") -> str:
 
 
 def abreast(columns: Sequence[str]) -> list[slice]:
-    """Return the columns of each part of a table, alike in number, so that it fits a sheet."""
+    """Return the columns of each part of a table that is divided, so that each part fits a sheet."""
     number = -(-len(columns) // _ABREAST)
     ends = [len(columns) * part // number for part in range(number + 1)]
     return [slice(first, end) for first, end in pairwise(ends)]
 
 
 def wordy(table: Table) -> list[bool]:
-    """Return which columns are of texts that are longer than a number, (n_columns,)."""
+    """Return True for each column whose texts are longer than a number, (n_columns,)."""
     columns = zip(
         *((() if r.form else r.cells) or [""] * len(table.columns) for r in table.printed),
         strict=True,
@@ -289,11 +293,11 @@ def coefficients(
     at_bound: NDArray[np.bool_] | None = None,
     most: Sequence[int] | None = None,
 ) -> Table:
-    """Return the table of coefficients by material and band: input → calibrated, and the interval.
+    """Return the table of input and calibrated coefficients by material and band, with the interval.
 
-    ``room`` has the input coefficients, ``alpha`` is (n_materials, n_bands), as are the ends of the 90
-    % ``interval`` and ``at_bound``: coefficients at a bound get a star. ``most`` are the numbers of the
-    materials that a page shows, by default all.
+    ``room`` has the input coefficients. The calibrated ``alpha``, the ends of its 90 % ``interval`` and
+    ``at_bound`` are (n_materials, n_bands); coefficients at a bound get a star. ``most`` are the
+    numbers of the materials that a page shows, by default all.
     """
 
     def cell(i: int, k: int) -> str:
@@ -322,7 +326,7 @@ def coefficients(
 
 
 def cautions(marks: Sequence[TrustMark]) -> list[Block]:
-    """Return the table of the cautions, a row for each kind, or that there are none."""
+    """Return a table of the cautions, one row for each kind, or a note that there are none."""
     if not marks:
         return [
             Note(

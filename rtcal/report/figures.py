@@ -48,27 +48,27 @@ BLACK, ORANGE, BLUE, GREEN = "#000000", "#D55E00", "#0072B2", "#009E73"
 MEASURED: dict[str, Any] = {"color": BLACK, "marker": "o", "linestyle": "none"}
 BEFORE: dict[str, Any] = {"color": ORANGE, "marker": "s", "linestyle": "--"}
 AFTER: dict[str, Any] = {"color": BLUE, "marker": "o", "markersize": 10, "markerfacecolor": "none"}
-"""Lines of what was measured, and of a model before and after its calibration."""
+"""Styles of the lines for measured values, and for a model before and after its calibration."""
 _LONGEST_NAME = 40
 _MANY_BANDS = 10
 MOST_PANELS = 12
-"""Largest number of materials of which a figure draws one each; the table of a page lists more."""
+"""Largest number of materials for which a figure draws a panel each; the page's table has more."""
 _FEW = 6
 _MOST_AXES = 10_000  # a panel takes 0.1 MB
 ROOM, FIGURE, PLAN = "room.toml", "reverberation_time.png", "plan.png"
 FILES = (ROOM, NUMBERS, FIGURE)
-"""Files of a calibration's folder."""
+"""Names of the figures in the folder of a calibration."""
 POSITION_FILES = (ROOM, NUMBERS, PLAN)
-"""Files of the folder of a calibration to every position."""
+"""Names of the figures in the folder of a calibration to every position."""
 
 
 def new_figure(
     width: float = 7.0, height: float = 4.2, rows: int = 1, columns: int = 1
 ) -> tuple[Any, Any]:
-    """Return a figure of that size in inches and its axes, drawn without a screen.
+    """Return a new figure and its axes, for drawing without a screen.
 
-    Axes as ``matplotlib.figure.Figure.subplots`` gives them. Raises MissingDependencyError without
-    matplotlib.
+    Its size is in inches. The axes are those of ``matplotlib.figure.Figure.subplots``. Raises
+    MissingDependencyError if matplotlib is not installed.
     """
     try:
         from matplotlib.figure import Figure
@@ -106,11 +106,10 @@ def of_materials(
     draw: Callable[[Any, int], None],
     columns: int,
 ) -> Any:
-    """Return a figure of small panels over the bands, one for each material, at most twelve.
+    """Return a figure with a small panel over the bands for each material, at most twelve.
 
-    Of more than twelve materials, those with the largest ``size`` (n_materials,) are drawn. ``draw``
-    draws the panel of a material; ``columns`` is the number of columns of the legend. A few panels
-    are in two columns, legible on a phone; more are in three.
+    If there are more, those with the largest ``size`` (n_materials,) are drawn. ``draw`` draws the
+    panel of a material. ``columns`` is the number of columns of the legend.
     """
     chosen = np.sort(np.argsort(-size, kind="stable")[:MOST_PANELS])
     n = len(chosen)
@@ -141,7 +140,7 @@ def _panels(n: int, abreast: int, height: float, frequencies: Array) -> tuple[An
 
 
 def band_axis(axes: Axes, frequencies: Array, below: list[str] | None = None) -> None:
-    """Make x a logarithmic axis with the bands' centres, each with its text of ``below``."""
+    """Make x a logarithmic axis with the bands' centre frequencies, each with its text of ``below``."""
     many = len(frequencies) > _MANY_BANDS
     labels = [f"{f:g}" for f in frequencies]
     if below is not None:
@@ -153,7 +152,7 @@ def band_axis(axes: Axes, frequencies: Array, below: list[str] | None = None) ->
 
 
 def jnd_band(axes: Axes, frequencies: Array, measured: Array) -> None:
-    """Draw T ± one JND in grey; bands without T interrupt it."""
+    """Draw measured T plus and minus one JND in grey; bands without T interrupt it."""
     low, high = (1 - TARGET.jnd) * measured, (1 + TARGET.jnd) * measured
     axes.fill_between(frequencies, low, high, color="0.85", label="measured ± 1 JND")
     axes.vlines(frequencies, low, high, color="0.85", linewidth=8)  # visible also for a single band
@@ -173,9 +172,9 @@ def _note(axes: Axes, text: str, at: Any, offset: tuple[float, float], **style: 
 
 
 def reverberation_time(result: CalibrationResult) -> Any:
-    """Return the figure of T(f): measured with its band of one JND, before and after.
+    """Return the figure of T over frequency: measured with one JND, before and after calibration.
 
-    Letters below the bands are those of the cautions.
+    A letter below a band refers to a caution.
     """
     figure, axes = new_figure()
     f, measured = result.prior.centre_frequencies, result.measured
@@ -201,7 +200,7 @@ def reverberation_time(result: CalibrationResult) -> Any:
 
 
 def gap(result: CalibrationResult) -> Any:
-    """Return the figure of the deviation from the measured T, before and after, in JND by band."""
+    """Return the figure of the deviation from the measured T in JND, before and after calibration."""
     figure, axes = new_figure(7.0, 3.2)
     f = result.prior.centre_frequencies
     at = np.arange(len(f))
@@ -220,7 +219,7 @@ def gap(result: CalibrationResult) -> Any:
 
 
 def disagreement(comparison: Comparison) -> Any:
-    """Return the figure of a run's deviations in JND by band: the six parameters that deviate most."""
+    """Return the figure of a simulation's deviations in JND by band, for the six worst parameters."""
     c, f = comparison, comparison.run.room.centre_frequencies
     chosen = c.parameters[:_FEW]
     abreast = min(3, len(chosen))
@@ -245,10 +244,11 @@ def disagreement(comparison: Comparison) -> Any:
 
 
 def coefficients(result: CalibrationResult) -> Any:
-    """Return the figure of alpha by material and band: prior and calibrated, with 90 % intervals.
+    """Return the figure of input and calibrated alpha by material and band, with 90 % intervals.
 
-    Of more than twelve materials, it shows those with the largest absorption area. The prior's
-    interval is mu ± 1.645 sigma within the bounds; the other one is `CalibrationResult.interval`.
+    If there are more than twelve materials, it shows those with the largest absorption area. The
+    interval of the input is alpha ± 1.645 sigma within 0 and 1; that of the calibrated alpha is
+    `CalibrationResult.interval`.
     """
     room, (low, high) = result.prior, result.interval
     f = room.centre_frequencies
@@ -293,9 +293,10 @@ def plane(
 ) -> Any:
     """Return the figure of a calibration of two coefficients (Bellows & Katz 2025, Figs. 1 and 3).
 
-    It shows the prior's ellipses of 1, 2 and 3 standard deviations about mu, the line S'alpha = b of
-    all coefficients with the measured T, and the step from mu to the likeliest point of the line.
-    Arrays are (2,), areas and ``target``, b, in m²; ``truth`` are the true coefficients.
+    It shows ellipses of 1, 2 and 3 standard deviations about the input coefficients ``mu``, the line of
+    all coefficients with the measured absorption area, and the step from mu to the most probable point
+    of this line. Arrays are (2,). ``areas`` and the absorption area ``target`` are in m². ``truth`` are
+    the true coefficients.
     """
     mu, sigma, areas, alpha = (np.asarray(v, dtype=float) for v in (mu, sigma, areas, alpha))
     figure, axes = new_figure(5.6, 5.9)
@@ -335,7 +336,7 @@ def plane(
 
 
 def decays_of_modes(result: ModesResult) -> Any:
-    """Return the decay times of the modes used over their frequencies: measured, before, after."""
+    """Return the figure of the modes' decay times over frequency: measured, before and after."""
     from rtcal.modes.room_modes import DECAY
 
     figure, axes = new_figure()
@@ -356,11 +357,11 @@ _STYLES = ("-", "--", "-.", ":")
 
 
 def path(loop: Loop) -> Any:
-    """Return the figure of a loop's path, like Fig. 7 of Bellows & Katz (2025).
+    """Return the figure of a loop's simulations, like Fig. 7 of Bellows & Katz (2025).
 
-    Above: the measured T20 with its band of one JND, and the simulated T20 of the first, the
-    intermediate and each band's best step. Below: each band's gap in JND over the simulations.
-    DataError if nothing has been simulated yet.
+    The upper part has the measured T20 with one JND, and the simulated T20 of the first, the
+    intermediate and each band's best step. The lower part has each band's deviation in JND over the
+    simulations. Raises DataError for a loop without a simulation.
     """
     if not loop.steps:
         raise DataError("the loop has no simulation yet, so there is nothing to draw")
@@ -407,10 +408,10 @@ def predicted_times(
     variants: Sequence[tuple[str, Array, tuple[Array, Array]]],
     target: tuple[Array, Array] | None = None,
 ) -> Any:
-    """Return T(f) before, and of each variant with its 90 % interval, over the range of the target.
+    """Return the figure of T over frequency before, and of each variant with its 90 % interval.
 
-    ``frequencies`` in Hz and T in s are (n_bands,); a variant is (name, T, (low, high)). The target's
-    ends are NaN where it is open.
+    ``frequencies`` in Hz and T in s are (n_bands,). A variant is (name, T, (low, high)). The range of
+    the ``target`` is drawn, too; an end of it is NaN where there is no limit.
     """
     figure, axes = new_figure()
     top = 1.1 * max(float(np.nanmax(before)), *(float(ends[1].max()) for _, _, ends in variants))
@@ -433,7 +434,7 @@ def predicted_times(
 
 
 def change(finding: Finding) -> Any:
-    """Return the change of the absorption area by band, with its interval."""
+    """Return the figure of the change of the absorption area by band, with its interval."""
     k = finding.case.known
     figure, axes = new_figure()
     frequencies = finding.case.room.centre_frequencies[k]
@@ -452,7 +453,7 @@ _CORRECTED: dict[str, Any] = {"color": BLUE, "marker": "D"}
 
 
 def corrected_times(verification: Verification) -> Any:
-    """Return T(f) of the first configuration: measured, input, calibrated, with the effect."""
+    """Return the figure of T over frequency: measured, input, calibrated, and with the effect."""
     from rtcal.finder.verification import reverberation_times
     from rtcal.report.finding_words import title
 
@@ -473,10 +474,10 @@ def corrected_times(verification: Verification) -> Any:
 
 
 def corrected_shifts(verification: Verification) -> Any:
-    """Return each material's shift of alpha by band, without and with the effect, with 90 % intervals.
+    """Return the figure of each material's change of alpha by band, without and with the effect.
 
-    The interval of the input values is grey. If there are more than `MOST_PANELS` materials, the figure
-    shows those whose absorption area moved most.
+    It has 90 % intervals, in grey for the input values. If there are more than `MOST_PANELS` materials,
+    it shows those whose absorption area changed most.
     """
     room, f = verification.finding.case.room, verification.finding.case.room.centre_frequencies
     models = verification.calibrations
@@ -513,7 +514,7 @@ _KINDS = {
 
 
 def likely_shares(finding: Finding) -> dict[str, float]:
-    """Return the probability of each surface, 0 where hardly anything stands on one."""
+    """Return the probability of each surface; 0 for all if none is likely to differ."""
     none = finding.verdict == "none" or not finding.likely_surfaces
     return {n: 0.0 if none else finding.surfaces.get(n, 0.0) for n in finding.case.faces}
 
@@ -528,12 +529,12 @@ def _mark(axes: Axes, point: Sequence[float], marker: str, colour: str) -> None:
 
 
 def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
-    """Return the map on the plan: which pairs disagree, and which surfaces could mend it.
+    """Return the plan of the room with the pairs that disagree and the surfaces that may differ.
 
-    A line joins source and receiver. It is as dark as the root mean square of the pair's residuals in
-    standard deviations. Walls are as orange as they are probable; surfaces that the positions do not
-    tell apart have a common letter. ``place`` is a further receiver, as
-    `rtcal.finder.positions.next_position` proposes it.
+    A line joins source and receiver, and is darker for a larger root mean square deviation of the pair
+    in standard deviations. A wall is more orange if it is more probable. Surfaces that the positions do
+    not distinguish have a common letter. ``place`` is a further receiver, from
+    `rtcal.finder.positions.next_position`.
     """
     from rtcal.finder.positions.surfaces import kind
 
@@ -602,9 +603,9 @@ def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
 
 
 def bars(verification: Verification, axes: Any = None) -> Any:
-    """Return the three bars: the mean deviation at what was not fitted: input, calibrated, corrected.
+    """Return the bars of the mean deviation at held-out data: input, calibrated and corrected model.
 
-    Whiskers are the range over the simulator's seeds.
+    Whiskers show the range over the seeds of the simulator.
     """
     if axes is None:
         _, axes = new_figure(5.2, 3.8)
@@ -631,10 +632,10 @@ def position_gaps(
     sources: Mapping[str, Sequence[float]],
     receivers: Mapping[str, Sequence[float]],
 ) -> Any:
-    """Return a plan of the room with its receivers coloured by their gap, before and after.
+    """Return the plan of the room with receivers coloured by their deviation, before and after.
 
-    A receiver's gap is the root mean square over parameters, bands and sources, in JND. It stands
-    beside the receiver's name. DataError if a receiver of the result has no position.
+    The deviation of a receiver is the root mean square over parameters, bands and sources, in JND, and
+    is written beside its name. Raises DataError if a receiver of the result has no position.
     """
     names = list(dict.fromkeys(r for _, r in result.pairs))
     if missing := [name for name in names if name not in receivers]:
@@ -681,9 +682,9 @@ def room(
 ) -> Any:
     """Return the figure of a room in which each face has its colour, from several sides.
 
-    A view is (turn, tilt, faces): directions in radians, round z and above the horizontal, and the
-    faces that are drawn. A stand, a source or receiver, is (kind, name, place, colour). ``scale`` is
-    what the colours are: (label, colours, ends).
+    A view is (turn, tilt, faces): angles in radians round z and above the horizontal, and the numbers
+    of the faces that are drawn. A source or receiver in ``stands`` is (kind, name, position, colour).
+    ``scale`` explains the colours: (label, colours, ends).
     """
     figure, _ = new_figure(6.6, 3.7)
     figure.clear()
@@ -724,9 +725,9 @@ def room(
 
 
 def wireframe(mesh: Polyhedron | Faces, open_edges: Array | None = None) -> Any:
-    """Return the figure of a mesh, drawn or mended, with its open edges, (n, 2, 3) in m, in red.
+    """Return the figure of a mesh, as drawn or repaired, with open edges, (n, 2, 3) in m, in red.
 
-    Each material has its own shade; the legend names those of the largest areas.
+    Each material has its own shade; the legend names those with the largest areas.
     """
     if isinstance(mesh, Polyhedron):
         polygons = [mesh.vertices[list(face)] for face in mesh.faces]
@@ -755,9 +756,9 @@ def wireframe(mesh: Polyhedron | Faces, open_edges: Array | None = None) -> Any:
 
 
 def rendered(figure: Figure, kind: str) -> bytes:
-    """Return a figure as the bytes of a ``png``, ``svg`` or ``pdf`` file, the same each time.
+    """Return a figure as the bytes of a ``png``, ``svg`` or ``pdf`` file.
 
-    The first call places the parts of the figure, and all kinds of file have them there.
+    The same figure always gives the same bytes.
     """
     import matplotlib
 
@@ -775,7 +776,7 @@ def rendered(figure: Figure, kind: str) -> bytes:
 
 
 def save(figure: Any, path: str | os.PathLike[str]) -> None:
-    """Write a figure as PNG, SVG or PDF by the path's ending, whole or not at all."""
+    """Write a figure as a PNG, SVG or PDF file, by the ending of the path, whole or not at all."""
     kind = os.path.splitext(os.fspath(path))[1].lstrip(".").lower()
     _check_kind(kind, os.fspath(path))
     write_bytes(path, rendered(figure, kind))
@@ -791,9 +792,10 @@ def write_folder(
     folder: Path,
     draw: Mapping[str, Callable[[], Any]],
 ) -> list[Path]:
-    """Write room, numbers and the figures that ``draw`` makes by file name, all or none.
+    """Write the room, the numbers and the figures of a result into a folder, all or none.
 
-    Without matplotlib there are no figures, and a warning says so.
+    ``draw`` has a function for each figure's file name. Without matplotlib no figures are written, and
+    a warning is given.
     """
     contents = {
         folder / ROOM: result.room.to_text(folder).encode(),

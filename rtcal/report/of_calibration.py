@@ -57,7 +57,7 @@ _METHODS = {
 
 
 def page(result: CalibrationResult) -> Page:
-    """Return the page of a calibration, without scripts (but the room's own) and links."""
+    """Return the page of a calibration, without links or scripts other than the room view's."""
     room, verdict = result.prior, result.verdict
     first = Box(verdict.level, f"{verdict.heading}.", [verdict.text])
     subject = "calibration of the absorption coefficients"
@@ -65,7 +65,7 @@ def page(result: CalibrationResult) -> Page:
 
 
 def blocks(result: CalibrationResult) -> list[Any]:
-    """Return what stands below the verdict."""
+    """Return the content of the page below the verdict."""
     room, record = result.prior, result.to_dict()
     size = np.max(room.areas[:, np.newaxis] * result.alpha, axis=1)
     rows = np.sort(np.argsort(-size, kind="stable")[:MOST_MATERIALS]).tolist()
@@ -181,7 +181,7 @@ def _summary(result: CalibrationResult) -> list[str]:
 
 
 def assumed(result: CalibrationResult) -> list[str]:
-    """Return the assumptions of the calibration, a sentence each."""
+    """Return the assumptions of the calibration, one sentence each."""
     room, air = result.prior, result.prior.air
     parameters = ", ".join(
         f"{k} = {v:g}" for k, v in table.equation_parameters(result.equation).items()

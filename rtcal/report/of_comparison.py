@@ -30,7 +30,7 @@ _LEAST = 1e-6  # JND; equal values at all positions do not show their uncertaint
 
 
 def sentence(c: Comparison) -> str:
-    """Return the answer: what disagrees, by how much and where, the largest first."""
+    """Return in words which parameters disagree, by how much and where, the largest first."""
     whose = f"{c.equation.name}'s" if c.of_equation else "The program's"
     wrong = [p for p in c.parameters if c.disagrees[p].any()]
     right = listed([parameter_label(p) for p in c.parameters if p not in wrong])

@@ -62,10 +62,10 @@ def page(
     command: str = "",
     place: Place | None = None,
 ) -> Page:
-    """Return the page of a finding: the answer, what it rests on, what to do, and the numbers.
+    """Return the page of a finding: the answer, its reasons, what to do, and the numbers.
 
-    ``verification`` is the finding's, or None; its page is that of the finding, too. ``command``
-    reproduces it, and is printed. ``place`` is a further receiver that would distinguish the surfaces.
+    ``verification`` is that of the finding, or None. ``command`` is the printed command that reproduces
+    the page. ``place`` is a further receiver that would distinguish the surfaces.
     """
     if isinstance(result, Verification):
         return page(result.finding, result, command, place)

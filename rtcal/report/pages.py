@@ -36,7 +36,7 @@ _MODULES = {
 
 
 def blocks_of(result: Result) -> Page:
-    """Return what the page of a result shows; DataError for a result that has no page."""
+    """Return the content of a result's page; raises DataError for a result that has no page."""
     if not hasattr(result, "record_kind"):
         raise DataError(
             f"{checks.shown(result)} is not a result, so it has no page: calibrate the room "
@@ -56,21 +56,22 @@ def blocks_of(result: Result) -> Page:
 def page(
     result: Any, heading: Heading | None = None, progress: Callable[[], None] | None = None
 ) -> str:
-    """Return a result as one HTML page under 2 MB, without links to the network.
+    """Return a result as one HTML page under 2 MB, which needs no network.
 
     Parameters
     ----------
     result : CalibrationResult, Comparison, ModesResult, Loop, PositionsResult, Prediction, ...
-        Also a design, several predictions, predictions at positions, a finding or its verification.
+        Result to show; also a design, predictions of variants or at positions, a finding, or a
+        verification.
     heading : Heading, optional
         Title, author and date; by default the room's name and author.
     progress : callable, optional
-        Called after each figure.
+        Function that is called after each figure.
 
     Raises
     ------
     MissingDependencyError
-        Without jinja2 or matplotlib.
+        If jinja2 or matplotlib is not installed.
     DataError
         For a result that has no page, and if the page would be larger than 2 MB.
     """
@@ -83,15 +84,15 @@ def page_of(
     heading: Heading | None = None,
     progress: Callable[[], None] | None = None,
 ) -> str:
-    """Return the page of a saved result: its folder, its ``result.json``, or the state of a loop.
+    """Return a saved result as an HTML page, from its folder, its ``result.json`` or a loop's file.
 
-    The result does not hold the names of its files. So the page of a finding of means has its case as
-    a file within it, and that of a finding at positions has no command to reproduce it.
+    A saved result does not have the names of its input files. Therefore the page of a finding for means
+    contains its case as a file, and that of a finding at positions has no command to reproduce it.
 
     Raises
     ------
     DataError
-        For a folder that has no result, a file that is none, or a result that has no page.
+        For a folder without a result, a file that is not a result, or a result that has no page.
     """
     return render(_made(path), heading, progress)
 
@@ -106,14 +107,14 @@ def _made(path: str | os.PathLike[str]) -> Page:
 
 
 def write_workbook(result: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
-    """Write the tables of a saved result's page as a workbook (xlsx), a sheet each."""
+    """Write the tables of a saved result's page as a workbook (xlsx), one sheet per table."""
     write_bytes(path, workbook.content(sheets(_made(result))))
 
 
 def sheets(made: Page) -> dict[str, list[list[Any]]]:
-    """Return the tables of a page by the names of their sheets, and its sentences as the first sheet.
+    """Return the sheets of a workbook with a page's tables, by name; the first one has its sentences.
 
-    A number has a cell of its own: where the page prints several in one, each has a row.
+    Each number has its own cell. If the page prints several in one cell, each gets a row.
     """
     summary: list[list[Any]] = [["text"]]
     made_of: dict[str, list[list[Any]]] = {"summary": summary}

@@ -36,7 +36,7 @@ NAMES = {"none": "BASE", "scaling": "REF", "lse": "LSE", "mle": "MLE"}
 
 
 def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
-    """Return the figure of truncated normal densities on [0, 1] (Figs. 2 and 4a)."""
+    """Return the figure of the input coefficients as truncated normal densities (Figs. 2 and 4a)."""
     from scipy.stats import truncnorm
 
     figure, axes = new_figure()
@@ -62,10 +62,10 @@ def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
 
 
 def spread(table: Scores, aace: Sequence[float], title: str) -> Any:
-    """Return the box plot of the root of EMSE over realisations (Fig. 4b).
+    """Return the box plot of the error of alpha over random rooms, per method (Fig. 4b).
 
-    ``table`` comes from `Study.spread`. ``aace`` has the mean error of each row of the table, which is
-    drawn as a dashed line.
+    The error is the root of the expected mean square error (EMSE). ``table`` comes from `Study.spread`.
+    ``aace`` has the mean error of each row of the table, which is drawn as a dashed line.
     """
     figure, axes = new_figure()
     boxes = [
@@ -89,7 +89,7 @@ def spread(table: Scores, aace: Sequence[float], title: str) -> Any:
 
 
 AREAS = {"shoebox": list(SHOEBOX), "lecture-hall": list(LECTURE_HALL.values())}
-"""Surface areas in m² of the rooms whose trials are drawn."""
+"""Surface areas in m² of the rooms with random true coefficients, by the name of the room."""
 
 _LEGEND = (
     "Calibration methods in random rooms. Each room states uncertain coefficients alpha; each trial "
@@ -117,7 +117,7 @@ _PAPER_SCORES = {"shoebox": paper.TABLE_2, "lecture-hall": paper.TABLE_3}
 
 @dataclass(frozen=True)
 class StudyReport:
-    """What a study prints, its tables as plain records, and its files by name."""
+    """Hold the printed text of a study, its tables as plain records, and its files by name."""
 
     blocks: list[Block] = field(default_factory=list)
     records: list[dict[str, Any]] = field(default_factory=list)
@@ -140,25 +140,27 @@ def report(
     progress: bool = False,
     with_files: bool = False,
 ) -> StudyReport:
-    """Run the study of each room at each sigma_r.
+    """Return the report of how much calibration improves alpha, for each room at each sigma_r.
 
     Parameters
     ----------
     rooms : sequence of str
-        "shoebox", "lecture-hall" (keys of `AREAS`) or "halls", five halls at random, analytic.
+        Names of the rooms: "shoebox" and "lecture-hall" (keys of `AREAS`), or "halls" for five random
+        halls, computed by a formula only.
     sigma_r : sequence of float
-        Parameters of the Rayleigh distribution of sigma.
+        Scales of the Rayleigh distribution of sigma, the uncertainty of the input coefficients.
     realisations, trials, seed, sampling, scheduler, workers, progress
-        As for `rtcal.studies.run`; 0 trials compute only the analytic scores.
+        Sizes, seed and computation of the study, as for `rtcal.studies.run`. With 0 trials, only the
+        scores by formula are computed.
     with_files : bool
-        Whether to render tables (CSV) and figures (PNG) too.
+        Whether to make the files of the tables (CSV) and figures (PNG), too.
 
     Raises
     ------
     DataError
         As `rtcal.studies.run` does.
     MissingDependencyError
-        With files but without matplotlib, before anything is computed.
+        If files are wanted and matplotlib is not installed.
     """
     for room in (rooms := checks.texts("rooms", rooms)):
         checks.choice("rooms", room, (*_HEADINGS, "halls"))

@@ -19,10 +19,10 @@ _STRONGEST = 0.45  # opacity that keeps the text readable in light and in dark n
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A row of a table.
+    """Hold a row of a printed table.
 
-    Its values are numbers, None and NaN where there is none; or texts. With "+" in ``form``, 0 has no
-    sign.
+    Its values are numbers, with None or NaN for a missing one, or texts. ``form`` is the format of a
+    number; with "+" in it, 0 still has no sign.
     """
 
     name: str
@@ -82,10 +82,10 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Rows by column, with a title above and a note below; ``corner`` is the head of the names.
+    """Hold a printed table, with a title above and a note below; ``corner`` heads the rows' names.
 
-    ``most`` are the numbers of the rows that are printed, where that is not all: a workbook has all.
-    A ``detail`` is for notebooks and pages, and not for a terminal.
+    ``most`` are the numbers of the rows that are printed, if not all; a workbook has all. A table with
+    ``detail`` is shown in notebooks and pages, and not in a terminal.
     """
 
     columns: Sequence[str]
@@ -118,9 +118,9 @@ class Table:
 
 @dataclass(frozen=True)
 class Note:
-    """A sentence of its own; the terminal indents it, and "" is an empty line there.
+    """Hold a sentence of a result; a terminal indents it, and "" is an empty line there.
 
-    ``kind`` is its class on a page: "lead" for what is read first, "note" for a remark.
+    ``kind`` is its class on a page: "lead" for the first sentences, "note" for a remark.
     """
 
     text: str
@@ -162,7 +162,7 @@ def lines(blocks: Sequence[Block]) -> list[str]:
 
 
 def notebook(caption: str, blocks: Sequence[Block]) -> str:
-    """Return blocks as HTML for a notebook: shaded tables and paragraphs; every text is escaped.
+    """Return blocks as HTML for a notebook, as shaded tables and paragraphs; all text is escaped.
 
     Examples
     --------

@@ -35,10 +35,10 @@ __dir__ = __all__.copy
 
 
 class RtcalError(Exception):
-    """Base of every error that rtcal raises on purpose.
+    """Catch every error that rtcal raises on purpose: the base class of these errors.
 
-    ``bands`` are the indices of the bands concerned, if the error concerns only some; see `of_bands`.
-    ``loop`` is the `rtcal.loop.Loop` with its steps so far, if the error ended
+    ``bands`` are the numbers of the bands that the error concerns, from 0, if it concerns only some.
+    ``loop`` is the `rtcal.loop.Loop` with all its steps, if the error ended
     `rtcal.calibrate_simulator`.
     """
 
@@ -47,42 +47,42 @@ class RtcalError(Exception):
 
 
 class DataError(RtcalError, ValueError):
-    """The input breaks a rule; the message names the place, the value and the rule."""
+    """Report an input that breaks a rule; the message names the place, the value and the rule."""
 
 
 class TooShortError(DataError):
-    """A decay ends before it holds its decay time; simulate or record longer."""
+    """Report a decay that ends before its decay time can be evaluated; simulate or record longer."""
 
 
 class ModelError(RtcalError):
-    """The model, as composed of terms and constraints, cannot be calibrated."""
+    """Report a model that cannot be calibrated with its terms and constraints."""
 
 
 class InfeasibleError(RtcalError):
-    """No absorption coefficients within the bounds give the measured reverberation time."""
+    """Report that no absorption coefficients within the bounds give the measured T."""
 
 
 class SolverError(RtcalError):
-    """The solver did not find an answer that passes the certificate."""
+    """Report that the solver found no solution that passes the optimality check."""
 
 
 class SimulatorError(RtcalError):
-    """A simulator raised, took too long, or returned something that is no measurement."""
+    """Report a simulator that failed, took too long, or returned something other than a measurement."""
 
 
 class ClusterError(RtcalError):
-    """A scheduler does not answer, is lost, or its workers cannot run what they are given."""
+    """Report a scheduler that does not answer or is lost, or whose workers cannot run their tasks."""
 
 
 class MissingDependencyError(RtcalError, ImportError):
-    """An optional library is not installed; the message says which extra brings it."""
+    """Report an optional library that is not installed; the message has the extra that installs it."""
 
 
 E = TypeVar("E", bound=RtcalError)
 
 
 def of_bands(error: E, bands: Iterable[int]) -> E:
-    """Attach the indices of the bands concerned; the closed loop continues without these bands.
+    """Return the error with the numbers of the bands that it concerns; other bands can go on.
 
     Examples
     --------
@@ -99,16 +99,16 @@ def of_bands(error: E, bands: Iterable[int]) -> E:
 
 
 class RtcalWarning(UserWarning):
-    """Base of every warning that rtcal gives."""
+    """Catch every warning that rtcal gives: the base class of these warnings."""
 
 
 class OtherBandsWarning(RtcalWarning):
-    """A measurement is in other bands than its room: converted, left out, or without T in some."""
+    """Warn that a measurement has other bands than its room, which are converted or left out."""
 
 
 class FewPathsWarning(RtcalWarning):
-    """The paths from each source are so few that their noise hides what is to be matched."""
+    """Warn that a path tracing has so few paths that their noise hides the values to be matched."""
 
 
 class MissingAirWarning(RtcalWarning):
-    """A room states no air, so its surfaces are made to absorb what the air does."""
+    """Warn that a room has no air, so that its surfaces get the absorption of the air as well."""

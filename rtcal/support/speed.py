@@ -94,9 +94,9 @@ def compiled(*, reorder: bool) -> Callable[[Kernel], Kernel]:
 
 
 Progress = Callable[[int, int], None]
-"""Called with the number of finished steps and their total."""
+"""Function that is called with the numbers of finished and of all steps."""
 TaskProgress = Callable[[str, int, int], None]
-"""Called with what is computed, the number of finished steps and their total."""
+"""Function that is called with the name of the task, and the numbers of finished and of all steps."""
 
 DELAY = 2.0
 """Delay in seconds; shorter tasks show no bar."""
