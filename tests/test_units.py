@@ -44,7 +44,6 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
         lambda: rt.calibrate(room(), measured(t20=[900, 800])),
         r"T20\[500 Hz\] = 900 s: no room has more than 120 s. Is it in ms\? Give T in seconds",
     ),
-    (lambda: rt.calibrate(room(), [900, 800]), r"T20\[500 Hz\] = 900 s: .* in ms"),
     (
         lambda: rt.compare(measured(t30=[90, 60]), measured(t30=[80, 190])),
         r"T30\[1000 Hz\] = 190 s: no room has more than 120 s",

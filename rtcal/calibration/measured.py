@@ -11,7 +11,7 @@ import numpy as np
 
 from rtcal.acoustics import bands, marks
 from rtcal.acoustics.marks import TrustMark, bent_decays
-from rtcal.acoustics.measurement import Measurement, refuse_milliseconds
+from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import REVERBERATION, TARGET, parameter_label
 from rtcal.acoustics.room import Room, fingerprint, of_pairs
 from rtcal.support import checks
@@ -130,7 +130,6 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         raise DataError(
             f"T[{bands.label(frequencies[k])}] = {times[k]:g} s must be finite and above 0"
         )
-    refuse_milliseconds(TARGET.key, times, frequencies)
     if not np.isfinite(times).any():
         raise DataError("measured T is missing in every band; give it in at least one")
     parameter = tuple(TARGET.key if finite else "" for finite in np.isfinite(times))
