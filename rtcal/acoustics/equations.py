@@ -464,7 +464,7 @@ class Kuttruff(LinearEquation):
         return float(-np.expm1(-1 / self.path_variance))
 
     def exponent(self, mean: Array) -> Array:
-        """Return the exponent a' (1 - gamma² a' / 2); ModelError for a mean beyond its peak."""
+        """Return the absorption exponent a' (1 - gamma² a' / 2); ModelError beyond its peak."""
         beyond = np.atleast_1d(mean) > self.largest_mean * (1 + 1e-12)
         if beyond.any():
             error = ModelError(
@@ -476,7 +476,7 @@ class Kuttruff(LinearEquation):
         return np.asarray(eyring * (1 - self.path_variance * eyring / 2))
 
     def inverse(self, exponent: Array) -> Array:
-        """Return the mean coefficient that gives an exponent; NaN for an exponent above the peak."""
+        """Return the mean coefficient that gives an absorption exponent; NaN above its peak."""
         # The quotient keeps the digits of small exponents. Up to 1e-14 is rounding at the peak.
         inside = 1 - 2 * self.path_variance * np.asarray(exponent, dtype=float)
         inside = np.where(inside < 0, np.where(inside > -1e-14, 0.0, np.nan), inside)
@@ -484,7 +484,7 @@ class Kuttruff(LinearEquation):
         return np.asarray(-np.expm1(-eyring))
 
     def slope(self, mean: Array) -> Array:
-        """Return the derivative (1 - gamma² a') / (1 - mean alpha) of the exponent, 0 at its peak."""
+        """Return the derivative (1 - gamma² a') / (1 - mean alpha) of the absorption exponent."""
         eyring = -np.log1p(-np.asarray(mean, dtype=float))
         return np.asarray((1 - self.path_variance * eyring) / (1 - np.asarray(mean)))
 

@@ -432,9 +432,10 @@ class Measurement:
         pairs: Sequence[tuple[str, str]],
         uncertainty: Mapping[str, Array] | None = None,
     ) -> Measurement:
-        """Return the parameters of energy decays (n_pairs, n_bands, n_bins), whose bins are in s.
+        """Return the room-acoustic parameters of energy decays (n_pairs, n_bands, n_bins).
 
-        ``uncertainty`` is the standard uncertainty of each parameter by its name, (n_pairs, n_bands).
+        ``bin_width`` is the width of their time bins in s. ``uncertainty`` is the standard uncertainty
+        of each parameter by its name, (n_pairs, n_bands).
 
         Raises
         ------
@@ -471,7 +472,7 @@ class Measurement:
         )
 
     def mean(self, parameter: str) -> Array:
-        """Return the arithmetic mean of a parameter over the pairs that have it, (n_bands,), else NaN.
+        """Return a parameter's arithmetic mean over the pairs that have it, (n_bands,), or NaN.
 
         Raises DataError for a name that is no parameter.
         """

@@ -153,11 +153,11 @@ class Observable(ABC):
         return np.asarray(np.exp(observed)) if self.logarithmic else observed
 
     def of_observed(self, uncertainty: Array, values: Array) -> Array:
-        """Return the uncertainty of the observed quantity, such as ln T, from that of the values."""
+        """Return the uncertainty of the observed quantity, such as ln T, from that of T."""
         return np.asarray(uncertainty / values) if self.logarithmic else uncertainty
 
     def of_value(self, uncertainty: Array, values: Array) -> Array:
-        """Return the uncertainty of the values from that of the observed quantity, such as ln T."""
+        """Return the uncertainty of values, such as T, from that of the observed quantity ln T."""
         return np.asarray(uncertainty * values) if self.logarithmic else uncertainty
 
     def jnd_of(self, values: Array) -> Array | float:

@@ -139,7 +139,10 @@ class SigmaRule:
             )
 
     def sigma(self, alpha: Array, centre_frequencies: Array) -> Array:
-        """Return sigma of coefficients, (n_bands,); DataError for one that is not from 0 to 2."""
+        """Return the standard deviation of each coefficient by this rule, (n_bands,).
+
+        Raises DataError for a coefficient that is not from 0 to 2.
+        """
         sigma = np.maximum(self.relative * _coefficients(alpha), self.minimum)
         if self.iso_12999_2:
             sigma = np.maximum(sigma, sigma_iso_12999_2(alpha, centre_frequencies))

@@ -1149,7 +1149,7 @@ class Room:
         return f'{name}["{self.materials[material]}", {frequency}]'
 
     def material_index(self, name: str, place: str = "") -> int:
-        """Return the row of a material by its name; DataError, after ``place``, if there is none."""
+        """Return the row number of a material by its name; DataError, after ``place``, without one."""
         if name not in self.materials:
             known = ", ".join(self.materials)
             raise DataError(
@@ -1212,7 +1212,7 @@ class Room:
         return np.broadcast_to(most[:, np.newaxis], (self.n_materials, self.n_bands))
 
     def material_rows(self, names: Sequence[str]) -> NDArray[np.int64]:
-        """Return the rows of materials by their names, (n,); DataError for an unknown name."""
+        """Return the row number of each material by its name, (n,); DataError for an unknown name."""
         return np.array([self.material_index(name) for name in names], dtype=np.int64)
 
     def replace(self, **changes: Any) -> Room:

@@ -186,7 +186,7 @@ class JointResult(Result):
 
     @cached_property
     def effects(self) -> dict[str, float]:
-        """Sizes of the further unknowns (effects), by name."""
+        """Calibrated size of each `rtcal.terms.AddedAbsorption`, by its name."""
         layout = self.composition.layout
         sizes = self.unknowns[layout.n_alpha :]
         return dict(zip(layout.further, sizes.tolist(), strict=True))
@@ -622,12 +622,12 @@ class CalibrationResult(Result):
 
     @property
     def effects(self) -> dict[str, float]:
-        """Sizes of the further unknowns (effects), by name."""
+        """Calibrated size of each `rtcal.terms.AddedAbsorption`, by its name."""
         return self.joint.effects
 
     @cached_property
     def added_absorption(self) -> Array:
-        """Absorption area in m² that effects add to that of the room's materials, (n_bands,)."""
+        """Absorption area in m² that `rtcal.terms.AddedAbsorption` terms add to the room, (n_bands,)."""
         data = self.joint.numbers
         sizes = data.further(self.joint.unknowns)
         return read_only_view(np.asarray(data.gains[self.configuration] @ sizes))

@@ -241,7 +241,7 @@ class Term(_Summand, ABC):
         """Return the cvxpy expression to be minimised."""
 
     def convexity(self, numbers: Numbers) -> float:
-        """Return a lower limit m of the term's curvature by each deviation x; 0 if it is unknown."""
+        """Return a lower limit of the term's second derivative by each deviation; 0 if unknown."""
         return 0.0
 
     def structure(self) -> Term:
@@ -339,7 +339,7 @@ class PriorDeviation(Term):
         return 0.5 * cp.quad_form(x, _correlation(self, m.layout)[1], assume_PSD=True) + of_common
 
     def convexity(self, numbers: Numbers) -> float:
-        """Return the least eigenvalue of the inverse correlation, a lower limit of the curvature."""
+        """Return a lower limit of the term's second derivatives: the least eigenvalue of R⁻¹."""
         q = numbers.common_shift * numbers.inverse_sigma
         largest = _correlation(self, numbers.layout)[2]
         return float(1 / (largest + (q @ q if self.common else 0.0)))
@@ -411,7 +411,7 @@ class HuberDeviation(Term):
         return self.convex * half_squares(m.x) + (1 - self.convex) * near
 
     def convexity(self, numbers: Numbers) -> float:
-        """Return e, a lower limit of the curvature."""
+        """Return e, a lower limit of the term's second derivative by each deviation."""
         return self.convex
 
 
@@ -728,7 +728,7 @@ class Bounds:
             raise DataError(f"{name}: {stated} must satisfy 0 <= lower <= upper <= 1")
 
     def of(self, mu: Array) -> Any:
-        """Return the lower and the upper bound of coefficients with the input values ``mu``."""
+        """Return the lower and the upper bound for coefficients whose input values are ``mu``."""
         return [mu if end is None else end for end in (self.lower, self.upper)]
 
 
@@ -773,7 +773,7 @@ class Shared:
 
 @dataclass(frozen=True)
 class AtMost:
-    """Constraint that one material absorbs at most as another: ``AtMost("glazing", "curtain")``.
+    """Constraint that a material absorbs at most as much as another: ``AtMost("glazing", "curtain")``.
 
     When to use it: when the order of two coefficients is certain, but not their values.
 
@@ -782,7 +782,7 @@ class AtMost:
     lesser, greater : str
         Names of the less and of the more absorbing material.
     band : float, optional
-        Centre frequency in Hz of the only band that it is for; all bands by default.
+        Centre frequency in Hz of the only band that the constraint is for; all bands by default.
     """
 
     lesser: str
@@ -825,7 +825,7 @@ class GroupAbsorption:
     least, most : float, optional
         Limits of the absorption area in m²; give at least one.
     band : float, optional
-        Centre frequency in Hz of the only band that it is for; all bands by default.
+        Centre frequency in Hz of the only band that the constraint is for; all bands by default.
     """
 
     materials: Sequence[str]

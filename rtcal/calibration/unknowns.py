@@ -360,11 +360,11 @@ class Observed:
         return f"<Observed: {self.values.size} observations of {self.matrix.shape[1]} coefficients>"
 
     def over(self, layout: Layout, mu: Array, sigma: Array) -> Array:
-        """Return R and z, (n_alpha, n_alpha + 1), with ½ |R x - z|² the misfit except for a constant.
+        """Return a matrix R and a vector z for which ½ |R x - z|² is the term, except for a constant.
 
-        x are the deviations of the coefficients from ``mu`` (n_alpha,) in sigmas. R is the upper
-        triangle of the QR decomposition of the whitened J sigma. Columns of materials that share their
-        coefficients are added up.
+        They are the columns of one array, (n_alpha, n_alpha + 1). x are the deviations of the
+        coefficients from ``mu`` (n_alpha,) in sigmas. R is the upper triangle of the QR decomposition
+        of the whitened J sigma. Columns of materials that share their coefficients are added up.
 
         Raises DataError if the matrix has columns of other materials or bands.
         """

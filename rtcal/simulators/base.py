@@ -66,7 +66,10 @@ class Simulator(Protocol):
         ...
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return the simulated parameters for coefficients (n_materials, n_bands), read-only."""
+        """Return the simulated parameters for coefficients, (n_materials, n_bands).
+
+        ``alpha`` is read-only: the method must not change it.
+        """
         ...
 
 

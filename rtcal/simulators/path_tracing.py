@@ -1065,7 +1065,7 @@ class PathTracing(Tracer):
         """Return the path tracing with `DENSER` times ``factor`` as many paths and less noise.
 
         Paths end one after the other as the sound decays (``thinned``), so that the time is about the
-        same. Receivers without a stated radius have one of `LARGER` times the cube root of the volume.
+        same. The default radius of receivers becomes `LARGER` times the cube root of the volume.
         A tracing that is thinned already has ``factor`` times its paths. ``n_batches`` is the new
         number of batches.
         """
@@ -1123,9 +1123,9 @@ class PathTracing(Tracer):
         """Return energy decays for coefficients ``alpha`` and a source of unit energy, in 1/m².
 
         They are (number, n_sources, n_receivers, n_bands, n_bins). ``number`` is the number of groups
-        of batches, by default ``n_batches``, which it must divide. The first bin starts with the first
-        sound, and decays end at least ``seconds`` after the emission. Raises DataError for ``seconds``
-        above `rtcal.simulators.path_tracing.LONGEST`, or another ``number``.
+        into which the batches of paths are divided, by default ``n_batches``. The first bin starts with
+        the first sound, and decays end at least ``seconds`` after the emission. Raises DataError for
+        ``seconds`` above `rtcal.simulators.path_tracing.LONGEST`, or another ``number``.
         """
         self._check_groups(1 if number is None else number)
         alpha = check_alpha(self, alpha)
