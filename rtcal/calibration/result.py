@@ -627,7 +627,7 @@ class CalibrationResult(Result):
 
     @cached_property
     def added_absorption(self) -> Array:
-        """Absorption area in m² that `rtcal.terms.AddedAbsorption` terms add to the room, (n_bands,)."""
+        """Absorption area in m² that `rtcal.terms.AddedAbsorption` terms add, (n_bands,)."""
         data = self.joint.numbers
         sizes = data.further(self.joint.unknowns)
         return read_only_view(np.asarray(data.gains[self.configuration] @ sizes))
