@@ -140,16 +140,17 @@ def leading_products(
 
 NONE, COEFFICIENTS, UNKNOWN = "none", "coefficients", "unknown"
 NO_EFFECT = 1 / 3
-"""Prior probability that the model lacks no effect: who asks has a reason. In the development rooms of
-the two test worlds nothing is missing in 0.38 and 0.26."""
+"""Probability before the measurement that no effect is missing from the model. In the development rooms
+of the two test worlds nothing is missing in 0.38 and 0.26."""
 UNKNOWN_ODDS = 1.0
-"""Prior odds of an effect that no library has, against a listed effect of odds 1."""
+"""Odds before the measurement of an effect that no library has, relative to a listed effect of odds
+1."""
 OFF_TOGETHER = 0.2
 """Prior probability that coefficients of handbook uncertainty are off together. Catalogues agree to
 some 30 % for a material, and a room's absorption area after them is off by 23 to 34 % in three
 measured rooms (benchmarks/studies/means): more than independent errors of so many materials."""
 EXPECTED = 0.7
-"""Expected number of effects that a model lacks, where several are sought at once."""
+"""Expected number of effects that are missing, if several are tried together."""
 SHARPER = 0.4
 """How much the power of the probabilities grows towards a sigma of 0: it is 1 at a handbook's sigma,
 and 1.4 at 0. Where coefficients were measured, the most probable answer is right more often than
@@ -160,9 +161,9 @@ classifier is (Guo, Pleiss, Sun & Weinberger 2017)."""
 
 @dataclass(frozen=True)
 class Prior:
-    """Prior log probabilities of "none", "coefficients", "unknown" and each effect; they sum to 1.
+    """Hold the log probabilities before the measurement of "none", "unknown" and each effect.
 
-    ``off`` is the probability that the coefficients are off together, whatever else is missing.
+    The probabilities sum to 1. ``off`` is the probability of a common error of the coefficients.
     ``sharpness`` is the power of the probabilities after the measurement (`sharpness`).
     """
 
@@ -172,7 +173,7 @@ class Prior:
 
 
 def relative_sigma(room: Room) -> float:
-    """Return the stated sigma of the coefficients over a handbook's, at most 1.
+    """Return the input sigma of the coefficients, relative to that of handbook values, at most 1.
 
     It is sigma over alpha, both weighted by area and summed over bands, over `HANDBOOK_SIGMA`.
     """
@@ -181,10 +182,10 @@ def relative_sigma(room: Room) -> float:
 
 
 def probability_off(room: Room) -> float:
-    """Return the prior probability that the room's coefficients are off together.
+    """Return the probability before the measurement of a common error of the room's coefficients.
 
-    It is `OFF_TOGETHER` times the square of `relative_sigma`: who states a small sigma knows the
-    coefficients from a measurement, and an error of all of them that exceeds it is improbable.
+    It is `OFF_TOGETHER` times the square of `relative_sigma`, because coefficients with a small sigma
+    come from a measurement, so that a larger common error is improbable.
     """
     return OFF_TOGETHER * relative_sigma(room) ** 2
 
@@ -351,11 +352,11 @@ def by_name(rng: np.random.Generator, names: Sequence[str]) -> list[np.random.Ge
 
 @dataclass(frozen=True, eq=False)
 class OffTogether:
-    """The posterior of coefficients that are off together.
+    """Hold the common error of the input coefficients, as it follows from the measurement.
 
-    Its ``probability``, given the effect that is claimed beside it; the posterior mean ``factor`` of
-    the coefficients over what is stated (n_materials, n_bands), with the standard deviation ``spread``
-    of its logarithm; and the ``ratio`` (n_bands,) of the room's absorption area to what is stated.
+    ``probability`` is given the effect that is identified beside it. ``factor`` (n_materials, n_bands)
+    is the mean ratio of the true to the input coefficients, ``spread`` the standard deviation of its
+    logarithm. ``ratio`` (n_bands,) is that of the room's true to its input absorption area.
     """
 
     probability: float
@@ -364,7 +365,7 @@ class OffTogether:
     ratio: Array
 
     def apply(self, case: Case) -> Case:
-        """Return the case with alpha moved by the factor, and sigma widened by its spread."""
+        """Return the case with alpha multiplied by the factor, and sigma widened by its spread."""
         room = case.room
         alpha, sigma = self._moved(np.array(room.alpha), np.array(room.sigma), slice(None))
         configurations = []

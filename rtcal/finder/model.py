@@ -19,7 +19,7 @@ from rtcal.acoustics.room import Room
 from rtcal.support.types import Array, read_only_view
 
 FEATURES = ("t20", "edt", "t30", "c80", "g")
-"""Rows of every feature table: ln T20 (s), ln EDT/T20, ln T30/T20, C80 and G in dB."""
+"""Names of the compared features: ln T20 (s), ln EDT/T20, ln T30/T20, and C80 and G in dB."""
 _LN6 = 6 * np.log(10)
 _STEPS = 12
 _FROM_ENDS = 1e-6
@@ -27,14 +27,14 @@ _FROM_ENDS = 1e-6
 _ARRAYS = ("areas", "alpha", "facing", "air", "frequencies", "covering", "objects")
 """The arrays of a state."""
 STEEPEST = 0.98
-"""Largest coefficient at which a slope is computed. Above it, ln T is far from linear in alpha."""
+"""Largest coefficient at which a derivative is computed; above it, ln T is far from linear in alpha."""
 
 
 @dataclass(frozen=True)
 class Decay:
-    """Energy density after a pulse of unit energy: sum over j of ``weights`` exp(-``rates`` t).
+    """Hold the energy density after a pulse of unit energy: the sum of ``weights`` exp(-``rates`` t).
 
-    Both (n_bands, n_terms), in 1/m³ and 1/s; (n, n_bands, n_terms) of many rooms.
+    Both are (n_bands, n_terms), in 1/m³ and 1/s; (n, n_bands, n_terms) for n rooms.
     """
 
     weights: Array
@@ -47,7 +47,7 @@ volume is read off drawings, and its error is that of what they leave out."""
 
 
 def volume_sigma_of(room: Room) -> float:
-    """Return the relative standard deviation of a room's volume: as stated, or else the usual value."""
+    """Return the relative standard deviation of a room's volume: its input, or else the usual value."""
     if room.volume_sigma > 0:
         return room.volume_sigma
     return VOLUME_TYPED if room.scene.mesh is None else VOLUME_OF_MESH
@@ -55,7 +55,7 @@ def volume_sigma_of(room: Room) -> float:
 
 @dataclass(frozen=True, eq=False)
 class RoomState:
-    """A room in one configuration: the data of a prediction.
+    """Hold the acoustic data of a room in one configuration, from which features are predicted.
 
     ``areas`` (n_materials,), ``alpha`` (n_materials, n_bands), ``facing`` (n_materials, 3), ``air``
     (n_bands,) in 1/m. ``equation`` is the key of a `MeanEquation`. ``covering`` (n_bands,) is the
@@ -96,7 +96,10 @@ class RoomState:
 
     @classmethod
     def of_room(cls, room: Room, facing: Array, equation: str = "eyring") -> RoomState:
-        """Return a room as it is stated; ``facing`` as `Case` has it, a third where it is unknown."""
+        """Return the state of a room with its input values.
+
+        ``facing`` as in `Case`, 1/3 where unknown.
+        """
         return cls(
             volume=room.volume,
             areas=room.areas,
@@ -111,7 +114,7 @@ class RoomState:
 
     @property
     def total_area(self) -> float:
-        """S in m²."""
+        """Area of all surfaces S in m²."""
         return float(self.areas.sum())
 
     @property
@@ -121,12 +124,12 @@ class RoomState:
 
     @property
     def surface_absorption(self) -> Array:
-        """S a(alpha) in m², (n_bands,): the surfaces' absorption by the equation."""
+        """Absorption area of the surfaces by the equation in m², (n_bands,)."""
         return np.asarray(surface_absorption([self])[0])
 
     @property
     def rate(self) -> Array:
-        """k = c (S a + 4 m V + A_objects) / 4 V in 1/s, (n_bands,), so that T = 6 ln 10 / k."""
+        """Decay rate k = c (S a + 4 m V + A_objects) / 4 V in 1/s, (n_bands,), with T = 6 ln 10 / k."""
         return np.asarray(rates([self])[0])
 
     @cached_property
@@ -135,11 +138,11 @@ class RoomState:
         return np.asarray(self.areas @ self.alpha / self.total_area)
 
     def covered(self, area: float, spectrum: Array) -> RoomState:
-        """Return the state with ``area`` m² of wall replaced by a covering with these coefficients."""
+        """Return the state with ``area`` m² of wall replaced by a cover of alpha ``spectrum``."""
         return covered([self], np.array([area]), np.asarray(spectrum)[np.newaxis])[0]
 
     def with_objects(self, absorption_area: Array) -> RoomState:
-        """Return the state with free-standing objects of this absorption area in m²."""
+        """Return the state with free-standing objects of this absorption area in m², (n_bands,)."""
         return replace(self, objects=self.objects + absorption_area)
 
 
@@ -232,7 +235,7 @@ def sensitivities(states: Sequence[RoomState]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Features (n, n_features, n_bands) of n states, and d features / d ln T20 at a fixed shape."""
+    """Hold the features (n, n_features, n_bands) of n states, and their derivatives by ln T20."""
 
     features: Array
     slopes: Array
@@ -350,7 +353,7 @@ _ORDER = 5
 
 @dataclass(frozen=True)
 class DirectionalDecay:
-    """The direction-resolved decay of a box whose walls have this scattering coefficient.
+    """Describe the decay of a box in each direction, for walls with this scattering coefficient.
 
     dE(u)/dt = -r(u) E - nu (E - <E>), with r(u) = c sum_i |u_i| A_i / 2V over the axes, A_i the
     absorption area of the walls that face along i, and nu = s c S / 4V; after Nilsson 2004 and

@@ -80,30 +80,32 @@ from rtcal.support.types import Array
 ADDED, REMOVED, AIR = "added", "removed", "air"
 _FAMILY = "added absorption"
 WALK = 0.5
-"""Standard deviation per octave of ln absorption, of a spectrum that no effect of the library has."""
+"""Standard deviation per octave of ln absorption, for a spectrum that no effect of the library has."""
 LEAST, MOST = 0.02, 6.0
 """Sizes that are tried, over the absorption area before at 500 to 2000 Hz."""
 SIZES = 25
 INDOORS = (15.0, 30.0), (20.0, 70.0)
-"""Temperatures in °C and relative humidities in % of rooms whose climate is not stated."""
+"""Temperatures in °C and relative humidities in % that are assumed for a room without an input
+climate."""
 AIR_ODDS = 0.5
-"""Prior odds that the climate changed and nothing else, against an effect of odds 1 on either side."""
+"""Odds before the measurement that only the climate changed, relative to an effect of odds 1."""
 ANOTHER_CLIMATE = 0.5
-"""Prior probability that the climate changed as well, where absorption was added or removed."""
+"""Probability before the measurement that the climate changed as well, if absorption changed."""
 THRESHOLD = float(np.log(20))
-"""Score from which a change is claimed: it exceeds ln 20 in at most one of twenty cases in which
-nothing changed, since the likelihood ratio then has the mean 1 (Markov's inequality)."""
+"""Score from which a change is detected: ln 20, which is exceeded in at most one of twenty cases in
+which nothing changed, because the mean Bayes factor is then 1 (Markov's inequality)."""
 _SAMPLES = 4000
 _INTERVAL = (0.05, 0.95)
 
 
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """Nothing changed, then a spectrum with a size, added or removed, with another climate or without.
+    """Hold the changes that are tried: none, and each spectrum with a size, added or removed.
 
-    Their names and families, log prior probabilities (n,) that sum to 1, and whether the climate is
-    another (n,). ``size`` (n, n_bands) is an absorption area in m² before saturation, above 0 where T
-    is shorter in the second state, 0 where none changed; ``covariance`` that of the error of ln |size|.
+    Each is tried with the same and with another climate. ``names`` and families are given, log prior
+    probabilities (n,) that sum to 1, and whether the climate differs (n,). ``size`` (n, n_bands) is an
+    absorption area in m² before saturation, above 0 where T is shorter in the second state, 0 for none.
+    ``covariance`` is that of the error of ln |size|.
     """
 
     names: tuple[str, ...]
@@ -168,7 +170,7 @@ def _turned(name: str) -> str:
 
 
 def adding(effects: Sequence[Effect]) -> list[Effect]:
-    """Return the effects that add absorption, sorted by name; a change may have their spectra."""
+    """Return the effects that add absorption, sorted by name; their spectra are tried for a change."""
     some = [effect for effect in effects if effect.family.startswith(f"{_FAMILY}, ")]
     return sorted(some, key=lambda effect: effect.name)
 
@@ -218,7 +220,7 @@ KINDS = {
     "alike at all frequencies": "flat",
     "falling with frequency": "low",
 }
-"""Kinds of the families that the library has, by how their spectra go with frequency."""
+"""Names of the groups of effects by the trend of their spectra over frequency."""
 
 
 def climate_covariance(room: Room, uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY) -> Array:
@@ -257,11 +259,11 @@ _NODES = 4
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """The absorption of the first state, in the bands in which both states were measured.
+    """Hold the absorption of the room before a change, in the bands in which both states were measured.
 
-    The surfaces' absorption ``area`` in m² by the equation from T before, the ``air``'s 4 m V in m²,
-    (n_bands,) each, and the covariance (n_bands, n_bands) of ln T by another ``climate``, at the mean
-    of ln T of both states.
+    ``area`` is the surfaces' absorption area in m² by the equation from T before, ``air`` is 4 m V of
+    the air in m², (n_bands,) each. ``climate`` is the covariance (n_bands, n_bands) of ln T by another
+    climate, at the mean of ln T of both states.
     """
 
     equation: LinearEquation
@@ -305,7 +307,7 @@ class Baseline:
         return np.asarray(-np.log(whole / before)), np.asarray(-by_area / whole)
 
     def whole(self, area: Array) -> Array:
-        """Return S a + 4 m V in m², of the surfaces' absorption area in m²."""
+        """Return the absorption area of surfaces and air in m², from that of the surfaces in m²."""
         exponent = self.equation.exponent(area / self.total_area)
         return np.asarray(self.total_area * exponent + self.air)
 
@@ -501,7 +503,7 @@ def find(
     only: Sequence[str] = (),
     without: Sequence[str] = (),
 ) -> Finding:
-    """Return what changed between two states of a room, from T20 (or T30) alone; see `rtcal.find`."""
+    """Return what changed between two states of a room, from T20 or T30; see `rtcal.find`."""
     of_library = checked_effects(effects)
     if not adding(of_library):
         raise DataError(
@@ -635,21 +637,22 @@ def _size(samples: Array) -> Size:
 
 
 MOST_SURFACES = 8
-"""Largest number of surfaces of which sets are tried: the largest ones."""
+"""Largest number of surfaces of which combinations are tried; the largest surfaces are taken."""
 NODES = (0.08, 0.25, 0.55, 1.0)
 """Shares of the way to alpha = 1 that are weighed; between them the shifts are interpolated."""
 SHARES = np.geomspace(0.02, 0.95, 30)
 POWER = 0.5
-"""Power of the likelihood: pairs and parameters share errors that no covariance of this module has."""
+"""Power of the likelihood, below 1 because pairs and parameters share errors that are not modelled."""
 MOST_DIRECT = 0.76
-"""Share of the direct sound in the energy, 5 dB above the rest, from which EDT says nothing."""
+"""Share of the direct sound in the energy, 5 dB above the rest, from which EDT is not used."""
 ANOTHER_GAIN = 0.3
 """Prior probability that sources have another gain in the second state. In three boxes of another's
 tracer, two draws each, gains of 1.0 to 1.2 dB made 5 of 12 answers wrong without it, none with it."""
 GAIN = 1.5
-"""Standard deviation in dB, per band, by which a source has another gain in two states, if it has."""
+"""Standard deviation in dB, per band, of a source's change of gain between two states, if it has
+one."""
 MOST_GAIN = 1.5
-"""Shift in dB of a source's level beside what T says, from which its level is left out."""
+"""Shift in dB of a source's level, relative to that from T, above which its level is left out."""
 _MISSING = 1e6
 _TINY = 1e-8
 

@@ -982,9 +982,9 @@ def start(
     room : Room or ModesResult
         Room with your input alpha and sigma. A result of ``calibrate_modes(room, ...)`` without T
         replaces T below the Schroeder frequency, and its coefficients stay there. In large rooms with
-        hard walls, make sigma proportional to alpha, because equal sigmas drive hard walls to alpha =
-        0. measured : Measurement
-            Measurement of the room, whose mean T20, or T30, over the pairs is matched.
+        hard walls, make sigma proportional to alpha: equal sigmas drive hard walls to alpha = 0.
+    measured : Measurement
+        Measurement of the room, whose mean T20, or T30, over the pairs is matched.
     rule : {"secant", "safeguarded"}
         Rule for the next target: see `RULES`.
     method, equation

@@ -40,11 +40,11 @@ Faces = NDArray[np.int64]
 def of_geometry(
     geometry: Polyhedron, stated: Mapping[str, Sequence[str]] | None = None
 ) -> dict[str, Faces]:
-    """Return each surface's faces by its name: the name of its largest face.
+    """Return the faces of each surface, by the surface's name, which is that of its largest face.
 
-    Names of each surface's faces may be ``stated``, in place of the coplanar faces of one material;
-    faces that are left out are no surface. DataError for a face that the geometry lacks, a face in two
-    surfaces, or a surface without a face.
+    By default a surface consists of the coplanar faces of one material. ``stated`` gives the names of
+    each surface's faces instead; other faces then belong to no surface. Raises DataError for a face
+    that the geometry lacks, a face in two surfaces, or a surface without a face.
     """
     if stated is not None:
         return _stated(geometry, checks.mapped("surfaces", stated))
@@ -144,7 +144,7 @@ def _stated(geometry: Polyhedron, stated: Mapping[str, Sequence[str]]) -> dict[s
 
 
 def kind(geometry: Polyhedron, faces: Faces) -> str:
-    """Return "floor", "ceiling" or "wall", by the mean normal."""
+    """Return "floor", "ceiling" or "wall", by the mean normal of a surface's faces."""
     upward = float(np.average(geometry.normals[faces, 2], weights=geometry.face_areas[faces]))
     if upward < -_HORIZONTAL:
         return "floor"
@@ -158,7 +158,7 @@ QUARTERS = 4
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A part of a surface: its faces in the divided geometry, area in m² and middle in m."""
+    """Hold a part of a surface: its faces in the divided geometry, area in m² and middle in m."""
 
     surface: int
     faces: Faces
@@ -168,7 +168,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Divided:
-    """A geometry whose long surfaces are divided: each surface's faces, and the parts of these."""
+    """Hold a geometry whose long surfaces are divided, with the faces and the parts of each surface."""
 
     geometry: Polyhedron
     surfaces: tuple[Faces, ...]
@@ -176,7 +176,7 @@ class Divided:
 
 
 def divided(geometry: Polyhedron, surfaces: Mapping[str, Faces]) -> Divided:
-    """Return the geometry with its long surfaces divided."""
+    """Return the geometry with its long surfaces divided into parts."""
     number = np.full(len(geometry.faces), -1)
     cuts: dict[int, tuple[Array, Array]] = {}  # direction and ends of a long surface's quarters
     for j, faces in enumerate(surfaces.values()):
@@ -229,7 +229,7 @@ LARGEST_PATCH = 0.95
 """Largest share of a surface that is drawn as a patch. The rim around a larger one is narrower than
 2.5 % of the surface's width."""
 NEAR = 0.1
-"""Largest distance in m of a stated place from its surface: how well places are measured."""
+"""Largest distance in m between a point that a user gives and the surface that it is on."""
 
 Polygon = tuple[str, str, Array]
 """Name, material and corners of a face."""
@@ -296,7 +296,7 @@ def _new_name(name: str, taken: set[str]) -> str:
 
 
 def face_at(geometry: Polyhedron, point: Array) -> tuple[int, float]:
-    """Return the face nearest to a point, and its distance in m."""
+    """Return the number of the face nearest to a point (3,) in m, and its distance in m."""
     distances = [_away(point, geometry, i) for i in range(len(geometry.faces))]
     nearest = int(np.argmin(distances))
     return nearest, distances[nearest]
