@@ -77,8 +77,7 @@ def find(
         - ``only``, ``without``: names of the effects to try alone, or to leave out; for two states also
           "air" for the climate and "unknown" for a spectrum that no effect has.
         - ``controls``: `ControlRuns`, or a sequence of `ControlRooms`; the model's error from an
-        earlier
-          search, which is otherwise simulated.
+          earlier search, which is otherwise simulated.
         - ``cache``: folder in which simulations are kept for the next search.
         - ``progress``: function that is called with the name of the step, and with the numbers of
           finished and of all steps.
