@@ -803,7 +803,7 @@ class AtMost:
         return [lesser <= greater]
 
     def label(self, row: int, layout: Layout) -> str:
-        """Return the order and the band that a row of the constraint requires."""
+        """Return which coefficient must be at most which other one, for a row of the constraint."""
         lesser, greater = self._places(layout)
         return f"{layout.place(int(lesser[row]))} at most {layout.place(int(greater[row]))}"
 
