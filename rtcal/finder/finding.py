@@ -342,7 +342,7 @@ class Finding(Result):
 
     @property
     def identified_surfaces(self) -> Names:
-        """Names of the surfaces that changed between two states, each with a probability of at least 0.9."""
+        """Names of surfaces that changed between two states, each with a probability of 0.9 or more."""
         return tuple(name for name, p in self.surfaces.items() if p >= CLAIMED)
 
     @property
