@@ -134,8 +134,8 @@ def command(
     ----------
     arguments : sequence of str
         The program and its first arguments.
-        room : Room
-            Room whose coefficients change.
+    room : Room
+        Room whose coefficients change.
     time_limit : float, optional
         Longest time in s that the program may take. It is then ended with the processes that it
         started, except daemons and others that have a separate session.
