@@ -140,8 +140,9 @@ def _of_time(v: Verification) -> str:
     time, gap = v.quantities[0], v.sizes[1, 0, 0, 0]
     if v.corrected is not None and v.corrected.off > _MET:
         return (
-            f"The corrected model misses the fitted {time} by {v.corrected.off:.1f} times its "
-            "uncertainty, because no coefficients near the input agree with this effect and size."
+            f"Over all bands, the corrected model misses the fitted {time} by {v.corrected.off:.1f} "
+            "times its uncertainty (root mean square), because no coefficients near the input agree "
+            "with this effect and size."
         )
     how = "exactly" if gap < _EXACT else f"to {gap:.2f} JND"
     return (
