@@ -207,7 +207,11 @@ if __name__ == "__main__":
 def test_a_scheduler_that_is_lost_is_named(tmp_path: Path) -> None:
     pytest.importorskip("distributed", reason="needs the extra cluster")
     (tmp_path / "alone.py").write_text(ALONE)
-    child = subprocess.Popen([sys.executable, "alone.py"], cwd=tmp_path, stdout=subprocess.PIPE)
+    root = str(Path(__file__).parents[1])  # where the child finds the task, `square`
+    env = {**os.environ, "PYTHONPATH": root}
+    child = subprocess.Popen(
+        [sys.executable, "alone.py"], cwd=tmp_path, stdout=subprocess.PIPE, env=env
+    )
     assert child.stdout is not None
     address = child.stdout.readline().decode().strip()
     with pytest.raises(ClusterError, match=f"the scheduler {address} was lost"):  # noqa: SIM117

@@ -280,9 +280,6 @@ class _Materials:
         return replace(entries[near[0]], name=name)
 
 
-_OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
-
-
 @click.command(short_help="The catalogue of materials and pieces, with their sources.")
 @console.takes(click.argument("names", nargs=-1, metavar="[NAME]..."), writes=False)
 def materials(names: tuple[str, ...]) -> None:
@@ -294,9 +291,10 @@ def materials(names: tuple[str, ...]) -> None:
     """
     import numpy as np
 
-    from rtcal.acoustics.bands import span
+    from rtcal.acoustics.bands import octaves, span
     from rtcal.datasets import catalogue
 
+    of_octaves = [*octaves(125, 4000)]
     entries = {m.name: m for m in catalogue.material_list().materials}
     chosen, free = list(entries), list(catalogue.PIECES)
     if names:
@@ -308,14 +306,14 @@ def materials(names: tuple[str, ...]) -> None:
             f'the catalogue has nothing like "{shown(" ".join(names))}"; `rtcal materials` lists it all'
         )
     listed = [entries[name] for name in dict.fromkeys(chosen)]
-    pieces = [catalogue.piece(name, 1, _OCTAVES) for name in dict.fromkeys(free)]
+    pieces = [catalogue.piece(name, 1, of_octaves) for name in dict.fromkeys(free)]
     origin = catalogue.origin()
     lines = [
-        f"{origin}: alpha in {span(_OCTAVES)}; `rtcal room` takes 30 % as sigma, at least 0.01"
+        f"{origin}: alpha in {span(of_octaves)}; `rtcal room` takes 30 % as sigma, at least 0.01"
     ]
     for each in listed:
         by_band = dict(zip(each.centre_frequencies, each.alpha, strict=True))
-        values = (f"{by_band[f]:5.2f}" if f in by_band else "    -" for f in _OCTAVES)
+        values = (f"{by_band[f]:5.2f}" if f in by_band else "    -" for f in of_octaves)
         lines += [f"{''.join(values)}  {each.name}", f"  {each.source.removeprefix(f'{origin}: ')}"]
     lines += ["m² of one piece, and its sigma, in the same bands"] if pieces else []
     for piece in pieces:

@@ -6,7 +6,6 @@ order. What a task draws belongs to its number, so that results do not depend on
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import re
 from collections import deque
@@ -159,13 +158,18 @@ class _Reporter:
         get_worker().log_event(self.topic, (self.job, done))
 
 
-async def _answered(address: str) -> None:
+def _require_answer(address: str) -> None:
     """Wait for a scheduler to answer, for as long as `_PATIENCE`."""
+    import asyncio  # 20 ms, which every search would wait for
+
     from distributed import Security
     from distributed.core import connect
 
-    options = Security().get_connection_args("client")
-    await (await asyncio.wait_for(connect(address, **options), _PATIENCE)).close()
+    async def answered() -> None:
+        options = Security().get_connection_args("client")
+        await (await asyncio.wait_for(connect(address, **options), _PATIENCE)).close()
+
+    asyncio.run(answered())
 
 
 @contextmanager
@@ -174,7 +178,7 @@ def _cluster(distributed: Any, address: str) -> Iterator[Workers]:
     try:
         # A client waits for ever where something listens that is no scheduler.
         with thread_pool(1) as probe:
-            probe.submit(asyncio.run, _answered(address)).result()
+            probe.submit(_require_answer, address).result()
         client = distributed.Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise ClusterError(
