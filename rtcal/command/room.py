@@ -31,6 +31,11 @@ _PIECE = "WALL=M2:MATERIAL"
 _OBJECT = "NAME=NUMBER"
 _STATED = "stated with the room"
 _OTHERS = 3
+_OF_PIECES = (
+    "m² of one piece, and its sigma, in the same bands: the standard deviation between the values that "
+    "are named, or that of all pieces if it is larger"
+)
+_COPIES = "The values are from copies of these tables, not from the works themselves:"
 """Largest number of other entries of the catalogue that are named beside the one that was taken."""
 
 
@@ -285,7 +290,7 @@ class _Materials:
 def materials(names: tuple[str, ...]) -> None:
     """List the catalogue's materials and pieces, or those that resemble each NAME, best first.
 
-    `rtcal room` takes the first for that name. Pieces are chairs and persons, in m² each.
+    `rtcal room` takes the first for that name. Pieces are persons, seats and furniture, in m² each.
 
     Example: rtcal materials carpet "wooden chair"
     """
@@ -296,9 +301,9 @@ def materials(names: tuple[str, ...]) -> None:
 
     of_octaves = [*octaves(125, 4000)]
     entries = {m.name: m for m in catalogue.material_list().materials}
-    chosen, free = list(entries), list(catalogue.PIECES)
+    described = catalogue.pieces()
+    chosen, free = list(entries), list(described)
     if names:
-        described = {name: source for name, (source, *_) in catalogue.PIECES.items()}
         chosen = [entry for name in names for entry in catalogue.similar(name)]
         free = [piece for name in names for piece in catalogue.similar(name, among=described)]
     if not (chosen or free):
@@ -315,15 +320,18 @@ def materials(names: tuple[str, ...]) -> None:
         by_band = dict(zip(each.centre_frequencies, each.alpha, strict=True))
         values = (f"{by_band[f]:5.2f}" if f in by_band else "    -" for f in of_octaves)
         lines += [f"{''.join(values)}  {each.name}", f"  {each.source.removeprefix(f'{origin}: ')}"]
-    lines += ["m² of one piece, and its sigma, in the same bands"] if pieces else []
+    lines += [_OF_PIECES] if pieces else []
     for piece in pieces:
         for row, text in ((piece.area_per_piece, piece.name), (piece.sigma, "sigma")):
             lines.append(f"{''.join(f'{value:5.2f}' for value in np.ravel(row))}  {text}")
         lines.append(f"  {piece.source}")
+    pages = catalogue.pages([piece.name for piece in pieces])
+    lines += [_COPIES, *(f"  {page}" for page in pages)] if pages else []
     keys = ("name", "centre_frequencies", "alpha", "source")
     record = {
         "materials": [{key: getattr(each, key) for key in keys} for each in listed],
         "pieces": [*map(asdict, pieces)],
+        "pages": pages,
     }
     console.tell("\n".join(lines), record)
 

@@ -4,7 +4,7 @@ Its values (after M. Vorländer, Auralization, 2008, Appendix) are under the MIT
 pyroomacoustics. They are handbook values, which need a realistic sigma. ``material_names.toml`` has
 what people call them, and how their specimens are mounted.
 
-Pieces, such as persons and chairs, are a table here (`piece`).
+Persons, seats and furniture are in ``pieces.toml``, with the source of each value (`piece`).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from importlib import metadata, resources
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
-__all__ = ["material", "names", "piece", "similar"]
+__all__ = ["material", "names", "pages", "piece", "pieces", "similar"]
 __dir__ = __all__.copy
 
 _TABLE = "pyroomacoustics"
@@ -113,70 +114,116 @@ def material(
     )
 
 
-_EN = "EN 12354-6:2003, Annex C"
-_KUTTRUFF = "Kuttruff, Room Acoustics (2009), equivalent absorption area of persons"
-PIECES: dict[str, tuple[str, list[float], list[float]]] = {
-    "wooden chair": (_EN, [0.02, 0.02, 0.03, 0.04, 0.04, 0.04], []),
-    "upholstered chair": (_EN, [0.10, 0.20, 0.25, 0.30, 0.35, 0.35], []),
-    "person in a group": (
-        f"{_EN}, one per 6 m², middle of typical minimum and maximum",
-        [0.05, 0.10, 0.20, 0.35, 0.50, 0.65],
-        [0.12, 0.45, 0.80, 0.90, 0.95, 1.00],
-    ),
-    "person standing": (_KUTTRUFF, [0.12, 0.24, 0.59, 0.98, 1.13, 1.12], []),
-    "person standing in a heavy coat": (_KUTTRUFF, [0.17, 0.41, 0.91, 1.30, 1.43, 1.47], []),
-    "musician with instrument": (_KUTTRUFF, [0.60, 0.95, 1.06, 1.08, 1.08, 1.08], []),
+_OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
+
+
+def pieces() -> dict[str, str]:
+    """Return the name of each piece, such as a person, and which published values it is from."""
+    works = {key: each["work"] for key, each in _tabulated()["source"].items()}
+    return {
+        each["name"]: _FROM[len(each["row"]) > 1, "extremes" in each]
+        + "; ".join(f"{row['of']} [{works[row['source']]}]" for row in each["row"])
+        for each in _tabulated()["piece"]
+    }
+
+
+_FROM = {
+    (False, False): "",
+    (True, False): "mean of ",
+    (True, True): "midway between the extremes ",
 }
-"""Source of each piece, and its absorption area in m² at 125 to 4000 Hz, for some with smallest and
-largest value. The values were noted without the sources at hand and are approximate, as each piece's
-``source`` says."""
-_APPROXIMATE = "approximate: from memory of {}"
-_OF_A_PIECE = 0.3
-"""Relative standard deviation of an area per piece of which no range is known, a judgement."""
+
+
+def pages(names: Collection[str]) -> list[str]:
+    """Return a line for each source of some pieces: the work, and the page with a copy of its table."""
+    rows = (row for each in _tabulated()["piece"] if each["name"] in names for row in each["row"])
+    used = {row["source"] for row in rows}
+    return [
+        f"{each['work']}: {each['page']}, read on {each['read']}"
+        for key, each in _tabulated()["source"].items()
+        if key in used
+    ]
 
 
 def piece(name: str, number: float, centre_frequencies: Sequence[float] | Array) -> Piece:
     """Return several pieces of one kind, such as chairs, with the absorption area of each piece.
 
-    Its uncertainty sigma is 30 % of the value, and at least 0.01 m². For a piece with a range of
-    typical values, sigma is the standard deviation of a uniform distribution over this range.
+    The area is the mean of published values, which ``pieces.toml`` has with their sources; for some
+    pieces these are a typical lowest and highest value. The uncertainty sigma is the standard deviation
+    of the values, or of a uniform distribution between the extremes. If this is less than the root mean
+    square of all pieces, relative to the area, then sigma is that root mean square; likewise for a
+    piece with one value. It is at least 0.01 m². At 8000 Hz it is relative to the area as at 4000 Hz.
 
     Parameters
     ----------
     name : str
-        Name of the piece: a key of `PIECES`.
+        Name of the piece: a key of `pieces`.
     number : float
         Number of pieces in the room.
     centre_frequencies : sequence (n_bands,)
-        Centre frequencies in Hz of octaves from 125 to 4000 Hz.
+        Centre frequencies in Hz of octaves from 125 to 8000 Hz.
 
     Raises
     ------
     DataError
-        For an unknown name or a band that the catalogue lacks.
+        For an unknown name or a band that the catalogue lacks for this piece.
 
     Examples
     --------
-    >>> piece("upholstered chair", 40, [500, 1000]).area_per_piece
-    [0.25, 0.3]
+    >>> piece("wooden chair", 40, [500, 1000]).area_per_piece
+    [0.05, 0.06]
     """
-    if name not in PIECES:
-        raise DataError(f'"{name}" is not among the pieces: {", ".join(PIECES)}')
-    source, low, high = PIECES[name]
-    f, octaves = bands.as_bands(centre_frequencies), [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
-    if other := next((each for each in f.tolist() if each not in octaves), None):
-        raise DataError(f'"{name}" has no value at {bands.label(other)}; it has 125 to 4000 Hz')
-    rows = [octaves.index(each) for each in f.tolist()]
-    ends = np.array([low, high or low])[:, rows]
-    mean = ends.mean(axis=0)
-    sigma = np.ptp(ends, axis=0) / np.sqrt(12) if high else np.maximum(_OF_A_PIECE * mean, 0.01)
+    areas = _areas()
+    if name not in areas:
+        raise DataError(f'"{name}" is not among the pieces: {", ".join(areas)}')
+    mean, relative = areas[name]
+    has = [f for f, value in zip(_OCTAVES, mean, strict=True) if not np.isnan(value)]
+    f = bands.as_bands(centre_frequencies).tolist()
+    if other := next((each for each in f if each not in has), None):
+        raise DataError(
+            f'"{name}" has no value at {bands.label(other)}; it has {has[0]:g} to {has[-1]:g} Hz'
+        )
+    rows = [_OCTAVES.index(each) for each in f]
+    area = mean[rows].round(4)
     return Piece(
         name=name,
         number=number,
-        area_per_piece=mean.round(4).tolist(),
-        sigma=sigma.round(4).tolist(),
-        source=_APPROXIMATE.format(source),
+        area_per_piece=area.tolist(),
+        sigma=np.maximum(relative[rows] * area, _LEAST_SIGMA).round(4).tolist(),
+        source=pieces()[name],
     )
+
+
+_LEAST_SIGMA = 0.01
+"""m²: the decimals of the published values."""
+
+
+@cache
+def _areas() -> dict[str, tuple[Array, Array]]:
+    """Return m² per piece in `_OCTAVES`, NaN without a value, and its relative standard deviation."""
+    means, spreads = {}, {}
+    for each in _tabulated()["piece"]:
+        rows = np.full((len(each["row"]), len(_OCTAVES)), np.nan)
+        for at, row in enumerate(each["row"]):
+            rows[at, : len(row["values"])] = np.multiply(row["values"], row.get("times", 1.0))
+        having = ~np.isnan(rows)
+        counted = having.sum(axis=0)
+        mean = np.where(having, rows, 0).sum(axis=0) / np.where(counted, counted, np.nan)
+        squares = np.where(having, (rows - mean) ** 2, 0).sum(axis=0)
+        # Two extremes are 2 s sqrt(3) apart, so that their squared deviations add up to 6 s².
+        squares /= 6 if "extremes" in each else np.where(counted > 1, counted - 1, np.nan)
+        means[each["name"]], spreads[each["name"]] = mean, np.sqrt(squares) / mean
+    several = np.array([*spreads.values()])[:, : len(_OCTAVES) - 1]
+    pooled = np.sqrt(np.nanmean(several**2, axis=0))
+    relative = {name: np.fmax(spread[:-1], pooled) for name, spread in spreads.items()}
+    return {name: (means[name], np.append(each, each[-1])) for name, each in relative.items()}
+
+
+@cache
+def _tabulated() -> dict[str, Any]:
+    """Return the sources and the pieces of ``pieces.toml``."""
+    text = resources.files("rtcal.datasets").joinpath("pieces.toml").read_text("utf-8")
+    return tomllib.loads(text)
 
 
 def origin() -> str:
