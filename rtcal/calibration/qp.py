@@ -136,6 +136,8 @@ class CompiledProblem:
         answer = SimpleNamespace(x=np.zeros(self.size), z=numbered, s=numbered)
         answer.status, answer.obj_val, answer.solve_time, answer.iterations = "Solved", 0.0, 0.0, 0
         problem.unpack_results(answer, chain, inverse)
+        # Clarabel's solvers that are not at work, by the bounds and settings that they are set up for.
+        self.solvers: dict[Any, Any] = {}
         # Each constraint but `Shared`, with its rows of A by cvxpy constraint that it states.
         self.rows_of = [
             (t, [np.abs(np.ravel(c.dual_value)).astype(int) for c in of_term])
@@ -516,13 +518,15 @@ def solve(
     low = np.flatnonzero(on & np.isfinite(program.lower))
     high = np.flatnonzero(on & np.isfinite(program.upper))
     bounds, size, n = np.concatenate([low, high]), len(start), len(norm)
-    P = program.P * (on[of.P_rows] & on[of.P_columns] & (of.P_rows <= of.P_columns))
+    half = of.P_rows <= of.P_columns
+    at_row, at_column = of.P_rows[half], of.P_columns[half]
+    P = program.P[half] * (on[at_row] & on[at_column])
     A = program.A * unit[of.A_rows] * on[of.A_columns]
     entries = np.concatenate([A, -np.ones(len(low)), np.ones(len(high))])
     rows = np.concatenate([of.A_rows, n + np.arange(len(bounds))])
     columns = np.concatenate([of.A_columns, bounds])
     given = (
-        sp.csc_matrix((P, (of.P_rows, of.P_columns)), (size, size)),
+        sp.csc_matrix((P, (at_row, at_column)), (size, size)),
         program.gradient(start) * on,
         sp.csc_matrix((entries, (rows, columns)), (n + len(bounds), size)),
         np.concatenate([limits, (start - program.lower)[low], (program.upper - start)[high]]),
@@ -536,7 +540,8 @@ def solve(
         first = (form.v - start) * on, duals
     try:
         if solver == "clarabel":
-            x, z, status, iterations = _clarabel(*given)
+            key = low.tobytes(), high.tobytes(), repr(sorted(given[-1].items()))
+            x, z, status, iterations = _clarabel(*given, of.solvers, key)
         else:
             x, z, status, iterations = _osqp(*given, first)
     except (TypeError, ValueError, AttributeError, KeyError, OverflowError) as error:
@@ -563,15 +568,34 @@ def solve(
 _Answer = tuple[Any, Any, str, int]
 
 
-def _clarabel(P: Any, c: Array, A: Any, b: Array, n: int, settings: dict[str, Any]) -> _Answer:
+def _clarabel(
+    P: Any,
+    c: Array,
+    A: Any,
+    b: Array,
+    n: int,
+    settings: dict[str, Any],
+    kept: dict[Any, Any],
+    key: Any,
+) -> _Answer:
     import clarabel
 
-    chosen = clarabel.DefaultSettings()
-    chosen.verbose = False
-    for key, value in settings.items():
-        setattr(chosen, key, value)
-    cones = [clarabel.ZeroConeT(n), clarabel.NonnegativeConeT(len(b) - n)]
-    result = clarabel.DefaultSolver(P, c, A, b, cones, chosen).solve()
+    # Ordering and analysing a matrix takes half of a solve, and depends on its places alone. A solver
+    # is taken out while it works, so that threads do not share one.
+    solver = kept.pop(key, None)
+    if solver is None:
+        chosen = clarabel.DefaultSettings()
+        chosen.verbose = False
+        for name, value in settings.items():
+            setattr(chosen, name, value)
+        cones = [clarabel.ZeroConeT(n), clarabel.NonnegativeConeT(len(b) - n)]
+        solver = clarabel.DefaultSolver(P, c, A, b, cones, chosen)
+    else:
+        solver.update(P=P, q=c, A=A, b=b)
+    result = solver.solve()
+    kept.clear()  # one is kept, which bounds the memory
+    if solver.is_data_update_allowed():  # not if it has removed rows
+        kept[key] = solver
     return np.array(result.x), np.array(result.z), str(result.status), int(result.iterations)
 
 
