@@ -21,6 +21,7 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = (np.uint64(s) for s in (30, 27, 31, 11))
+_ONCE, _TWICE, _THRICE = (np.uint64(n) for n in (1, 2, 3))
 Batch = tuple[Any, Any, Any, Any]
 """Events, starts, lengths and weights of paths, as in `rtcal.simulators.path_tracing.Batch`."""
 Weighing = tuple[Array, Array, Array, float]
@@ -33,9 +34,9 @@ _DISTANCES = 4096
 
 
 @compiled(reorder=False)
-def uniform(state: Any, step: int) -> float:
+def uniform(state: Any, step: Any) -> float:
     """Return the random number in [0, 1) that a state of 64 bits has after some steps."""
-    z = state + np.uint64(step) * _GOLDEN
+    z = state + step * _GOLDEN
     z = (z ^ (z >> _S30)) * _FIRST
     z = (z ^ (z >> _S27)) * _SECOND
     z = z ^ (z >> _S31)
@@ -55,53 +56,45 @@ def hit(order: Any, begins: Any, plane: int, sides: Array, x: float, y: float, z
 
 
 @compiled(reorder=False)
-def grown(array: Any, needed: int) -> Any:
-    """Return a copy of an array with space for ``needed`` elements, at least twice as large."""
-    larger = np.empty(max(2 * array.size, needed), array.dtype)
-    for i in range(array.size):  # a slice takes numba a second to compile
-        larger[i] = array[i]
-    return larger
-
-
-@compiled(reorder=False)
-def distances(rays: Array, n: int, plane: Array, out: Array) -> None:
-    """Write to ``out`` the distance of each ray to a plane, infinite from behind or parallel to it."""
-    a, b, c, offset = plane[0], plane[1], plane[2], plane[3]
+def distances(rays: Array, n: int, planes: Array, k: int, out: Array, row: int) -> None:
+    """Write to a row the distance of each ray to a plane, infinite from behind or parallel to it."""
+    a, b, c, offset = planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3]
     for j in range(n):
         approach = -(a * rays[3, j] + b * rays[4, j] + c * rays[5, j])
         t = (a * rays[0, j] + b * rays[1, j] + c * rays[2, j] - offset) / approach
-        out[j] = t if (approach > 0.0) & (t >= -1e-9) else np.inf
+        out[row, j] = t if (approach > 0.0) & (t >= -1e-9) else np.inf
 
 
 @compiled(reorder=False)
-def passages(rays: Array, n: int, centre: Array, square: float, out: Array) -> None:
-    """Write to ``out`` where each ray is nearest to a receiver, -1 where it misses it."""
-    a, b, c = centre[0], centre[1], centre[2]
+def passages(rays: Array, n: int, centres: Array, r: int, square: float, out: Array) -> None:
+    """Write to a receiver's row where each ray is nearest to it, -1 where it misses it."""
+    a, b, c = centres[r, 0], centres[r, 1], centres[r, 2]
     for j in range(n):
         x, y, z = a - rays[0, j], b - rays[1, j], c - rays[2, j]
         along = x * rays[3, j] + y * rays[4, j] + z * rays[5, j]
-        out[j] = along if x * x + y * y + z * z - along * along < square else -1.0
+        out[r, j] = along if x * x + y * y + z * z - along * along < square else -1.0
 
 
 @compiled(reorder=False)
-def by_path(paths: Any, lost: Any) -> tuple[Any, Any]:
-    """Return where the entries of each path begin, and the entries path by path without lost paths."""
-    starts = np.zeros(len(lost) + 1, np.int64)
-    for path in paths:
-        if not lost[path]:
-            starts[path + 1] += 1
-    for path in range(len(lost)):
-        starts[path + 1] += starts[path]
-    slots, entries = starts.copy(), np.empty(starts[-1], np.int64)
+def place_by_path(paths: Any, lost: Any, slots: Any, out: Any) -> None:
+    """Write to ``out`` the numbers of the entries path by path; ``slots`` is where each path begins."""
     for number in range(len(paths)):
         path = paths[number]
         if not lost[path]:
-            entries[slots[path]] = number
+            out[slots[path]] = number
             slots[path] += 1
+
+
+def by_path(paths: NDArray[np.int32], lost: NDArray[np.bool_]) -> tuple[Any, Any]:
+    """Return where the entries of each path begin, and the entries path by path without lost paths."""
+    number = np.bincount(paths, minlength=len(lost))
+    number[lost] = 0
+    starts = np.concatenate([[0], np.cumsum(number)])
+    entries = np.empty(starts[-1], np.int64)
+    place_by_path(paths, lost, starts[:-1].copy(), entries)
     return starts, entries
 
 
-@compiled(reorder=False)
 def trace(
     origin: Array,
     directions: Array,
@@ -131,147 +124,213 @@ def trace(
     ``counts``: paths lost; free paths, their sum and their sum of squares. A path that hits no wall is
     lost: none of its events is kept.
     """
-    n_paths, n_receivers, n_faces = len(directions), len(receivers), len(scattering)
-    codes, of_path = np.empty(64 * n_paths, np.uint16), np.empty(64 * n_paths, np.int32)
-    lengths, weights = np.empty(4 * n_paths, np.float32), np.empty(4 * n_paths, np.float32)
-    heard_of = np.empty(4 * n_paths, np.int32)
-    lost, counts = np.zeros(n_paths, np.bool_), np.zeros(4)
-    n_events = n_heard = 0
-    n_planes = len(begins) - 1
+    # Arrays are made here: making one in the compiled function takes numba a tenth of a second.
+    n_paths, n_receivers, n_planes = len(directions), len(receivers), len(begins) - 1
     lanes = max(_DISTANCES // n_planes, 16)
-    rays, to_planes = np.empty((6, lanes)), np.empty((n_planes, lanes))
-    to_receivers = np.empty((n_receivers, lanes))
-    travelled, ends = np.empty(lanes), np.empty(lanes)
-    states, paths = np.empty(lanes, np.uint64), np.empty(lanes, np.int32)
-    diffuse = np.empty(lanes, np.bool_)
-    for begin in range(0, n_paths, lanes):
-        n = min(lanes, n_paths - begin)
-        travelled[:n], diffuse[:n] = 0.0, False
-        for j in range(n):
-            paths[j] = path = begin + j
-            for axis in range(3):
-                rays[axis, j], rays[3 + axis, j] = origin[axis], directions[path, axis]
-            states[j], ends[j] = seeds[path], longest
-            for stage in range(1, len(shares)):
-                if path % (1 << stage) != 0:
-                    ends[j] = min(longest, stage * thinned)
-                    break
-        while n > 0:
-            for plane in range(n_planes):
-                distances(rays, n, planes[order[begins[plane]]], to_planes[plane])
-            for r in range(n_receivers):
-                passages(rays, n, receivers[r], radii[r] * radii[r], to_receivers[r])
-            if n_events + n * (n_receivers + 1) > codes.size:
-                codes = grown(codes, n_events + n * (n_receivers + 1))
-                of_path = grown(of_path, codes.size)
-            if n_heard + n * n_receivers > lengths.size:
-                lengths = grown(lengths, n_heard + n * n_receivers)
-                weights, heard_of = grown(weights, lengths.size), grown(heard_of, lengths.size)
-            on = 0  # paths that go on, in the first lanes
-            for j in range(n):
-                path, end = paths[j], ends[j]
-                px, py, pz = rays[0, j], rays[1, j], rays[2, j]
-                vx, vy, vz = rays[3, j], rays[4, j], rays[5, j]
-                t, plane = to_planes[0, j], 0
-                for other in range(1, n_planes):
-                    closer = to_planes[other, j] < t
-                    t = to_planes[other, j] if closer else t
-                    plane = other if closer else plane
-                # In a convex room the nearest plane is hit; in others the nearest that holds the point.
-                triangle = hit(order, begins, plane, sides, px + t * vx, py + t * vy, pz + t * vz)
-                if triangle < 0:
-                    t = np.inf
-                    for other in range(n_planes):
-                        to = to_planes[other, j]
-                        if to < t:
-                            x, y, z = px + to * vx, py + to * vy, pz + to * vz
-                            found = hit(order, begins, other, sides, x, y, z)
-                            if found >= 0:
-                                triangle, t = found, to
-                if triangle < 0:
-                    lost[path] = True
-                    counts[0] += 1
-                    continue
-                if travelled[j] > 0.0:
-                    counts[1] += 1
-                    counts[2] += t
-                    counts[3] += t * t
-                    for r in range(n_receivers):
-                        along, square = to_receivers[r, j], radii[r] * radii[r]
-                        length = travelled[j] + along
-                        if 0.0 < along < t and length < end:
-                            stage = min(int(length / thinned), len(shares) - 1)
-                            weight = 1.0 / (math.pi * square * shares[stage])
-                            if not diffuse[j]:
-                                weight *= 0.5 * (1.0 + math.sqrt(max(1 - square / length**2, 0.0)))
-                            codes[n_events], of_path[n_events] = 2 * n_faces + r, path
-                            lengths[n_heard], weights[n_heard] = length, weight
-                            heard_of[n_heard] = path
-                            n_events += 1
-                            n_heard += 1
-                length = travelled[j] + t
-                if length >= end:
-                    continue
-                face, state = owners[triangle], states[j]
-                s = scattering[face]
-                nx, ny, nz = planes[triangle, 0], planes[triangle, 1], planes[triangle, 2]
-                across = vx * nx + vy * ny + vz * nz
-                px, py, pz = px + t * vx, py + t * vy, pz + t * vz
-                vx, vy, vz = vx - 2 * across * nx, vy - 2 * across * ny, vz - 2 * across * nz
-                spread = s > 0.0 if vector else uniform(state, 1) < s
-                if spread:
-                    # The normal plus a random point of the unit sphere follows Lambert's law.
-                    up, round_angle = (
-                        1.0 - 2.0 * uniform(state, 2),
-                        2.0 * math.pi * uniform(state, 3),
-                    )
-                    round_ = math.sqrt(max(1.0 - up * up, 0.0))
-                    lx = nx + round_ * math.cos(round_angle)
-                    ly = ny + round_ * math.sin(round_angle)
-                    lz = nz + up
-                    share = (s if vector else 1.0) / math.sqrt(lx * lx + ly * ly + lz * lz + 1e-30)
-                    specular = 1.0 - s if vector else 0.0
-                    vx = share * lx + specular * vx
-                    vy = share * ly + specular * vy
-                    vz = share * lz + specular * vz
-                norm = math.sqrt(vx * vx + vy * vy + vz * vz)
-                codes[n_events] = n_faces + face if spread and not vector else face
-                of_path[n_events] = path
-                n_events += 1
-                rays[0, on], rays[1, on], rays[2, on] = px, py, pz
-                rays[3, on], rays[4, on], rays[5, on] = vx / norm, vy / norm, vz / norm
-                travelled[on], ends[on], paths[on] = length, end, path
-                states[on] = state + np.uint64(3) * _GOLDEN
-                diffuse[on] = diffuse[j] or spread
-                on += 1
-            n = on
-    starts, entries = by_path(of_path[:n_events], lost)
-    _, receptions = by_path(heard_of[:n_heard], lost)
-    return codes, entries, starts, lengths, weights, receptions, counts
+    events = np.empty(64 * n_paths, np.uint16), np.empty(64 * n_paths, np.int32)
+    heard = tuple(np.empty(4 * n_paths, kind) for kind in (np.float32, np.float32, np.int32))
+    walls = planes, order, begins, sides, owners, scattering
+    state = (
+        np.empty((6, lanes)),
+        np.empty((n_planes, lanes)),
+        np.empty((n_receivers, lanes)),
+        np.empty((2, lanes)),
+        np.empty(lanes, np.uint64),
+        np.empty(lanes, np.int32),
+        np.empty(lanes, np.bool_),
+    )
+    lost, counts, at = np.zeros(n_paths, np.bool_), np.zeros(4), np.zeros(4, np.int64)
+    of_paths = origin, directions, seeds, longest, thinned, shares
+    while not advance(
+        of_paths, walls, vector, receivers, radii, state, events, heard, lost, counts, at
+    ):
+        events = tuple(_grown(of, at[2] + lanes * (n_receivers + 1)) for of in events)
+        heard = tuple(_grown(of, at[3] + lanes * n_receivers) for of in heard)
+    starts, entries = by_path(events[1][: at[2]], lost)
+    _, receptions = by_path(heard[2][: at[3]], lost)
+    return events[0], entries, starts, heard[0], heard[1], receptions, counts
+
+
+def _grown(array: Any, needed: int) -> Any:
+    """Return an array with space for ``needed`` elements, at least twice as large if it has none."""
+    if needed <= array.size:
+        return array
+    larger = np.empty(max(2 * array.size, needed), array.dtype)
+    larger[: array.size] = array
+    return larger
 
 
 @compiled(reorder=False)
+def advance(
+    of_paths: Any,
+    walls: Any,
+    vector: bool,
+    receivers: Array,
+    radii: Array,
+    state: Any,
+    events: Any,
+    heard: Any,
+    lost: Any,
+    counts: Array,
+    at: Any,
+) -> bool:
+    """Trace paths until all have ended or the arrays are full; return whether all have ended.
+
+    The paths, the walls and the arrays are as in `trace`, which makes them. ``at`` has the number of
+    paths that have begun, of those on their way, of events and of receptions.
+    """
+    origin, directions, seeds, longest, thinned, shares = of_paths
+    planes, order, begins, sides, owners, scattering = walls
+    rays, to_planes, to_receivers, along_path, states, paths, diffuse = state
+    codes, of_path = events
+    lengths, weights, heard_of = heard
+    n_paths, n_receivers, n_faces = len(directions), len(receivers), len(scattering)
+    n_planes, lanes, n_shares = len(begins) - 1, len(paths), len(shares)
+    begun, n, n_events, n_heard = at[0], at[1], at[2], at[3]
+    while n > 0 or begun < n_paths:
+        if n == 0:
+            n = n_paths - begun
+            if n > lanes:
+                n = lanes
+            for j in range(n):
+                path = begun + j
+                paths[j] = path
+                for axis in range(3):
+                    rays[axis, j], rays[3 + axis, j] = origin[axis], directions[path, axis]
+                states[j], diffuse[j] = seeds[path], False
+                along_path[0, j], along_path[1, j] = 0.0, longest
+                for stage in range(1, n_shares):
+                    if path % (1 << stage) != 0:
+                        if stage * thinned < longest:
+                            along_path[1, j] = stage * thinned
+                        break
+            begun += n
+        if n_events + n * (n_receivers + 1) > len(codes) or n_heard + n * n_receivers > len(
+            lengths
+        ):
+            at[0], at[1], at[2], at[3] = begun, n, n_events, n_heard
+            return False
+        for plane in range(n_planes):
+            distances(rays, n, planes, order[begins[plane]], to_planes, plane)
+        for r in range(n_receivers):
+            passages(rays, n, receivers, r, radii[r] * radii[r], to_receivers)
+        on = 0  # paths that go on, in the first lanes
+        for j in range(n):
+            path, end = paths[j], along_path[1, j]
+            px, py, pz = rays[0, j], rays[1, j], rays[2, j]
+            vx, vy, vz = rays[3, j], rays[4, j], rays[5, j]
+            t, plane = to_planes[0, j], np.int64(0)
+            for other in range(1, n_planes):
+                closer = to_planes[other, j] < t
+                t = to_planes[other, j] if closer else t
+                plane = other if closer else plane
+            # In a convex room the nearest plane is hit; in others the nearest that holds the point.
+            triangle = hit(order, begins, plane, sides, px + t * vx, py + t * vy, pz + t * vz)
+            if triangle < 0:
+                t = np.inf
+                for other in range(n_planes):
+                    to = to_planes[other, j]
+                    if to < t:
+                        x, y, z = px + to * vx, py + to * vy, pz + to * vz
+                        found = hit(order, begins, other, sides, x, y, z)
+                        if found >= 0:
+                            triangle, t = found, to
+            if triangle < 0:
+                lost[path] = True
+                counts[0] += 1
+                continue
+            travelled = along_path[0, j]
+            if travelled > 0.0:
+                counts[1] += 1
+                counts[2] += t
+                counts[3] += t * t
+                for r in range(n_receivers):
+                    along, square = to_receivers[r, j], radii[r] * radii[r]
+                    length = travelled + along
+                    if 0.0 < along < t and length < end:
+                        stage = int(length / thinned)
+                        if stage > n_shares - 1:
+                            stage = n_shares - 1
+                        weight = 1.0 / (math.pi * square * shares[stage])
+                        if not diffuse[j]:
+                            seen = 1 - square / (length * length)
+                            weight *= 0.5 * (1.0 + math.sqrt(seen if seen > 0.0 else 0.0))
+                        codes[n_events], of_path[n_events] = 2 * n_faces + r, path
+                        lengths[n_heard], weights[n_heard] = length, weight
+                        heard_of[n_heard] = path
+                        n_events += 1
+                        n_heard += 1
+            length = travelled + t
+            if length >= end:
+                continue
+            face, seed = owners[triangle], states[j]
+            s = scattering[face]
+            nx, ny, nz = planes[triangle, 0], planes[triangle, 1], planes[triangle, 2]
+            across = vx * nx + vy * ny + vz * nz
+            px, py, pz = px + t * vx, py + t * vy, pz + t * vz
+            vx, vy, vz = vx - 2 * across * nx, vy - 2 * across * ny, vz - 2 * across * nz
+            spread = s > 0.0 if vector else uniform(seed, _ONCE) < s
+            if spread:
+                # The normal plus a random point of the unit sphere follows Lambert's law.
+                up = 1.0 - 2.0 * uniform(seed, _TWICE)
+                round_angle = 2.0 * math.pi * uniform(seed, _THRICE)
+                flat = 1.0 - up * up
+                round_ = math.sqrt(flat if flat > 0.0 else 0.0)
+                lx = nx + round_ * math.cos(round_angle)
+                ly = ny + round_ * math.sin(round_angle)
+                lz = nz + up
+                share = (s if vector else 1.0) / math.sqrt(lx * lx + ly * ly + lz * lz + 1e-30)
+                specular = 1.0 - s if vector else 0.0
+                vx = share * lx + specular * vx
+                vy = share * ly + specular * vy
+                vz = share * lz + specular * vz
+            norm = math.sqrt(vx * vx + vy * vy + vz * vz)
+            codes[n_events] = n_faces + face if spread and not vector else face
+            of_path[n_events] = path
+            n_events += 1
+            rays[0, on], rays[1, on], rays[2, on] = px, py, pz
+            rays[3, on], rays[4, on], rays[5, on] = vx / norm, vy / norm, vz / norm
+            along_path[0, on], along_path[1, on], paths[on] = length, end, path
+            states[on] = seed + _THRICE * _GOLDEN
+            diffuse[on] = diffuse[j] or spread
+            on += 1
+        n = on
+    at[0], at[1], at[2], at[3] = begun, n, n_events, n_heard
+    return True
+
+
 def histogram(batch: Batch, weighing: Weighing, out: Array) -> None:
     """Add the energy at the receivers to ``out``, (n_receivers, n_bands, n_bins).
 
     The air's attenuation is that to the middle of a bin, times a series within the bin. So no reception
     takes an exponential.
     """
+    n_receivers, n_bands, n_bins = out.shape
+    sums = np.zeros((n_receivers, n_bins, n_bands))
+    add_energy(batch, weighing, np.empty_like(weighing[0]), np.empty((3, n_bands)), sums, out)
+
+
+@compiled(reorder=False)
+def add_energy(
+    batch: Batch, weighing: Weighing, reflection: Array, level: Array, sums: Array, out: Array
+) -> None:
+    """Add energies to ``out`` as `histogram` does, which makes the arrays that this overwrites."""
     events, starts, lengths, weights = batch
     log_reflection, attenuation, first, bin_length = weighing
     n_codes, n_bands = log_reflection.shape
     n_receivers, _, n_bins = out.shape
-    reflection = np.exp(log_reflection)
-    sums = np.zeros((n_receivers, n_bins, n_bands))
-    level = np.empty(n_bands)
+    for code in range(n_codes):
+        for k in range(n_bands):
+            reflection[code, k] = math.exp(log_reflection[code, k])
     heard = 0
     for path in range(len(starts) - 1):
-        level[:] = 1.0
+        for k in range(n_bands):
+            level[0, k] = 1.0
         for e in range(starts[path], starts[path + 1]):
             code = np.int64(events[e])
             if code < n_codes:
                 for k in range(n_bands):
-                    level[k] *= reflection[code, k]
+                    level[0, k] *= reflection[code, k]
                 continue
             receiver = code - n_codes
             after = (np.float64(lengths[heard]) - first[receiver]) / bin_length
@@ -281,25 +340,20 @@ def histogram(batch: Batch, weighing: Weighing, out: Array) -> None:
                 for k in range(n_bands):
                     x = attenuation[k] * beyond
                     series = 1 - x * (1 - x / 2 * (1 - x / 3 * (1 - x / 4 * (1 - x / 5))))
-                    sums[receiver, place, k] += weights[heard] * level[k] * series
+                    sums[receiver, place, k] += weights[heard] * level[0, k] * series
             heard += 1
-    of_bin = np.exp(-attenuation * bin_length)
     for receiver in range(n_receivers):
-        air = np.exp(-attenuation * (first[receiver] + 0.5 * bin_length))
+        for k in range(n_bands):
+            level[1, k] = math.exp(-attenuation[k] * (first[receiver] + 0.5 * bin_length))
+            level[2, k] = math.exp(-attenuation[k] * bin_length)
         for place in range(n_bins):
             for k in range(n_bands):
-                out[receiver, k, place] += sums[receiver, place, k] * air[k]
-                air[k] *= of_bin[k]
+                out[receiver, k, place] += sums[receiver, place, k] * level[1, k]
+                level[1, k] *= level[2, k]
 
 
-@compiled(reorder=False)
 def histogram_gradient(
-    batch: Batch,
-    weighing: Weighing,
-    groups: Any,
-    counts: Array,
-    out: Array,
-    gradient: Array,
+    batch: Batch, weighing: Weighing, groups: Any, counts: Array, out: Array, gradient: Array
 ) -> None:
     """Add the energy at receivers to ``out``, and its sums weighted by wall hits to ``gradient``.
 
@@ -307,54 +361,78 @@ def histogram_gradient(
     adds to the sum. ``out`` (n_receivers, n_bands, n_bins), ``gradient`` (n_receivers, n_bins,
     n_groups, n_bands).
     """
+    _, _, n_groups, n_bands = gradient.shape
+    level, sums = np.empty((2, n_bands)), np.empty(n_groups)
+    add_gradient(batch, weighing, groups, counts, level, sums, out, gradient)
+
+
+@compiled(reorder=False)
+def add_gradient(
+    batch: Batch,
+    weighing: Weighing,
+    groups: Any,
+    counts: Array,
+    level: Array,
+    sums: Array,
+    out: Array,
+    gradient: Array,
+) -> None:
+    """Add energies and sums as `histogram_gradient` does; the arrays before ``out`` are overwritten."""
     events, starts, lengths, weights = batch
     log_reflection, attenuation, first, bin_length = weighing
     n_codes, n_bands = log_reflection.shape
     n_bins, n_groups = out.shape[2], gradient.shape[2]
-    level, energy, sums = np.empty(n_bands), np.empty(n_bands), np.empty(n_groups)
     heard = 0
     for path in range(len(starts) - 1):
-        level[:] = 0.0
-        sums[:] = 0.0
+        for k in range(n_bands):
+            level[0, k] = 0.0
+        for j in range(n_groups):
+            sums[j] = 0.0
         for e in range(starts[path], starts[path + 1]):
             code = np.int64(events[e])
             if code < n_codes:
                 for k in range(n_bands):
-                    level[k] += log_reflection[code, k]
+                    level[0, k] += log_reflection[code, k]
                 sums[groups[code]] += counts[code]
                 continue
             receiver, length = code - n_codes, np.float64(lengths[heard])
             place = math.floor((length - first[receiver]) / bin_length)
             if 0 <= place < n_bins:
                 for k in range(n_bands):
-                    energy[k] = weights[heard] * math.exp(level[k] - attenuation[k] * length)
-                    out[receiver, k, place] += energy[k]
+                    energy = weights[heard] * math.exp(level[0, k] - attenuation[k] * length)
+                    out[receiver, k, place] += energy
+                    level[1, k] = energy
                 for j in range(n_groups):
                     if sums[j] != 0.0:
                         for k in range(n_bands):
-                            gradient[receiver, place, j, k] += sums[j] * energy[k]
+                            gradient[receiver, place, j, k] += sums[j] * level[1, k]
             heard += 1
 
 
-@compiled(reorder=False)
 def most_hits(events: Any, starts: Any, held: Any) -> int:
     """Return the largest number of hits of a path on one group of faces."""
+    return largest_sum(events, starts, held, np.empty(held.shape[1], np.int64))
+
+
+@compiled(reorder=False)
+def largest_sum(events: Any, starts: Any, held: Any, hits: Any) -> int:
+    """Return what `most_hits` does, which makes the array ``hits`` that this overwrites."""
     n_codes, n_groups = held.shape
-    hits = np.zeros(n_groups, dtype=np.int64)
-    most = 0
+    most = np.int64(0)
     for path in range(len(starts) - 1):
-        hits[:] = 0
+        for j in range(n_groups):
+            hits[j] = 0
         for e in range(starts[path], starts[path + 1]):
             code = np.int64(events[e])
             if code < n_codes:
                 for j in range(n_groups):
                     hits[j] += held[code, j]
         for j in range(n_groups):
-            most = max(most, int(hits[j]))
+            if hits[j] > most:
+                most = hits[j]
     return most
 
 
-@compiled(reorder=False)
 def histogram_changed(
     batch: Batch,
     weighing: Weighing,
@@ -368,6 +446,32 @@ def histogram_changed(
     (n_groups, n_hits, n_changes, n_bands) multiply the energy after as many hits on a group. ``out``
     (n_groups, n_receivers, n_bins, n_changes, n_bands).
     """
+    n_groups, n_hits, _, n_bands = powers.shape
+    n = len(batch[2])
+    keys, begins = np.empty(n, np.int64), np.zeros(out.shape[1] * out.shape[2] + 1, np.int64)
+    sorted_by_key = np.empty(len(begins), np.int64), np.empty((n, n_groups), np.uint16)
+    sums = np.empty(n_bands), np.empty((n, n_bands)), np.zeros((n_hits, n_bands))
+    hits = np.empty(n_groups, np.int64)
+    add_changed(batch, weighing, held, powers, out, keys, begins, *sorted_by_key, *sums, hits)
+
+
+@compiled(reorder=False)
+def add_changed(
+    batch: Batch,
+    weighing: Weighing,
+    held: Any,
+    powers: Array,
+    out: Array,
+    keys: Any,
+    begins: Any,
+    slots: Any,
+    counted: Any,
+    level: Array,
+    energy: Array,
+    sums: Array,
+    hits: Any,
+) -> None:
+    """Add energies as `histogram_changed` does, which makes the arrays that this overwrites."""
     events, starts, lengths, weights = batch
     log_reflection, attenuation, first, bin_length = weighing
     n_codes, n_bands = log_reflection.shape
@@ -375,25 +479,24 @@ def histogram_changed(
     n_hits = powers.shape[1]
     # Sorted by receiver and bin: what is summed after one another stands together in memory.
     heard = 0
-    keys = np.empty(len(lengths), dtype=np.int64)
-    begins = np.zeros(n_receivers * n_bins + 1, dtype=np.int64)
-    for code in events:
-        receiver = np.int64(code) - n_codes
+    for e in range(len(events)):
+        receiver = np.int64(events[e]) - n_codes
         if receiver >= 0:
             place = math.floor((np.float64(lengths[heard]) - first[receiver]) / bin_length)
             keys[heard] = receiver * n_bins + place if 0 <= place < n_bins else -1
             if keys[heard] >= 0:
                 begins[keys[heard] + 1] += 1
             heard += 1
-    begins = np.cumsum(begins)
-    slots = begins.copy()
-    level, hits = np.empty(n_bands), np.zeros(n_groups, dtype=np.int64)
-    counted = np.empty((begins[-1], n_groups), dtype=np.uint16)
-    energy = np.empty((begins[-1], n_bands))
+    slots[0] = 0
+    for key in range(n_receivers * n_bins):
+        begins[key + 1] += begins[key]
+        slots[key + 1] = begins[key + 1]
     heard = 0
     for path in range(len(starts) - 1):
-        level[:] = 0.0
-        hits[:] = 0
+        for k in range(n_bands):
+            level[k] = 0.0
+        for j in range(n_groups):
+            hits[j] = 0
         for e in range(starts[path], starts[path + 1]):
             code = np.int64(events[e])
             if code < n_codes:
@@ -411,21 +514,22 @@ def histogram_changed(
                     counted[slot, j] = hits[j]
             heard += 1
     # Energies of as many hits are summed before they are multiplied.
-    sums = np.zeros((n_hits, n_bands))
     for key in range(n_receivers * n_bins):
         receiver, place = key // n_bins, key % n_bins
         for j in range(n_groups):
             least, most = n_hits, -1
             for slot in range(begins[key], begins[key + 1]):
-                number = int(counted[slot, j])
-                least, most = min(least, number), max(most, number)
+                number = np.int64(counted[slot, j])
+                least = number if number < least else least
+                most = number if number > most else most
                 for k in range(n_bands):
                     sums[number, k] += energy[slot, k]
             for number in range(least, most + 1):
                 for c in range(n_changes):
                     for k in range(n_bands):
                         out[j, receiver, place, c, k] += sums[number, k] * powers[j, number, c, k]
-                sums[number] = 0.0
+                for k in range(n_bands):
+                    sums[number, k] = 0.0
 
 
 @compiled(reorder=True)
