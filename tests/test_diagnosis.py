@@ -12,7 +12,7 @@ import rtcal as rt
 from rtcal.finder import Diagnosis
 from rtcal.finder.means.recalibration import plain
 from rtcal.loop.positions import PositionsResult
-from rtcal.report.of_diagnosis import steps
+from rtcal.report.of_diagnosis import contents, steps
 from tests.conftest import run
 from tests.test_discrepancy import controls_of
 
@@ -45,6 +45,15 @@ def test_saved_it_prints_the_same(named: Diagnosis, tmp_path: Path) -> None:
     assert str(rt.load(named.save(tmp_path))) == str(named)
 
 
+def test_its_room_has_the_warning_of_apply(
+    named: Diagnosis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib", reason="needs the extra report")
+    monkeypatch.setattr("rtcal.report.verification_words.misses", lambda _: "Do not simulate.")
+    written = contents(named, tmp_path)
+    assert written[tmp_path / "room.toml"].startswith(b"# Do not simulate.\n")
+
+
 @pytest.mark.long
 def test_where_nothing_is_missing_the_model_is_calibrated_as_given(kept: Path) -> None:
     case, _ = rt.datasets.hidden_room("not_identified")
@@ -52,7 +61,7 @@ def test_where_nothing_is_missing_the_model_is_calibrated_as_given(kept: Path) -
     assert result.corrected is None
     assert result.verification is None
     assert np.array_equal(result.calibrated.alpha, plain(case).alpha)
-    assert "Nothing is added to the model." in str(result)
+    assert "Nothing is added to the model: " in str(result)
     assert steps(result).splitlines() == [
         "rtcal find room.toml measured.csv --out found",
         "rtcal calibrate room.toml measured.csv --out calibrated",

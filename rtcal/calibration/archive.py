@@ -485,7 +485,7 @@ class Archive(Result):
             for i, name in enumerate(self.materials)
         ]
         of_rooms = {
-            "all alpha off by": [f"{100 * lesson.factor:+.0f} %" for lesson in self.lessons],
+            "common change of alpha": [f"{100 * lesson.factor:+.0f} %" for lesson in self.lessons],
             "p of its T": [f"{lesson.p_value:.2g}" for lesson in self.lessons],
             "sigma reduced by": [f"{100 * lesson.taught:.0f} %" for lesson in self.lessons],
         }
@@ -507,9 +507,9 @@ class Archive(Result):
         head = f"alpha (number of rooms; *: {_OFF:g} or more standard deviations from the table)"
         return [
             Note(
-                f"{len(self.lessons)} rooms give the coefficients of {len(self.materials)} materials; "
-                f"the tables they began with are off by {100 * self.together:+.0f} ± "
-                f"{100 * self.together_sigma:.0f} % together (standard deviation)."
+                f"By {len(self.lessons)} rooms, alpha of {len(self.materials)} materials differs from "
+                f"the tables that the rooms began with by {100 * self.together:+.0f} ± "
+                f"{100 * self.together_sigma:.0f} % in common (± standard deviation)."
             ),
             Table(labels, materials, head),
             replace(rooms, title="Each room compared with the prediction from all other rooms"),

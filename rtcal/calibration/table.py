@@ -311,10 +311,7 @@ def certificate(record: Mapping[str, Any]) -> str:
     """Return a sentence on how exactly the problem was solved."""
     worst = max(abs(record["certificate"][name]) for name in _RESIDUALS)
     bound = np.max([numbers(material["error_bound"]) for material in record["materials"]])
-    return (
-        f"Numerical accuracy: alpha is within {bound:.1e} of the exact solution (residual {worst:.1e}, "
-        f"solver {record['solver']['name']})."
-    )
+    return f"Numerical accuracy: alpha within {bound:.1e} of the exact solution (residual {worst:.1e})."
 
 
 def _bands_beyond_equation(record: Mapping[str, Any]) -> list[str]:
@@ -419,7 +416,7 @@ def _off(record: Mapping[str, Any]) -> tuple[float, str]:
     )
     wanted = record["measured"]["reverberation_time"][k]
     return float(gap[k]), (
-        f"{' and '.join(_parameters(record))} of the input is off by up to {gap[k]:.1f} JND "
+        f"{' and '.join(_parameters(record))} with the input coefficients is off by up to {gap[k]:.1f} JND "
         f"({before:.2f} s instead of {wanted:.2f} s at {label})"
     )
 

@@ -543,11 +543,11 @@ def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
 
     Example: rtcal diagnose room.toml pairs.csv --out diagnosis
     """
-    from rtcal.finder.apply import CASE, CATT, MESH, ODEON, ROOM
+    from rtcal.finder.apply import CASE, CATT, CAUTION, MESH, ODEON, ROOM
     from rtcal.finder.diagnosis import diagnosis
     from rtcal.report import of_diagnosis, of_finding
 
-    files = (*of_finding.WRITTEN, ROOM, CASE, MESH, CATT, ODEON)
+    files = (*of_finding.WRITTEN, ROOM, CASE, MESH, CATT, ODEON, CAUTION)
     defaults = {
         "before": None,
         "simulated": None,
@@ -588,9 +588,18 @@ def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
     console.several(
         "cost", "MEASUREMENT=HOURS", "Hours of a further measurement, such as G=0.5.", "costs"
     ),
+    console.flag(
+        "all", "Name the effects that the data do not distinguish, for each effect.", "every"
+    ),
     writes=False,
 )
-def plan(case: str, change: float | None, further: str | None, costs: tuple[str, ...]) -> None:
+def plan(
+    case: str,
+    change: float | None,
+    further: str | None,
+    costs: tuple[str, ...],
+    every: bool,
+) -> None:
     """Print which effects the data could distinguish, and what to measure next.
 
     A CASE is planned before anything is measured. A configuration may state
@@ -606,6 +615,7 @@ def plan(case: str, change: float | None, further: str | None, costs: tuple[str,
     """
     from rtcal.finder import Case
     from rtcal.finder import plan as planned_with
+    from rtcal.report.finding_words import of_plan
 
     finding = None
     if Path(case).is_dir() or kind_of(case) == RESULT:
@@ -634,7 +644,7 @@ def plan(case: str, change: float | None, further: str | None, costs: tuple[str,
         costs=console.numbers("--cost", costs, "MEASUREMENT=HOURS, such as G=0.5"),
         planned=planned,
     )
-    console.tell(str(result), result.to_dict)
+    console.tell("\n".join(lines(of_plan(result, every=every))), result.to_dict)
 
 
 def _further_places(finding: Any) -> tuple[Place, ...]:

@@ -49,6 +49,7 @@ from rtcal.support.text import listed
 from rtcal.support.types import Array
 
 CASE, ROOM, MESH, CATT, ODEON = "case.json", "room.toml", "room.obj", "catt.txt", "odeon.txt"
+CAUTION = "caution.txt"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,6 +147,10 @@ class Corrected:
         if self.geometry is not None:
             made[MESH] = self.geometry.to_text().encode()
         made |= {name: content for name, (content, _) in self._lists.items()}
+        if self.caution and CATT in made:
+            words = self.caution.replace("±", "+-").encode("ascii", "replace")
+            made[CATT] = b"; " + words + b"\r\n" + made[CATT]
+            made[CAUTION] = f"{self.caution}\n".encode()  # ODEON's list has no comments
         return {folder / name: content for name, content in made.items()}
 
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:

@@ -289,12 +289,12 @@ def amount(value: float, unit: str, interval: tuple[float, float] | None = None)
     Examples
     --------
     >>> amount(2.0, "of the input area"), amount(12.3, "m²", (8.0, 17.0))
-    ('2 times the input area', '12.3 m² (90 %: 8 to 17)')
+    ('2 times the input area', '12.3 m² (90 % interval 8 to 17)')
     >>> amount(0.875, "of its area covered", (0.47, 1.0))
-    '0.875 of its area covered (90 %: 0.47 to 1)'
+    '0.875 of its area covered (90 % interval 0.47 to 1)'
     """
     times = unit.replace("of the input ", "times the input ")
-    ends = "" if interval is None else f" (90 %: {interval[0]:.3g} to {interval[1]:.3g})"
+    ends = "" if interval is None else f" (90 % interval {interval[0]:.3g} to {interval[1]:.3g})"
     return f"{value:.3g} {times}{ends}"
 
 
@@ -319,7 +319,7 @@ class Size:
         Examples
         --------
         >>> Size(12.3, 8.0, 17.0, "m²").words
-        '12.3 m² (90 %: 8 to 17)'
+        '12.3 m² (90 % interval 8 to 17)'
         >>> Size(61.0, 26.0, 109.0, "m²", "least").words
         'at least 26 m² (95 %)'
         """

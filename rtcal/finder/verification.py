@@ -932,7 +932,7 @@ def at_positions(
         pairs,
         gaps,
         models=MODELS,
-        held_out=("each half of the pairs from the other",),
+        held_out=("each half of the pairs, by a fit to the other half",),
         quantities=tuple(map(parameter_label, parameters)),
         misses=tuple(misses),
         halves=tuple(map(tuple, halves)),

@@ -1253,7 +1253,8 @@ class PositionsResult(Result):
             (
                 "More deviation than expected",
                 unexplained
-                and f"beyond all known errors, values deviate by {unexplained} (standard deviation).",
+                and f"beyond all known errors, model and measurement differ by {unexplained} "
+                "(standard deviation).",
                 "Check volume, mesh and sigma. Something may be missing from the model.",
             ),
             (

@@ -40,6 +40,7 @@ from rtcal.support.errors import DataError
 from rtcal.support.text import as_sentence, shortened
 from rtcal.support.types import Array
 
+_CAUTION = "Caution: "
 JND = 0.05
 """One just noticeable difference of T, as a share of T."""
 COVERAGE = 0.9
@@ -511,10 +512,31 @@ class Predictions(Result):
         return record
 
     def __str__(self) -> str:
-        beside = blocks.lines(self.side_by_side())
+        beside, several = self.side_by_side(), self.predictions
+        if len(several) > 1 and all(isinstance(p, Prediction) for p in several):
+            return "\n".join(blocks.lines(self._together(beside)))
         return "\n\n\n".join(
-            [*map(str, self.predictions), *(["\n".join(beside)] if beside else [])]
+            [*map(str, several), *(["\n".join(blocks.lines(beside))] if beside else [])]
         )
+
+    def _together(self, beside: Sequence[Block]) -> list[Block]:
+        """Return the sentences of all variants, common ones once, T ``beside``, and intervals."""
+        every, labels = (
+            self.predictions,
+            bands.labels(self.predictions[0].before.centre_frequencies),
+        )
+        common = [said for said in every[0].sentences if all(said in p.sentences for p in every)]
+        own = [(p.name, s) for p in every for s in p.sentences if s not in common]
+        cautions = [f"Caution, {n}: {s[len(_CAUTION) :]}" for n, s in own if s.startswith(_CAUTION)]
+        cautions += [f"{name}: {said}" for name, said in own if not said.startswith(_CAUTION)]
+        found: list[Block] = [Note(head) for p in every for head in p.heads]
+        found += [*map(Note, cautions), *map(Note, common)]
+        found += [Table(labels, every[0].rows[:2]), *beside]
+        chosen = ("90 %", "      ", "change / %")
+        for p in every:
+            rows = [row for row in p.rows if row.name.startswith(chosen)]
+            found.append(Table(labels, rows, f"{p.name}: interval and change of T"))
+        return found
 
     def side_by_side(self) -> list[Block]:
         """Return a table of the variants' T, with cost and probability where they are known."""
@@ -523,7 +545,7 @@ class Predictions(Result):
         labels = bands.labels(self.predictions[0].before.centre_frequencies)
         shown = [p.shown for p in self.predictions]
         rows = [Row(p.name, s.after, ".2f") for p, s in zip(self.predictions, shown, strict=True)]
-        found: list[Block] = [Table(labels, rows, f"All variants: {shown[0].name}")]
+        found: list[Block] = [Table(labels, rows, f"{shown[0].name} after each change")]
         if self.target is not None:
             found.append(Note(f"The target is {self.target.source}."))
         elif all(cost is None for cost in self.costs):

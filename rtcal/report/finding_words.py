@@ -6,6 +6,7 @@ Answer, cautions, evidence, notes: in this order for every kind of data. Evidenc
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from string import Formatter
 from typing import TYPE_CHECKING, Any
 
@@ -69,6 +70,8 @@ _NEAR = 0.5
 """Probability over the first candidate's from which another one fits nearly as well."""
 _STRONG = 4.0
 """Deviation in standard deviations at which the ground of a number saturates."""
+_SEVERAL = 2
+"""Configurations from which on a text has one table of what deviates much, not one of each."""
 _FEW = 3
 """Most effects or sources that a sentence lists."""
 NAMES = {
@@ -80,7 +83,7 @@ NAMES = {
     "noise": "a noisy value",
     NONE: "nothing missing",
     COEFFICIENTS: "common error of the coefficients",
-    UNKNOWN: "none of the library",
+    UNKNOWN: "effect not in the library",
 }
 """Names in print, where they are others than those of the options."""
 
@@ -108,9 +111,9 @@ SENTENCES: dict[str, str] = {
     "size fits as well.",
     "too large": "{effect:name} would take {share:p} of all surfaces; a size above {most:p} is not "
     "plausible.",
-    "below Schroeder": "{effect:name} depends on {bands:and}, below the Schroeder frequency, where "
-    "the sound field is not diffuse: without these bands its odds are {without:odds} instead of "
-    "{nats:odds}.",
+    "below Schroeder": "{effect:name} rests on {bands:and}, below the Schroeder frequency, where "
+    "the sound field is not diffuse: its odds by the data are {nats:odds} with, and {without:odds} "
+    "without, what was measured there.",
     "directivity unknown": "The surface is not identified, because the directivity of a source is "
     "unknown: where a source aims looks like absorption on the other surfaces.",
     "second room anywhere": "The surface is not identified, because a second room has the same effect "
@@ -135,7 +138,7 @@ SENTENCES: dict[str, str] = {
     "them again.",
     "nothing to distinguish": "These data leave nothing to distinguish, which does not confirm the "
     "model.",
-    "look it up": "Confirm {effect:name} by looking it up, or by a measurement of its own.",
+    "look it up": "Confirm {effect:name}: look it up, or measure it directly.",
     "measure without": "Confirm {effect:name}: measure once without it.",
     "confirmed": "{effect:name} was already measured with and without it; nothing else could confirm "
     "it.",
@@ -143,14 +146,14 @@ SENTENCES: dict[str, str] = {
     "the uncertainty of the coefficients cancels in the difference.",
     "measure further": "Measure {what}: {effect:name} and {rival:name} would then be distinguished "
     "with odds of {nats:odds} instead of {now:odds}.",
-    "each taken out": "Measure once without {effect:name} and once without {rival:name}, because the "
-    "uncertainty of the coefficients cancels in the difference.",
+    "each taken out": "Remove or cover what could be {effect:name} and measure again, then what could "
+    "be {rival:name}: the uncertainty of the coefficients cancels in the differences.",
     "look at the room": "Look at the room: {effect:name} and {rival:name} predict the same in every "
     "parameter, but you may see one of them, or measure it with a tape measure.",
     # Why nothing is added to the model, or not without a choice.
     "nothing to add": "Nothing to add: nothing is identified as missing.",
-    "too weak to add": "Nothing to add: nothing was detected, and {best:name} is only a weak "
-    "indication (verdict hint), which no choice of an effect changes. Measure more and search again: "
+    "too weak to add": "Nothing to add: nothing was detected. {best:name} is only a weak indication "
+    "(verdict hint), which rtcal does not add even if you choose it. Measure more and search again: "
     "`rtcal plan` proposes what.",
     "none of the library": "Nothing to add: no effect of the library explains what is missing "
     "(verdict unknown).",
@@ -218,9 +221,9 @@ SENTENCES: dict[str, str] = {
     "C80": "C80",
     "G": "G, with a calibrated source",
     "more positions": "{positions} more positions",
-    "another climate": "another climate: {humidity:.0f} % of humidity at {temperature:.0f} °C",
-    "covered": '"{material}" covered with {thickness:.0f} mm of mineral wool of known coefficients',
-    "removed": "without all that can be taken out or closed: objects, people, openings",
+    "another climate": "air of {temperature:.0f} °C, {humidity:.0f} % humidity",
+    "covered": '{thickness:.0f} mm mineral wool on "{material}"',
+    "removed": "an emptied room, openings closed",
     "planned": 'configuration "{configuration}"',
     "no directivity": "The directivity of {sources:few} is not given, so no surface is identified. "
     "Give every source a directivity, with index = 0 for an omnidirectional one.",
@@ -439,7 +442,7 @@ def absorbs(change: Array, end: str = "") -> str:
     """Return how much more or less the room absorbs than the model, with the ``end`` of a `Size`.
 
     >>> absorbs(np.array([[0.2, 0.6], [0.1, 0.3], [0.3, 0.9]]))
-    'The room absorbs 40 % more than the model (90 %: 20 to 60 %), rising with frequency'
+    'The room absorbs 40 % more than the model (90 % interval 20 to 60 %), rising with frequency'
     """
     mean, *ends = 100 * np.abs(change.mean(1))
     more = "more" if change[0].mean() > 0 else "less"
@@ -447,7 +450,8 @@ def absorbs(change: Array, end: str = "") -> str:
         bound = min(ends) if end == "least" else max(ends)
         said = f"at {end} {bound:.0f} % {more} than the model"
     else:
-        said = f"{mean:.0f} % {more} than the model (90 %: {min(ends):.0f} to {max(ends):.0f} %)"
+        said = f"{mean:.0f} % {more} than the model "
+        said += f"(90 % interval {min(ends):.0f} to {max(ends):.0f} %)"
     return f"The room absorbs {said}, {over_frequency(change[0])}"
 
 
@@ -484,7 +488,8 @@ def _of_means(f: Finding) -> list[str]:
 
 def _group(f: Finding) -> str:
     """Return the group of effects that is identified, where no effect is."""
-    return f"Only the group is identified: {likely(str(f.family), f.families.get(str(f.family), 0.0))}."
+    group = likely(str(f.family), f.families.get(str(f.family), 0.0))
+    return f"The data identify only the group of effects: {group}."
 
 
 def _weak(f: Finding) -> str:
@@ -493,8 +498,9 @@ def _weak(f: Finding) -> str:
     if not _nothing_likelier(f):
         return f"Nothing is identified; {best} is only a weak indication."
     return (
-        "Nothing is identified: it is more likely that nothing is missing "
-        f"({percent(f.probabilities[NONE])}) than any candidate; the most probable one is {best}."
+        "Nothing is identified: that nothing is missing "
+        f"({percent(f.probabilities[NONE])}) is more probable than any single effect; the most "
+        f"probable effect is {best}."
     )
 
 
@@ -516,6 +522,37 @@ def without_measuring(f: Finding) -> str:
         f"Calibrate (rtcal {command}): the uncertainty of the input explains the difference between "
         "model and measurement."
     )
+
+
+USE = {
+    "supported": "Use the corrected model for T and level, not the calibration without the effect. Do "
+    "not quote its coefficients before the effect is confirmed.",
+    "not tested": "Measure C80 or G, or a second configuration, before you use the corrected model, "
+    "because the finding was fitted to all that was measured.",
+    "unproven": "Confirm the effect before the corrected model is used: measure with it and without "
+    "it, or look at the room, because these measurements neither confirm it nor rule it out.",
+    "withdrawn": "Use neither calibration: with the effect in the model the measurements fit worse.",
+}
+"""What may be done with the corrected model, by verification."""
+
+
+def next_step(f: Finding, verification: Verification | None = None) -> str:
+    """Return the next step, a measurement or not, in a sentence; "" where nothing is left to do."""
+    if step := without_measuring(f):
+        return step
+    if f.advice is not None:
+        return str(f.advice)
+    if f.kind != "positions" or f.verdict == NONE or f.best is None:
+        return ""
+    if verification is not None and not (verification.misses or verification.verdict == "unproven"):
+        return USE[verification.verdict]
+    if f.likely_surfaces and f.surface is None:
+        return (
+            "Look for the effect on the surfaces named above, or measure at one more receiver: "
+            "`rtcal plan` proposes where."
+        )
+    what = f.likeliest or f.best
+    return f"Look at the room for {named(what)}, or measure once with it and once without it."
 
 
 def _nothing_likelier(f: Finding) -> bool:
@@ -814,6 +851,16 @@ def _details_at_positions(f: Finding) -> list[str]:
     return said
 
 
+_VERDICTS = {
+    "named": ": one effect is identified",
+    "family": ": a group of effects is identified",
+    "ambiguous": ": detected, but not identified",
+    "hint": ": a weak indication",
+    "unknown": ": detected, but not explained",
+}
+"""What a verdict says, where its name alone does not."""
+
+
 def evidence(f: Finding) -> str:
     """Return the odds that something is missing, the required odds, and the verdict."""
     what = "changed" if f.kind == "states" else "is missing"
@@ -830,7 +877,7 @@ def evidence(f: Finding) -> str:
     required = "more than even odds" if required == "even" else f"odds of more than {required}"
     said = (
         f"The data alone{of} give odds of {odds(score)} that something {what}; a detection requires "
-        f'{required} (verdict "{f.verdict}").'
+        f'{required} (verdict "{f.verdict}"{_VERDICTS.get(f.verdict, "")}).'
     )
     if f.kind == "positions" and f.case.has_run:
         said += (
@@ -891,10 +938,10 @@ def record_of_positions(room: Room, match: Sequence[str]) -> str:
     return (
         f"In simulated rooms that were not used to make the finder, with coefficients {stated}, "
         f"an earlier version detected {_of(record['detected'], 'hidden effects')} and reported one in "
-        f"{_of(record['flagged'], 'rooms with nothing missing')}. Of its results, "
-        f"{_of(record['family'], 'identified effects or groups')}, "
-        f"{_of(record['surface claimed'], 'identified surfaces')} and "
-        f"{_of(record['surface'], 'most probable surfaces of detected absorbers')} were right."
+        f"{_of(record['flagged'], 'rooms with nothing missing')}. It was right in "
+        f"{_of(record['family'], 'effects or groups that it identified')}, in "
+        f"{_of(record['surface claimed'], 'surfaces that it identified')} and in "
+        f"{_of(record['surface'], 'most probable surfaces of absorbers that it detected')}."
     )
 
 
@@ -922,7 +969,7 @@ def record_of_means(verdict: str, data: str) -> str:
     wrong = Share(measured["wrong"], measured["claims"])
     return (
         f"{said} In {measured['cases']} measured cases an earlier version identified {wrong.of} "
-        f"effects or groups, {wrong.count or 'none'} wrongly (errors: {interval(wrong)})."
+        f"effects or groups, {wrong.count or 'none'} wrongly (error rate {interval(wrong)})."
     )
 
 
@@ -938,17 +985,21 @@ def candidates(f: Finding) -> Table | None:
             for name, p in f.probabilities.items()
             if p >= SAID
         ]
-        return Table([there, "odds by the data"], rows, corner="effect")
+        title = "Candidates; the odds compare the data with and without the effect"
+        return Table([there, "odds by the data"], rows, title, corner="effect")
     some = [c for c in f.candidates if c.probability >= SAID and f.verdict != NONE]
     rows = [Row(named(c), [percent(c.probability), c.in_words]) for c in some[:8]]
     corner = "change" if f.kind == "states" else "effect"
     return Table(["probability", "size"], rows, corner=corner) if rows else None
 
 
-def numbers(f: Finding) -> list[Table]:
+def numbers(f: Finding) -> list[Block]:
     """Return what was measured by band: of means the deviations, of two states T and the change."""
     if f.kind != "states":
-        return deviations(f, f.residuals) if f.kind == "means" else []
+        if f.kind != "means":
+            return []
+        every = deviations(f, f.residuals)
+        return every if len(every) < _SEVERAL else [_largest_deviations(f, every)]
     case, measured = f.case, np.flatnonzero(f.case.known)
     width = f.change[2] - f.change[1]
     known = width[np.isfinite(width) & (width > 0)]
@@ -958,7 +1009,7 @@ def numbers(f: Finding) -> list[Table]:
         "T before / s": [f"{t:.2f}" for t in case.times[0, measured]],
         "T after / s": [f"{t:.2f}" for t in case.times[1, measured]],
         "absorption area / m²": [f"{area:.1f}" for area in f.area[measured]],
-        "change / m² (90 %)": [
+        "change / m² (90 % interval)": [
             f"{mean:+.{digits}f} ({low:+.{digits}f} to {high:+.{digits}f})"
             if np.isfinite([mean, low, high]).all()
             else "not tried"
@@ -966,6 +1017,22 @@ def numbers(f: Finding) -> list[Table]:
         ],
     }
     return [Table.of_columns(bands.labels(case.room.centre_frequencies[measured]), columns)]
+
+
+def _largest_deviations(f: Finding, tables: Sequence[Table]) -> Block:
+    """Return one table of several configurations, with the rows in which a band deviates much."""
+    rows, left_out = list[Row](), 0
+    for c, table in zip(f.case.configurations, tables, strict=True):
+        for row in table.rows:
+            large = np.nanmax(np.abs(np.asarray(row.values, float))) >= marks.LARGE_Z
+            left_out += not large
+            if large:
+                rows.append(replace(row, name=f'{row.name} of "{c.name}"'))
+    title = "Deviation in standard deviations (model - measured)"
+    if not rows:
+        return Note(f"{title}: less than {marks.LARGE_Z:g} in every band of every parameter.")
+    less = f"{left_out} rows that deviate by less than {marks.LARGE_Z:g} are left out."
+    return Table(tables[0].columns, rows, title, note=less if left_out else "")
 
 
 def deviations(f: Finding, residuals: Array, of: str = "") -> list[Table]:
@@ -976,7 +1043,8 @@ def deviations(f: Finding, residuals: Array, of: str = "") -> list[Table]:
         rows = [
             Row(name, row, "+z.1f", row / _STRONG) for name, row in named if np.isfinite(row).any()
         ]
-        heading = f'Deviation of "{c.name}"{of} in standard deviations (model - measured)'
+        where = f' of "{c.name}"' if len(f.case.configurations) > 1 else ""
+        heading = f"Deviation{where}{of} in standard deviations (model - measured)"
         made.append(Table(labels, rows, heading))
     return made
 
@@ -987,7 +1055,7 @@ def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
     The ``verification`` stands among the cautions.
     """
     table = candidates(f)
-    step = without_measuring(f) or f.advice
+    step = next_step(f, verification)
     last = [evidence(f), track_record(f), *(f"Note: {n}" for n in noted(f))]
     return [
         Note(" ".join(headline(f))),
@@ -1029,37 +1097,38 @@ _OPEN = 0.01
 """Uncertainty of the effects in nats below which a further measurement has nothing to settle."""
 
 
-def of_plan(p: Plan) -> list[Block]:
-    """Return what to measure next, what each effect would show, and what it may be taken for."""
-    seen, taken, alone = list[Row](), list[Block](), list[str]()
+def of_plan(p: Plan, *, every: bool = False) -> list[Block]:
+    """Return what to measure next, what each effect would show, and with how many it may be mixed up.
+
+    With ``every`` these are named.
+    """
+    seen, named_ = list[Row](), list[Block]()
     for name, change in p.reached.items():
         nats = p.separations[name, NONE]
-        enough = "yes" if nats >= DISTINCT_NATS else "no"
-        seen.append(Row(called(name), [f"{100 * change:.1f} %", odds(nats), enough]))
         others = [other for other in p.reached if other != name]
         alike = [called(n) for n in others if p.separations[name, n] < DISTINCT_NATS]
         apart = [called(n) for n in others if p.separations[name, n] >= DISTINCT_NATS]
-        said = ", ".join(alike)
+        alike_of = f"{len(alike)} of {len(others)}"
+        seen.append(Row(called(name), [f"{100 * change:.1f} %", odds(nats), alike_of]))
+        said = listed(alike) or "no other effect"
         if len(alike) > len(apart):
-            said = f"all but {', '.join(apart)}" if apart else "all"
-        if said:
-            taken.append(Note(f"{called(name)}: {said}", "  "))
-        else:
-            alone.append(called(name))
-    if alone:
-        taken.append(Note(f"no other effect: {', '.join(alone)}", "  "))
+            said = f"all but {listed(apart)}" if apart else "all others"
+        named_.append(Note(f"{called(name)}: {said}", "  "))
     measured, enough = listed([parameter_label(n) for n in p.parameters]), odds(DISTINCT_NATS)
+    shown = sum(p.separations[name, NONE] >= DISTINCT_NATS for name in p.reached)
     return [
         *_proposed(p),
         Note(
-            f"This table shows how clearly {measured} would show each effect if nothing else "
-            f"were missing. Each effect has the size that changes T by about {100 * p.change:g} "
-            f"%; odds of {enough} are enough to detect it.",
+            f"If one effect alone were missing, {measured} would detect {shown} of {len(seen)} "
+            f"effects, which takes odds of {enough}. Each effect has the size that changes T by "
+            f"{100 * p.change:g} % in one band, or as much as it can. Two effects are not "
+            f"distinguished where the odds between them are below {enough}"
+            f"{'.' if every else ' (--all names them).'}",
             hanging="",
         ),
-        Table(["change of T", "odds by the data", "detected"], seen, corner="effect"),
-        Note(f"Effects between which the data would give odds of less than {enough}:", hanging=""),
-        *taken,
+        Table(["change of T", "odds by the data", "not distinguished"], seen, corner="effect"),
+        *([Note("Effects that these data do not distinguish:", hanging="")] if every else []),
+        *(named_ if every else []),
     ]
 
 
@@ -1081,16 +1150,17 @@ def _proposed(p: Plan) -> list[Block]:
     first = p.sequence[0]
     return [
         Note(
-            f"Measure next: {first.measurement}. This measurement is expected to remove "
-            f"{share(first.information)} of the uncertainty about the effects. Today the data leave "
-            f"as much open as {np.exp(p.uncertainty):.1f} effects of equal probability.",
+            f"Measure next: {first.measurement}. Of all proposals it removes most of the uncertainty "
+            f"per hour: {share(first.information)} in {first.cost:g} h. So far the data leave as much "
+            f"open as {np.exp(p.uncertainty):.1f} equally probable effects would.",
             hanging="",
         ),
-        Table(["uncertainty removed", "time", "removed per hour"], rows, corner="measurement"),
-        Note("Best order of measurements, with what each adds:"),
-        *(
-            Note(f"{number}. {m.measurement} ({share(m.information)} more)", "  ", "     ")
-            for number, m in enumerate(p.sequence, 1)
+        Table(["uncertainty removed", "time", "per hour"], rows, corner="measurement"),
+        Note(
+            "Best order, with what each measurement removes after those before it: "
+            + listed([f"{m.measurement} ({share(m.information)})" for m in p.sequence])
+            + ".",
+            hanging="",
         ),
         Note(""),
     ]

@@ -107,9 +107,9 @@ def _largest_pair(c: Comparison) -> list[str]:
     i = worst[p]
     z = float(_over_bands(c.at_pairs[p] / c.pair_uncertainty[p])[i])
     return [
-        f"The largest deviation at one pair is that of {parameter_label(p)} from "
-        f"{' to '.join(c.pairs[i])}: {number(float(each[p][i]), '+.1f')} JND or {number(z, '+.1f')} "
-        "standard deviations, mean over the bands."
+        f"Of all pairs, {' to '.join(c.pairs[i])} deviates most: {parameter_label(p)} by "
+        f"{number(float(each[p][i]), '+.1f')} JND ({number(abs(z), '.1f')} standard uncertainties), "
+        "mean over the bands."
     ]
 
 
@@ -159,13 +159,17 @@ def _coefficients(c: Comparison) -> list[str]:
     yes = named(lambda p: c.explained[p])
     no = named(lambda p: c.disagrees[p] & ~c.explained[p])
     if not yes:
-        return ["The uncertainty of the input coefficients does not explain these deviations."]
+        return [
+            "Errors of the input coefficients within their sigma do not explain these deviations."
+        ]
     if not no:
         return [
-            "The uncertainty of the input coefficients can explain these deviations band by band."
+            "In each band by itself, errors of the input coefficients within their sigma can explain "
+            "these deviations."
         ]
     return [
-        f"The uncertainty of the input coefficients can explain {listed(yes)}, but not {listed(no)}."
+        f"In each band by itself, errors of the input coefficients within their sigma can explain the "
+        f"deviation of {listed(yes)}, but not that of {listed(no)}."
     ]
 
 
@@ -183,21 +187,22 @@ def _of_the_equation(c: Comparison) -> list[str]:
 
 
 def _table(c: Comparison) -> Table:
-    """Return the deviations; of the parameters that disagree most in standard deviations, too."""
+    """Return the deviations; of the parameters that disagree most also whether alpha explains them."""
     rows, left = list[Row](), _MOST
     for p, off in c.deviation.items():
         rows.append(Row(f"{parameter_label(p)} / JND", off, "+.1f", off / _STRONG))
         if not c.disagrees[p].any() or not left:
             continue
         left -= 1
-        u, (centre, open_) = c.uncertainty[p], c.coefficients[p]
-        with np.errstate(all="ignore"):
-            if (sure := u > _LEAST).any():
+        u, possible = c.uncertainty[p], c.explained[p]
+        if (sure := u > _LEAST).any():
+            with np.errstate(all="ignore"):
                 own = np.where(sure, off / u, np.nan)
-                rows.append(Row("  in standard deviations", own, "+.1f"))
-            if open_.any():
-                whole = (off - centre) / np.hypot(c.known(p), open_)
-                rows.append(Row("  coefficients included", whole, "+.1f"))
+            rows.append(Row("  in standard uncertainties", own, "+.1f"))
+        if c.coefficients[p][1].any():
+            by_band = zip(c.disagrees[p], possible, strict=True)
+            said = ["-" if not wrong else "yes" if can else "no" for wrong, can in by_band]
+            rows.append(Row("  coefficients explain it", said))
     return Table(
         bands.labels(c.run.room.centre_frequencies),
         rows,
@@ -218,7 +223,7 @@ def _by_pair(c: Comparison) -> list[Table]:
         columns[parameter_label(p)] = [f"{jnd} ({own})" for jnd, own in cells]
         shades[parameter_label(p)] = np.nan_to_num(mean) / _STRONG
     table = Table.of_columns([" to ".join(c.pairs[i]) for i in order], columns, shades)
-    title = "By pair: mean over the bands / JND (and in standard deviations), the largest first"
+    title = "By pair: mean over the bands / JND (and in standard uncertainties), the largest first"
     return [replace(table, title=title, detail=True)]
 
 
@@ -256,8 +261,8 @@ def section(c: Comparison) -> list[Any]:
         Picture(
             lambda: figures.disagreement(c),
             "How far the run is from the measurement. Dots are pairs; bars are two standard "
-            "deviations of the measurement; orange is what the coefficients can explain (two "
-            "standard deviations, including parameters that follow T); grey is one JND.",
+            "uncertainties of the measurement; orange is what errors of the coefficients can explain "
+            "(two standard deviations, including parameters that follow T); grey is one JND.",
             lead,
         ),
         Items(further),

@@ -13,7 +13,7 @@ from rtcal.finder.apply import ROOM
 from rtcal.finder.diagnosis import Diagnosis
 from rtcal.loop.positions import PositionsResult
 from rtcal.report import finding_words as words
-from rtcal.report import of_finding
+from rtcal.report import of_finding, verification_words
 from rtcal.report.document import (
     Box,
     Code,
@@ -51,6 +51,8 @@ def added(result: Diagnosis) -> str:
     finding, corrected = result.finding, result.corrected
     if corrected is None:
         why = of_finding.chosen(finding, "DIAGNOSIS") or finding.refusal or ""
+        if said := why.partition("Nothing to add: ")[2]:
+            return f"Nothing is added to the model: {said}"
         return f"Nothing is added to the model. {why}".strip()
     if corrected.added is None:
         return words.added(finding, finding.members)
@@ -96,7 +98,7 @@ def shrunk(result: Diagnosis) -> str:
 def blocks(result: Diagnosis) -> list[Block]:
     """Return the answer, what is left, what was added, the candidates and the commands."""
     finding, verified = result.finding, result.verification
-    table = words.candidates(finding)
+    table, step = words.candidates(finding), words.next_step(finding, verified)
     said = [
         " ".join(words.headline(finding)),
         *(f"Caution: {caution}" for caution in words.cautions(finding)),
@@ -104,6 +106,7 @@ def blocks(result: Diagnosis) -> list[Block]:
         "" if verified is None else verified.sentence,
         added(result),
         calibrated(result),
+        f"Next: {step}" if step else "",
     ]
     rests_on = [
         words.evidence(finding),
@@ -152,5 +155,7 @@ def contents(result: Diagnosis, folder: Path, heading: Heading | None = None) ->
     if corrected is None:
         out = {folder / ROOM: result.room.to_text(folder).encode()}
     else:
-        out = replace(corrected, room=result.room).contents(folder)
+        verified = result.verification
+        caution = "" if verified is None else verification_words.misses(verified)
+        out = replace(corrected, room=result.room, caution=caution).contents(folder)
     return out | page_files(page(result), result, folder, heading)

@@ -16,7 +16,7 @@ from rtcal.acoustics.observables import parameter_label
 from rtcal.acoustics.room import MAX_BYTES, Room
 from rtcal.acoustics.run import Run
 from rtcal.files.saved import NUMBERS
-from rtcal.finder.apply import DRAWN_LARGER, Corrected
+from rtcal.finder.apply import CASE, DRAWN_LARGER, ROOM, Corrected
 from rtcal.finder.evidence import NONE
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.recalibration import recalibrate
@@ -126,18 +126,6 @@ def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
     ]
 
 
-_USE = {
-    "supported": "Use the corrected model for T and level, not the calibration without the effect. Do "
-    "not quote its coefficients before the effect is confirmed.",
-    "not tested": "Measure C80 or G, or a second configuration, before you use the corrected model, "
-    "because the finding was fitted to all that was measured.",
-    "unproven": "Confirm the effect before the corrected model is used: measure with it and without "
-    "it, or look at the room, because these measurements neither confirm it nor rule it out.",
-    "withdrawn": "Use neither calibration: with the effect in the model the measurements fit worse.",
-}
-"""What may be done with the corrected model, by verification."""
-
-
 def to_do(
     finding: Finding, verification: Verification | None, place: Place | None = None
 ) -> list[str]:
@@ -155,7 +143,9 @@ def to_do(
         confirm = "Do not add an effect to the model before it is confirmed."
         return [*steps, confirm, chosen(finding)]
     if verification is not None:
-        steps += filter(None, [_USE[verification.verdict], verification_words.misses(verification)])
+        steps += filter(
+            None, [words.USE[verification.verdict], verification_words.misses(verification)]
+        )
     elif finding.can_be_added and finding.kind == "means":
         steps.append(
             "Do not use the corrected calibration yet, because this set has not been verified. "
@@ -501,7 +491,9 @@ def correct(
     made = finding.apply(effect=effect, form=form, at=at)
     if verification is not None:
         made = replace(made, caution=verification_words.misses(verification))
-    lines = [" ".join(words.headline(finding)), *([made.caution] if made.caution else [])]
+    step = words.next_step(finding, verification)
+    warned = [*([made.caution] if made.caution else []), *([f"Next: {step}"] if step else [])]
+    lines = [" ".join(words.headline(finding)), *warned]
     if made.added is not None:
         what = f"{made.added.title}, {made.added.in_words}"
         lines[0] = (
@@ -512,6 +504,11 @@ def correct(
     for name, report in made.reports.items():
         lines += [f"{name}: {'; '.join(report.notes)}."] if report.notes else []
         lines += [f"{name} cannot hold {listed(report.lost)}."] if report.lost else []
+    if finding.kind == "positions":
+        lines.append(
+            f"{ROOM} is not calibrated: it holds the input coefficients and the new material. To "
+            f"calibrate it: rtcal fit {out / ROOM} MEASURED --out FOLDER."
+        )
     record["corrected"] = made.to_dict()
     room = made.room
     if made.model is not None:
@@ -521,9 +518,11 @@ def correct(
             calibrated = recalibrate(made.model.case, finding.discrepancy)
         lines = [
             words.added(finding, members),
-            *([made.caution] if made.caution else []),
+            *warned,
             "",
             *lines_of(calibrated.blocks()),
+            f"{ROOM} and {CASE} hold the input coefficients, not the calibrated ones of this table. To "
+            f"calibrate the room: rtcal calibrate {out / ROOM} MEASURED --out FOLDER.",
             *(f"Note: {note}" for note in words.noted(finding)),
             *(["The room's file cannot hold:"] if made.notes else []),
             *(f"  - {note}" for note in made.notes),

@@ -22,11 +22,11 @@ _MET = 2.0
 
 
 def of_miss(miss: Miss) -> str:
-    """Return both values and the band: "T20 = 0.53 s at 500 Hz (measured 0.645 ± 0.013 s)"."""
+    """Return both values and the band: "T20 at 500 Hz is 0.53 s (measured: 0.645 ± 0.013 s)"."""
     unit = f" {miss.unit}" if miss.unit else ""
-    at = bands.label(miss.frequency) + (f' of "{miss.place}"' if miss.place else "")
+    at = bands.label(miss.frequency) + (f' in "{miss.place}"' if miss.place else "")
     measured = f"{miss.measured:.3g} ± {miss.uncertainty:.2g}{unit}"
-    return f"{miss.quantity} = {miss.model:.3g}{unit} at {at} (measured {measured})"
+    return f"{miss.quantity} at {at} is {miss.model:.3g}{unit} (measured: {measured})"
 
 
 def misses(v: Verification) -> str:
@@ -35,12 +35,12 @@ def misses(v: Verification) -> str:
         return ""
     worst = sorted(v.misses, key=lambda miss: -abs(miss.jnd))
     said = first_of([*map(str, worst)], _SHOWN_MISSES)
-    return f"Do not simulate with the corrected model, which has {said}."
+    return f"Do not simulate with the corrected model: its {said}."
 
 
 def _unproven(v: Verification) -> str:
     """Return what a reader may conclude of an unproven finding, with the reason not yet given."""
-    why = ", because the corrected model misses measured values" if v.misses else ""
+    why = ", because the corrected model does not have the measured values" if v.misses else ""
     return f"The verification neither confirms the effect nor rules it out{why}."
 
 

@@ -144,7 +144,7 @@ def test_what_holds_most_of_the_rest_is_said_and_applied() -> None:
     assert found.can_be_added
     made = found.apply()
     assert made.added.surface == "wall 5"
-    assert "none of the library (60 %)" in made.support
+    assert "effect not in the library (60 %)" in made.support
     torn = unknown({"wall 5": 0.34, "wall 0": 0.33, "ceiling": 0.33}, ["field", "scale", "climate"])
     assert not torn.can_be_added
     with pytest.raises(rt.errors.DataError, match="no effect of the library"):
