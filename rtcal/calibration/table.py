@@ -416,8 +416,8 @@ def _off(record: Mapping[str, Any]) -> tuple[float, str]:
     )
     wanted = record["measured"]["reverberation_time"][k]
     return float(gap[k]), (
-        f"{' and '.join(_parameters(record))} with the input coefficients is off by up to {gap[k]:.1f} JND "
-        f"({before:.2f} s instead of {wanted:.2f} s at {label})"
+        f"{' and '.join(_parameters(record))} with the input coefficients is off by up to "
+        f"{gap[k]:.1f} JND ({before:.2f} s instead of {wanted:.2f} s at {label})"
     )
 
 
