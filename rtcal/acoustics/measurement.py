@@ -632,7 +632,7 @@ class Measurement:
 
     @property
     def reverberation_time(self) -> Array:
-        """Reverberation time T that a calibration matches, in s, (n_bands,); NaN where missing."""
+        """T that a calibration matches in s, (n_bands,): T20, or T30 without it; NaN where missing."""
         return self._matched(self.mean)
 
     @property

@@ -335,7 +335,7 @@ class Directivity:
 
     @property
     def pattern(self) -> Array:
-        """Numbers that determine the directivity in each band, (n_numbers, n_bands)."""
+        """Directivity index in dB, or gains of the balloon by direction, (n_numbers, n_bands)."""
         if self.file is not None:
             return np.zeros((0, 1))
         if self.gains is None:
@@ -1149,7 +1149,10 @@ class Room:
         return f'{name}["{self.materials[material]}", {frequency}]'
 
     def material_index(self, name: str, place: str = "") -> int:
-        """Return the row number of a material by its name; DataError, after ``place``, without one."""
+        """Return the row number of a material by its name.
+
+        Raises DataError for another name; its message begins with ``place``.
+        """
         if name not in self.materials:
             known = ", ".join(self.materials)
             raise DataError(

@@ -141,7 +141,7 @@ def common_error_columns(
 def of_absorption(areas: Array, alpha: Array, sigma: Array, frequencies: Array) -> Array:
     """Return the changes of the absorption area by one standard deviation of each error of the tables.
 
-    They are in m², (n_errors, n_bands), for the errors of `common_error_columns`.
+    They are in m², of shape (n_errors, n_bands), for the errors of `common_error_columns`.
     """
     both, own = common_error_columns(alpha, sigma, frequencies)
     each = areas[:, np.newaxis] * own
@@ -250,9 +250,9 @@ def target_changes(equation: LinearEquation, room: Room, t: Array) -> Array:
 def alike_alpha(room: Room) -> Array:
     """Return changes of coefficients with the same effect as one standard deviation of each room error.
 
-    They are (n_changes, n_materials, n_bands), in the order of `target_changes`. A larger area acts as
-    coefficients larger by the same ratio, a larger volume as smaller coefficients, and a change of the
-    air's attenuation m as a change of 4 m V / S on every surface.
+    Their shape is (n_changes, n_materials, n_bands), in the order of `target_changes`. A larger area
+    acts as coefficients larger by the same ratio, a larger volume as smaller coefficients, and a change
+    of the air's attenuation m as a change of 4 m V / S on every surface.
     """
     of_air = 4 * room.volume / room.total_area * np.ones((room.n_materials, 1))
     own = np.eye(room.n_materials)[:, :, np.newaxis] * room.area_sigma[:, np.newaxis, np.newaxis]
@@ -268,8 +268,9 @@ def alike_alpha(room: Room) -> Array:
 def value_changes(room: Room, matrix: Array, of_level: NDArray[np.bool_]) -> Array:
     """Return the changes of values at positions by one standard deviation of each room error.
 
-    They are (n_changes, n_values). ``matrix`` (n_values, n_materials * n_bands) are the derivatives by
-    the coefficients, which `alike_alpha` changes. The volume does not change levels (``of_level``).
+    Their shape is (n_changes, n_values). ``matrix`` (n_values, n_materials * n_bands) are the
+    derivatives by the coefficients, which `alike_alpha` changes. The volume does not change levels
+    (``of_level``).
     """
     alike = alike_alpha(room)
     changes = alike.reshape(len(alike), -1) @ matrix.T

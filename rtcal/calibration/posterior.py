@@ -209,7 +209,7 @@ def _moments(points: Array) -> tuple[Array, Array]:
 def sensitivity(result: Any) -> Array:
     """Return the derivatives of the calibrated coefficients by the measured T, in 1/s.
 
-    They are (n_materials, n_bands, n_configurations, n_bands); the last two axes are those of T.
+    Their shape is (n_materials, n_bands, n_configurations, n_bands); the last two axes are those of T.
     Coefficients at a bound stay there, so that a derivative holds up to the next bound. With
     independent inputs and an exact match, the derivative by the absorption area b is
     S_F sigma_F² / sum(S_F² sigma_F²) for the coefficients F of the band that are at no bound

@@ -247,8 +247,8 @@ class JointResult(Result):
     def by_time(self) -> Array:
         """Return the derivatives of the coefficients by the measured T in 1/s.
 
-        They are (n_materials, n_bands, n_configurations, n_bands); the last two axes are those of T.
-        Coefficients at a bound stay there.
+        Their shape is (n_materials, n_bands, n_configurations, n_bands); the last two axes are those of
+        T. Coefficients at a bound stay there.
         """
         layout = self.composition.layout
         slopes = self._slopes(bounds=True)[: layout.n_alpha]
@@ -825,7 +825,7 @@ class CalibrationResult(Result):
         T is the calibrated T times the ratio of T after and before the change. The equation gives the
         ratio, or a simulation program with its results before (``run``) and after the change
         (``run_after``). `rtcal.prediction.predict` describes the arguments and errors. All measured
-        configurations are used. Raises ModelError also as `known`.
+        configurations are used. Raises ModelError where `known` does.
         """
         return predict(
             self, changes, assumptions=assumptions, name=name, run=run, run_after=run_after

@@ -160,9 +160,10 @@ class Configurations:
     def target_changes(self, equation: LinearEquation, times: Array) -> Array:
         """Return the changes of b - S'alpha in m² by one standard deviation of each error of the rooms.
 
-        They are (n_changes, n_configurations n_bands), as `rtcal.acoustics.room_errors.target_changes`
-        defines them. Configurations share the errors of volume and areas, but not those of the climate.
-        ``times`` are the measured T in s, (n_configurations, n_bands).
+        Their shape is (n_changes, n_configurations n_bands), as
+        `rtcal.acoustics.room_errors.target_changes` defines them. Configurations share the errors of
+        volume and areas, but not those of the climate. ``times`` are the measured T in s,
+        (n_configurations, n_bands).
         """
         checks.instance("equation", equation, LinearEquation)
         times = checks.array("times", times)

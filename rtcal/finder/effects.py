@@ -294,7 +294,7 @@ class Absorber(AbsorbingObject):
         return {**super().limits(room), self.size: (0.0, all_surfaces(room))}
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
-        """Return each combination of `kinds` with its alpha, (n_bands,)."""
+        """Return the absorber in each of its `kinds`: parameters, and alpha (n_bands,) on a surface."""
         return [(kind, self._checked_alpha(frequencies, kind)) for kind in self.kinds]
 
     def _checked_alpha(self, frequencies: Array, parameters: Parameters) -> Array:

@@ -299,7 +299,7 @@ class Finding(Result):
 
     @property
     def coefficients(self) -> OffTogether | None:
-        """Common error of the input coefficients, if likely beside the most probable effects."""
+        """Common error of all input coefficients beside the most probable effects; None if unlikely."""
         of = self.candidate(self.members[-1]) if self.members else None
         return None if of is None else of.coefficients
 

@@ -727,7 +727,7 @@ class ControlRuns:
         return np.asarray(_SHRINKAGE * self.alike() + (1 - _SHRINKAGE) * rows.T @ rows / len(rows))
 
     def alike(self) -> Array:
-        """Return a covariance, (n, n), in which all pairs have the same variance."""
+        """Return the covariance of the errors, (n, n), if all pairs had the same variance."""
         _, n_parameters, n_pairs, n_bands = self.errors.shape
         common = self.errors.mean(axis=2, keepdims=True)
         between = _product(common)

@@ -817,8 +817,8 @@ class RoomPoles:
     def linear(self, alpha: Array, chosen: Integers) -> tuple[Array, Array, Array]:
         """Return decays of chosen modes, their derivatives by alpha, and their remaining covariance.
 
-        They are (n_modes,), (n_modes, n_materials * n_bands) and (n_modes, n_modes), for decays in 1/s.
-        The covariance is that of the coefficients between the bands' centre frequencies.
+        Their shapes are (n_modes,), (n_modes, n_materials * n_bands) and (n_modes, n_modes), for decays
+        in 1/s. The covariance is that of the coefficients between the bands' centre frequencies.
         """
         poles, columns = self.poles(alpha), chosen.tolist()
         beta_slope = admittance_slope(self.at.alpha(alpha)[:, columns])

@@ -146,8 +146,8 @@ SENTENCES: dict[str, str] = {
     "the uncertainty of the coefficients cancels in the difference.",
     "measure further": "Measure {what}: {effect:name} and {rival:name} would then be distinguished "
     "with odds of {nats:odds} instead of {now:odds}.",
-    "each taken out": "Remove or cover what could be {effect:name} and measure again, then what could "
-    "be {rival:name}: the uncertainty of the coefficients cancels in the differences.",
+    "each taken out": "Measure once without {effect:name} and once without {rival:name} (removed, "
+    "closed or covered): the uncertainty of the coefficients cancels in the differences.",
     "look at the room": "Look at the room: {effect:name} and {rival:name} predict the same in every "
     "parameter, but you may see one of them, or measure it with a tape measure.",
     # Why nothing is added to the model, or not without a choice.
@@ -999,7 +999,7 @@ def numbers(f: Finding) -> list[Block]:
         if f.kind != "means":
             return []
         every = deviations(f, f.residuals)
-        return every if len(every) < _SEVERAL else [_largest_deviations(f, every)]
+        return [*every] if len(every) < _SEVERAL else [_largest_deviations(f, every)]
     case, measured = f.case, np.flatnonzero(f.case.known)
     width = f.change[2] - f.change[1]
     known = width[np.isfinite(width) & (width > 0)]

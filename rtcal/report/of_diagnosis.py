@@ -50,7 +50,7 @@ def added(result: Diagnosis) -> str:
     """Return what was added to the model, or why nothing was."""
     finding, corrected = result.finding, result.corrected
     if corrected is None:
-        why = of_finding.chosen(finding, "DIAGNOSIS") or finding.refusal or ""
+        why = str(of_finding.chosen(finding, "DIAGNOSIS") or finding.refusal or "")
         if said := why.partition("Nothing to add: ")[2]:
             return f"Nothing is added to the model: {said}"
         return f"Nothing is added to the model. {why}".strip()

@@ -273,7 +273,7 @@ def _of_states(finding: Finding, drawn: list[Picture]) -> list[Any]:
         Table(["Probability that it changed / %", ""], rows, "On which surface", "Surface"),
         Section("By band", "bands"),
         *drawn,
-        *(replace(table, title="Both states") for table in words.numbers(finding)),
+        *(replace(t, title="Both states") for t in words.numbers(finding) if isinstance(t, Table)),
         Note(
             f"{finding.case.equation.name}'s equation; {n} pair{'s' * (n != 1)}. Both "
             "configurations are assumed to be measured at the same positions with the same "

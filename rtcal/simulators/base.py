@@ -432,9 +432,9 @@ def differences(
 ) -> Array:
     """Return the derivatives of `observe` by alpha from differences between simulations.
 
-    They are (n_parameters, n_pairs, n_bands, n_materials). Each material needs two simulations with
-    alpha changed by `STEP` in all bands, with the same seed. Where a decay of one of them is too short,
-    a simulation with the unchanged alpha takes its place.
+    Their shape is (n_parameters, n_pairs, n_bands, n_materials). Each material needs two simulations
+    with alpha changed by `STEP` in all bands, with the same seed. Where a decay of one of them is too
+    short, a simulation with the unchanged alpha takes its place.
     """
     alpha = check_alpha(simulator, alpha)
     columns = []

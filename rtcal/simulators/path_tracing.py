@@ -125,8 +125,8 @@ class Tracer(RoomSimulator, ABC):
     def energy(self, alpha: Array, seconds: float, *, seed: int = 0) -> Array:
         """Return energy decays for coefficients ``alpha``, by batch of the paths, in 1/m².
 
-        They are (n_batches, n_sources, n_receivers, n_bands, n_bins) and last ``seconds`` s. Raises
-        DataError for ``seconds`` above `LONGEST`.
+        Their shape is (n_batches, n_sources, n_receivers, n_bands, n_bins); they last ``seconds`` s.
+        Raises DataError for ``seconds`` above `LONGEST`.
         """
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
@@ -1010,7 +1010,7 @@ class PathTracing(Tracer):
 
     @property
     def tracing(self) -> PathTracing:
-        """Path tracing in which reference simulations are traced: this one."""
+        """Tracer that makes the reference simulations of this simulator: itself."""
         return self
 
     @property
@@ -1122,10 +1122,10 @@ class PathTracing(Tracer):
     ) -> Array:
         """Return energy decays for coefficients ``alpha`` and a source of unit energy, in 1/m².
 
-        They are (number, n_sources, n_receivers, n_bands, n_bins). ``number`` is the number of groups
-        into which the batches of paths are divided, by default ``n_batches``. The first bin starts with
-        the first sound, and decays end at least ``seconds`` after the emission. Raises DataError for
-        ``seconds`` above `rtcal.simulators.path_tracing.LONGEST`, or another ``number``.
+        Their shape is (number, n_sources, n_receivers, n_bands, n_bins). ``number`` is the number of
+        groups into which the batches of paths are divided, by default ``n_batches``. The first bin
+        starts with the first sound, and decays end at least ``seconds`` after the emission. Raises
+        DataError for ``seconds`` above `rtcal.simulators.path_tracing.LONGEST`, or another ``number``.
         """
         self._check_groups(1 if number is None else number)
         alpha = check_alpha(self, alpha)

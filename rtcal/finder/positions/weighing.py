@@ -222,8 +222,8 @@ class Weighing:
     def of_groups(self, groups: Sequence[Faces], shares: Sequence[float]) -> Iterator[Array]:
         """Yield the decays with each group of faces changed, in one sweep of the paths for many.
 
-        They are (n_shares, n_pairs, n_bands, n_bins). Alpha moves by a share of the way to 1, or (below
-        0) to that of a hard wall.
+        Their shape is (n_shares, n_pairs, n_bands, n_bins). Alpha moves by a share of the way to 1, or
+        (below 0) to that of a hard wall.
         """
         room, alpha = self.tracer.room, self.alpha
         ways = {True: 1 - alpha, False: np.maximum(alpha - HARD, 0.0)}
