@@ -56,6 +56,7 @@ _NARROW = 1.2
 """Ratio of neighbours below which bands are narrower than thirds, whose ratio is 1.26."""
 _MIDDLE = 440.0, 2300.0  # Hz, just outside the third octaves of 500 Hz and 2 kHz
 _LOWEST = 20.0  # Hz, the limit of hearing. Frequencies in kHz, at most 20, lie below
+_LEAST = 10.0  # Hz, least band that is measured beside those above
 
 
 @lru_cache(maxsize=1024)
@@ -177,7 +178,7 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
     ------
     DataError
         If there is no frequency, if one is not a finite positive number, if they do not increase, or if
-        all are below 20 Hz, as if in kHz. Also if one is 1.5 to 5 % off a nominal third-octave centre,
+        all are below 20 Hz, or some below 10 Hz, as if in kHz. Also if one is 1.5 to 5 % off a nominal third-octave centre,
         unless a neighbouring band is within a ratio of 1.2 (bands narrower than third-octaves).
     """
     try:
@@ -196,6 +197,11 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
         raise DataError(
             f"{place} = {', '.join(f'{v:g}' for v in stated[:8])} looks like kHz; give centre "
             f"frequencies in Hz, at least one of them {_LOWEST:g} Hz or more"
+        )
+    low, high = f[f < _LEAST], f[f >= _LEAST]
+    if low.size and high.size and 1000 * low.min() > high.max() and high.min() > 4 * low.max():
+        raise DataError(
+            f"{place} has {hertz(low)} beside {hertz(high)}: give all bands in Hz, and none in kHz"
         )
     for i, (below, above) in enumerate(itertools.pairwise(f)):
         if above <= below:

@@ -528,16 +528,21 @@ class Placed:
     areas: Array
 
 
-def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None = None) -> Placed:
+def placed(
+    before: Room,
+    changes: Sequence[Change] | Room,
+    like: Placed | None = None,
+    shares: Array | None = None,
+) -> Placed:
     """Return the room after changes, with the area of each material by the direction that it faces.
 
-    `facing` gives the directions before. A covering faces as the surface below it; where a part of a
+    ``shares``, by default those of `facing`, are the directions before. A covering faces as the surface below it; where a part of a
     material that faces several directions is covered, each direction loses the same share. ``changes``
     may be the changed room itself. ``like`` is another state of the room, which gives directions that
     the room lacks: materials face as there, new material faces as what it replaces, and it is
     free-standing where it replaces nothing. Raises DataError as `changed`.
     """
-    shares = facing(before)
+    shares = facing(before) if shares is None else shares
     towards = np.zeros((before.n_materials, len(DIRECTIONS)))
     known = ~np.isnan(shares).any(axis=1)
     towards[known, :3] = shares[known]

@@ -809,6 +809,7 @@ class CalibrationResult(Result):
             log_uncertainty=own.log_uncertainty,
             others=tuple(states),
             doubts=self.doubts,
+            shares=self.shares,
         )
 
     def predict(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -59,6 +58,7 @@ def calibrate(
     the T of your own program, `rtcal loop start --simulated` begins with what it gave.
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.calibration import methods
+    from rtcal.io import geometry_files
     from rtcal.report import figures
 
     if out is not None:
@@ -81,12 +81,7 @@ def calibrate(
     with console.without_air_warning():
         data = console.measured(prior, measured, t20=t20, t30=t30)
         result = methods.calibrate(prior, data, equation=equation, **stated)
-    if prior.scene.mesh is not None:
-        from rtcal.acoustics.changes import facing
-        from rtcal.io import geometry_files
-
-        with suppress(DataError):  # told by the mesh's doubt
-            result = replace(result, shares=facing(prior, geometry_files.read(prior)))
+    result = replace(result, shares=geometry_files.directions(prior))
     if out is not None:
         pictures = {figures.FIGURE: lambda: figures.reverberation_time(result)}
         figures.write_folder(result, out, pictures)

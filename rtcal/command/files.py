@@ -15,6 +15,7 @@ from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.command import console
 from rtcal.files import disk
 from rtcal.files.disk import spare, write_all, write_text
+from rtcal.files.schema import ROOM, OtherKindError, kind_of
 from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
 from rtcal.support.errors import DataError
 
@@ -265,6 +266,10 @@ def export(
     options["entries"] = console.texts("--as", entries, "MATERIAL=ENTRY")
     if template is None:
         disk.may_replace(materials)  # its numbers are what is asked to be changed
+    if kind_of(materials) == ROOM and not kind_of(room):
+        other = OtherKindError(f"{room} is no file of rtcal, and a room is needed")
+        other.path, other.needed = room, ROOM
+        raise other
     with console.errors_name_options("missing_bands", "decimals"):
         done = module.write(Room.from_file(room), materials, **options)
     record = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -91,7 +92,7 @@ def predict(
     from rtcal.datasets import catalogue
     from rtcal.loop.positions import PositionsResult
     from rtcal.loop.predicted import predict_positions
-    from rtcal.prediction.predicted import predict_variants
+    from rtcal.prediction.predicted import known_room, predict_variants
 
     # What the file of variants states is checked before anything is calibrated.
     known = saved(room, measured, also)
@@ -122,13 +123,14 @@ def predict(
         if known is None and (measured is not None or also):
             known = calibrated(before, measured, also, equation)
         if known is None:
-            told(predict_variants(before, variants, equation=equation, target=target), out)
+            stated = directed(known_room(before, equation))
+            told(predict_variants(stated, variants, target=target), out)
             return
         if before.scene.sources and not console.is_quiet():
             console.warn(
                 "T is predicted by an equation; the folder of `rtcal fit` predicts every position"
             )
-        told(predict_variants(known, variants, target=target, run=run), out)
+        told(predict_variants(directed(known), variants, target=target, run=run), out)
         return
     if target is not None:
         raise DataError(
@@ -157,6 +159,13 @@ def saved(room: str, measured: str | None, also: tuple[tuple[str, str], ...]) ->
         )
     found: Result = load(room)
     return found
+
+
+def directed(known: Any) -> Any:
+    """Return what is known about a room with the directions of its surfaces, also those of its mesh."""
+    from rtcal.io import geometry_files
+
+    return replace(known, shares=geometry_files.directions(known.room))
 
 
 def calibrated(
@@ -243,4 +252,5 @@ def design(
         "a file of treatments",
         lambda text: read_treatments(text, result.prior, catalogue.material),
     )
+    result = directed(result)
     told(cheapest(result, stated, target, in_file if probability is None else probability), out)

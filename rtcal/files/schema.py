@@ -328,13 +328,14 @@ def _check_levels(value: Any) -> None:
     raise DataError(_TOO_DEEP)
 
 
+ROOM = "a room"
 _HOLDS = {
     "rtcal": ("a saved result", "`rtcal report {0}` makes its page"),
     "configuration": ("a case", "it names its measurements, and `rtcal find {0}` takes it alone"),
     "variant": ("a file of variants", "`rtcal predict --change {0}` takes it"),
     "treatment": ("a file of treatments", "`rtcal design --treatments {0}` takes it"),
-    "volume": ("a room", "a room stands first, before what was measured in it"),
-    "centre_frequencies": ("a room", "a room stands first, before what was measured in it"),
+    "volume": (ROOM, "a room stands first, before what was measured in it"),
+    "centre_frequencies": (ROOM, "a room stands first, before what was measured in it"),
 }
 """What a file is by a key that no other kind has, and which command takes it."""
 TABLE = "a table of values"

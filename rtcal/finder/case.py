@@ -49,7 +49,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.changes import enough_known, facing
+from rtcal.acoustics.changes import enough_known
 from rtcal.acoustics.equations import Eyring, LinearEquation, mean_equation
 from rtcal.acoustics.measurement import TABLES, Measurement, MeasurementTable
 from rtcal.acoustics.observables import MATCH, REVERBERATION, observable, parameter_label
@@ -632,13 +632,7 @@ def _checked_facing(room: Room, stated: Any) -> Array:
     None are stated: they are those of the room, by its mesh where nothing else says the directions.
     """
     if stated is None:
-        found = facing(room)
-        if room.scene.mesh is None or np.isfinite(found).all():
-            return found
-        try:
-            return facing(room, geometry_files.read(room))
-        except DataError:  # a search by means reads no mesh where it need not
-            return found
+        return geometry_files.directions(room)
     array = checks.shaped("facing", stated, room.n_materials, 3)
     total = array.sum(1, keepdims=True)
     if np.isinf(array).any() or (array < 0).any() or (total <= 0).any():

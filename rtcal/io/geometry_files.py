@@ -5,18 +5,22 @@ from __future__ import annotations
 import os
 from typing import Any
 
+import numpy as np
+
+from rtcal.acoustics.changes import facing
 from rtcal.acoustics.room import Directivity, Room
 from rtcal.io import balloon, obj, units
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import (
     PathTracing,
     area_doubt,
-    refuse_powers_of_ten,
+    refuse_other_unit,
     volume_doubt,
 )
 from rtcal.simulators.shoebox import box_of
 from rtcal.support import checks
 from rtcal.support.errors import DataError
+from rtcal.support.types import Array
 
 __all__ = ["path_tracing", "read"]
 __dir__ = __all__.copy
@@ -45,11 +49,27 @@ def read(room: Room) -> Polyhedron:
     return box_of(room)
 
 
+def directions(room: Room) -> Array:
+    """Return the shares of each material's area that face x, y and z, (n_materials, 3), NaN if unknown.
+
+    They are those that the room states (`rtcal.acoustics.changes.facing`), and those of its mesh where
+    it leaves one open. A mesh that cannot be read gives none.
+    """
+    stated = facing(room)
+    if room.scene.mesh is None or np.isfinite(stated).all():
+        return stated
+    try:
+        of_mesh = facing(room, read(room))
+    except DataError:  # told by `mesh_doubt`
+        return stated
+    return np.where(np.isnan(of_mesh), stated, of_mesh)
+
+
 def mesh_doubt(room: Room) -> str:
     """Return in a sentence how a room's areas or volume differ from those of its mesh, or "".
 
     The sentence also says if the mesh cannot be read. Without a mesh it is "". Raises DataError as
-    `rtcal.simulators.path_tracing.refuse_powers_of_ten` does.
+    `rtcal.simulators.path_tracing.refuse_other_unit` does.
     """
     if checks.instance("room", room, Room).scene.mesh is None:
         return ""
@@ -59,7 +79,7 @@ def mesh_doubt(room: Room) -> str:
         raise
     except DataError as error:
         return f"the room's areas and volume could not be compared with its mesh: {error}"
-    refuse_powers_of_ten(geometry, room)
+    refuse_other_unit(geometry, room)
     return ". ".join(filter(None, (volume_doubt(geometry, room), area_doubt(geometry, room))))
 
 
@@ -84,8 +104,10 @@ def path_tracing(room: Room, **options: Any) -> PathTracing:
             f'room "{room.name}" has no positions of sources and receivers: write [sources] and '
             "[receivers] into its file, with a line such as S1 = [1.2, 3.4, 1.5] for each"
         )
+    geometry = read(room)
+    refuse_other_unit(geometry, room)  # before a position that is then outside the room
     return PathTracing(
-        geometry=read(room),
+        geometry=geometry,
         room=room,
         sources=room.scene.sources,
         receivers=room.scene.receivers,

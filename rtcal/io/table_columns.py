@@ -322,6 +322,8 @@ def column_of(header: str) -> Column | None:
     """
     if len(header) > MAX_HEADER or "\t" in header or ";" in header:  # several cells
         return None
+    if header.lower() == "khz":
+        return Column("band", header, unit=header)
     name, unit = name_and_unit(header)
     if unit.lower() not in UNIT_WORDS and plain(header) in parameters():  # as in "RT60 (T20)"
         name, unit = header, ""
@@ -376,7 +378,11 @@ def wrong_unit(parameter: str, unit: str) -> str:
 
 def no_band(frequency: float) -> str:
     """Return the message on a frequency in Hz that is not the centre of a band."""
-    return f"{frequency:g} Hz is not the centre of an octave or one-third octave (IEC 61260-1)"
+    in_khz = frequency < LEAST_BAND and nearest_band(1000 * frequency)
+    hint = '; if it is in kHz, call the column "band [kHz]"' * bool(in_khz)
+    return (
+        f"{frequency:g} Hz is not the centre of an octave or one-third octave (IEC 61260-1){hint}"
+    )
 
 
 def name_and_unit(header: str) -> tuple[str, str]:

@@ -100,6 +100,7 @@ _NUMBER = re.compile(
     r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII
 )
 _PLAIN_NUMBER = re.compile(r"\d+(?:[.,]\d+)?", re.ASCII)
+_GIVEN_TWICE = "is given twice"
 _UNUSED = "left out, because rtcal does not use it"
 _LINES = re.compile(r"\s*from line (\d+)(?: to (\d+))?:(.*)", re.DOTALL)
 
@@ -587,12 +588,27 @@ def _proposed(sheet: Sheet, at: int, options: _Options, before: str) -> str:
             is_mean = any(statistic_of(text) not in (None, DOUBTFUL) for text, _ in labels[k])
             if column and column.has_values and not column.receiver and is_mean:
                 columns[k] = Column("", column.header)
-    text = columns_text(f"{body[0][0]} to {body[-1][0]}", _meanings(columns, options))
-    stated = text.partition('"')[2][:-1]
-    if "?" not in text and (reason := _refusal(sheet, replace(options, columns=stated))):
+    lines = f"{body[0][0]} to {body[-1][0]}"
+    text, reason = _tried(sheet, lines, columns, options)
+    if _GIVEN_TWICE in reason:  # a column of texts may say where the rows were measured
+        asked = [
+            None if c and not c.kind and len({*own}) > 1 and not any(map(_is_number, own)) else c
+            for c, own in zip(columns, cells, strict=True)
+        ]
+        text, reason = _tried(sheet, lines, asked, options)
+    if reason:
         return f"; and {reason}" if reason.startswith("line ") and "state " not in reason else ""
     what = f"state what each column holds, - for none, with {text}"
     return before + what + _FILL_IN * ("?" in text)
+
+
+def _tried(
+    sheet: Sheet, lines: str, columns: Sequence[Column | None], options: _Options
+) -> tuple[str, str]:
+    """Return the text that proposes columns, and why the table is not read with it; "" if it is."""
+    text = columns_text(lines, _meanings(columns, options))
+    stated = replace(options, columns=text.partition('"')[2][:-1])
+    return text, "" if "?" in text else _refusal(sheet, stated)
 
 
 def _meanings(columns: Sequence[Column | None], options: _Options) -> list[str]:
@@ -1180,7 +1196,7 @@ def _values(tables: Sequence[_Table], options: _Options) -> tuple[Values, Values
         file = sheet.place.split(", sheet")[0]
         for place, key, numbers, statistic in table.values():
             at = f"{key[0]}, {key[1]} at {bands.label(key[3])}"
-            twice = f"{place}: {parameter_label(key[2])} of {at} is given twice"
+            twice = f"{place}: {parameter_label(key[2])} of {at} {_GIVEN_TWICE}"
             for other in given.get(key, ()):
                 of_file = other.place.split(", sheet")[0] == file and other.name != sheet.name
                 if of_file and not options.sheets:  # those that are named are meant together
@@ -1192,13 +1208,13 @@ def _values(tables: Sequence[_Table], options: _Options) -> tuple[Values, Values
                     )
             given.setdefault(key, []).append(sheet)
             values = single if statistic is None else of_several
-            if statistic is None and options.repeats:
+            if statistic is None and options.repeats and SUMMARY not in key:
                 repeats = ((key[0], n, *key[2:]) for n in names_of_repeats(key[1]))
                 key = next(k for k in repeats if k not in values)
             held = values.setdefault(key, options.counts)
             if held.keys() & numbers.keys() & {"value", "standard_deviation"}:
                 hint = "; if they are repeats at one position, use repeats=True"
-                hint = "" if SUMMARY in key else hint
+                hint = "; delete one of the means" if SUMMARY in key else hint
                 raise DataError(f"{twice}{hint}")
             held.update(numbers)
     return single, of_several

@@ -104,6 +104,9 @@ class KnownRoom:
     )
     others: tuple[MeasuredState, ...] = ()  # further measured states
     doubts: tuple[TrustMark, ...] = ()  # those of the input, of `rtcal.acoustics.marks.of_input`
+    shares: Array | None = (
+        None  # directions of the materials, (n_materials, 3); by default `facing`
+    )
 
     @property
     def n_measured(self) -> int:
@@ -498,7 +501,7 @@ class TimeChange:
 
 @functools.lru_cache(16)
 def _before(known: KnownRoom) -> Placed:
-    return placed(known.room, ())
+    return placed(known.room, (), shares=known.shares)
 
 
 def _rooms(known: KnownRoom) -> list[Room]:

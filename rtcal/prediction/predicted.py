@@ -253,6 +253,7 @@ class Prediction(TimeChange, Result):
     def uncalibrated(self) -> Prediction:
         """Same prediction from the input coefficients alone, without any measurement."""
         known = KnownRoom.stated(self.before, self.known.equation)
+        known = replace(known, shares=self.known.shares)
         return replace(self, known=known, simulated=None)
 
     def probability(self, low: Array, high: Array) -> Array:
@@ -475,7 +476,11 @@ def predict(
         simulated=simulated,
         name=name or default,
         known=room_known,
-        state=placed(room_known.room, changes if isinstance(changes, Room) else made),
+        state=placed(
+            room_known.room,
+            changes if isinstance(changes, Room) else made,
+            shares=room_known.shares,
+        ),
         changes=made,
         assumptions=assumptions or Assumptions(),
     )

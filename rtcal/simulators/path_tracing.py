@@ -194,37 +194,48 @@ def check_walls(geometry: Polyhedron, room: Room) -> NDArray[np.int64]:
     """Return the number of each face's material, (n_faces,), once geometry and room are compared.
 
     Raises DataError for a material of a face that the room lacks, for a volume that differs by more
-    than `OFF_VOLUME`, and as `refuse_powers_of_ten`.
+    than `OFF_VOLUME`, and as `refuse_other_unit`.
     """
     room.refuse_pieces("a tracing")
     rows = room.material_rows(geometry.materials)
-    refuse_powers_of_ten(geometry, room)
+    refuse_other_unit(geometry, room)
     if doubt := volume_doubt(geometry, room):
         raise DataError(doubt)
     return read_only(rows)
 
 
-def refuse_powers_of_ten(geometry: Polyhedron, room: Room) -> None:
-    """Raise DataError if the volume or an area is a power of ten times that of the geometry.
+_UNITS = (*(10.0**k for k in range(-6, 4)), 0.0254, 0.3048, 0.9144)
+"""Lengths in m of the units that meshes are drawn in: powers of ten of a metre, inch, foot, yard."""
 
-    A unit or a decimal point is then wrong.
+
+def refuse_other_unit(geometry: Polyhedron, room: Room) -> None:
+    """Raise DataError if the volume or an area is that of the geometry in another unit.
+
+    So it is for a power of ten, where a unit or a decimal point is wrong.
     """
+    owned = _face_areas(geometry, room)
+    length = float(np.cbrt(room.volume / geometry.volume))
+    surface = float(room.areas[owned > 0].sum() / owned.sum())
+    if abs(surface / length**2 - 1) < OFF_VOLUME < abs(length**3 - 1):
+        meant = room.scene.unit * length
+        near = min(_UNITS, key=lambda unit: abs(np.log(unit / meant)))
+        if abs((meant / near) ** 3 - 1) < OFF_VOLUME:
+            raise DataError(
+                f"volume = {room.volume:.4g} m³, and the mesh has {geometry.volume:.4g} m³: with unit = "
+                f"{near:g} in [geometry] both agree, and so do the areas"
+            )
     sizes = [("volume", "m³", room.volume, geometry.volume)]
     sizes += [
         (f'area of "{room.materials[i]}"', "m²", float(room.areas[i]), own)
-        for i, own in enumerate(_face_areas(geometry, room).tolist())
+        for i, own in enumerate(owned.tolist())
     ]
     for name, unit, stated, own in sizes:
         power = round(float(np.log10(stated / own))) if stated and own else 0
         if not power or abs(stated / own / 10.0**power - 1) > OFF_VOLUME:
             continue
-        hint = "check its decimal point and unit"
-        if unit == "m³" and power % 3 == 0:
-            hint = (
-                f"with unit = {room.scene.unit * 10.0 ** (power // 3):g} in [geometry] both agree"
-            )
         raise DataError(
-            f"{name} = {stated:.4g} {unit} is 10^{power} times the {own:.4g} {unit} of the mesh: {hint}"
+            f"{name} = {stated:.4g} {unit} is 10^{power} times the {own:.4g} {unit} of the mesh: check "
+            "its decimal point and unit"
         )
 
 

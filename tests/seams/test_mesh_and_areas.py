@@ -85,6 +85,21 @@ def test_a_position_that_cannot_be_is_refused_before_anything_is_simulated(
             'mesh = "room.obj"\nunit = 10',
             "with unit = 1 in [geometry] both agree",
         ),
+        (
+            'mesh = "room.obj"',
+            'mesh = "room.obj"\nunit = 0.0254',
+            "with unit = 1 in [geometry] both agree, and so do the areas",
+        ),
+        (
+            'mesh = "room.obj"',
+            'mesh = "room.obj"\nunit = 0.3048',
+            "with unit = 1 in [geometry] both agree, and so do the areas",
+        ),
+        (
+            "volume = 179.20000000000002",
+            "volume = 179200",
+            "volume = 1.792e+05 m³ is 10^3 times the 179.2 m³ of the mesh: check its decimal point",
+        ),
         ("volume = 179.20000000000002", "volume = 17.92", "volume = 17.92 m³ is 10^-1 times"),
         (r"area = ([\d.]+)", r"area = \g<1>e2", 'area of "parquet" = 5600 m² is 10^2 times'),
         (
@@ -94,7 +109,7 @@ def test_a_position_that_cannot_be_is_refused_before_anything_is_simulated(
         ),
     ],
 )
-def test_a_power_of_ten_between_room_and_mesh_is_refused(
+def test_another_unit_between_room_and_mesh_is_refused(
     files: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, said: str
 ) -> None:
     """A wrong unit or decimal point: no figure that follows from it could be right."""

@@ -1,0 +1,131 @@
+"""Plain questions of a user who checks answers in his head, asked of commands and of files."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.command.main import main
+from rtcal.datasets import examples
+
+
+def ran(capsys: pytest.CaptureFixture[str], *words: object, code: int = 0) -> str:
+    """What a command prints on one line, with its errors first."""
+    stated = [str(word) for word in words]
+    done = 0
+    try:
+        done = int(main(stated) or 0)
+    except SystemExit as stop:
+        done = int(stop.code or 0)
+    out, err = capsys.readouterr()
+    assert done == code, (stated, err, out)
+    return " ".join((err + out).split())
+
+
+def example(name: str, folder: Path) -> Path:
+    for file, content in examples.example(name).files.items():
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        (folder / file).write_bytes(content if isinstance(content, bytes) else content.encode())
+    return folder
+
+
+MEANS = "source,receiver,parameter,band,value\n"
+
+
+def test_means_given_twice_are_no_repeats(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The advice to take them as repeats was refused as a mixture of means and pairs."""
+    path = tmp_path / "t.csv"
+    path.write_text(MEANS + "*,*,T20,500,1.0\n*,*,T20,500,1.1\n")
+    for repeats in ([], ["--repeats"]):
+        said = ran(capsys, "table", path, *repeats, code=2)
+        assert said.endswith(
+            "line 3: T20 of *, * at 500 Hz is given twice; delete one of the means"
+        )
+
+
+def test_a_column_that_may_be_the_position_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("wo;T20 500;T20 1000\nfoyer;1,62;1,41\nbar;1,60;1,40\n")
+    said = ran(capsys, "table", path, code=2)
+    found = re.search(r'--columns "([^"]*)"', said)
+    assert found
+    assert found[1] == "from line 2 to 3: ?; T20 at 500 Hz; T20 at 1000 Hz"
+    assert "given twice" not in said
+    ran(capsys, "table", path, "--columns", found[1].replace("?", "receiver"))
+
+
+@pytest.mark.parametrize("header", ["kHz", "band [kHz]", "f / kHz"])
+def test_bands_in_khz_are_read_where_the_header_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], header: str
+) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(f"{header};T20\n0.5;1.62\n1;1.5\n")
+    assert "500 Hz 1000 Hz T20 / s 1.620 1.500" in ran(capsys, "table", path)
+
+
+def test_bands_in_khz_are_named_where_the_header_does_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("band;T20\n0.5;1.62\n1;1.5\n")
+    assert 'if it is in kHz, call the column "band [kHz]"' in ran(capsys, "table", path, code=2)
+
+
+def test_bands_of_which_some_are_in_khz_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They were left out as bands that the room lacks, and the others calibrated."""
+    folder = example("room", tmp_path)
+    path = folder / "t.csv"
+    path.write_text(re.sub(r"T30,(\d)000", r"T30,\1", path.read_text()))
+    said = ran(capsys, "calibrate", folder / "room.toml", path, code=2)
+    assert "1, 2 and 4 Hz beside 125, 250 and 500 Hz: give all bands in Hz" in said
+    rt.Measurement.from_values([4, 8, 16, 31.5, 63], t20=np.ones(5))  # each octave is there
+
+
+def test_a_list_in_the_place_of_the_room_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room, hall = example("room", tmp_path) / "room.toml", example("program", tmp_path) / "hall.geo"
+    said = ran(capsys, "export", "catt", hall, room, code=2)
+    assert said.endswith(f"Exchange them: rtcal export catt {room} {hall}")
+
+
+CHANGE = """
+[[material]]
+name = "carpet"
+alpha = [0.1, 0.2, 0.3, 0.4]
+sigma = 0.1
+
+[[variant]]
+name = "carpet"
+
+[[variant.change]]
+cover = "parquet"
+by = "carpet"
+area = 40
+"""
+
+
+def test_the_directions_of_a_mesh_are_those_of_every_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`predict` said that the room does not give the axes, where `calibrate` had them from its mesh."""
+    folder = example("where", tmp_path)
+    room, change, t = folder / "room.toml", folder / "change.toml", folder / "t.csv"
+    change.write_text(CHANGE)
+    t.write_text(MEANS + "".join(f"*,*,T20,{f},1.0\n" for f in (250, 500, 1000, 2000)))
+    assert "the absorption is uneven" in ran(capsys, "calibrate", room, t, "--out", folder / "cal")
+    from_file = ran(capsys, "predict", room, t, "--change", change)
+    assert "does not give the axes" not in from_file
+    assert "the absorption is uneven" in from_file
+    assert ran(capsys, "predict", folder / "cal", "--change", change) == from_file
+    assert "does not give the axes" not in ran(capsys, "predict", room, "--change", change)
