@@ -536,9 +536,9 @@ def placed(
 ) -> Placed:
     """Return the room after changes, with the area of each material by the direction that it faces.
 
-    ``shares``, by default those of `facing`, are the directions before. A covering faces as the surface below it; where a part of a
-    material that faces several directions is covered, each direction loses the same share. ``changes``
-    may be the changed room itself. ``like`` is another state of the room, which gives directions that
+    ``shares``, by default those of `facing`, are the directions before. A covering faces as the surface
+    below it; where a part of a material that faces several directions is covered, each direction loses
+    the same share. ``changes`` may be the changed room itself. ``like`` is another state of the room, which gives directions that
     the room lacks: materials face as there, new material faces as what it replaces, and it is
     free-standing where it replaces nothing. Raises DataError as `changed`.
     """

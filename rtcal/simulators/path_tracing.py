@@ -221,8 +221,8 @@ def refuse_other_unit(geometry: Polyhedron, room: Room) -> None:
         near = min(_UNITS, key=lambda unit: abs(np.log(unit / meant)))
         if abs((meant / near) ** 3 - 1) < OFF_VOLUME:
             raise DataError(
-                f"volume = {room.volume:.4g} m³, and the mesh has {geometry.volume:.4g} m³: with unit = "
-                f"{near:g} in [geometry] both agree, and so do the areas"
+                f"volume = {room.volume:.4g} m³, and the mesh has {geometry.volume:.4g} m³: with "
+                f"unit = {near:g} in [geometry] both agree, and so do the areas"
             )
     sizes = [("volume", "m³", room.volume, geometry.volume)]
     sizes += [
