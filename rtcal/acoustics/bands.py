@@ -179,7 +179,8 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
     DataError
         If there is no frequency, if one is not a finite positive number, if they do not increase, or if
         all are below 20 Hz, or some below 10 Hz, as if in kHz. Also if one is 1.5 to 5 % off a nominal
-        third-octave centre, unless a neighbouring band is within a ratio of 1.2 (bands narrower than third-octaves).
+        third-octave centre, unless a neighbouring band is within a ratio of 1.2 (bands narrower than
+        third-octaves).
     """
     try:
         stated = [float(v) for v in frequencies]

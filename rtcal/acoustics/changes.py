@@ -538,9 +538,9 @@ def placed(
 
     ``shares``, by default those of `facing`, are the directions before. A covering faces as the surface
     below it; where a part of a material that faces several directions is covered, each direction loses
-    the same share. ``changes`` may be the changed room itself. ``like`` is another state of the room, which gives directions that
-    the room lacks: materials face as there, new material faces as what it replaces, and it is
-    free-standing where it replaces nothing. Raises DataError as `changed`.
+    the same share. ``changes`` may be the changed room itself. ``like`` is another state of the room,
+    which gives directions that the room lacks: materials face as there, new material faces as what it
+    replaces, and it is free-standing where it replaces nothing. Raises DataError as `changed`.
     """
     shares = facing(before) if shares is None else shares
     towards = np.zeros((before.n_materials, len(DIRECTIONS)))
