@@ -243,7 +243,7 @@ def design(
     from rtcal.datasets import catalogue
     from rtcal.prediction.designed import design as cheapest
 
-    result = saved(room, measured, also)
+    result: Any = saved(room, measured, also)
     result = result or calibrated(console.read_room(room), measured, also, equation)
     if not isinstance(result, CalibrationResult):
         raise DataError(f"{room} is not a folder that `rtcal calibrate --out` wrote")
