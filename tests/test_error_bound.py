@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -14,7 +15,7 @@ from benchmarks.extreme_rooms import Counts
 from rtcal.calibration.qp import certify
 from rtcal.calibration.result import JointResult
 from rtcal.support.errors import SolverError
-from tests import coupled
+from tests import coupled, rational
 from tests.conftest import also
 
 
@@ -82,6 +83,48 @@ def test_no_failure_and_no_answer_outside_its_bound_at_the_edge_of_double_precis
     assert counts.widest < 1e-6
     assert counts.moved_without_time < 1e-12
     assert np.median(counts.looseness) < 2
+
+
+@pytest.mark.parametrize("configurations", [2, 3])
+def test_errors_of_rows_of_either_sign_are_within_the_bound(configurations: int) -> None:
+    """Two patterns of signs, alternating, are no bound of the errors of three rows or more."""
+    problem, rng = coupled.compiled(configurations, 5, 0).compiled, np.random.default_rng(1)
+    first = [
+        int(problem.A_columns[problem.A_rows == row].min()) for row in range(len(problem.equal))
+    ]
+    bands = [np.flatnonzero(np.equal(first, column)) for column in {*first}]
+    assert [len(rows) for rows in bands] == [configurations] * len(coupled.FREQUENCIES)
+    for rows in bands:
+        moves = rng.standard_normal((100, configurations))  # of one unknown, by each row's error
+        summed = np.abs(moves @ problem.signs[1][rows]).sum(axis=1)
+        assert (np.abs(moves).sum(axis=1) <= summed * (1 + 1e-12)).all()
+
+
+@pytest.mark.parametrize("seed", [160, 258, 350, 370, 613, 711, 777, *range(20)])
+def test_near_an_end_the_bound_has_the_rounding_of_the_row(seed: int) -> None:
+    """The row has no free variable there: its slack counted, and not the rounding of its slack."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 7))
+    alpha, sigma = rng.uniform(0.01, 0.95, n), 10 ** rng.uniform(-3, 0, n)
+    areas, near = 10 ** rng.uniform(-1, 2.5, n), 10 ** rng.uniform(-13, -1)
+    true = (
+        near * rng.uniform(0, 1, n) if rng.random() < 0.5 else 0.9999 - near * rng.uniform(0, 1, n)
+    )
+    room = rt.Room(
+        name="box",
+        volume=float(areas.sum()) ** 1.5 / 10,
+        materials=[f"m{i}" for i in range(n)],
+        areas=areas,
+        alpha=alpha[:, np.newaxis],
+        sigma=sigma[:, np.newaxis],
+        centre_frequencies=[500],
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the room has no air
+        result = rt.calibrate(room, rt.Eyring().time(room, np.array([areas @ true])))
+    truth = rational.solve(alpha, sigma, areas, float(result.target[0]))
+    error = np.abs(result.alpha[:, 0] - np.array([float(a) for a in truth]))
+    assert (error <= result.certificate.alpha_error_bound[:, 0] + 1e-17).all()
 
 
 def test_a_target_at_the_end_of_its_reach_leaves_no_freedom() -> None:

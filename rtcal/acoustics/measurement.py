@@ -20,7 +20,7 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -35,7 +35,6 @@ from rtcal.acoustics.observables import (
     REVERBERATION,
     SUMMARY,
     TARGET,
-    DecaySlope,
     cut_off_db,
     observable,
     parameter_label,
@@ -140,29 +139,6 @@ def note_of_repeats(placed: Iterable[Pair]) -> list[str]:
         return []
     each = first_of([f"{n} of {' to '.join(pair)}" for pair, n in repeated], 4)
     return [f"repeats of one place are averaged and count as one position: {each}"]
-
-
-def refuse_milliseconds(parameter: str, values: Array, frequencies: Array) -> None:
-    """Raise DataError for decay times (..., n_bands) above the limits of their parameter.
-
-    No room has such times in s, but many rooms have them in ms.
-
-    Examples
-    --------
-    >>> refuse_milliseconds("t20", np.array([40.0, 12.0]), np.array([125.0, 1000.0]))
-    >>> refuse_milliseconds("c80", np.array([40.0, 40.0]), np.array([125.0, 1000.0]))
-    """
-    kind, table = observable(parameter), np.atleast_2d(values)
-    if not isinstance(kind, DecaySlope) or not np.isfinite(table).any():
-        return
-    longest, most = kind.limits[1], np.where(np.isfinite(table), table, -np.inf).max(axis=0)
-    band = int(np.argmax(most))
-    if most[band] > longest * (1 + 1e-9):
-        place = f"{kind.label}[{bands.label(frequencies[band])}]"
-        raise DataError(
-            f"{place} = {most[band]:g} s: no room has more than {longest:g} s. Is it in ms? Give T "
-            "in seconds"
-        )
 
 
 def require_repeats(placed: Sequence[Pair], place: str) -> None:
@@ -377,12 +353,19 @@ class Measurement:
     def refuse_other_units(self) -> None:
         """Raise DataError for decay times in ms, and for uncertainties in percent.
 
-        `refuse_milliseconds` has the rule for times. An uncertainty is in percent if it is larger than
-        the value or than the parameter's whole range. Only measured data are checked, because a
-        simulation with few paths may be so uncertain, and its decay may have any length.
+        No room has a longer time in s than `Observable.refuse` accepts; shorter times than it does are
+        possible. An uncertainty is in percent if it is larger than the value or than the parameter's
+        whole range. Only measured data are checked, because a simulation with few paths may be so
+        uncertain, and its decay may have any length.
         """
         for parameter, table in self.values.items():
-            refuse_milliseconds(parameter, table, self.centre_frequencies)
+            known = np.where(np.isfinite(table), table, -np.inf)
+            kind, (pair, band) = (
+                observable(parameter),
+                np.unravel_index(known.argmax(), known.shape),
+            )
+            place = f"{kind.label}[{bands.label(self.centre_frequencies[band])}]"
+            kind.refuse(place, max(float(known[pair, band]), kind.limits[0]))
         for name in ("uncertainty", "common_uncertainty"):
             for parameter, array in getattr(self, name).items():
                 stated = np.atleast_2d(array)
@@ -561,6 +544,14 @@ class Measurement:
                 count > 1, np.sqrt(np.sum(deviation**2, axis=0) / (count - 1)), np.nan
             )
         return spread, effective, count.astype(float)
+
+    def only(self, parameters: Collection[str]) -> Measurement:
+        """Return the measurement with some of its parameters, by their keys."""
+        tables: dict[str, Any] = {
+            name: {p: v for p, v in getattr(self, name).items() if p in parameters}
+            for name in TABLES
+        }
+        return replace(self, **tables)
 
     def select(self, pairs: Iterable[tuple[str, str]]) -> Measurement:
         """Return the measurement at some source-receiver pairs, in the given order.

@@ -9,14 +9,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.bands import hertz, label
-from rtcal.acoustics.measurement import TABLES, Measurement, Pair
+from rtcal.acoustics.measurement import Measurement, Pair
 from rtcal.acoustics.observables import LEVEL, OBSERVABLES, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.support import checks
@@ -165,21 +165,16 @@ class Run:
         if not both:
             raise self.nothing_common(measured)
 
-        def only(of: Measurement, keys: Mapping[str, str]) -> Measurement:
-            tables = {name: getattr(of, name) for name in TABLES}
-            kept: dict[str, Any] = {
-                n: {keys[p]: t[keys[p]] for p in both if keys[p] in t} for n, t in tables.items()
-            }
+        def common(of: Measurement, keys: Mapping[str, str]) -> Measurement:
             known_at = {keys[p]: at for p, at in both.items()}
-            kept["values"] = {
-                p: np.where(known_at[p], t, np.nan) for p, t in kept["values"].items()
-            }
-            return replace(of, **kept)
+            kept = of.only([*known_at])
+            values = {p: np.where(at, kept.values[p], np.nan) for p, at in known_at.items()}
+            return replace(kept, values=values)
 
         missing = [[p for p in of if p not in pairs] if pairs else [] for of in own[::-1]]
         return Beside(
-            only(run, key_of_run),
-            only(measured, {p: p for p in both}),
+            common(run, key_of_run),
+            common(measured, {p: p for p in both}),
             lacking,
             dict(zip(_SIDES, missing, strict=True)),
             {p: known[p] for p in shared},

@@ -28,6 +28,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.linalg import hadamard
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from rtcal.calibration.terms import AddedAbsorption, AnyTerm, Model, Shared, Term
@@ -144,6 +146,22 @@ class CompiledProblem:
             for t, of_term in stated
         ]
 
+    @functools.cached_property
+    def signs(self) -> tuple[Array, Array]:
+        """Signs of errors of the forces (size, n) and of the rows (n_rows, n) that bound their effect.
+
+        What a is moved by errors e of several rows is at most sum |a e|. With the n signs of a Hadamard
+        matrix for each of n rows this sum is at most the sum of |a signs e| over the n right sides.
+        Rows that no entry of P or A joins may have the same signs.
+        """
+        (rows, columns, _), ones = self.kkt[0], np.ones(len(self.kkt[0][0]))
+        n = self.size + len(self.equal)
+        of = connected_components(sp.coo_array((ones, (rows, columns)), (n, n)), directed=False)[1]
+        numbers = [_number_within(part) for part in np.split(of, [self.size])]
+        most = min(int(numbers[1].max(initial=0)) + 1, _MOST_SIGNS)
+        signs = hadamard(1 << (most - 1).bit_length(), float)
+        return signs[numbers[0] % len(signs)], signs[numbers[1] % len(signs)]
+
     def __reduce__(self) -> Any:
         """Pickle what it is compiled of."""
         return compile_once, self._arguments
@@ -178,6 +196,19 @@ class CompiledProblem:
         scale[self.places] = numbers.sigma
         held = float(numbers.areas.max(axis=0).sum()) if (numbers.sigma == 0).any() else 0.0
         return QP(self, P, c, -A, b, lower, upper, scale, self.equal, held)
+
+
+_MOST_SIGNS = 256
+"""Most right sides of a bound of rounding errors; more rows that are joined share signs."""
+
+
+def _number_within(groups: Integers) -> Integers:
+    """Return the number of each entry, from 0, within its group."""
+    order = np.argsort(groups, kind="stable")
+    _, first, n = np.unique(groups[order], return_index=True, return_counts=True)
+    out = np.empty(len(groups), np.intp)
+    out[order] = np.arange(len(groups)) - np.repeat(first, n)
+    return out
 
 
 def _stated(term: AnyTerm, m: Model, kind: Any) -> list[Any]:
@@ -687,18 +718,23 @@ def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
         wrong = np.where(point.at < 0, np.minimum(rest, 0.0), np.maximum(rest, 0.0))
         free = (point.at == 0) & ~program.fixed
         left, moved = np.where(free, rest, np.where(point.at != 0, wrong, 0.0)), np.abs(dv)
-        # A row that keeps no variable free is met within rounding; one variable alone can mend it.
-        unmet = np.where(program.equal & ~system.used, np.abs(slack), 0.0)[program.compiled.A_rows]
-        alone = np.divide(unmet, absolute.A, out=np.zeros_like(unmet), where=absolute.A != 0)
-        np.maximum.at(moved, program.compiled.A_columns, alone)
-        # Two more right sides have the size of the residuals' own rounding errors. b is a difference of
-        # sums, such as b - S'mu, which are at most as large as the row at alpha = 1.
+        # The residuals have rounding errors of their own. With u = eps / 2 and n materials, a row errs
+        # in A v by (n + 1) u |A||v|: n for the sum of products (Higham 2002, Sect. 3.1) and 1 for A =
+        # S sigma. v at a bound and alpha = mu + sigma v add 3 u |A||v| + u S'alpha, and b = t - S'mu
+        # adds (n + 2) u S'mu + 2 u |b|. S'alpha and S'mu are at most the row at alpha = 1.
         sums = absolute.row_sums(np.abs(v)) + absolute.b
         sums += np.maximum(program.row_size, program.fixed_area)
-        errors = _EPS * parts, 16 * _EPS * sums
-        for sign in (1.0, -1.0):
-            each, row = (error * sign ** np.arange(len(error)) for error in errors)
-            moved = moved + np.abs(system.solve(each, row, refine=False)[0])
+        n = len(program.compiled.layout.materials)
+        errors = _EPS * parts, (n + 4) / 2 * _EPS * sums
+        # A row that keeps no variable free is met within rounding; one variable alone can mend it.
+        unmet = np.where(program.equal & ~system.used, np.abs(slack) + errors[1], 0.0)
+        unmet = unmet[program.compiled.A_rows]
+        alone = np.divide(unmet, absolute.A, out=np.zeros_like(unmet), where=absolute.A != 0)
+        np.maximum.at(moved, program.compiled.A_columns, alone)
+        each, row = (
+            (signs.T * error).T for signs, error in zip(program.compiled.signs, errors, strict=True)
+        )
+        moved = moved + np.abs(system.solve(each, row, refine=False)[0]).sum(axis=1)
     bound = np.maximum(to_lower, to_upper)
     if convexity > 0:
         r, m = np.linalg.norm(left), convexity

@@ -218,8 +218,14 @@ def saved(path: str) -> tuple[Any, Any]:
 
 
 def verified(finding: Any, cache: Path, scheduler: str | None = None) -> Any:
-    """Return the gaps before and after; at pairs that were not fitted over `SEEDS`."""
+    """Return the gaps before and after; at pairs that were not fitted over `SEEDS`.
+
+    It is None for a finding that cannot be verified.
+    """
     from rtcal import finder
+
+    if not finding.can_be_verified:
+        return None
 
     def verify() -> Any:
         if finding.kind != "positions":
@@ -352,9 +358,7 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
         console.tell(str(finding), finding.to_dict)
         return
     finding = searched(options, [target / name for name in of_finding.WRITTEN])
-    verification = None
-    if finding.can_be_verified:
-        verification = verified(finding, kept_beside(options["case"]), options["scheduler"])
+    verification = verified(finding, kept_beside(options["case"]), options["scheduler"])
     place = next(iter(_further_places(finding)), None)
     made = of_finding.page(finding, verification, command(), place)
     contents = page_files(made, verification or finding, target, heading)
@@ -558,9 +562,7 @@ def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
     }
     finding = searched(defaults | options, [] if out is None else [out / name for name in files])
     cache = kept_beside(options["case"])
-    verification = None
-    if finding.can_be_verified:
-        verification = verified(finding, cache, options["scheduler"])
+    verification = verified(finding, cache, options["scheduler"])
     given = tuple(filter(None, (options["case"], options["measured"])))
     result = replace(diagnosis(finding, verification, cache=cache), given=given)
     if out is not None:

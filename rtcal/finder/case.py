@@ -36,7 +36,7 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from itertools import combinations
@@ -51,7 +51,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.changes import enough_known
 from rtcal.acoustics.equations import Eyring, LinearEquation, mean_equation
-from rtcal.acoustics.measurement import TABLES, Measurement, MeasurementTable
+from rtcal.acoustics.measurement import Measurement, MeasurementTable
 from rtcal.acoustics.observables import MATCH, REVERBERATION, observable, parameter_label
 from rtcal.acoustics.room import (
     POSITION,
@@ -613,17 +613,9 @@ class Case:
                 continue
             run = c.simulated
             if run is not None:
-                run = replace(run, simulated=_only(run.simulated, parameters))
-            kept.append(replace(c, measured=_only(c.measured, parameters), simulated=run))
+                run = replace(run, simulated=run.simulated.only(parameters))
+            kept.append(replace(c, measured=c.measured.only(parameters), simulated=run))
         return replace(self, configurations=kept)
-
-
-def _only(of: Measurement, parameters: Collection[str]) -> Measurement:
-    """Return a measurement with some of its parameters."""
-    tables: dict[str, Any] = {
-        name: {p: v for p, v in getattr(of, name).items() if p in parameters} for name in TABLES
-    }
-    return replace(of, **tables)
 
 
 def _checked_facing(room: Room, stated: Any) -> Array:
