@@ -44,7 +44,7 @@ def uniform(state: Any, step: Any) -> float:
 
 
 @compiled(reorder=False)
-def hit(order: Any, begins: Any, plane: int, sides: Array, x: float, y: float, z: float) -> int:
+def hit(order: Any, begins: Any, plane: Any, sides: Array, x: float, y: float, z: float) -> int:
     """Return the triangle of a plane that contains a point of the plane, -1 if none does."""
     for number in range(begins[plane], begins[plane + 1]):
         i = order[number]
@@ -85,7 +85,7 @@ def place_by_path(paths: Any, lost: Any, slots: Any, out: Any) -> None:
             slots[path] += 1
 
 
-def by_path(paths: NDArray[np.int32], lost: NDArray[np.bool_]) -> tuple[Any, Any]:
+def by_path(paths: NDArray[Any], lost: NDArray[np.bool_]) -> tuple[Any, Any]:
     """Return where the entries of each path begin, and the entries path by path without lost paths."""
     number = np.bincount(paths, minlength=len(lost))
     number[lost] = 0
@@ -219,13 +219,13 @@ def advance(
             path, end = paths[j], along_path[1, j]
             px, py, pz = rays[0, j], rays[1, j], rays[2, j]
             vx, vy, vz = rays[3, j], rays[4, j], rays[5, j]
-            t, plane = to_planes[0, j], np.int64(0)
+            t, nearest = to_planes[0, j], np.int64(0)
             for other in range(1, n_planes):
                 closer = to_planes[other, j] < t
                 t = to_planes[other, j] if closer else t
-                plane = other if closer else plane
+                nearest = np.int64(other) if closer else nearest
             # In a convex room the nearest plane is hit; in others the nearest that holds the point.
-            triangle = hit(order, begins, plane, sides, px + t * vx, py + t * vy, pz + t * vz)
+            triangle = hit(order, begins, nearest, sides, px + t * vx, py + t * vy, pz + t * vz)
             if triangle < 0:
                 t = np.inf
                 for other in range(n_planes):
@@ -319,9 +319,9 @@ def add_energy(
     log_reflection, attenuation, first, bin_length = weighing
     n_codes, n_bands = log_reflection.shape
     n_receivers, _, n_bins = out.shape
-    for code in range(n_codes):
+    for each in range(n_codes):
         for k in range(n_bands):
-            reflection[code, k] = math.exp(log_reflection[code, k])
+            reflection[each, k] = math.exp(log_reflection[each, k])
     heard = 0
     for path in range(len(starts) - 1):
         for k in range(n_bands):
@@ -430,7 +430,7 @@ def largest_sum(events: Any, starts: Any, held: Any, hits: Any) -> int:
         for j in range(n_groups):
             if hits[j] > most:
                 most = hits[j]
-    return most
+    return int(most)
 
 
 def histogram_changed(
@@ -517,19 +517,19 @@ def add_changed(
     for key in range(n_receivers * n_bins):
         receiver, place = key // n_bins, key % n_bins
         for j in range(n_groups):
-            least, most = n_hits, -1
+            least, most = np.int64(n_hits), np.int64(-1)
             for slot in range(begins[key], begins[key + 1]):
                 number = np.int64(counted[slot, j])
                 least = number if number < least else least
                 most = number if number > most else most
                 for k in range(n_bands):
                     sums[number, k] += energy[slot, k]
-            for number in range(least, most + 1):
+            for hit_by in range(least, most + 1):
                 for c in range(n_changes):
                     for k in range(n_bands):
-                        out[j, receiver, place, c, k] += sums[number, k] * powers[j, number, c, k]
+                        out[j, receiver, place, c, k] += sums[hit_by, k] * powers[j, hit_by, c, k]
                 for k in range(n_bands):
-                    sums[number, k] = 0.0
+                    sums[hit_by, k] = 0.0
 
 
 @compiled(reorder=True)
