@@ -359,13 +359,10 @@ class Measurement:
         uncertain, and its decay may have any length.
         """
         for parameter, table in self.values.items():
-            known = np.where(np.isfinite(table), table, -np.inf)
-            kind, (pair, band) = (
-                observable(parameter),
-                np.unravel_index(known.argmax(), known.shape),
-            )
-            place = f"{kind.label}[{bands.label(self.centre_frequencies[band])}]"
-            kind.refuse(place, max(float(known[pair, band]), kind.limits[0]))
+            kind, longest = observable(parameter), np.where(np.isfinite(table), table, -np.inf)
+            k = int(longest.max(axis=0).argmax())
+            place = f"{kind.label}[{bands.label(self.centre_frequencies[k])}]"
+            kind.refuse(place, max(float(longest[:, k].max()), kind.limits[0]))
         for name in ("uncertainty", "common_uncertainty"):
             for parameter, array in getattr(self, name).items():
                 stated = np.atleast_2d(array)
