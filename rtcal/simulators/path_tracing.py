@@ -662,7 +662,7 @@ MOST_LEAKED = 0.02
 """Largest share of paths that may leave through the holes of a geometry with ``leaks``; they are left
 out. 2 % leave through 1/5,000 of the surface."""
 _REFLECTIONS = 100
-"""Number of reflections of a path in the time of a T20."""
+"""Number of reflections of a path in the time of a T20; several times as many in a reverberant room."""
 
 
 class Chords(NamedTuple):
@@ -688,7 +688,7 @@ class Chords(NamedTuple):
             f"by rays V = {rounded(self.volume, 4)} ± {rounded(self.volume_uncertainty, 2)} m³, S = "
             f"{rounded(self.area, 4)} ± {rounded(self.area_uncertainty, 2)} m²; "
             f"{100 * self.lost:.2g} % of the rays leave through holes, some "
-            f"{100 * self.lost_paths:.2g} % of the paths of a tracing"
+            f"{100 * self.lost_paths:.2g} % of the paths of a tracing with {_REFLECTIONS} reflections"
         )
 
 
@@ -825,7 +825,8 @@ def trace(
     if lost > max(1, most * per_batch * len(jobs)):
         raise DataError(
             f"{lost} of {per_batch * len(jobs)} paths hit no wall, at most {100 * most:g} % may: "
-            "the room's faces leave gaps or cut through each other"
+            "the room's faces leave gaps or cut through each other. Mend the mesh (`rtcal import "
+            "check`), or use only reverberation equations (`rtcal import catalogue --open`)"
         )
     batches = tuple(tuple(done[s * n_batches : (s + 1) * n_batches]) for s in range(len(sources)))
     direct = direct_lengths(geometry, sources, receivers)
