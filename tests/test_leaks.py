@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +104,17 @@ def test_a_tracing_of_a_leaking_box_has_the_t_of_the_closed_one(tmp_path: Path) 
     assert (np.abs(found.values["t20"] - closed.values["t20"]) < 4 * noise).all()
 
 
+@pytest.mark.parametrize("side", [0.12, 0.2])
+def test_a_room_loses_the_paths_that_its_holes_foretell(tmp_path: Path, side: float) -> None:
+    """At the least mean alpha that `Chords` states, a tracing is taken; at two thirds of it, not."""
+    leaking = geometry_files.path_tracing(room(tmp_path, side, leaks=True), n_paths=4000)
+    least = by_chords(leaking.geometry, 4_000_000).least_alpha
+    leaking.simulate(np.full((2, 1), least))
+    assert 0.5 * MOST_LEAKED < leaking.lost_share <= MOST_LEAKED
+    with pytest.raises(DataError, match="at most 2 % may"):
+        leaking.simulate(np.full((2, 1), least / 1.5))
+
+
 def test_closed_stays_the_default_and_large_holes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="the walls do not close"):
         geometry_files.path_tracing(room(tmp_path, 0.12, leaks=False))
@@ -124,9 +136,9 @@ def test_the_room_file_keeps_that_its_mesh_leaks(tmp_path: Path) -> None:
 def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`import check` names the option, `import` takes it, and a missing wall is refused with it."""
     mesh, out = tmp_path / "box.obj", tmp_path / "room.toml"
-    Polyhedron.from_polygons(with_hole(0.12), leaks=True).save(mesh)
+    Polyhedron.from_polygons(with_hole(0.06), leaks=True).save(mesh)
     assert run("import", "check", mesh, "--hole", "0.001") == 2
-    assert "of a tracing with 100 reflections: --leaks takes it" in capsys.readouterr().err
+    assert re.search(r"mean alpha is at least 0\.0\d+: --leaks takes it", capsys.readouterr().err)
     options = ["--mesh", mesh, "--hole", "0.001", "--leaks", "--scattering", "0.3", "--out", out]
     materials = ["--catalogue", "floor=carpet_cotton", "--catalogue", "wall=hard_surface"]
     assert run("import", "catalogue", *options, *materials) == 0
@@ -135,10 +147,13 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert made.scene.leaks
     assert geometry_files.read(made).leaks
     assert made.volume == pytest.approx(VOLUME, rel=0.01)
-    walls = [face for face in with_hole(0.12) if face[0] != "west"]
+    hard = ["--catalogue", "floor=unpainted_concrete", "--catalogue", "wall=unpainted_concrete"]
+    assert run("import", "catalogue", *options, *hard) == 2
+    assert "but it is 0.01 at 125 Hz" in capsys.readouterr().err
+    walls = [face for face in with_hole(0.06) if face[0] != "west"]
     Polyhedron.from_polygons(walls, leaks=True).save(mesh)
     assert run("import", "check", mesh, "--leaks") == 2
-    assert "at most 2 % may" in capsys.readouterr().err
+    assert "holes this large are refused" in capsys.readouterr().err
     assert run("import", "check", mesh, "--leaks", "--open") == 2
     assert "are both given" in capsys.readouterr().err
 

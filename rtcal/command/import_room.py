@@ -232,6 +232,7 @@ def _imported(
     )
     of_mesh: list[str] = []
     if mesh is not None and model is not None:
+        _check_leaks(room, model)
         room = _with_scene(room, mesh, model, options["unit"], out, mended)
         room, of_mesh = _with_uncertainty(room, model)
     room.save(out)
@@ -295,7 +296,6 @@ def _read(mesh: str, as_drawn: bool, leaks: bool, picture: str | None, options: 
     from rtcal.io import mesh as meshes
     from rtcal.io.mend import MeshError
     from rtcal.report import figures
-    from rtcal.simulators.path_tracing import MOST_LEAKED
 
     with (
         console.errors_name_options("unit", "weld"),
@@ -311,12 +311,12 @@ def _read(mesh: str, as_drawn: bool, leaks: bool, picture: str | None, options: 
             if as_drawn and error.unclosed is not None:
                 return error.unclosed
             chords = _chords(error.leaking, leaks)
-            takes_paths = chords is not None and chords.lost_paths <= MOST_LEAKED
+            takes_paths = chords is not None and chords.least_alpha <= _ABSORBING
             if leaks and error.unclosed is not None and chords is not None and takes_paths:
                 return _leaking(error.unclosed, error.leaking, chords)
             refused = str(error)
             if leaks and chords is not None:
-                refused += f". --leaks: {chords}; at most {100 * MOST_LEAKED:g} % may"
+                refused += f". --leaks: {chords}; holes this large are refused"
             elif takes_paths:
                 refused += f". {str(chords)[:1].upper()}{str(chords)[1:]}: --leaks takes it"
             elif error.unclosed is not None:
@@ -335,9 +335,11 @@ def _read(mesh: str, as_drawn: bool, leaks: bool, picture: str | None, options: 
     return done
 
 
-_FEW_RAYS, _LARGE_HOLE = 2000, 0.4
-"""Rays that show a large hole, and the share of lost paths above which it is one: 11 rays leave, where
-`rtcal.simulators.path_tracing.MOST_LEAKED` loses 0.4 on the average."""
+_ABSORBING = 0.12
+"""Mean alpha of a room with much absorption; a mesh that needs more for path tracing is refused."""
+_FEW_RAYS, _LARGE_HOLE = 2000, 0.005
+"""Rays that show a large hole, and the share that leaves above which it is one; a mesh with
+`_ABSORBING` loses 0.4 of them on the average."""
 
 
 def _chords(leaking: Polyhedron | None, asked: bool) -> Chords | None:
@@ -346,7 +348,7 @@ def _chords(leaking: Polyhedron | None, asked: bool) -> Chords | None:
 
     if leaking is None:
         return None
-    if not asked and by_chords(leaking, _FEW_RAYS).lost_paths > _LARGE_HOLE:
+    if not asked and by_chords(leaking, _FEW_RAYS).lost > _LARGE_HOLE:
         return None
     return by_chords(leaking)
 
@@ -360,6 +362,21 @@ def _leaking(drawn: Mended, geometry: Polyhedron | None, chords: Chords) -> Mend
         volume_uncertainty=chords.volume_uncertainty,
         notes=(f"not closed, and taken with its holes: {chords}", *drawn.notes),
     )
+
+
+def _check_leaks(room: Room, model: Mended) -> None:
+    """Refuse a mesh with holes in a room that is too reverberant for them; DataError names the band."""
+    from rtcal.simulators.path_tracing import by_chords
+
+    if model.geometry is None or not model.geometry.leaks:
+        return
+    chords, mean = by_chords(model.geometry), room.areas @ room.alpha / room.areas.sum()
+    if mean.min() < chords.least_alpha:
+        band = room.centre_frequencies[mean.argmin()]
+        raise DataError(
+            f"--leaks: {chords}, but it is {mean.min():.2g} at {band:g} Hz. Close the holes, or use "
+            "only reverberation equations with --open"
+        )
 
 
 def _closed(model: Mended) -> Polyhedron:

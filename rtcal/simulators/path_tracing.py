@@ -15,6 +15,7 @@ noise out.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
@@ -661,8 +662,6 @@ change a mean alpha by 0.0001. Through a missing face far more are lost."""
 MOST_LEAKED = 0.02
 """Largest share of paths that may leave through the holes of a geometry with ``leaks``; they are left
 out. 2 % leave through 1/5,000 of the surface."""
-_REFLECTIONS = 100
-"""Number of reflections of a path in the time of a T20; several times as many in a reverberant room."""
 
 
 class Chords(NamedTuple):
@@ -679,16 +678,23 @@ class Chords(NamedTuple):
     lost: float
 
     @property
-    def lost_paths(self) -> float:
-        """Approximate share of the paths of a simulation that would leave through holes."""
-        return 1 - (1 - self.lost) ** _REFLECTIONS
+    def least_alpha(self) -> float:
+        """Least mean alpha at which at most `MOST_LEAKED` of the paths leave through holes.
+
+        In the T of Eyring a path has -ln(10⁻⁶) / -ln(1 - alpha) reflections, 130 at 0.1. The share of
+        rays that leave counts with its standard uncertainty.
+        """
+        lost = self.lost + self.area_uncertainty / self.area
+        if lost == 0:
+            return 0.0
+        return 1 - 10 ** (-6 * math.log1p(-min(lost, 1 - 1e-9)) / math.log1p(-MOST_LEAKED))
 
     def __str__(self) -> str:
         return (
             f"by rays V = {rounded(self.volume, 4)} ± {rounded(self.volume_uncertainty, 2)} m³, S = "
             f"{rounded(self.area, 4)} ± {rounded(self.area_uncertainty, 2)} m²; "
-            f"{100 * self.lost:.2g} % of the rays leave through holes, some "
-            f"{100 * self.lost_paths:.2g} % of the paths of a tracing with {_REFLECTIONS} reflections"
+            f"{100 * self.lost:.2g} % of the rays leave through holes, and of the paths of a tracing "
+            f"at most {100 * MOST_LEAKED:g} % where the mean alpha is at least {self.least_alpha:.2g}"
         )
 
 
