@@ -75,6 +75,7 @@ from rtcal.simulators import base
 from rtcal.simulators.base import Observations
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.errors import DataError
+from rtcal.support.normal import symmetric_root
 from rtcal.support.types import Array
 
 ADDED, REMOVED, AIR = "added", "removed", "air"
@@ -622,9 +623,8 @@ def _samples(
     by_scale = np.exp(of_rows - logsumexp(of_rows, axis=1, keepdims=True))
     beyond = rng.random(_SAMPLES)[:, np.newaxis] > np.cumsum(by_scale, axis=1)
     scale = np.minimum(beyond.sum(axis=1), by_scale.shape[1] - 1)
-    value, vector = np.linalg.eigh(found.covariance[rows, scale])
-    normal = rng.standard_normal(value.shape) * np.sqrt(np.maximum(value, 0.0))
-    z = found.mean[rows, scale] + np.einsum("nkl,nl->nk", vector, normal)
+    mean, root = found.mean[rows, scale], symmetric_root(found.covariance[rows, scale])
+    z = mean + np.einsum("nkl,nl->nk", root, rng.standard_normal(mean.shape))
     return baseline.after(every.size[rows] * np.exp(z)) - baseline.area, rows
 
 

@@ -70,6 +70,7 @@ from rtcal.simulators.base import observe as observe_pairs
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.errors import DataError
+from rtcal.support.normal import symmetric_root
 from rtcal.support.speed import TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
 from rtcal.support.workers import workforce
@@ -591,7 +592,7 @@ def _noise_of_gain(
     of_runs = [np.where(b[:, None] == b, of[b[:, None], f[:, None], f], 0.0) for of in blocks]
     rng, drawn = np.random.default_rng(0), list[Array]()
     for covariance in (measured.only(held[None]).covariance, *of_runs):
-        drawn.append(rng.multivariate_normal(np.zeros(len(f)), covariance, _DRAWS) / jnd)
+        drawn.append(rng.standard_normal((_DRAWS, len(f))) @ symmetric_root(covariance) / jnd)
     before, after = (
         np.abs(gap[held] + of_run - drawn[0]).mean(1)
         for gap, of_run in zip(gaps, drawn[1:], strict=True)

@@ -50,7 +50,7 @@ from rtcal.acoustics.room_errors import (
 )
 from rtcal.support import checks
 from rtcal.support.errors import DataError, ModelError
-from rtcal.support.normal import NORMAL, truncated_normal
+from rtcal.support.normal import NORMAL, symmetric_root, truncated_normal
 from rtcal.support.types import Array
 
 Flags = NDArray[np.bool_]
@@ -566,7 +566,6 @@ def _independent(known: KnownRoom, assumptions: Assumptions, band: int) -> Unkno
     def one(label: str) -> Array:
         return normal_of(label, number)[np.newaxis]
 
-    value, vector = np.linalg.eigh(known.correlation[band])
     here = slice(band, band + 1)
     alpha, factor = _draws(
         known.materials,
@@ -574,7 +573,7 @@ def _independent(known: KnownRoom, assumptions: Assumptions, band: int) -> Unkno
         known.quantiles[:, here],
         _area_errors(_rooms(known), known.materials, assumptions),
         assumptions,
-        (vector * np.sqrt(np.maximum(value, 0))) @ vector.T,
+        symmetric_root(known.correlation[band]),
         number,
     )
     # u is normal, cut to 0 to 2.

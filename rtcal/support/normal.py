@@ -1,4 +1,4 @@
-"""The normal distribution cut to an interval: its quantiles, its mass and its moments."""
+"""The normal distribution: the root of a covariance; quantiles, mass and moments on an interval."""
 
 from __future__ import annotations
 
@@ -17,6 +17,18 @@ _TAIL = 64.0
 _COARSE = np.polynomial.legendre.leggauss(24)
 FINE = np.polynomial.legendre.leggauss(80)
 """Nodes and weights of Gauss's rule that gives moments to rounding; 24 give them to some 1e-8."""
+
+
+def symmetric_root(covariance: Array) -> Array:
+    """Return the symmetric square roots of covariances (..., n, n), by which normal values are drawn.
+
+    The signs of eigenvectors differ between processors and those of singular vectors do, too. Values
+    drawn along them would differ as well; this root has no sign to choose, and exists for a covariance
+    that is singular.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    scaled = vectors * np.sqrt(np.maximum(values, 0.0))[..., np.newaxis, :]
+    return np.asarray(scaled @ vectors.swapaxes(-1, -2))
 
 
 def truncated_normal(lower: Array, upper: Array, uniform: Array) -> Array:

@@ -94,6 +94,7 @@ from rtcal.finder.evidence import (
 from rtcal.finder.means.engines import ControlRooms, bias_estimates, draw_alpha, recentred
 from rtcal.finder.model import FEATURES, Predicted, RoomState, predict, sensitivities
 from rtcal.support.errors import DataError
+from rtcal.support.normal import symmetric_root
 from rtcal.support.types import Array, read_only
 
 Indices = slice | NDArray[np.intp]
@@ -1209,7 +1210,7 @@ def draw_null_features(
     values = values + np.nan_to_num(picked)
     mask = observed.used.ravel()
     covariance = observed.covariance + applied[np.ix_(mask, mask)]
-    noise = rng.multivariate_normal(np.zeros(len(covariance)), covariance, n)
+    noise = rng.standard_normal((n, len(covariance))) @ symmetric_root(covariance)
     return np.asarray(values[:, observed.used] + noise)
 
 

@@ -101,6 +101,7 @@ from rtcal.loop.measured_pairs import OWN as OF_MATERIAL
 from rtcal.loop.measured_pairs import ControlRuns, MaterialScattering, Pair, pairs_to_match
 from rtcal.simulators.base import LARGEST_ALPHA, Observations
 from rtcal.support.errors import DataError
+from rtcal.support.normal import symmetric_root
 from rtcal.support.speed import thread_pool
 from rtcal.support.types import Array
 
@@ -947,8 +948,7 @@ def _prior(case: PositionsCase, slopes: Array, air: Array) -> tuple[Array, Array
     room, (n_bands, n_values, _) = case.room, slopes.shape
     frequencies = room.centre_frequencies
     matrix = np.einsum("kvj,kl->kvjl", slopes, np.eye(n_bands)).reshape(n_bands * n_values, -1)
-    values, vectors = np.linalg.eigh(prior_covariance(room))
-    own = matrix @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    own = matrix @ symmetric_root(prior_covariance(room))
     # What catalogues err by in common: of all materials, and of each.
     both, each = common_error_columns(room.alpha, room.sigma, frequencies)
     of_each = np.einsum("tmb,mn->tnmb", each, np.eye(room.n_materials))
