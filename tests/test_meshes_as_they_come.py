@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -199,8 +200,20 @@ REFUSED: dict[str, tuple[Drawn, dict[str, float], str]] = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_cannot_be_mended_is_refused_by_its_defect(name: str) -> None:
     drawn, options, rule = REFUSED[name]
-    with pytest.raises(DataError, match=rule):
+    with pytest.raises(DataError, match=rule) as refused:
         mended(drawn, **options)
+    assert refused.value.__cause__ is not refused.value  # the command follows causes to their end
+
+
+@pytest.mark.parametrize("seed", [13, 26])
+def test_a_mesh_far_from_the_origin_is_the_same_room(seed: int) -> None:
+    """Coordinates of a map: the spaces between faces had been lost in their rounding."""
+    near = defective_meshes.example(seed).faces()
+    moved = [np.add(polygon, [4.5e5, 5.4e6, 100]) for polygon in near.polygons]
+    far = mend.mended(replace(near, polygons=moved))
+    done = mend.mended(near)
+    assert far.volume == pytest.approx(done.volume, rel=1e-4)
+    assert far.areas == pytest.approx(done.areas, rel=1e-4)
 
 
 def test_low_screens_and_fins_reflect_on_both_sides() -> None:

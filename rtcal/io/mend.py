@@ -31,13 +31,15 @@ other a direction is wrong and the others are not, so their spread is the uncert
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from itertools import compress
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -79,10 +81,14 @@ ANY_SHARE = 1 / np.sqrt(3)
 """Of an area of which any share may count, all shares alike: rms of what is missing or too much."""
 _SHOWN = 1e-6
 """Smallest effect in m³ and m² that is printed: smaller ones are rounding."""
-_OF_ANY_SHARE = ("overlay", "contact")
-"""Kinds of defects of whose effect on V any share may be meant."""
 
-Face = list[int]
+
+class Face(NamedTuple):
+    """A face: the numbers of its corners, its material and its name."""
+
+    corners: list[int]
+    material: str
+    name: str
 
 
 @dataclass(frozen=True)
@@ -131,7 +137,7 @@ class Defect:
             self.area + other.area,
             volume,
             self.area_effect + other.area_effect,
-            float(ANY_SHARE * abs(volume)) if self.kind in _OF_ANY_SHARE else u,
+            float(ANY_SHARE * abs(volume)) if self.kind == "overlay" else u,  # any share is meant
             (*self.places, *other.places)[:MOST_PLACES],
             self.done,
             combined(both),
@@ -236,14 +242,14 @@ _LOOSE = "components hang free, or are walls that do not meet the others"
 class Mending:
     """One mesh while it is mended; ``points`` are the corners in m of all its parts.
 
-    ``repeated`` are faces that are drawn twice, and the materials that they have then.
+    ``repeated`` are faces that are drawn again, each with the first one's material.
     """
 
     def __init__(self, drawn: Faces, weld: float, largest_hole: float | None = None) -> None:
         self.drawn, self.path = drawn, drawn.path
         self.weld, self.largest_hole = weld, largest_hole
         self.points: Array = np.zeros((0, 3))
-        self.repeated = FaceSet(self), list[str]()
+        self.repeated = list[tuple[Face, str]]()
         self._found: dict[tuple[str, str], Defect] = {}
 
     @property
@@ -335,14 +341,14 @@ class Polygon:
         """Return the largest distance in m of points from the plane."""
         return float(np.abs(self.away(points)).max())
 
-    def onto(self, points: Array) -> Array:
-        """Return points (..., 3) moved onto the plane."""
-        return np.asarray(points - self.away(points)[..., np.newaxis] * self.normal)
-
     def polygon(self, corners: Array) -> Any:
         """Return corners (n, 3) as a shape in the axes, made valid."""
         polygon = shapely().Polygon(corners @ self.axes.T)
         return polygon if polygon.is_valid else polygon.buffer(0)
+
+    def common(self, corners: Array) -> Any:
+        """Return the part that another polygon of these corners shares with this one, as a shape."""
+        return self.polygon(corners).intersection(self.shape)
 
     def beside(self, point: Array) -> float:
         """Return the distance in m in the plane of a point (3,) from the polygon."""
@@ -362,55 +368,39 @@ class Polygon:
 
 
 class FaceSet:
-    """Some faces of a mesh that is mended, by the numbers of their corners."""
+    """Some faces of a mesh that is mended."""
 
-    def __init__(
-        self,
-        mend: Mending,
-        faces: Iterable[Face] = (),
-        materials: Iterable[str] = (),
-        names: Iterable[str] = (),
-    ) -> None:
-        self.mend = mend
-        self.faces, self.materials, self.names = [*faces], [*materials], [*names]
-
-    def add(self, face: Face, material: str, name: str) -> None:
-        """Add a face of these corners."""
-        self.faces.append(face)
-        self.materials.append(material)
-        self.names.append(name)
-
-    def extend(self, other: FaceSet) -> None:
-        """Add another's faces."""
-        for row in other.rows():
-            self.add(*row)
-
-    def rows(self) -> Iterator[tuple[Face, str, str]]:
-        """Return each face with its material and name."""
-        return zip(self.faces, self.materials, self.names, strict=True)
-
-    def of(self, index: Iterable[int]) -> FaceSet:
-        """Return the faces of these numbers."""
-        rows = [(self.faces[i], self.materials[i], self.names[i]) for i in index]
-        return FaceSet(self.mend, *zip(*rows, strict=True)) if rows else FaceSet(self.mend)
+    def __init__(self, mend: Mending, faces: Iterable[Face] = ()) -> None:
+        self.mend, self.faces = mend, [*faces]
 
     def kept(self, which: Any) -> FaceSet:
         """Return the faces that are to be kept."""
-        return self.of(np.flatnonzero(which).tolist())
+        return FaceSet(self.mend, compress(self.faces, which))
 
-    def corners(self, i: int) -> Array:
-        """Return the corners of a face in m, (n, 3)."""
-        return np.asarray(self.mend.points[self.faces[i]])
+    @property
+    def loops(self) -> list[list[int]]:
+        """The numbers of the corners of each face."""
+        return [face.corners for face in self.faces]
+
+    @property
+    def materials(self) -> list[str]:
+        """The material of each face."""
+        return [face.material for face in self.faces]
+
+    @property
+    def names(self) -> list[str]:
+        """The name of each face."""
+        return [face.name for face in self.faces]
 
     @property
     def polygons(self) -> list[Array]:
         """The corners of each face in m, (n, 3)."""
-        return [self.mend.points[face] for face in self.faces]
+        return [self.mend.points[corners] for corners in self.loops]
 
     @property
     def areas(self) -> Array:
         """The area of each face in m², (n,)."""
-        return np.asarray(np.linalg.norm(vector_areas(self.mend.points, self.faces), axis=1))
+        return np.asarray(np.linalg.norm(vector_areas(self.mend.points, self.loops), axis=1))
 
     @property
     def size(self) -> float:
@@ -418,25 +408,23 @@ class FaceSet:
         return float(self.areas.sum())
 
     @property
+    def corners(self) -> list[int]:
+        """The numbers of all corners, each once."""
+        return sorted({v for corners in self.loops for v in corners})
+
+    @property
     def points(self) -> Array:
         """All corners in m, each once, (n, 3)."""
-        return np.asarray(self.mend.points[sorted({v for face in self.faces for v in face})])
+        return np.asarray(self.mend.points[self.corners])
 
     @property
     def is_plane(self) -> bool:
         """Whether all corners are near one plane: a sheet."""
         return best_plane(self.points)[1] <= self.mend.weld
 
-    def triangles(self) -> tuple[Array, Array]:
-        """Return triangles that cover the faces, (n, 3, 3), and the number of each one's face."""
-        found = [(i, t) for i, p in enumerate(self.polygons) for t in triangulate(p)]
-        corners = [self.mend.points[[self.faces[i][k] for k in t]] for i, t in found]
-        index = np.array([i for i, _ in found], dtype=int)
-        return np.asarray(np.array(corners).reshape(-1, 3, 3)), index
-
     def owners(self) -> dict[Edge, list[int]]:
         """Return the numbers of the faces that meet at each edge, divided at all corners on it."""
-        owners = edge_owners(self.mend.points, self.faces)
+        owners = edge_owners(self.mend.points, self.loops)
         return {edge: [i for i, _ in sides] for edge, sides in owners.items()}
 
     def open_edges(self) -> dict[Edge, int]:
@@ -513,56 +501,48 @@ def edges_of(face: Sequence[int]) -> list[Edge]:
     return [(a, b) if a < b else (b, a) for a, b in zip([face[-1], *face[:-1]], face, strict=True)]
 
 
-def simplified(face: Face) -> Face:
-    """Return a face without repeated corners and without spikes a, b, a."""
+def simplified(corners: list[int]) -> list[int]:
+    """Return a face's corners without repeated ones and without spikes a, b, a."""
     k = 0
-    while k < len(face) > 2:
-        if face[k] == face[k - 1] or face[k - 1] == face[(k + 1) % len(face)]:
-            del face[k]
+    while k < len(corners) > 2:
+        if corners[k - 1] in (corners[k], corners[(k + 1) % len(corners)]):
+            del corners[k]
             k = -1
         k += 1
-    return face
+    return corners
 
 
 _MOST_OPEN = 5000
 """Largest number of open edges whose loops are sought."""
 
 
-def loops_of(edges: Iterable[Edge]) -> list[Face] | None:
-    """Return the loops of some edges, where several meet the shortest; None if one is open."""
-    edges = [*edges]
+def loops_of(edges: Collection[Edge]) -> list[list[int]] | None:
+    """Return the loops of some edges, each the shortest through an edge; None if one is open."""
     neighbours: dict[int, set[int]] = {}
     for a, b in edges:
         neighbours.setdefault(a, set()).add(b)
         neighbours.setdefault(b, set()).add(a)
-    if any(len(n) % 2 for n in neighbours.values()) or len(edges) > _MOST_OPEN:
-        return None
-    loops = []
+    loops: list[list[int]] = []
     for first in sorted(neighbours):
         while neighbours[first]:
-            found = (_shortest(neighbours, first, n) for n in sorted(neighbours[first]))
-            loops.append(min(found, key=len))
-            for a, b in edges_of(loops[-1]):
+            second = min(neighbours[first])
+            before, queue = {second: first}, [second]
+            for here in queue:  # the list grows during the loop
+                new = neighbours[here] - {*before, *[first] * (here == second)}
+                before |= dict.fromkeys(sorted(new), here)
+                queue += sorted(new - {first})
+                if first in new:
+                    break
+            if first not in before or len(edges) > _MOST_OPEN:
+                return None
+            loop = [first, before[first]]
+            while loop[-1] != second:
+                loop.append(before[loop[-1]])
+            loops.append(loop)
+            for a, b in edges_of(loop):
                 neighbours[a].discard(b)
                 neighbours[b].discard(a)
     return loops
-
-
-def _shortest(neighbours: Mapping[int, set[int]], first: int, second: int) -> Face:
-    """Return the shortest loop that begins with an edge; every corner has an even number of edges."""
-    before = {second: first}
-    queue = [second]
-    for here in queue:  # the list grows during the loop
-        for there in sorted(neighbours[here]):
-            if there == first and here != second:
-                loop = [first, here]
-                while loop[-1] != second:
-                    loop.append(before[loop[-1]])
-                return loop
-            if there not in before and there != first:
-                before[there] = here
-                queue.append(there)
-    raise AssertionError("an edge of an even graph is in a loop")  # pragma: no cover
 
 
 # -- faces that nearly meet
@@ -575,26 +555,21 @@ def welded(mend: Mending) -> FaceSet:
         raise DataError(
             f"{mend.path}: a corner has a coordinate that is not finite; export the mesh again"
         )
-    _, first, of_drawn, count = np.unique(
-        drawn, axis=0, return_index=True, return_inverse=True, return_counts=True
-    )
-    label = np.full(len(first), -1)
-    groups: list[list[int]] = []
+    _, first, of_drawn = np.unique(drawn, axis=0, return_index=True, return_inverse=True)
+    label, number = np.full(len(first), -1), 0
     near = cKDTree(drawn[first]).query_ball_point(drawn[first], mend.weld)
     for i in np.argsort(first).tolist():  # as they are drawn
         if label[i] < 0:
-            groups.append([k for k in near[i] if label[k] < 0])
-            label[groups[-1]] = len(groups) - 1
+            label[[k for k in near[i] if label[k] < 0]] = number
+            number += 1
     order = label[of_drawn.ravel()]
-    sums = np.zeros((len(groups), 3))
-    np.add.at(sums, label, drawn[first] * count[:, np.newaxis])
-    mend.points = sums / np.bincount(label, count)[:, np.newaxis]
-    for k in np.flatnonzero(np.bincount(label) == 1):  # to the last bit
-        mend.points[k] = drawn[first[groups[k][0]]]
+    mend.points = np.zeros((number, 3))
+    np.add.at(mend.points, label, drawn[first])
+    mend.points /= np.bincount(label)[:, np.newaxis]
     shifts = np.linalg.norm(mend.points[order] - drawn, axis=1)
     ends = np.cumsum([len(p) for p in mend.drawn.polygons])
-    faces = [each.tolist() for each in np.split(order, ends[:-1])]
-    part = FaceSet(mend, faces, mend.drawn.materials, mend.drawn.names)
+    corners = (each.tolist() for each in np.split(order, ends[:-1]))
+    part = FaceSet(mend, map(Face, corners, mend.drawn.materials, mend.drawn.names))
     moved = np.unique(order[shifts > 1e-4]).tolist()
     if moved:
         own = np.array([area_of(np.asarray(p)) for p in mend.drawn.polygons])
@@ -618,13 +593,11 @@ def welded(mend: Mending) -> FaceSet:
 def cleaned(part: FaceSet) -> FaceSet:
     """Return the faces without repeated corners, and without slivers."""
     mend = part.mend
-    part = FaceSet(mend, map(simplified, part.faces), part.materials, part.names)
-    sizes, counts = part.areas, np.array([len(f) for f in part.faces])
-    corners, starts = mend.points[np.concatenate(part.faces)], np.cumsum(counts) - counts
+    part = FaceSet(mend, [f._replace(corners=simplified(f.corners)) for f in part.faces])
+    sizes, counts = part.areas, np.array([len(corners) for corners in part.loops])
+    corners, starts = mend.points[np.concatenate(part.loops)], np.cumsum(counts) - counts
     low, high = (f.reduceat(corners, starts, axis=0) for f in (np.minimum, np.maximum))
     narrow = (counts < 3) | (sizes < mend.weld * np.linalg.norm(high - low, axis=1) / 2)
-    for i in np.flatnonzero(narrow & (counts > 2)):
-        narrow[i] = sizes[i] < mend.weld * extent_of(mend.points[part.faces[i]]) / 2
     slivers, areas = part.kept(narrow), sizes[narrow].tolist()
     if slivers.faces:
         mend.found(
@@ -647,20 +620,19 @@ def cleaned(part: FaceSet) -> FaceSet:
 
 
 def without_repetitions(part: FaceSet) -> FaceSet:
-    """Return the faces without those that are drawn twice, which are kept to be noted."""
-    seen: dict[frozenset[int], int] = {}
-    firsts = [seen.setdefault(frozenset(face), i) for i, face in enumerate(part.faces)]
-    again = [i for i, first in enumerate(firsts) if first != i]
-    part.mend.repeated = part.of(again), [part.materials[firsts[i]] for i in again]
-    return part.kept([first == i for i, first in enumerate(firsts)])
+    """Return the faces without those that are drawn again, which are kept to be noted."""
+    first: dict[frozenset[int], Face] = {}
+    for face in part.faces:
+        if first.setdefault(frozenset(face.corners), face) is not face:
+            part.mend.repeated.append((face, first[frozenset(face.corners)].material))
+    return FaceSet(part.mend, first.values())
 
 
 def note_repetitions(mend: Mending, unseen: Collection[frozenset[int]] = ()) -> None:
-    """Note the faces that are drawn twice; ``unseen`` faces, which two objects share, are contacts."""
-    part, materials = mend.repeated
-    for row, other, area in zip(part.rows(), materials, part.areas.tolist(), strict=True):
-        face, own, name = row
-        if frozenset(face) in unseen:
+    """Note the faces that are drawn again; ``unseen`` faces, which two objects share, are contacts."""
+    for (corners, own, name), other in mend.repeated:
+        area = area_of(mend.points[corners])
+        if frozenset(corners) in unseen:
             mend.found("contact", [f'"{name}" on another'], area, 0.0, -2 * area)
             continue
         # Of two materials either may be the one that is meant.
@@ -670,16 +642,34 @@ def note_repetitions(mend: Mending, unseen: Collection[frozenset[int]] = ()) -> 
 
 
 def snapped(part: FaceSet) -> FaceSet:
-    """Return the faces with corners that are near an edge moved onto it."""
+    """Return the faces with corners that are near an edge moved onto it.
+
+    A moved corner moves its own edges, so that others are beside them: all are moved again.
+    """
     mend, before = part.mend, part.areas
+    edges = np.array(sorted({edge for corners in part.loops for edge in edges_of(corners)}))
     moved: dict[int, float] = {}
     for _ in range(4):
-        shift = _snap(part)
-        moved |= {v: max(moved.get(v, 0.0), distance) for v, distance in shift.items()}
-        if not shift:
-            break
+        ends = mend.points[edges]
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        near = cKDTree(mend.points).query_ball_point(ends.mean(axis=1), lengths / 2 + mend.weld)
+        nearest: dict[int, tuple[float, Array]] = {}
+        for (start, end), length, corners in zip(ends, lengths, near, strict=True):
+            if len(corners) < 3 or length <= 2 * mend.weld:
+                continue
+            points, along = mend.points[corners], (end - start) / length
+            position = (points - start) @ along
+            feet = start + position[:, np.newaxis] * along
+            distance = np.linalg.norm(points - feet, axis=1)
+            beside = (distance > SAME) & (distance <= mend.weld)
+            beside &= (mend.weld < position) & (position < length - mend.weld)
+            for k in np.flatnonzero(beside).tolist():
+                if distance[k] < nearest.get(corners[k], (np.inf,))[0]:
+                    nearest[corners[k]] = float(distance[k]), feet[k]
+        for v, (off, foot) in nearest.items():
+            mend.points[v], moved[v] = foot, max(moved.get(v, 0.0), off)
     if moved:
-        shifts = [float(np.mean([moved.get(v, 0.0) for v in face])) for face in part.faces]
+        shifts = [float(np.mean([moved.get(v, 0.0) for v in corners])) for corners in part.loops]
         changes = np.subtract(before, part.areas).tolist()
         mend.found(
             "joint",
@@ -691,75 +681,48 @@ def snapped(part: FaceSet) -> FaceSet:
     return cleaned(part)
 
 
-def _snap(part: FaceSet) -> dict[int, float]:
-    """Move corners that are near an edge onto it, and return by how much in m each."""
-    mend = part.mend
-    edges = sorted({edge for face in part.faces for edge in edges_of(face)})
-    ends = mend.points[np.array(edges)]
-    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    near = cKDTree(mend.points).query_ball_point(ends.mean(axis=1), lengths / 2 + mend.weld)
-    best: dict[int, tuple[float, Array]] = {}
-    for (start, end), length, corners in zip(ends, lengths, near, strict=True):
-        if len(corners) < 3 or length <= 2 * mend.weld:
-            continue
-        points, along = mend.points[corners], (end - start) / length
-        position = (points - start) @ along
-        feet = start + position[:, np.newaxis] * along
-        distance = np.linalg.norm(points - feet, axis=1)
-        beside = (distance > SAME) & (distance <= mend.weld)
-        beside &= (mend.weld < position) & (position < length - mend.weld)
-        for k in np.flatnonzero(beside).tolist():
-            if distance[k] < best.get(corners[k], (np.inf,))[0]:
-                best[corners[k]] = float(distance[k]), feet[k]
-    for v, (_, foot) in best.items():
-        mend.points[v] = foot
-    return {v: distance for v, (distance, _) in best.items()}
-
-
 def joined(part: FaceSet) -> FaceSet:
     """Return the faces with neighbours in one plane and of one material and name as one polygon.
 
     A group grows from its largest triangle, in whose plane all its corners are.
     """
-    mend, points = part.mend, part.mend.points
-    if len(part.faces) < 8 or not all(len(f) == 3 for f in part.faces):
+    mend, points, faces = part.mend, part.mend.points, part.faces
+    if len(faces) < 8 or not all(len(face.corners) == 3 for face in faces):
         return part
     sides: dict[Edge, list[int]] = {}
-    for i, face in enumerate(part.faces):
-        for edge in edges_of(face):
+    for i, face in enumerate(faces):
+        for edge in edges_of(face.corners):
             sides.setdefault(edge, []).append(i)
-    normals = vector_areas(points, part.faces)
-    sizes = np.linalg.norm(normals, axis=1)
-    normals /= sizes[:, np.newaxis]
-    links: list[list[int]] = [[] for _ in part.faces]
-    for i, j in (pair for pair in sides.values() if len(pair) == 2):
-        if part.materials[i] == part.materials[j] and abs(normals[i] @ normals[j]) > 0.99:
-            links[i].append(j)
-            links[j].append(i)
-    done = [False] * len(part.faces)
+    is_done = [False] * len(faces)
     out = FaceSet(mend)
-    for first in np.argsort(-sizes, kind="stable").tolist():
-        if done[first]:
+    for first in np.argsort(-part.areas, kind="stable").tolist():
+        if is_done[first]:
             continue
-        done[first] = True
-        members, normal = [first], normals[first]
-        offset = float(points[part.faces[first][0]] @ normal)
+        is_done[first] = True
+        members, plane, material = (
+            [first],
+            Polygon(points[faces[first].corners]),
+            faces[first].material,
+        )
         for i in members:  # the list grows during the loop
-            for j in links[i]:
-                away = points[part.faces[j]] @ normal - offset
-                if not done[j] and np.abs(away).max() < PLANARITY * 0.45:
-                    done[j] = True
+            for j in (
+                j for e in edges_of(faces[i].corners) if len(sides[e]) == 2 for j in sides[e]
+            ):
+                if is_done[j] or faces[j].material != material:
+                    continue
+                if plane.thickness(points[faces[j].corners]) < PLANARITY * 0.45:
+                    is_done[j] = True
                     members.append(j)
-        for face in outlined(mend, [part.faces[i] for i in members]):
-            out.add(face, part.materials[first], part.names[first])
+        loops = outlined(mend, [faces[i].corners for i in members])
+        out.faces += [faces[first]._replace(corners=loop) for loop in loops]
     return out
 
 
-def outlined(mend: Mending, faces: list[Face]) -> list[Face]:
+def outlined(mend: Mending, faces: list[list[int]]) -> list[list[int]]:
     """Return faces of one plane as one polygon; unchanged if it has a hole or several parts."""
     if len(faces) == 1:
         return faces
-    count = Counter(edge for face in faces for edge in edges_of(face))
+    count = Counter(edge for corners in faces for edge in edges_of(corners))
     loops = loops_of([edge for edge, n in count.items() if n == 1])
     if loops is None or len(loops) != 1:
         return faces
@@ -775,18 +738,17 @@ def outlined(mend: Mending, faces: list[Face]) -> list[Face]:
 def flattened(part: FaceSet) -> FaceSet:
     """Return the faces with those that are not plane divided into triangles."""
     mend, out = part.mend, FaceSet(part.mend)
-    for face, material, name in part.rows():
-        corners = mend.points[face]
+    for face in part.faces:
+        corners = mend.points[face.corners]
         off = Polygon(corners).thickness(corners)
         if off <= PLANARITY * 0.9:
-            out.add(face, material, name)
+            out.faces.append(face)
             continue
-        pieces = [[face[k] for k in piece] for piece in triangulate(corners)]
-        for piece in pieces:
-            out.add(piece, material, name)
+        pieces = [[face.corners[k] for k in piece] for piece in triangulate(corners)]
+        out.faces += [face._replace(corners=piece) for piece in pieces]
         if off > mend.weld:  # else it is a joint's, noted already
             area, folded = area_of(corners), sum(area_of(mend.points[piece]) for piece in pieces)
-            mend.found("bent", [name], area, unsure=[(material, folded - area)])
+            mend.found("bent", [face.name], area, unsure=[(face.material, folded - area)])
     return out
 
 
@@ -819,19 +781,20 @@ def shell_of(part: FaceSet) -> tuple[FaceSet, list[FaceSet]]:
     main = max(solid, key=lambda i: (round(boxes[i], 3), parts[i].size))
     shell, others = parts[main], [p for i, p in enumerate(parts) if i != main]
     missing = {*shell.open_edges()}
-    for part in others if missing else ():
-        if {*part.open_edges()} <= missing and len(part.faces) == 1:
-            shell.extend(part)
-    return shell, [p for p in others if p.faces[0] not in shell.faces]
+    own = [p for p in others if len(p.faces) == 1 and missing and {*p.open_edges()} <= missing]
+    shell.faces += [p.faces[0] for p in own]
+    return shell, [p for p in others if p not in own]
 
 
 def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
     """Return the shell with its small holes closed; MeshError for a large one."""
     mend, missing = part.mend, part.open_edges()
-    if not missing:
-        return part
     largest = _HOLE_SHARE * part.size if mend.largest_hole is None else mend.largest_hole
     loops = loops_of(missing)
+    areas = [area_of(mend.points[loop]) for loop in loops or ()]
+    large = sorted((k for k, a in enumerate(areas) if a > largest), key=lambda k: -areas[k])
+    if loops is None or large:
+        _note_others(part, others)
     if loops is None:
         a, b = next(iter(missing))
         raise mend.refused(
@@ -839,12 +802,10 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
             f"bound a hole: faces are missing or cross each other there; {_LOOPS}",
             missing,
         )
-    areas = {k: area_of(mend.points[loop]) for k, loop in enumerate(loops)}
-    large = sorted((k for k in areas if areas[k] > largest), key=lambda k: -areas[k])
     if large:
         each = "; ".join(
             f"hole of {rounded(areas[k], 3)} m² at {mend.place(loops[k][0])}, beside "
-            f'"{part.names[missing[edges_of(loops[k][:2])[0]]]}"'
+            f'"{part.faces[missing[edges_of(loops[k][:2])[0]]].name}"'
             for k in large[:MOST_PLACES]
         )
         more = f" ({len(large)} holes in all)" if len(large) > MOST_PLACES else ""
@@ -853,11 +814,9 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
             f"{_hint(part, loops[large[0]], others)}",
             missing,
         )
-    for loop, area in zip(loops, areas.values(), strict=True):
-        ends = mend.points[[*loop, loop[0]]]
-        longest = int(np.argmax(np.linalg.norm(np.diff(ends, axis=0), axis=1)))
-        beside = edges_of([loop[longest], loop[longest - len(loop) + 1]])[0]
-        material = part.materials[missing[beside]]
+    for loop, area in zip(loops, areas, strict=True):
+        beside = max(edges_of(loop), key=lambda edge: extent_of(mend.points[[*edge]]))
+        material = part.faces[missing[beside]].material
         mend.found(
             "hole",
             [f"at {mend.place(loop[0])}, {material}"],
@@ -866,21 +825,24 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
             uncertainty=area**1.5 / 4,
             unsure=[(material, ANY_SHARE * area)],  # it may be of another material
         )
-        part.add(loop, material, "closed hole")
-    part = flattened(part)
-    if again := part.open_edges():
-        a, b = next(iter(again))
-        raise mend.refused(
-            f"a hole at {mend.place(a)} to {mend.place(b)} cannot be closed by one face; {_LOOPS}",
-            again,
-        )
-    return part
+        part.faces.append(Face(loop, material, "closed hole"))
+    return flattened(part) if loops else part
 
 
-def _hint(part: FaceSet, loop: Face, others: Sequence[FaceSet]) -> str:
+def _note_others(shell: FaceSet, others: Sequence[FaceSet]) -> None:
+    """Note what there is beside a shell that is open; nothing is cut, since nothing is in a room."""
+    note_repetitions(shell.mend)
+    walls = Walls(shell)
+    for part in others:
+        is_open = bool(part.open_edges())
+        kind = "object" if not is_open else "overlay" if overlaid_on(walls, part) else "panel"
+        shell.mend.found(kind, part.names[:1], part.size, done=_LOOSE * (kind == "panel"))
+
+
+def _hint(part: FaceSet, loop: list[int], others: Sequence[FaceSet]) -> str:
     """Return how a hole may be mended: faces whose corners nearly meet its edges ask for a weld."""
-    points, own = part.mend.points, {v for face in part.faces for v in face}
-    beside = sorted({v for other in others for face in other.faces for v in face} - own)
+    points = part.mend.points
+    beside = sorted({v for other in others for v in other.corners} - {*part.corners})
     if beside:
         away, _ = cKDTree(points[beside]).query(points[loop])
         if (distance := float(np.median(away))) < _NEAR:
@@ -898,18 +860,19 @@ def as_drawn(shell: FaceSet, others: Sequence[FaceSet], error: MeshError) -> Mes
     Rays cross the shell and closed objects. They cross all faces where the shell has less than half of
     the area: then the walls do not meet.
     """
-    areas: dict[str, float] = {}
+    areas = Counter[str]()
     for part in (shell, *others):
         for area, material in zip(part.areas.tolist(), part.materials, strict=True):
-            areas[material] = areas.get(material, 0.0) + area
-    is_whole = 2 * shell.size > sum(areas.values())
+            areas[material] += area
+    is_whole = 2 * shell.size > areas.total()
     crossed = [p for p in others if not is_whole or not p.open_edges()]
-    volume, u = volume_by_rays([p for part in (shell, *crossed) for p in part.polygons])
+    drawn = FaceSet(shell.mend, [face for part in (shell, *crossed) for face in part.faces])
+    volume, u = volume_by_rays(drawn.polygons)
     size, notes = tuple(np.ptp(shell.points, axis=0).tolist()), shell.mend.drawn.notes
     error.unclosed = Mended(None, volume, u, areas, size, error.defects, notes)
-    named = [(p.materials, p.polygons) for p in (shell, *crossed)]
     faces = [
-        (f"{m} {i}", m, q) for part in named for i, (m, q) in enumerate(zip(*part, strict=True), 1)
+        (f"{m} {i}", m, polygon)
+        for i, (m, polygon) in enumerate(zip(drawn.materials, drawn.polygons, strict=True), 1)
     ]
     with suppress(DataError):  # that the faces bound nothing is in the message
         error.leaking = Polyhedron.from_polygons(faces, leaks=True)
@@ -920,6 +883,8 @@ _LINES = 64
 """Lines along each side of the picture, 4096 in each direction."""
 _TILT = (0.0131, 0.0217, 0.0173)
 """Small turns in radians about x, y and z, so that no line lies in a wall."""
+_AT_ONCE = 250
+"""Triangles that are crossed with all lines at once."""
 _NEIGHBOURHOOD = 9
 _GUESSED = 0.3
 """Relative standard uncertainty of the part of lines with an odd number of crossings."""
@@ -933,8 +898,6 @@ def volume_by_rays(polygons: Sequence[Array]) -> tuple[float, float]:
             for polygon in map(np.asarray, polygons)
         ]  # a polygon without area has no triangle
     )
-    if not len(corners):
-        return 0.0, 0.0
     corners = corners @ Rotation.from_euler("xyz", _TILT).as_matrix().T
     found = [_along(np.roll(corners, k, axis=2)) for k in range(3)]
     volumes, unknown = (np.array(column) for column in zip(*found, strict=True))
@@ -950,26 +913,21 @@ def _along(corners: Array) -> tuple[float, float]:
     """Return the volume by lines along the last axis, and the share of the lines that are unknown."""
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     step = (high - low)[:2] / _LINES
-    if not step.all():
-        return 0.0, 1.0
+    grid = np.indices((_LINES, _LINES)).reshape(2, -1).T
+    places = (low[:2] + step * (grid + 0.5))[:, np.newaxis]
     lines, depths = [], []
-    for a, b, c in corners:
-        first, second = b - a, c - a
-        area = first[0] * second[1] - first[1] * second[0]
-        if abs(area) < 1e-12:
-            continue
-        ends = np.array([a, b, c])[:, :2]
-        start = np.ceil((ends.min(axis=0) - low[:2]) / step - 0.5).astype(int)
-        stop = np.floor((ends.max(axis=0) - low[:2]) / step + 0.5).astype(int)
-        (i, k), (m, n) = start.clip(0), stop.clip(max=_LINES)
-        rows, columns = np.mgrid[i:m, k:n]
-        x = low[0] + step[0] * (rows + 0.5) - a[0]
-        y = low[1] + step[1] * (columns + 0.5) - a[1]
-        u = (x * second[1] - y * second[0]) / area
-        v = (first[0] * y - first[1] * x) / area
-        met = (u >= 0) & (v >= 0) & (u + v <= 1)
-        lines.append((rows * _LINES + columns)[met])
-        depths.append((a[2] + u * first[2] + v * second[2])[met])
+    for part in np.array_split(corners, len(corners) // _AT_ONCE + 1):
+        a, first, second = part[:, 0], part[:, 1] - part[:, 0], part[:, 2] - part[:, 0]
+        area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+        x, y = np.moveaxis(places - a[:, :2], -1, 0)
+        u, v = (
+            (x * second[:, 1] - y * second[:, 0]) / area,
+            (first[:, 0] * y - first[:, 1] * x) / area,
+        )
+        line, triangle = np.nonzero((u >= 0) & (v >= 0) & (u + v <= 1))
+        along = a[:, 2] + u * first[:, 2] + v * second[:, 2]
+        lines.append(line)
+        depths.append(along[line, triangle])
     line, depth = np.concatenate(lines), np.concatenate(depths)
     order = np.lexsort((depth, line))
     line, depth = line[order], depth[order]
@@ -992,8 +950,8 @@ def _along(corners: Array) -> tuple[float, float]:
 
 # -- what is in the room
 
-_FACING = -0.999
-"""Largest product of the normals of faces that face each other."""
+_FACING = 0.999
+"""Least product of the normals of planes that count as parallel."""
 _BEFORE = 5e-4
 """Distance in m before a face at which there is air."""
 COVERED = 0.95
@@ -1004,32 +962,34 @@ _LEAST_ENCLOSED = 0.99
 """Least share of the shell's volume that spaces between faces have, if no face has a gap around it."""
 _MOST_OF_ROOM = 1 / 3
 """Largest share of the walls that an object has behind it: faces that have more divide a room."""
-Cut = tuple[Any, str, str]
-"""A shape on a face, with the material and the name of what lies there."""
+
+
+class Cut(NamedTuple):
+    """A piece of a face, as a shape on the wall of this number that it lies ``away`` m before."""
+
+    wall: int
+    shape: Any
+    face: Face
+    away: float
 
 
 class Walls:
-    """The faces of a shell and of the objects in it, to be found by where they are.
+    """The faces of a shell and of the objects in it, to be found by where they are."""
 
-    ``outward`` are normals out of the room's air (n, 3), and 0 where both sides may be in it.
-    """
-
-    def __init__(self, shell: FaceSet, normals: Array) -> None:
+    def __init__(self, shell: FaceSet) -> None:
         self.mend, self.all = shell.mend, FaceSet(shell.mend)
-        self.planes, self.outward = list[Polygon](), np.zeros((0, 3))
-        self._boxes = np.zeros((0, 2, 3))
-        self.add(shell, normals)
+        self.planes, self._boxes = list[Polygon](), np.zeros((0, 2, 3))
+        self.add(shell)
 
-    def add(self, part: FaceSet, normals: Array | None = None) -> None:
-        """Add the faces of the shell, or of an object in it."""
+    def add(self, part: FaceSet) -> slice:
+        """Add the faces of the shell, or of an object in it, and return their numbers."""
         # An object that stands on a wall is moved onto it by as much as the offset.
-        margin = 2 * OFFSET + self.mend.weld
+        margin, first = 2 * OFFSET + self.mend.weld, len(self.planes)
         boxes = [(p.min(axis=0) - margin, p.max(axis=0) + margin) for p in part.polygons]
         self._boxes = np.concatenate([self._boxes, boxes])
         self.planes += map(Polygon, part.polygons)
-        outward = np.zeros((len(boxes), 3)) if normals is None else normals
-        self.outward = np.concatenate([self.outward, outward])
-        self.all.extend(part)
+        self.all.faces += part.faces
+        return slice(first, len(self.planes))
 
     def near(self, corners: Array) -> list[tuple[int, Polygon]]:
         """Return the number and the plane of each face that may touch an object with these corners."""
@@ -1038,67 +998,54 @@ class Walls:
         return [(i, self.planes[i]) for i in np.flatnonzero(near).tolist()]
 
 
-def overlaid_on(walls: Walls, part: FaceSet) -> list[tuple[int, list[Cut], float]] | None:
-    """Return the pieces of a plane component on each wall, and how far they are; None if on none."""
+def overlaid_on(walls: Walls, part: FaceSet) -> list[Cut]:
+    """Return the pieces of a plane component on the walls nearest to it; none if it lies on none."""
     mend, corners = part.mend, part.points
     normal, thick = best_plane(corners)
     if thick > max(mend.weld, PLANARITY):
-        return None
-    found = list[tuple[int, list[Cut], float]]()
-    for i, wall in walls.near(corners):
-        distance = wall.thickness(corners)
-        if abs(float(wall.normal @ normal)) < 0.99 or distance > OFFSET:
-            continue
-        pieces: list[Cut] = [
-            (piece, material, name)
-            for face, material, name in part.rows()
-            for piece in polygons_of(common(wall, mend.points[face], mend.weld), mend.weld**2)
-        ]
-        if pieces:
-            found.append((i, pieces, distance))
-    nearest = min((distance for *_, distance in found), default=0.0)
-    found = [each for each in found if each[2] <= nearest + mend.weld]
-    total = sum(float(piece.area) for _, pieces, _ in found for piece, _, _ in pieces)
-    return found if found and total >= COVERED * part.size else None
+        return []
+    cuts = [
+        Cut(i, piece, face, away)
+        for i, wall in walls.near(corners)
+        if (away := wall.thickness(corners)) <= OFFSET and abs(wall.normal @ normal) > 0.99
+        for face in part.faces
+        for piece in polygons_of(wall.common(mend.points[face.corners]), mend.weld**2)
+    ]
+    nearest = min((cut.away for cut in cuts), default=0.0)
+    cuts = [cut for cut in cuts if cut.away <= nearest + mend.weld]
+    return cuts if sum(cut.shape.area for cut in cuts) >= COVERED * part.size else []
 
 
-def common(wall: Polygon, corners: Array, snap: float) -> Any:
-    """Return the part that a polygon shares with a wall; corners near the wall's are moved to them."""
-    return shapely().snap(wall.polygon(corners), wall.shape, snap).intersection(wall.shape)
+def put_on_walls(walls: Walls, part: FaceSet, n_shell: int) -> None:
+    """Move faces of a closed object within ``weld`` of a wall that they face onto it.
 
-
-def put_on_walls(walls: Walls, part: FaceSet, outward: Array, n_shell: int) -> FaceSet:
-    """Return a closed object whose faces within ``weld`` of a wall that they face are moved onto it.
-
-    So are those that reach through it by up to `OFFSET`: contacts. Wider gaps up to `OFFSET`, over a
-    whole face and to one of the ``n_shell`` faces of the shell, are noted. ``outward`` are the faces'
-    normals out of the air.
+    So are those that reach through one of the ``n_shell`` faces of the shell by up to `OFFSET`: these
+    are contacts. A wider gap up to `OFFSET` between a whole face and the shell is noted.
     """
     mend, gaps, widest = part.mend, list[tuple[str, float]](), 0.0
-    for i, normal in enumerate(outward):
-        size = area_of(part.corners(i))
-        for j, wall in walls.near(part.corners(i)):
-            corners, of_wall = part.corners(i), walls.outward[j]
-            away = -(corners - wall.corners.mean(axis=0)) @ of_wall
-            if not of_wall.any():  # of an open object, on either of whose sides this one may be
-                of_wall = wall.normal * -np.sign(wall.normal @ normal)
-                away = np.abs(wall.away(corners))
-            deepest = mend.weld + OFFSET * (j < n_shell)
-            if of_wall @ normal > _FACING or away.min() < -deepest:
+    onto: dict[int, list[Polygon]] = {}
+    for face, outward in zip(part.faces, part.polyhedron().normals, strict=True):
+        corners = mend.points[face.corners]
+        for j, wall in walls.near(corners):
+            size, to_wall = area_of(corners), wall.normal * np.sign(wall.normal @ outward)
+            away = (wall.corners.mean(axis=0) - corners) @ to_wall
+            if to_wall @ outward < _FACING or away.min() < -mend.weld - OFFSET * (j < n_shell):
                 continue
-            shapes = polygons_of(common(wall, corners, FINE))
+            shapes = polygons_of(wall.common(corners))
             shapes = [s for s in shapes if s.area > mend.weld * extent_of(ring_of(s)) / 2]
             shared, gap = sum(float(s.area) for s in shapes), float(away.max())
-            place = f'"{part.names[i]}" %s "{walls.all.names[j]}"'
+            place = f'"{face.name}" %s "{walls.all.faces[j].name}"'
             if shapes and gap <= mend.weld:
                 # What the object's other faces have gained or lost there.
                 longer = ANY_SHARE * wall.thickness(corners) * sum(float(s.length) for s in shapes)
-                mend.points[part.faces[i]] = wall.onto(corners) + wall.bend * of_wall
-                unsure = [(part.materials[i], longer)]
+                for v in face.corners:
+                    onto.setdefault(v, []).append(wall)
+                unsure = [(face.material, longer)]
                 mend.found("contact", [place % "on"], shared, 0.0, -2 * shared, unsure=unsure)
             elif shared > COVERED * size and gap <= OFFSET and j < n_shell:
                 gaps.append((place % "before", size))
                 widest = max(widest, gap)
+    _move(part, onto)
     if gaps:
         mend.found(
             "gap",
@@ -1107,40 +1054,49 @@ def put_on_walls(walls: Walls, part: FaceSet, outward: Array, n_shell: int) -> F
             done=f"faces of closed objects are up to {widest * 1000:.2g} mm in front of a wall, "
             f"and both areas are counted; use --weld {1.1 * widest:.2g} if they touch",
         )
-    return flattened(part)
 
 
-def stood_on_walls(walls: Walls, part: FaceSet) -> tuple[FaceSet, list[tuple[str, float]]]:
-    """Return an open object whose open edges within `OFFSET` of walls are moved onto them.
+def stand_on_walls(walls: Walls, part: FaceSet) -> Mapping[str, float]:
+    """Move open edges of an open object within `OFFSET` of walls onto them.
 
-    Its faces gain or lose what lies between them and the wall: of each material there the standard
-    uncertainty of its area in m².
+    Its faces gain or lose what lies between them and the wall: returned is the standard uncertainty of
+    area in m² by material.
     """
-    mend, edges, middle = part.mend, part.open_edges(), part.points.mean(axis=0)
-    for corners in part.faces:
-        for i, _, far in overlaid_on(walls, FaceSet(mend, [corners], [""], [""])) or ():
-            if far <= mend.weld:
-                mend.points[corners] = walls.planes[i].onto(mend.points[corners])
-    shift: dict[int, float] = {}
-    for v in sorted({v for edge in edges for v in edge}):
-        point, used = mend.points[v], list[Polygon]()
-        near = [
-            (abs(float(wall.away(point))), i, wall) for i, wall in walls.near(point[np.newaxis])
-        ]
-        for away, _, wall in sorted(near, key=lambda each: each[:2]):
-            is_near = away <= OFFSET and wall.beside(point) <= OFFSET
-            if is_near and all(abs(float(wall.normal @ other.normal)) < 0.99 for other in used):
+    mend, edges = part.mend, part.open_edges()
+    onto: dict[int, list[Polygon]] = {v: [] for edge in edges for v in edge}
+    for v, used in onto.items():
+        point = mend.points[v]
+        for _, wall in walls.near(point[np.newaxis]):
+            if abs(wall.away(point)) <= OFFSET and wall.beside(point) <= OFFSET:
                 used.append(wall)
-        for wall in 4 * used:
-            point = wall.onto(point)
-        point = point - sum(np.sign(w.away(middle)) * w.bend * w.normal for w in used)
-        shift[v] = float(np.linalg.norm(point - mend.points[v]))
-        mend.points[v] = point
-    unsure: dict[str, float] = {}  # its open edges are all as far off, so their parts add
-    for (a, b), face in edges.items():
+    for face in part.faces:
+        for cut in overlaid_on(walls, FaceSet(mend, [face])):
+            for v in face.corners * (cut.away <= mend.weld):
+                onto.setdefault(v, []).append(walls.planes[cut.wall])
+    shift = _move(part, onto)
+    unsure = Counter[str]()  # its open edges are all as far off, so their parts add
+    for (a, b), i in edges.items():
         gained = ANY_SHARE * extent_of(mend.points[[a, b]]) * max(shift[a], shift[b])
-        unsure[part.materials[face]] = unsure.get(part.materials[face], 0.0) + gained
-    return flattened(part), [*unsure.items()]
+        unsure[part.faces[i].material] += gained
+    return unsure
+
+
+def _move(part: FaceSet, onto: Mapping[int, Sequence[Polygon]]) -> dict[int, float]:
+    """Move corners of an object onto walls, and return by how much in m each.
+
+    Of parallel walls the nearest counts. The object reaches through a wall that is bent.
+    """
+    mend, middle, shift = part.mend, part.points.mean(axis=0), dict[int, float]()
+    for v, walls in onto.items():
+        point, used = mend.points[v], list[Polygon]()
+        for wall in sorted(walls, key=lambda wall: abs(float(wall.away(point)))):
+            if all(abs(wall.normal @ other.normal) < 0.99 for other in used):
+                used.append(wall)
+        off = [wall.away(point) + np.sign(wall.away(middle)) * wall.bend for wall in used]
+        normals = np.reshape([wall.normal for wall in used], (-1, 3))
+        move = np.linalg.lstsq(normals, np.array(off))[0]
+        mend.points[v], shift[v] = point - move, float(np.linalg.norm(move))
+    return shift
 
 
 _PLATE = 1e-5
@@ -1157,7 +1113,7 @@ class Cell:
 
     volume: float
     triangles: Array
-    sides: Array
+    sides: NDArray[np.int64]
 
     def seen(self, n: int) -> Array:
         """Return the area in m² of the front and the back of each of n faces around it, (n, 2)."""
@@ -1178,7 +1134,10 @@ def cells_of(part: FaceSet) -> list[Cell]:
         "objects in a room and walls drawn as solids need manifold3d: pip install 'rtcal[mesh]'"
     )
     manifold = library(needed, "manifold3d")
-    corners, index = part.triangles()
+    found = [(i, p[list(t)]) for i, p in enumerate(part.polygons) for t in triangulate(p)]
+    index, corners = (np.array(column) for column in zip(*found, strict=True))
+    centre = corners.mean(axis=(0, 1))  # far from the origin a plate's thickness would be rounding
+    corners = corners - centre
     edges = np.roll(corners, -1, axis=1) - corners
     edges /= np.linalg.norm(edges, axis=2, keepdims=True)
     normals = np.cross(edges[:, 0], edges[:, 1])[:, np.newaxis]
@@ -1202,8 +1161,8 @@ def cells_of(part: FaceSet) -> list[Cell]:
         found = np.asarray(mesh.vert_properties)[:, :3][np.asarray(mesh.tri_verts, int)]
         of, plane = np.divmod(np.asarray(mesh.face_id, np.int64), 5)
         sides = np.where(plane < 2, 2 * index[of] + plane, -1)
-        surfaces.append(Cell(-surface.volume(), found, sides))
-    cells = sorted((s for s in surfaces if s.volume > 0), key=lambda s: s.volume)
+        surfaces.append(Cell(-surface.volume(), found + centre, sides))
+    cells = sorted((s for s in surfaces if s.volume > SAME), key=lambda s: s.volume)
     inner = [s for s in surfaces if s.volume < 0]
     for cell in cells:  # what hangs free is in the smallest cell around it
         points = np.array([s.triangles[0, 0] for s in inner]).reshape(-1, 3)
@@ -1218,7 +1177,7 @@ def cells_of(part: FaceSet) -> list[Cell]:
     return sorted(cells, key=lambda cell: -cell.volume)
 
 
-def faces_around(cell: Cell, part: FaceSet, cuts: Mapping[int, Sequence[Cut]]) -> FaceSet:
+def faces_around(cell: Cell, part: FaceSet, overlays: Sequence[Cut] = ()) -> FaceSet:
     """Return what of some faces is around a cell, with what lies on them in its place.
 
     Of a face with the cell on both sides a plate of `THICKNESS` is made.
@@ -1228,67 +1187,65 @@ def faces_around(cell: Cell, part: FaceSet, cuts: Mapping[int, Sequence[Cut]]) -
     away, number = cKDTree(mend.points).query(flat)
     is_new = away > max(FINE, mend.weld / 10)
     new, of_new = weld_vertices(flat[is_new])
-    number[is_new] = len(mend.points) + of_new
-    number = number.reshape(-1, 3)
-    # Where plates cross, a corner is off by half of their thickness.
+    number[is_new] = np.array(mend.new_points(new), dtype=int)[of_new]
+    _sharpen(mend, cell, number.reshape(-1, 3), len(mend.points) - len(new))
+    around: dict[int, tuple[list[list[int]], list[list[int]]]] = {}
+    for corners, side in zip(number.reshape(-1, 3).tolist(), cell.sides.tolist(), strict=True):
+        if side >= 0 and len({*corners}) == 3:
+            around.setdefault(side // 2, ([], []))[side % 2].append(corners)
+    for i, both in sorted(around.items()):
+        face, cuts = part.faces[i], [cut for cut in overlays if cut.wall == i]
+        if not cuts and not all(both):
+            out.faces += [face._replace(corners=c) for c in outlined(mend, both[0] or both[1])]
+            continue
+        wall = Polygon(mend.points[face.corners])
+        front, back = (
+            shapely().union_all([wall.polygon(mend.points[corners]) for corners in side])
+            for side in both
+        )
+        for piece in polygons_of(front.intersection(back), mend.weld**2):
+            _add_plate(out, wall, piece, face)
+        left = front.symmetric_difference(back)
+        for cut in sorted(cuts, key=lambda cut: float(cut.shape.area)):
+            _add_pieces(out, wall, left.intersection(cut.shape), cut.face)
+            left = left.difference(cut.shape)
+        _add_pieces(out, wall, left, face)
+    return flattened(out.kept([2 * area_of(p) > FINE * extent_of(p) for p in out.polygons]))
+
+
+def _sharpen(mend: Mending, cell: Cell, number: Array, first: int) -> None:
+    """Move a cell's corners from this number on, where plates cross, by half of their thickness."""
     edges = cell.triangles - np.roll(cell.triangles, 1, axis=1)
     normals = np.cross(edges[:, 0], edges[:, 1])
     sizes, longest = (np.linalg.norm(x, axis=-1) for x in (normals, edges))
     wide = (cell.sides >= 0) & (sizes > FINE * longest.max(axis=1))
-    at: dict[int, list[tuple[Array, float]]] = {}
-    for k in np.flatnonzero(wide & (number >= len(mend.points)).any(axis=1)):
-        normal = normals[k] / sizes[k]
-        for v in number[k]:
-            plane = normal, float(cell.triangles[k, 0] @ normal) - _PLATE / 2
-            at.setdefault(v - len(mend.points), []).append(plane)
-    for v, planes in at.items():
-        if v >= 0:
-            of_planes, offsets = map(np.array, zip(*planes, strict=True))
-            new[v] += np.linalg.lstsq(of_planes, offsets - of_planes @ new[v], rcond=1e-2)[0]
-    mend.new_points(new)
-    around: dict[int, tuple[list[Face], list[Face]]] = {}
-    for face, side in zip(number.tolist(), cell.sides.tolist(), strict=True):
-        if side >= 0 and len({*face}) == 3:
-            around.setdefault(side // 2, ([], []))[side % 2].append(face)
-    for i, both in sorted(around.items()):
-        material, name = part.materials[i], part.names[i]
-        if i not in cuts and not all(both):
-            for face in outlined(mend, both[0] or both[1]):
-                out.add(face, material, name)
-            continue
-        wall = Polygon(part.corners(i))
-        front, back = (
-            shapely().union_all([wall.polygon(mend.points[face]) for face in side]) for side in both
-        )
-        for piece in polygons_of(front.intersection(back), mend.weld**2):
-            _add_plate(out, wall, piece, material, name)
-        once, taken = front.symmetric_difference(back), shapely().Polygon()
-        smaller = sorted(cuts.get(i, ()), key=lambda c: float(c[0].area))
-        for shape, own, called in [*smaller, (once, material, name)]:
-            for piece in polygons_of(shape.intersection(once).difference(taken), mend.weld**2):
-                _add_piece(out, wall, piece, own, called)
-            taken = taken.union(shape)
-    return flattened(out.kept([2 * area_of(p) > FINE * extent_of(p) for p in out.polygons]))
+    at: dict[int, list[int]] = {}
+    for k, corner in np.argwhere(wide[:, np.newaxis] & (number >= first)):
+        at.setdefault(number[k, corner], []).append(k)
+    for v, around in at.items():
+        planes = normals[around] / sizes[around, np.newaxis]
+        off = np.sum(planes * (mend.points[v] - cell.triangles[around, 0]), axis=1) + _PLATE / 2
+        mend.points[v] -= np.linalg.lstsq(planes, off, rcond=1e-2)[0]
 
 
-def _add_piece(part: FaceSet, wall: Polygon, piece: Any, material: str, name: str) -> None:
-    """Add a piece in a wall's plane, in triangles if it has holes."""
-    whole = not piece.interiors
-    rings = [piece] if whole else polygons_of(shapely().constrained_delaunay_triangles(piece))
-    for ring in rings:
-        part.add(part.mend.new_points(wall.lifted(ring_of(ring))), material, name)
+def _add_pieces(part: FaceSet, wall: Polygon, shape: Any, face: Face) -> None:
+    """Add the pieces of a shape in a wall's plane, in triangles if they have holes."""
+    for piece in polygons_of(shape, part.mend.weld**2):
+        triangles = shapely().constrained_delaunay_triangles(piece) if piece.interiors else piece
+        for ring in polygons_of(triangles):
+            corners = part.mend.new_points(wall.lifted(ring_of(ring)))
+            part.faces.append(face._replace(corners=corners))
 
 
-def _add_plate(part: FaceSet, plane: Polygon, shape: Any, material: str, name: str) -> None:
+def _add_plate(part: FaceSet, plane: Polygon, shape: Any, face: Face) -> None:
     """Add a panel of two sides: a closed plate, as much narrower as its edges add to its area."""
     mend, half = part.mend, plane.normal * THICKNESS / 2
     for piece in polygons_of(shape.buffer(-THICKNESS / 2, join_style="mitre")):
         corners = plane.lifted(ring_of(piece))
         front, back = mend.new_points(corners + half), mend.new_points(corners - half)
-        part.add(front, material, name)
-        part.add(back[::-1], material, f"{name} back")
-        for k in range(len(front)):
-            part.add([front[k], front[k - 1], back[k - 1], back[k]], material, f"{name} edge")
+        edges = [[front[k], front[k - 1], back[k - 1], back[k]] for k in range(len(front))]
+        part.faces += [Face(front, *face[1:]), Face(back[::-1], face.material, f"{face.name} back")]
+        part.faces += [Face(edge, face.material, f"{face.name} edge") for edge in edges]
 
 
 @dataclass
@@ -1302,7 +1259,7 @@ class _Placed:
     faces: slice
     is_open: bool
     is_in: bool
-    unsure: Sequence[tuple[str, float]]
+    unsure: Mapping[str, float]
 
 
 def room_of(
@@ -1313,68 +1270,56 @@ def room_of(
     ``as_it_is`` is the room itself if no object touches another face. Raises DataError if the faces
     around it do not close.
     """
-    mend, hull = shell.mend, shell.polyhedron()
-    for part in others:
-        if 2 * _volume(part) > hull.volume and hull.contains(part.points).all():
-            outer, shell, hull = shell, part, part.polyhedron()
-            others = [outer, *(p for p in others if p is not part)]
-            break  # the walls are drawn with their thickness
-    walls, cuts = Walls(shell, hull.normals), dict[int, list[Cut]]()
+    mend, n = shell.mend, sum(len(part.faces) for part in (shell, *others))
+    if n > MOST_FACES:
+        raise mend.refused(f"{n} faces; at most {MOST_FACES}: simplify the model")
+    hull, walls, overlays = shell.polyhedron(), Walls(shell), list[Cut]()
     placed, outside = list[_Placed](), list[FaceSet]()
     for part in sorted(others, key=lambda p: (p.is_plane, 0.0 if p.is_plane else -p.size)):
-        is_in, is_plane, is_open = is_within(hull, part), part.is_plane, bool(part.open_edges())
-        unsure, outward = list[tuple[str, float]](), None
-        if is_plane and not is_in:
+        is_in, is_open = is_within(hull, part), bool(part.open_edges())
+        if part.is_plane and not is_in:
             reaches = _reaches_into(hull, part)
             kind = "partly outside" if reaches else "outside"
             shares = zip(part.materials, (reaches * ANY_SHARE * part.areas).tolist(), strict=True)
             mend.found(kind, part.names[:1], part.size, unsure=shares)
             outside.append(part)
             continue
-        if is_open and (on := overlaid_on(walls, part)) is not None:
-            for wall, pieces, _ in on:
-                cuts.setdefault(wall, []).extend(pieces)
-            each = [(shape, m, far) for _, pieces, far in on for shape, m, _ in pieces]
-            moved = sum(far * float(shape.area) for shape, _, far in each)
+        if is_open and (cuts := overlaid_on(walls, part)):
+            moved = sum(cut.away * float(cut.shape.area) for cut in cuts)
             # The reveal from the wall to the face is not drawn; it may be of the face's material.
-            reveals = [(m, ANY_SHARE * far * float(shape.length)) for shape, m, far in each]
+            reveals = [(c.face.material, ANY_SHARE * c.away * float(c.shape.length)) for c in cuts]
             mend.found("overlay", part.names[:1], part.size, moved, -part.size, unsure=reveals)
+            overlays += cuts
             continue
+        unsure: Mapping[str, float] = {}
         if not is_open:
-            part = put_on_walls(walls, part, -part.polyhedron().normals, len(shell.faces))
-            outward = -part.polyhedron().normals
-        elif not is_plane:
-            part, unsure = stood_on_walls(walls, part)
-        first = len(walls.planes)
-        walls.add(part, outward)
-        faces = slice(first, len(walls.planes))
-        placed.append(_Placed(part, faces, is_open, is_in, unsure))
-    if as_it_is is not None and not any(d.kind == "contact" for d in mend.defects):
+            put_on_walls(walls, part, len(shell.faces))
+        elif not part.is_plane:
+            unsure = stand_on_walls(walls, part)
+        placed.append(_Placed(part, walls.add(part), is_open, is_in, unsure))
+    touch = any(defect.kind == "contact" for defect in mend.defects)
+    # A room of less than half of the shell's volume is the space in walls drawn with their thickness.
+    if as_it_is is not None and not touch and 2 * as_it_is.volume > hull.volume:
         return as_it_is
-    triangles, faces_of = shell.triangles()
-    cell, unseen = Cell(hull.volume, triangles, 2 * faces_of), set[frozenset[int]]()
+    cells = [Cell(hull.volume, hull.triangles, 2 * hull.triangle_faces)]
+    unseen = set[frozenset[int]]()
     if placed:
-        cell, *enclosed = cells_of(walls.all)
-        if cell.volume + sum(c.volume for c in enclosed) < _LEAST_ENCLOSED * hull.volume:
+        cells = cells_of(walls.all)
+        if sum(cell.volume for cell in cells) < _LEAST_ENCLOSED * hull.volume:
             raise DataError(
                 "the walls do not close: there is a gap between faces of objects or walls"
             )
-        _require_one_room(mend, [cell, *enclosed], walls, len(shell.faces))
-        around = cell.seen(len(walls.planes)).sum(axis=1)
-        rows = zip(walls.all.faces, around.tolist(), strict=True)
-        unseen = {frozenset(face) for face, seen in rows if seen < SAME}
-        outside += _noted(placed, cell, enclosed, len(walls.planes))
+        _require_one_room(mend, cells, walls, len(shell.faces))
+        around = cells[0].seen(len(walls.planes)).sum(axis=1)
+        unseen = {
+            frozenset(c) for c, seen in zip(walls.all.loops, around, strict=True) if seen < SAME
+        }
+        outside += _noted(placed, cells, len(walls.planes))
+        if around[: len(shell.faces)].sum() < SAME:
+            mend.found("outside", shell.names[:1], shell.size)
     note_repetitions(mend, unseen)
     _require_shell(shell, outside)
-    return faces_around(cell, walls.all, cuts).polyhedron()
-
-
-def _volume(part: FaceSet) -> float:
-    """Return the volume in m³ of a component; 0.0 if it is open."""
-    try:
-        return 0.0 if part.open_edges() else float(part.polyhedron().volume)
-    except DataError:
-        return 0.0
+    return faces_around(cells[0], walls.all, overlays).polyhedron()
 
 
 def _require_one_room(mend: Mending, cells: Sequence[Cell], walls: Walls, n_shell: int) -> None:
@@ -1394,24 +1339,26 @@ def _require_one_room(mend: Mending, cells: Sequence[Cell], walls: Walls, n_shel
             )
 
 
-def _noted(
-    placed: Sequence[_Placed], room: Cell, enclosed: Sequence[Cell], n: int
-) -> list[FaceSet]:
-    """Note what the components are by which of their sides the room has; return those outside it."""
+def _noted(placed: Sequence[_Placed], cells: Sequence[Cell], n: int) -> list[FaceSet]:
+    """Note what the components are by which of their sides the room has; return those outside it.
+
+    The first of the cells is the room.
+    """
     volume, covered = np.zeros(len(placed)), np.zeros(len(placed))
-    for cell in enclosed:
+    for cell in cells[1:]:
         seen = cell.seen(n).sum(axis=1)
         shares = [float(seen[p.faces].sum()) for p in placed]
         k = int(np.argmax(shares))
         volume[k] += cell.volume
         covered[k] += seen.sum() - shares[k]
-    outside, of_room = list[FaceSet](), room.seen(n)
+    outside, of_room = list[FaceSet](), cells[0].seen(n)
     for k, p in enumerate(placed):
         mend, names, size = p.part.mend, p.part.names[:1], p.part.size
         both = 2 * float(of_room[p.faces].min(axis=1).sum())
         once = float(of_room[p.faces].sum()) - both
         if once + both < SAME:
-            if frozenset(p.part.faces[0]) not in map(frozenset, mend.repeated[0].faces):
+            again = {frozenset(face.corners) for face, _ in mend.repeated}
+            if frozenset(p.part.faces[0].corners) not in again:
                 mend.found("outside", names, size)
                 outside += [p.part] * p.is_open
             continue
@@ -1421,7 +1368,9 @@ def _noted(
             mend.found("panel", names, both / 2, -THICKNESS * both / 2, both / 2)
         if p.is_open and once > both:
             surface = once - float(covered[k])
-            mend.found("open bottom", names, size, -float(volume[k]), surface, unsure=p.unsure)
+            mend.found(
+                "open bottom", names, size, -float(volume[k]), surface, unsure=p.unsure.items()
+            )
     return outside
 
 
@@ -1449,7 +1398,7 @@ def is_within(hull: Polyhedron, part: FaceSet) -> bool:
 
 def _reaches_into(hull: Polyhedron, part: FaceSet) -> bool:
     """Return whether an edge of a component is in the room, and not merely at its walls."""
-    ends = part.mend.points[[edge for face in part.faces for edge in edges_of(face)]]
+    ends = part.mend.points[[edge for corners in part.loops for edge in edges_of(corners)]]
     shares = np.linspace(0, 1, 9)[:, np.newaxis, np.newaxis]
     points = (ends[:, 0] + shares * (ends[:, 1] - ends[:, 0])).reshape(-1, 3)
     inside = points[hull.contains(points)]
@@ -1473,11 +1422,11 @@ def room_between(part: FaceSet) -> FaceSet | None:
     and not air.
     """
     mend = part.mend
-    groups = _solids(part.faces)
-    if groups is None or len(groups) < 2:
+    groups = _solids(part)
+    if len(groups) < 2:
         return None
     try:
-        solids = [part.of(group).polyhedron() for group in groups]
+        solids = [group.polyhedron() for group in groups]
     except DataError:  # a solid that reaches through itself
         return None
     thin = [4 * s.volume < _THIN * float(np.sum(s.face_areas)) for s in solids]
@@ -1486,11 +1435,9 @@ def room_between(part: FaceSet) -> FaceSet | None:
 
     def is_air(cell: Cell) -> bool:
         """Return whether a space is in no solid, just before its largest triangle."""
-        a, b, c = np.moveaxis(cell.triangles, 1, 0)
-        normals = np.cross(b - a, c - a)  # out of the plates, and so into the space
-        k = int(np.argmax(np.linalg.norm(normals, axis=1)))
-        point = cell.triangles[k].mean(axis=0) + _BEFORE * normal_of(cell.triangles[k])
-        return all(abs(winding_number(point[np.newaxis], s.triangles)[0]) < 0.5 for s in solids)
+        triangle = max(cell.triangles, key=area_of)
+        before = triangle.mean(axis=0) + _BEFORE * normal_of(triangle)  # out of its plate
+        return not any(solid.contains([before]).any() for solid in solids)
 
     cavities = [cell for cell in cells_of(part) if is_air(cell)]
     box = float(np.prod(np.ptp(mend.points, axis=0)))
@@ -1508,25 +1455,22 @@ def room_between(part: FaceSet) -> FaceSet | None:
     if others:
         sizes = listed([f"{rounded(c.volume, 3)} m³" for c in others])
         done += f", the largest; {'another' if len(others) == 1 else 'others'} of {sizes} left out"
-    mend.found("solids", [part.names[group[0]] for group in groups], done=done)
-    return faces_around(room, part, {})
+    mend.found("solids", [group.faces[0].name for group in groups], done=done)
+    return faces_around(room, part)
 
 
-def _solids(faces: Sequence[Face]) -> list[list[int]] | None:
+def _solids(part: FaceSet) -> list[FaceSet]:
     """Return the faces of each solid: in the file's order, until each edge has two faces.
 
-    None if some edge has one face only in the end.
+    Empty if some edge has one face only in the end.
     """
-    solids: list[list[int]] = []
-    solid: list[int] = []
-    open_edges: set[Edge] = set()
-    for i, face in enumerate(faces):
-        solid.append(i)
-        open_edges.symmetric_difference_update(edges_of(face))
+    solids, open_edges = list[FaceSet](), set[Edge]()
+    for face in part.faces:
         if not open_edges:
-            solids.append(solid)
-            solid = []
-    return None if solid else solids
+            solids.append(FaceSet(part.mend))
+        solids[-1].faces.append(face)
+        open_edges.symmetric_difference_update(edges_of(face.corners))
+    return [] if open_edges else solids
 
 
 def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = None) -> Mended:
@@ -1554,24 +1498,12 @@ def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = Non
     mend, (shell, others) = part.mend, shell_of(part)
     try:
         shell = without_holes(shell, others)
-    except MeshError as error:
-        note_repetitions(mend)
-        # What else there is; nothing is cut, since nothing is in a room.
-        walls = Walls(shell, np.zeros((len(shell.faces), 3)))
-        for part in others:
-            kind = "panel" if part.open_edges() else "object"
-            kind = "overlay" if kind == "panel" and overlaid_on(walls, part) else kind
-            shell.mend.found(kind, part.names[:1], part.size, done=_LOOSE * (kind == "panel"))
-        refused = mend.refused(error.reason)
-        refused.edges = error.edges
-        raise as_drawn(shell, others, refused) from None
-    try:
-        if len(part.faces) > MOST_FACES:
-            raise mend.refused(f"{len(part.faces)} faces; at most {MOST_FACES}: simplify the model")
         return mend.result(room_of(shell, others))
     except DataError as error:
         refused = error if isinstance(error, MeshError) else mend.refused(f"after mending, {error}")
-        raise as_drawn(shell, others, refused) from error
+        raise as_drawn(
+            shell, others, refused
+        ) from None  # an error that is its own cause has no end
 
 
 def _closed_as_drawn(faces: Faces, weld: float) -> Mended | None:
@@ -1583,7 +1515,8 @@ def _closed_as_drawn(faces: Faces, weld: float) -> Mended | None:
     try:
         geometry = Polyhedron.from_polygons(list(polygons))
         mend.points = np.array(geometry.vertices)
-        part = FaceSet(mend, map(list, geometry.faces), geometry.materials, geometry.names)
+        corners = map(list, geometry.faces)
+        part = FaceSet(mend, map(Face, corners, geometry.materials, geometry.names))
         shell, others = shell_of(part)
         hull = shell.polyhedron()
         if not all(is_within(hull, other) for other in others):
