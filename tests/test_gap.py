@@ -234,6 +234,20 @@ def test_what_the_finding_was_fitted_to_tests_nothing(folder: Path) -> None:
     assert held_out(later) == {"C80", "G"}
 
 
+@pytest.mark.long
+def test_a_finding_of_two_configurations_takes_at_most_forty_lines(
+    kept: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    case, _ = rt.datasets.hidden_room()
+    assert len(case.configurations) == 2
+    text = str(rt.find(case, cache=kept))
+    assert text.count("\n") < 40
+    row = next(line for line in text.splitlines() if line.startswith('T20 of "A"'))
+    assert max(map(abs, map(float, row.split('"')[2].split()))) >= 2
+    assert "rows that deviate by less than 2 are left out" in text
+
+
 def test_a_plan_needs_no_measurement(folder: Path) -> None:
     text = run("plan", str(folder / "plan.toml"))
     assert text.count("\n") <= 40

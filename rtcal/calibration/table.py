@@ -311,7 +311,7 @@ def certificate(record: Mapping[str, Any]) -> str:
     """Return a sentence on how exactly the problem was solved."""
     worst = max(abs(record["certificate"][name]) for name in _RESIDUALS)
     bound = np.max([numbers(material["error_bound"]) for material in record["materials"]])
-    return f"Numerical accuracy: alpha within {bound:.1e} of the exact solution (residual {worst:.1e})."
+    return f"Numerical error of alpha: at most {bound:.1e} (largest residual {worst:.1e})."
 
 
 def _bands_beyond_equation(record: Mapping[str, Any]) -> list[str]:

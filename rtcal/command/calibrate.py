@@ -140,8 +140,8 @@ def fit(
     No fit ends farther from MEASURED than it began. Where no step leads nearer, the start is returned,
     the exit code is 7, and nothing is written without --force.
 
-    Four times as many paths as --paths are weighed. The reference simulations take most of the time.
-    They are kept beside ROOM, in .rtcal_cache, so that a second calibration is quicker.
+    Four times as many paths as --paths are re-weighted. The reference simulations take most of the
+    time. They are kept beside ROOM, in .rtcal_cache, so that a second calibration is quicker.
 
     Example: rtcal fit room.toml pairs.csv --out fitted
     """

@@ -419,9 +419,12 @@ OPTIONS: dict[str, Decorator] = {
     ),
     "simulated": file(
         "simulated",
-        "What your simulation program gave (CSV, xlsx) at ROOM's coefficients: the run.",
+        "Results of your simulation program (CSV, xlsx) with ROOM's coefficients.",
     ),
-    "at": file("at", "ROOM with the coefficients of the run, if they are not ROOM's own (TOML)."),
+    "at": file(
+        "at",
+        "Room file (TOML) with the coefficients that the program used, if they are not ROOM's.",
+    ),
     "repeats": flag("repeats", "Several values of one source and receiver are repeats: average."),
     "modes": file(
         "modes",
@@ -430,8 +433,8 @@ OPTIONS: dict[str, Decorator] = {
     ),
     "before": file(
         "before",
-        "What was measured at the same positions before something was changed (CSV): it is about "
-        "what changed.",
+        "Measurement (CSV) at the same positions before the room was changed: the search is then "
+        "for what changed.",
     ),
 }
 """The options that several commands have."""

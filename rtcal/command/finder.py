@@ -288,7 +288,7 @@ def compare(
     console.choice(
         "program",
         ("geometrical",),
-        "Kind of program that made the run. A program that traces rays or image sources uses no "
+        "Kind of program that made --simulated. A program that traces rays or image sources uses no "
         "equation and has an uneven field of its own, so that neither is taken for an error of the "
         "room. Only for means over positions: refused with a mesh or a box.",
     ),
@@ -331,15 +331,13 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     its verification are kept beside ROOM or CASE, in .rtcal_cache: the same search is made once.
 
     With --most 3, sets of up to three effects are compared, and each effect has the probability that it
-    is there at all. With --out the finding is kept: `rtcal verify`, `apply`, `plan` and `report` read
-    it. Its page leads with what is missing, what that rests on and what to do.
+    is there at all. With --out the finding is kept for `rtcal verify`, `apply`, `plan` and `report`.
 
-    With --simulated, the model is what your program gave: what the equation errs by is not blamed on
-    the room, and the equation says how coefficients and effects change the program's T
-    (docs/compare.md).
+    With --simulated, your program's result is compared with the measurement in place of the equation's
+    T, so that an error of the equation is not taken for one of the room (docs/compare.md).
 
-    With --before, MEASURED is what was measured after a change of the room. What changed is found, with
-    its amount, and the room's coefficients do not count (docs/two_states.md).
+    With --before, MEASURED was measured after a change of the room: the search finds what changed, and
+    by how much, whatever the room's coefficients are (docs/two_states.md).
 
     \b
     Example: rtcal find room.toml measured.csv --out found
@@ -404,14 +402,14 @@ def verify(
 ) -> None:
     """Add the named effect, calibrate again, and compare the deviations that alpha cannot remove.
 
-    FOUND is what `rtcal find --out` wrote. The verification shows whether the model gets better, not
-    whether the name is right, so the rivals are printed too. If there is nothing to add, the output
-    says so. With a geometry, and for two states, half of the pairs are fitted and the others predicted.
-    For two states the finding may also predict further pairs, measured --before and --after.
+    FOUND is the folder that `rtcal find --out` wrote. The verification shows whether the model gets
+    better, not whether the name of the effect is right, so that the other candidates are printed too.
+    With a geometry, and for two measurements, half of the pairs are fitted and the others predicted.
+    With --before and --after, the change that was found predicts further pairs.
 
-    For a finding with a run, --simulated is the same program's result for the corrected model, which
-    `rtcal apply` describes. The two runs are then compared, each scaled to the measured T by the
-    equation.
+    If your program's simulation was given to `rtcal find`, --simulated is the program's result for the
+    corrected model, which `rtcal apply` describes. The two results are then compared, each scaled to
+    the measured T by the equation.
 
     Example: rtcal verify found
     """
@@ -476,27 +474,28 @@ def verify(
 def apply(found: str, out: str, **options: Any) -> None:
     """Add what was found to the model, and write the room with it into a folder.
 
-    FOUND is what `rtcal find --out` wrote. If the finding is ambiguous, the best candidate is added if
-    its probability is at least 0.3, and the others are printed; else --effect must name one. If there
-    is nothing to add, or nothing was detected (verdict none or hint; --effect does not change that),
-    nothing is written and the exit code is 6. Of a finding with --most 3, the most
-    probable set is added.
+    FOUND is the folder that `rtcal find --out` wrote. The most probable effect is added, or the most
+    probable set of effects if you searched with --most 3. If its probability is below 0.3, you must
+    choose one by --effect. If nothing was detected (verdict none or hint), nothing can be added, also
+    not by --effect: no file is written and the exit code is 6.
 
-    room.toml is the room, for rtcal calibrate. It is not calibrated. Areas and volume stay as they are:
-    absorbers stand free in it. A volume is changed only where its error is claimed, at 0.9. case.json
-    is the case with the effect, which can be used like any other; the calibration with it is printed.
+    room.toml is the room with the effect and the input coefficients: calibrate it before you use it.
+    It keeps the areas and the volume of your room, and an absorber is a free-standing material. The
+    volume is changed only if it was identified as wrong, with a probability of at least 0.9. case.json
+    is the case with the effect, for `rtcal find`. The calibration with the effect is only printed.
 
-    With a geometry, room.obj is the mesh, and catt.txt and odeon.txt are lists of materials. The
-    patch stands in the middle of its surface unless --place states its middle. Where the best
-    family on one surface has less than 0.3, --effect or --place must be given.
+    With a geometry, room.obj is the mesh, and catt.txt and odeon.txt are lists of materials. The effect
+    is a patch in the middle of its surface, or about the point of --place. If the most probable group
+    of effects on one surface has less than 0.3, you must give --effect or --place.
 
-    Of a finding with a run, instructions.txt says what to change in the program's list of materials,
-    what to draw in it, and what neither can hold.
+    If your program's simulation was given to `rtcal find`, instructions.txt lists what to change in
+    the program's materials, what to draw, and what the program cannot contain.
 
-    Of two states, room.toml is the room of the second state: calibrated to what was measured before,
-    with what changed.
+    If FOUND compares two measurements, room.toml is the room after the change: calibrated to the
+    measurement before it, with what changed.
 
-    Where the verification in FOUND says not to simulate with it, so do the output and the files.
+    If the verification in FOUND warns against simulating with the model, the printed text, room.toml,
+    case.json, catt.txt and caution.txt repeat the warning.
 
     Example: rtcal apply found --out corrected
     """
@@ -541,9 +540,9 @@ def apply(found: str, out: str, **options: Any) -> None:
 def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
     """Find what the model misses, verify it, add it and calibrate: one answer, one page.
 
-    It stands for `rtcal find`, `verify`, `apply` and `fit`, with their defaults, and prints them. What
-    has a probability of less than 0.3, or is withdrawn by its verification, is not added: the model is
-    then calibrated as it is given, and the text says so.
+    It does what `rtcal find`, `verify`, `apply` and `fit` do with their defaults, and prints these
+    commands. An effect with a probability below 0.3, or with the verdict "withdrawn" of its
+    verification, is not added: the model is then calibrated as given, and the text says so.
 
     Example: rtcal diagnose room.toml pairs.csv --out diagnosis
     """
@@ -604,14 +603,14 @@ def plan(
 ) -> None:
     """Print which effects the data could distinguish, and what to measure next.
 
-    A CASE is planned before anything is measured. A configuration may state
-    parameters = ["t20", "edt"] in place of measured. If others are measured, it is among what could be
-    measured next. Each proposal has the information to expect about which effects are there, and its
-    hours. FOUND is what `rtcal find --out` wrote, best with --most 3: the proposals then go on from
-    what has been measured.
+    Give a CASE to plan before anything is measured: its configurations then have
+    parameters = ["t20", "edt"] in place of measured. If some configurations were measured, those with
+    parameters are among the proposals. Each proposal has its hours, and the share of the uncertainty
+    about the effects that it is expected to remove.
 
-    With a geometry, where several surfaces are in question, places for a further receiver are proposed,
-    with the evidence that is to be expected of them.
+    Give FOUND, the folder that `rtcal find --out` wrote, to go on from what was measured; search with
+    --most 3 for the best proposals. With a geometry, if several surfaces are possible, the proposals
+    are places for a further receiver, with the odds by which it is expected to distinguish them.
 
     Example: rtcal plan case.toml
     """

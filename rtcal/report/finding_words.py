@@ -70,6 +70,8 @@ _NEAR = 0.5
 """Probability over the first candidate's from which another one fits nearly as well."""
 _STRONG = 4.0
 """Deviation in standard deviations at which the ground of a number saturates."""
+_SIZED = 0.25
+"""Probability over the first candidate's from which a text gives a candidate's size."""
 _SEVERAL = 2
 """Configurations from which on a text has one table of what deviates much, not one of each."""
 _FEW = 3
@@ -778,7 +780,9 @@ def details(f: Finding) -> list[str]:
 
 
 def _details_of_means(f: Finding) -> list[str]:
-    sizes = [size_of(f, n) for n in f.names if f.probabilities.get(n, 0.0) >= SAID]
+    each = {n: f.probabilities.get(n, 0.0) for n in f.names}
+    least = max(SAID, _SIZED * max(each.values(), default=0.0))
+    sizes = [size_of(f, n) for n, p in each.items() if p >= least]
     said = [f"{size}." for size in sizes if size]
     if f.coefficients is not None:
         low, high = f.coefficients.ratio.min(), f.coefficients.ratio.max()

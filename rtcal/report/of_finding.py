@@ -503,7 +503,7 @@ def correct(
     lines += map(str, made.notes)
     for name, report in made.reports.items():
         lines += [f"{name}: {'; '.join(report.notes)}."] if report.notes else []
-        lines += [f"{name} cannot hold {listed(report.lost)}."] if report.lost else []
+        lines += [f"{name} does not contain: {'; '.join(report.lost)}."] if report.lost else []
     if finding.kind == "positions":
         lines.append(
             f"{ROOM} is not calibrated: it holds the input coefficients and the new material. To "
