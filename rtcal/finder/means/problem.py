@@ -165,6 +165,7 @@ def predict_in(
     return replace(made, features=made.features + offset)
 
 
+@lru_cache(maxsize=8)
 def offset_of(case: Case, configuration: Configuration) -> Array:
     """Return the run's features less the equation's at its coefficients, (n_features, n_bands).
 
@@ -172,9 +173,9 @@ def offset_of(case: Case, configuration: Configuration) -> Array:
     """
     run = configuration.simulated
     if run is None:
-        return np.zeros((len(FEATURES), case.room.n_bands))
+        return read_only(np.zeros((len(FEATURES), case.room.n_bands)))
     at = state(replace(case, applied=()), configuration, run.room.alpha)
-    return np.asarray(
+    return read_only(
         features_of_values(run.simulated)
         - predict([at], distances(case, configuration)).features[0]
     )
