@@ -266,6 +266,18 @@ def features_of_hall(*applied: AppliedEffect) -> np.ndarray:
     return features_of(Case(room=hall(), configurations=[whole]), applied)[0]
 
 
+def test_what_no_effect_explains_is_a_geometrical_programs_own() -> None:
+    """T is shorter and the level higher; the decay is bent, and C80 lower: no effect does all of it."""
+    run = natural(features_of_hall())
+    change = np.array([-0.3, 0.2, 0.15, -4.0, 3.0])[:, None] * np.linspace(0.7, 1.3, 6)
+    measured = natural(features_of_hall() + change)
+    assert found(measured, run).verdict == "unknown"
+    finding = found(measured, run, program="geometrical")
+    assert finding.score > finding.threshold
+    assert finding.verdict == "hint"
+    assert "may come from the program itself" in " ".join(str(finding).split())
+
+
 def test_room_and_program_are_exchangeable() -> None:
     """Either may have the less diffuse field: the error has no sign, and its covariance is the same."""
     run = features_of_hall()

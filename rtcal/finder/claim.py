@@ -167,7 +167,7 @@ result."""
 EQUATION_OFF = "equation off"
 """Code of the reason that the equation's T differs from that of a program's run."""
 OWN_FIELD = "field of the program"
-"""Code of the reason that the difference may be the sound field of a geometrical program."""
+"""Code of the reason that the difference may be the own error of a geometrical program."""
 LEAVES: Mapping[str, str] = {
     **dict.fromkeys(("size unbounded", "too large", "not explained", "gap may grow"), "family"),
     LEADING: "family",
@@ -206,8 +206,8 @@ def conclude(
     of effects and of groups have the most probable first. ``by_family_alone`` are effects that are only
     identified as a group (`Effect.alone`). ``reasons`` are doubts about the most probable effect, and
     `LEAVES` has the verdict after each. If the data are ``weak`` (`too_weak`), the verdict is a hint
-    unless an effect or a group is identified. If the difference may be the field of a geometrical
-    program (`of_program`), nothing is identified.
+    unless an effect or a group is identified. If the difference may be a geometrical program's
+    own (`of_program`), nothing is identified.
     """
     own = weak is not None and weak.code == OWN_FIELD
     if weak is not None and own and (detected is None or next(iter(families)) == FIELD):
@@ -250,18 +250,22 @@ FIELD = "field"
 
 
 def of_program(families: Mapping[str, float]) -> Reason | None:
-    """Return the reason why a geometrical program's own sound field may be the difference, or None.
+    """Return the reason why a geometrical program's own error may be the difference, or None.
 
     The program uses the scattering that you enter, and has a second room if you drew it. A difference
-    in its field is therefore no error of the room's model, and counts as nothing missing.
+    in its field is therefore no error of the room's model, and counts as nothing missing. So does a
+    difference that no effect explains: where the field is uneven, two programs differ by more than the
+    reference simulations show (benchmarks/studies/runs).
 
     Examples
     --------
     >>> of_program({"none": 0.2, "field": 0.7}).code
     'field of the program'
+    >>> of_program({"none": 0.1, "unknown": 0.6, "added absorption": 0.3}).code
+    'field of the program'
     >>> of_program({"none": 0.05, "field": 0.04, "added absorption": 0.9})
     """
-    own = families.get(FIELD, 0.0)
+    own = families.get(FIELD, 0.0) + families.get(UNKNOWN, 0.0)
     if own + families.get(NONE, 0.0) < FAIR or own < SAID:
         return None
     return Reason(OWN_FIELD, {"probability": own})

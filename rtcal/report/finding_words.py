@@ -131,8 +131,8 @@ SENTENCES: dict[str, str] = {
     "was not the same before and after; its level is left out. Measure both configurations with the "
     "same reference.",
     OWN_FIELD: "Nothing is identified in the room, because the difference may come from the program "
-    "itself ({probability:p}), which may scatter differently from the room or lack a second "
-    "room.",
+    "itself ({probability:p}), which may scatter differently or lack a second room, or from "
+    "something that no effect describes.",
     # What to do next.
     "another source": "Look for another source of the coefficients, first for the material with the "
     "largest product of area and uncertainty; or measure with and without a known absorber.",
