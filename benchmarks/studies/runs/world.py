@@ -1,7 +1,7 @@
 """Draw the rooms, search each with and without the run, and count; README.md has the rule.
 
 python -m benchmarks.studies.runs.world find 0 90 --out judged.jsonl   # goes on where it stopped
-python -m benchmarks.studies.runs.world count          # the stored rooms of seed 2
+python -m benchmarks.studies.runs.world count          # the stored rooms that judged this code
 python -m benchmarks.studies.runs.world count judged.jsonl
 """
 
@@ -38,7 +38,8 @@ HIDDEN = {
     "covered": ("less absorption", [0.04] * 6),
     "air": ("climate", []),
 }
-STORED = Path(__file__).parent / "judged.jsonl.gz"
+STORED = Path(__file__).parent / "judged_seed3.jsonl.gz"
+"""Rooms that judged the code as it is; those of seed 2 judged the code before."""
 FOUND = ("named", "family", "ambiguous", "unknown")
 NOISE, LEVEL_NOISE = 0.02, 0.3
 
@@ -238,8 +239,15 @@ def gaps(f: Finding, world: World) -> tuple[list[float], list[float]]:
 
 
 def stored() -> list[dict[str, Any]]:
-    """Return the judged rooms of seed 2, as `judge` returned them."""
-    return [json.loads(line) for line in gzip.decompress(STORED.read_bytes()).splitlines()]
+    """Return the rooms that judged the code, as `judge` returned them."""
+    return rows_of(STORED)
+
+
+def rows_of(path: Path) -> list[dict[str, Any]]:
+    """Return the rooms of a file of rows, which may be compressed."""
+    data = path.read_bytes()
+    lines = (gzip.decompress(data) if path.suffix == ".gz" else data).splitlines()
+    return [json.loads(line) for line in lines]
 
 
 def count(rows: Sequence[dict[str, Any]]) -> None:
@@ -290,8 +298,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     if given.what == "count":
-        lines = Path(given.args[0]).read_text().splitlines() if given.args else ()
-        count([json.loads(line) for line in lines] or stored())
+        count(rows_of(Path(given.args[0])) if given.args else stored())
         return
     done = given.out.read_text().splitlines() if given.out.exists() else []
     numbers = {json.loads(line)["number"] for line in done}
