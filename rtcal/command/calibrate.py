@@ -57,11 +57,12 @@ def calibrate(
     `rtcal report calibrated` makes a page of the results. The equation then has the measured T; for
     the T of your own program, `rtcal loop start --simulated` begins with what it gave.
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    from rtcal.acoustics.changes import facing
     from rtcal.calibration import methods
-    from rtcal.io import geometry_files
-    from rtcal.report import figures
 
     if out is not None:
+        from rtcal.report import figures
+
         read = [path for path in (room, measured, modes) if path is not None]
         spare([out / name for name in figures.FILES], read)
     if modes is not None:
@@ -81,7 +82,12 @@ def calibrate(
     with console.without_air_warning():
         data = console.measured(prior, measured, t20=t20, t30=t30)
         result = methods.calibrate(prior, data, equation=equation, **stated)
-    result = replace(result, shares=geometry_files.directions(prior))
+    shares = facing(prior)
+    if prior.scene.mesh is not None:
+        from rtcal.io import geometry_files
+
+        shares = geometry_files.directions(prior)
+    result = replace(result, shares=shares)
     if out is not None:
         pictures = {figures.FIGURE: lambda: figures.reverberation_time(result)}
         figures.write_folder(result, out, pictures)

@@ -233,9 +233,12 @@ def read_run(room: Room, simulated: str | None, at: str | None) -> Run | None:
 def read_room(path: str) -> Room:
     """Return the room that a command takes; where its mesh has other areas or volume is told once."""
     from rtcal.acoustics.room import Room
-    from rtcal.io import geometry_files
 
     room = Room.from_file(path)
+    if room.scene.mesh is None:
+        return room  # importing the simulators takes longer than reading it
+    from rtcal.io import geometry_files
+
     if (doubt := geometry_files.mesh_doubt(room)) and not is_quiet():
         warn(doubt)
     return room

@@ -22,7 +22,6 @@ from rtcal.acoustics.observables import TARGET, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.files.disk import write_all, write_bytes
 from rtcal.files.saved import NUMBERS
-from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.types import Array
@@ -40,6 +39,7 @@ if TYPE_CHECKING:
     from rtcal.loop.closed import Loop
     from rtcal.loop.positions import PositionsResult
     from rtcal.modes.calibrate import ModesResult
+    from rtcal.simulators.geometry import Polyhedron
 
 __all__ = ["gap", "rendered", "reverberation_time", "save"]
 __dir__ = __all__.copy
@@ -729,6 +729,8 @@ def wireframe(mesh: Polyhedron | Faces, open_edges: Array | None = None) -> Any:
 
     Each material has its own shade; the legend names those with the largest areas.
     """
+    from rtcal.simulators.geometry import Polyhedron
+
     if isinstance(mesh, Polyhedron):
         polygons = [mesh.vertices[list(face)] for face in mesh.faces]
     else:
