@@ -331,12 +331,6 @@ class Polygon:
         """Return the distance in m of points (..., 3) from the plane, above 0 along the normal."""
         return np.asarray((points - self._middle) @ self.normal)
 
-    @cached_property
-    def bend(self) -> float:
-        """The largest distance of a corner from the plane in m; 0.0 where it is rounding."""
-        bend = self.thickness(self.corners)
-        return bend if bend > SAME else 0.0
-
     def thickness(self, points: Array) -> float:
         """Return the largest distance in m of points from the plane."""
         return float(np.abs(self.away(points)).max())
@@ -349,10 +343,6 @@ class Polygon:
     def common(self, corners: Array) -> Any:
         """Return the part that another polygon of these corners shares with this one, as a shape."""
         return self.polygon(corners).intersection(self.shape)
-
-    def beside(self, point: Array) -> float:
-        """Return the distance in m in the plane of a point (3,) from the polygon."""
-        return float(self.shape.distance(shapely().Point(*(self.axes @ point))))
 
     def lifted(self, flat: Array) -> Array:
         """Return points of the axes, (n, 2), in space; those on the polygon's edge as it is drawn."""
@@ -1067,7 +1057,8 @@ def stand_on_walls(walls: Walls, part: FaceSet) -> Mapping[str, float]:
     for v, used in onto.items():
         point = mend.points[v]
         for _, wall in walls.near(point[np.newaxis]):
-            if abs(wall.away(point)) <= OFFSET and wall.beside(point) <= OFFSET:
+            beside = wall.shape.distance(shapely().Point(*(wall.axes @ point)))
+            if abs(wall.away(point)) <= OFFSET and beside <= OFFSET:
                 used.append(wall)
     for face in part.faces:
         for cut in overlaid_on(walls, FaceSet(mend, [face])):
@@ -1092,9 +1083,10 @@ def _move(part: FaceSet, onto: Mapping[int, Sequence[Polygon]]) -> dict[int, flo
         for wall in sorted(walls, key=lambda wall: abs(float(wall.away(point)))):
             if all(abs(wall.normal @ other.normal) < 0.99 for other in used):
                 used.append(wall)
-        off = [wall.away(point) + np.sign(wall.away(middle)) * wall.bend for wall in used]
+        through = [np.sign(wall.away(middle)) * wall.thickness(wall.corners) for wall in used]
+        off = np.add([wall.away(point) for wall in used], through)
         normals = np.reshape([wall.normal for wall in used], (-1, 3))
-        move = np.linalg.lstsq(normals, np.array(off))[0]
+        move = np.linalg.lstsq(normals, off)[0]
         mend.points[v], shift[v] = point - move, float(np.linalg.norm(move))
     return shift
 
