@@ -413,6 +413,25 @@ def in_measurement(measured: Measurement) -> list[TrustMark]:
     return out
 
 
+_LEAST_ALIKE = 6
+"""Least number of equal values at two positions that are no chance."""
+
+
+def given_twice(measured: Measurement) -> tuple[str, ...]:
+    """Return a caution for each position whose values are all those of an earlier one."""
+    every, names = np.hstack([*measured.values.values()]), [*map(" to ".join, measured.pairs)]
+    notes, first = [], dict[bytes, str]()
+    for name, row in zip(names, every + 0.0, strict=True):
+        if np.isfinite(row).sum() < _LEAST_ALIKE:
+            continue
+        if (same := first.setdefault(row.tobytes(), name)) != name:
+            notes.append(
+                f"every value of {name} equals that of {same}: check that no response or row was given "
+                "twice, because the mean counts both positions"
+            )
+    return tuple(notes)
+
+
 LEAST_OF_BOX, MOST_OF_BOX = 0.9, 1.4
 """Least and largest likely surface of a room, over that of the box of its dimensions. Furniture and
 steps add up to 0.4; objects against a wall, or a corner that is cut off, take 0.1."""

@@ -90,7 +90,7 @@ def measure(
 
     Example: rtcal measure stopped.wav --interrupted --out t.csv
     """
-    from rtcal.acoustics.marks import in_measurement
+    from rtcal.acoustics.marks import given_twice, in_measurement
     from rtcal.io import impulse_responses, recordings, sofa
     from rtcal.support.speed import bar
 
@@ -140,6 +140,7 @@ def measure(
         "anything else"
         for error in in_measurement(analysis.measurement)
     ]
+    odd += given_twice(analysis.measurement)
     for sentence in () if console.is_quiet() else odd:
         console.warn(sentence)
     notes = {

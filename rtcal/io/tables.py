@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.marks import in_measurement
+from rtcal.acoustics.marks import given_twice, in_measurement
 from rtcal.acoustics.measurement import (
     Measurement,
     names_of_repeats,
@@ -130,8 +130,8 @@ class MeasuredTable:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences on values that are used, but that may be typing errors."""
-        return unusual(self.measurement)
+        """Sentences on values that are used, but that may be typing errors or given twice."""
+        return *unusual(self.measurement), *given_twice(self.measurement)
 
 
 @dataclass(frozen=True, kw_only=True)

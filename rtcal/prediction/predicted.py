@@ -17,6 +17,7 @@ from scipy.special import ndtri
 from rtcal.acoustics import bands
 from rtcal.acoustics.changes import Change, Target, Variant, placed
 from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.marks import TrustMark, of_surface
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room, is_calibrated, refuse_repeats
 from rtcal.acoustics.room_errors import Assumptions
@@ -109,6 +110,13 @@ class Prediction(TimeChange, Result):
         """T of the program's runs in s, (n_bands,) each, "before" and "after"; {} without runs."""
         of = self.simulated
         return {} if of is None else {"before": of.before, "after": of.after}
+
+    @property
+    def doubts(self) -> tuple[TrustMark, ...]:
+        """Cautions about the input, and about areas that fit the volume only before the change."""
+        after = [] if of_surface(self.before) else of_surface(self.state.room)
+        changed = (replace(each, text=f"after the change, {each.text}") for each in after)
+        return *self.known.doubts, *changed
 
     @property
     def by_equation_alone(self) -> Prediction:
@@ -307,7 +315,7 @@ class Prediction(TimeChange, Result):
     @property
     def heads(self) -> list[str]:
         """Sentences that are printed first: likely typing errors, and the change of T."""
-        doubts = [as_sentence(each.sentence) for each in self.known.doubts]
+        doubts = [as_sentence(each.sentence) for each in self.doubts]
         return [*doubts, f"{self.before.name}, {self.name}: {self.headline}"]
 
     @property

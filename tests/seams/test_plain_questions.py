@@ -129,3 +129,31 @@ def test_the_directions_of_a_mesh_are_those_of_every_command(
     assert "the absorption is uneven" in from_file
     assert ran(capsys, "predict", folder / "cal", "--change", change) == from_file
     assert "does not give the axes" not in ran(capsys, "predict", room, "--change", change)
+
+
+def test_a_change_after_which_the_areas_do_not_fit_the_volume_is_doubted(cr2) -> None:
+    """A volume of ten times was predicted without a word, where the same room as input is a slip."""
+    found = rt.calibrate(*cr2)
+    assert not found.predict([rt.prediction.Change(volume=160)]).doubts
+    assert not found.predict([]).doubts
+    made = found.predict([rt.prediction.Change(volume=1461)])
+    assert [mark.kind for mark in made.doubts] == ["surface_typing_error"]
+    assert "after the change, " in str(made)
+    assert "volume = 1461 m³, for 146.1 m³" in str(made).replace("\n  ", " ")
+
+
+def test_a_response_that_is_given_twice_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One recording under four names was a mean over four positions."""
+    folder = example("responses", tmp_path)
+    one, other = folder / "S1_R1.wav", folder / "S1_R2.wav"
+    out = folder / "t.csv"
+    said = ran(capsys, "measure", one, other, "--bands", "250,500,1000", "--out", out)
+    assert "every value of" not in said
+    assert "every value of" not in ran(capsys, "table", out)
+    other.write_bytes(one.read_bytes())
+    again = folder / "twice.csv"
+    twice = "every value of S1 to R2 equals that of S1 to R1"
+    assert twice in ran(capsys, "measure", one, other, "--bands", "250,500,1000", "--out", again)
+    assert twice in ran(capsys, "table", again)
