@@ -128,7 +128,7 @@ def test_stored_findings_are_found_again(row: dict[str, Any], tmp_path: Path) ->
     for data in judged.DATA:
         was, now = row[data], again[data]
         assert (now["verdict"], now["candidates"]) == (was["verdict"], was["candidates"])
-        # The rows are of a time when errors were drawn along singular vectors, whose signs differ between
-        # processors, and a path of a reference room may part from its twin in the last digit.
+        # The rows are of a time when errors were drawn along singular vectors, whose signs differ
+        # between processors, and a path of a reference room may part from its twin in the last digit.
         assert now["threshold"] == pytest.approx(was["threshold"], rel=0.02, abs=0.15)
         assert now["score"] == pytest.approx(was["score"], rel=0.02, abs=0.1)
