@@ -33,7 +33,7 @@ from rtcal.support.types import Array
 
 _LEARNED = 0.9
 """Posterior over prior sigma up to which a material counts as learned in the summary."""
-_MISFIT = "Misfit: squared deviation from what all other pairs predict; 1 is usual."
+_MISFIT = "Misfit: squared deviation from what other pairs predict / variance; 1 is usual."
 _DEVIATION = "deviation / JND, before to after the fit"
 _REMAINS = 1.0
 """Root mean square deviation in JND, audible, from which the page begins with what remains."""
