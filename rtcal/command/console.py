@@ -23,7 +23,7 @@ from rtcal.files.disk import json_text
 from rtcal.files.schema import TABLE, expecting
 from rtcal.io.table_columns import frequency_of
 from rtcal.io.text import numbers as numbers_of
-from rtcal.support.errors import DataError
+from rtcal.support.errors import DataError, FewPathsWarning
 from rtcal.support.text import decimal_comma, fitted, printable, width
 
 if TYPE_CHECKING:
@@ -578,13 +578,21 @@ def warn(message: object) -> None:
         click.echo("\n".join(map(fitted, parts)) if wrapped else " ".join(parts), err=True)
 
 
-def show_warning(message: Warning | str, *_: object, **__: object) -> None:
-    """Print a warning as one line, without its source; nothing with ``--quiet``.
+def shown_warnings() -> Callable[..., None]:
+    """Return what prints a warning as one line, without its source; nothing with ``--quiet``.
 
-    Takes the place of `warnings.showwarning`.
+    Takes the place of `warnings.showwarning`. That paths are few is said once, and not of every model
+    that is fitted.
     """
-    if not is_quiet():
-        warn(message)
+    few = False
+
+    def show(message: Warning | str, *_: object, **__: object) -> None:
+        nonlocal few
+        if not is_quiet() and not (few and isinstance(message, FewPathsWarning)):
+            warn(message)
+        few = few or isinstance(message, FewPathsWarning)
+
+    return show
 
 
 _FORMATS = (

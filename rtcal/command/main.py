@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import click
 
 from rtcal.command.calibrate import NOT_NEARER, calibrate, fit, learn, study
-from rtcal.command.console import CannotPrint, printing, show_warning, warn
+from rtcal.command.console import CannotPrint, printing, shown_warnings, warn
 from rtcal.command.files import example, export, measure, report, table
 from rtcal.command.finder import (
     NOTHING_TO_ADD,
@@ -118,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             # A character that the terminal lacks is printed as a question mark.
             stream.reconfigure(errors="replace")
     with warnings.catch_warnings():
-        warnings.showwarning = show_warning
+        warnings.showwarning = shown_warnings()
         sys.exit(_run(arguments))
 
 

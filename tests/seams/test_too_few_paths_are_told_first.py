@@ -7,6 +7,7 @@ import warnings
 import pytest
 
 import rtcal as rt
+from rtcal.command.console import shown_warnings
 from rtcal.loop import positions
 from rtcal.support.errors import DataError, FewPathsWarning
 
@@ -52,3 +53,16 @@ def test_a_noise_that_hides_what_is_matched_is_said(measured: rt.Measurement) ->
     with warnings.catch_warnings(), pytest.raises(AssertionError, match="have begun"):
         warnings.simplefilter("error", FewPathsWarning)
         rt.calibrate_positions(tracer(2 * enough), HALL.room, measured, match=("t20",))
+
+
+def test_commands_say_it_once(capsys: pytest.CaptureFixture[str]) -> None:
+    """A diagnosis fits several models, each of which warns; other warnings are all printed."""
+    show = shown_warnings()
+    for message in (FewPathsWarning("few: 100"), UserWarning("other"), FewPathsWarning("few: 120")):
+        show(message, type(message), "file.py", 1)
+    show(UserWarning("other"), UserWarning, "file.py", 1)
+    assert capsys.readouterr().err.splitlines() == [
+        "rtcal: few: 100",
+        "rtcal: other",
+        "rtcal: other",
+    ]
