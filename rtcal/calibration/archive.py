@@ -103,10 +103,12 @@ def _point(spread: Spread) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RoomData:
-    """Absorption area of a room that the measured T needs, by state and band, with its uncertainty.
+    """Absorption area that the measured T of one room needs, with its covariance, as data for `learn`.
 
-    ``target`` is the absorption area in m², (n_states, n_bands), NaN without T. ``covariance`` in m⁴,
-    with n_states * n_bands rows and columns, has the errors of T, volume, areas and climate.
+    ``areas`` (n_configurations, n_materials) are the areas of the archive's materials in m². ``target``
+    (n_configurations, n_bands) is the absorption area in m² that T needs, NaN in a band without T.
+    ``covariance`` is that of the errors of ``target`` in m⁴, from the errors of T, volume, areas and
+    climate; it has n_configurations * n_bands rows and columns.
     """
 
     areas: Array  # (n_states, n_materials), m² of each of the archive's materials
@@ -161,10 +163,12 @@ class Evidence:
         return _spread(minimize(self._cost, first, (rows,), method="L-BFGS-B").x)
 
     def plausible(self, spread: Spread) -> list[Spread]:
-        """Return equally weighted spreads around the fitted one, as samples of its uncertainty.
+        """Return equally weighted spreads around the fitted one; their scatter is the fit's uncertainty.
 
-        There are two along each axis of the normal density with the curvature of the posterior, so that
-        they have its mean and covariance (Julier & Uhlmann 1997, Proc. SPIE 3068, Eq. 12).
+        ``spread`` is the fitted one, as `fitted` returns it: the standard deviations within and between
+        rooms. The posterior density of its six numbers is approximated by a normal density with the
+        same curvature. Two spreads lie along each axis of this density, so that the twelve spreads have
+        its mean and covariance (Julier & Uhlmann 1997, Proc. SPIE 3068, Eq. 12).
         """
         centre, size = _point(spread), len(_CENTRE)
         steps = _STEP * np.eye(size)
@@ -195,10 +199,12 @@ class Evidence:
         return 0.5 * penalty - _log_density(miss, self.covariance(_spread(x))[used])
 
     def posterior(self, spread: Spread, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Return means and covariance of the coefficients that rooms have in common, given the data.
+        """Return mean and covariance of the coefficients that rooms have in common, given the rooms' T.
 
-        The means, mu + d + h mu in the model of this module, are (n_materials, n_bands). The covariance
-        has n_materials * n_bands rows and columns. ``rows`` selects the data.
+        The means (n_materials, n_bands) are mu + d + h mu in the model of this module. The covariance
+        has n_materials * n_bands rows and columns. ``spread`` has the standard deviations within and
+        between rooms. ``rows`` (n_data,) is True for each datum that is used; a datum is the absorption
+        area of one room, configuration and band.
         """
         n, k = self.mu.shape
         correlation = self.correlation(spread)
@@ -305,19 +311,20 @@ class Archive(Result):
         """Return a room with the archive's coefficients and sigmas for the materials that it has.
 
         A material that is not in the archive keeps its coefficients times the factor that all tables
-        have in common, unless they are exact or from an archive. A material whose input differs too
-        much from the archive's keeps its values, unless ``names`` states it. Bands that the archive
-        lacks do not change. ``common_alpha_sigma`` becomes the standard deviation between rooms, and
-        coefficients are at least ``alpha_min``. A later calibration to T from which the archive was
-        learned raises an error.
+        have in common, unless they are exact or from an archive. A material whose input coefficients
+        differ too much from the archive's keeps its coefficients, unless it is in ``names``. Bands that
+        the archive lacks do not change. ``common_alpha_sigma`` of the room becomes the standard
+        deviation between rooms, and coefficients are at least ``alpha_min``. A later calibration of the
+        room to T from which the archive was learned raises an error.
 
         Parameters
         ----------
         room : Room
             Room that is not calibrated yet.
         names : mapping of str to str, optional
-            Name in the archive of each of the room's materials, where the two differ or are to be used
-            in any case.
+            Name in the archive for each material of the room that has another name there, or that must
+            take the archive's coefficients although they differ much from its own. By default a
+            material takes those of its own name.
 
         Raises
         ------
@@ -373,9 +380,11 @@ class Archive(Result):
         )
 
     def left_as_stated(self, room: Room, names: Mapping[str, str] | None = None) -> tuple[str, ...]:
-        """Return sentences on the materials and bands that `apply` does not change.
+        """Return sentences on the materials and bands of a room that `apply` does not change.
 
-        Parameters are those of `apply`. Raises DataError if ``names`` has an unknown name.
+        ``room`` and ``names`` are as for `apply`: a room that is not calibrated yet, and the archive's
+        name for each material of the room that has another name there; None if all names are the same.
+        Raises DataError if ``names`` has an unknown name.
         """
         known, moved, columns = self._places(room, names)
         left = [i for i in range(room.n_materials) if i not in known and i not in moved]
@@ -576,13 +585,14 @@ def learn(
     ----------
     rooms : sequence of CalibrationResult or JointResult
         Calibrations of two or more rooms with different names. A `JointResult` is one room, with the
-        name of its first configuration. The bands that all have in common are used.
+        name of its first configuration. The archive has the bands that all rooms have.
     names : mapping of str to str, optional
-        Name in the archive of a room's material, where the two differ. By default materials of one name
-        are one if their input coefficients are similar; else the room's name is added to the later one.
+        Name that the archive gives to a material, by the material's name in its room. By default
+        materials with the same name in several rooms are one material of the archive if their input
+        coefficients are similar; else the room's name is added to the name of the later material.
     scheduler : str, optional
-        Address of a Dask scheduler whose workers compare each room with the others; threads of this
-        machine by default.
+        Address of a Dask scheduler whose workers compare each room with the other rooms; None for
+        threads of this machine.
 
     Returns
     -------
@@ -832,8 +842,9 @@ def materials(result: Calibrated) -> tuple[str, ...]:
 def read_folder(folder: str | os.PathLike[str]) -> list[Calibrated]:
     """Return the calibrations that ``rtcal calibrate --out`` has saved in a folder and below it.
 
-    They are the files ``result.json``; other results are left out. Raises DataError for no or more than
-    500 files, and for a file that cannot be read.
+    Calibrations are read from files named ``result.json``; other results in such files are left out.
+    Raises DataError if there is no calibration, if there are more than 500 such files, or if one of
+    them cannot be read.
     """
     if not checks.path("folder", folder).is_dir():
         raise DataError(f"{folder}: this folder does not exist")

@@ -38,9 +38,11 @@ _KEPT = 1e-9
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Composition:
-    """Objective and constraints of a calibration, with the room or configurations that they are for.
+    """Objective and constraints of a calibration, for one room or several configurations of it.
 
-    ``equation`` is the reverberation equation that gives the absorption area b which T needs.
+    ``objective`` is the sum of terms to be minimised. ``constraints`` are those of `rtcal.terms`, or
+    functions of a `rtcal.terms.Model`. ``equation`` is the reverberation equation, by which the
+    measured T gives the absorption area b of the surfaces.
     """
 
     objective: Objective
@@ -55,9 +57,10 @@ class Composition:
 
     @cached_property
     def compiled(self) -> CompiledProblem:
-        """Compiled problem, which compositions with equal terms, materials and bands share.
+        """Compiled problem of this composition.
 
-        Raises DataError or ModelError if the terms do not fit the rooms.
+        Compositions with equal terms, materials and bands share one compiled problem. Raises DataError
+        or ModelError if the terms do not fit the rooms.
         """
         rooms = self.configurations
         frequencies = tuple(rooms.rooms[0].centre_frequencies.tolist())
@@ -127,9 +130,11 @@ class Composition:
         return replace(self, objective=Objective(terms, weights))
 
     def value(self, numbers: Numbers, u: Array) -> float:
-        """Return the objective for given unknowns, (size,), with optimal auxiliary variables.
+        """Return the objective's value for given unknowns, or infinity where these break a constraint.
 
-        The value is infinite if the unknowns violate a bound or a constraint.
+        ``u`` (size,) are the coefficients and, after these, the sizes of further effects. ``numbers``
+        are the values of room and measurement. Auxiliary variables of the terms take their optimal
+        values. Bounds count as constraints.
         """
         low, high = (u - end for end in numbers.box)
         slack = _KEPT * (1 + np.abs(u))
@@ -151,9 +156,11 @@ class Composition:
         return float(point.v @ (program.gradient(point.v) + program.c)) / 2
 
     def convexity(self, numbers: Numbers) -> float:
-        """Return the least curvature m of the objective: f - m |x|² / 2 is convex in all deviations x.
+        """Return the objective's least curvature m, with which f - m |x|² / 2 is convex.
 
-        It is 0 where no such m is known.
+        f is the objective, and x are the deviations of the unknowns from their input in sigmas. m is 0
+        if the term that keeps the coefficients near the input states no curvature. ``numbers`` are the
+        values of room and measurement.
         """
         of_prior = getattr(self.prior, "convexity", None)
         pairs = zip(self.objective.terms, self.weights, strict=True)

@@ -154,9 +154,12 @@ def _rows(x: Array, batch: tuple[int, ...], n: int) -> Array:
 def least_squares(mu: Array, areas: Array, target: Array | float) -> Array:
     """Return the coefficients nearest to the input that have a given absorption area, without sigma.
 
-    alpha = mu - C S,  C = (S'mu - b) / S'S (Bellows & Katz 2025, Eqs. 9, 10), where ``mu`` are the
-    input coefficients, S the ``areas`` in m² and b the ``target`` absorption area in m². No bounds
-    apply.
+    All coefficients count as equally uncertain.
+
+    The coefficients are alpha = mu - C S with C = (S'mu - b) / S'S (Bellows & Katz 2025, Eqs. 9, 10).
+    ``mu`` (n_materials,) or (n_materials, n_bands) are the input coefficients, ``areas`` S
+    (n_materials,) are in m², and ``target`` b, a number or (n_bands,), is the absorption area in m².
+    Coefficients may be below 0 or above 1.
 
     Examples
     --------
@@ -169,7 +172,8 @@ def least_squares(mu: Array, areas: Array, target: Array | float) -> Array:
 def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | float) -> Array:
     """Return the most likely coefficients that have a given absorption area, without bounds.
 
-    alpha = mu - D S sigma²,  D = (S'mu - b) / sum S² sigma² (Bellows & Katz 2025, Eqs. 22 to 25).
+    The coefficients are alpha = mu - D S sigma² with D = (S'mu - b) / sum S² sigma² (Bellows & Katz
+    2025, Eqs. 22 to 25). They may be below 0 or above 1; `solve` keeps bounds.
 
     Parameters
     ----------
@@ -197,9 +201,12 @@ def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | fl
 
 
 def multiplier(mu: Array, sigma: Array, areas: Array, target: Array | float) -> Array:
-    """Return D in 1/m² of `maximum_likelihood`, by which coefficients change as mu - D S sigma².
+    """Return the number D in 1/m² by which `maximum_likelihood` changes each coefficient.
 
-    D = (S'mu - b) / sum S² sigma², a scalar or (n_bands,) (Bellows & Katz 2025, Eqs. 23 to 25).
+    The calibrated coefficients are mu - D S sigma². D = (S'mu - b) / sum S² sigma² is one number, or
+    (n_bands,) (Bellows & Katz 2025, Eqs. 23 to 25). ``mu`` and ``sigma`` are the input coefficients and
+    their standard deviations, (n_materials,) or (n_materials, n_bands). ``areas`` S (n_materials,) are
+    in m², and ``target`` b is the absorption area in m² that the measured T needs.
     """
     mu, areas, target = _checked(mu, areas, target)
     sigma = _finite("sigma", sigma)
@@ -219,7 +226,10 @@ def multiplier(mu: Array, sigma: Array, areas: Array, target: Array | float) -> 
 def scaling(mu: Array, areas: Array, target: Array | float) -> Array:
     """Return the coefficients times one factor that gives a required absorption area, without bounds.
 
-    alpha = mu b / S'mu (Bellows & Katz 2025, Eqs. 36, 37), with the areas S and the ``target`` b in m².
+    The coefficients are alpha = mu b / S'mu (Bellows & Katz 2025, Eqs. 36, 37). ``mu`` (n_materials,)
+    or (n_materials, n_bands) are the input coefficients, ``areas`` S (n_materials,) are in m², and
+    ``target`` b, a number or (n_bands,), is the required absorption area in m². Coefficients may exceed
+    1.
 
     Raises
     ------

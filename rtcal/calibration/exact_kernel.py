@@ -30,10 +30,12 @@ def solve_rows(
     multiplier: Array,
     status: NDArray[np.int8],
 ) -> None:
-    """Solve every problem of a batch, one per row; an argument with one row is used for all.
+    """Solve the problem of `rtcal.calibration.exact.solve` for each row, and write the answers.
 
-    mu, sigma, areas, lower, upper: (rows or 1, n); target, uncertainty: (rows or 1,);
-    alpha (rows, n), multiplier (rows,) and status (rows,) are written.
+    Inputs are ``mu``, ``sigma``, ``areas`` in m², ``lower`` and ``upper``, each (n_rows, n), and
+    ``target`` and its standard ``uncertainty`` in m², each (n_rows,). An input with a single row is
+    used for all rows. Answers are written into ``alpha`` (n_rows, n), ``multiplier`` D in 1/m²
+    (n_rows,) and ``status`` (n_rows,).
     """
     rows, n = alpha.shape
     weight = np.empty(n)
@@ -183,10 +185,14 @@ def fix(
     base: Array,
     a: Array,
 ) -> float:
-    """Variable fixing: fix the violators of the dominant side at their bounds, repeat; return D.
+    """Return the multiplier D of one problem with bounds, by fixing coefficients that violate a bound.
 
-    ``a`` is written. Scratch arrays (n,): ``free``, the weights S sigma² of free coefficients and 0 of
-    others; ``base``, mu of free coefficients and the bound of fixed ones. So a = base - D free for all.
+    Each round fixes the violators of the side, lower or upper, that outweighs the other. The problem
+    has the input ``m``, the weights ``w`` = S sigma², the areas ``s`` and the bounds ``low`` and
+    ``high``, each (n,), and the required absorption area ``b``. ``slack`` is the deviation from b that
+    counts as rounding. The coefficients are written into ``a`` (n,). Two scratch arrays (n,) are
+    overwritten: ``free`` has the weights of free coefficients and 0 for fixed ones, ``base`` has m of
+    free coefficients and the bound of fixed ones, so that a = base - D free for all.
     """
     n = m.size
     for i in range(n):

@@ -62,9 +62,11 @@ class Unreachable:
 def where_valid(
     quantity: Callable[[Room, Array], Array], room: Room, absorption_area: Array
 ) -> Array:
-    """Return T or the air's share per band, (n_bands,), NaN where the equation does not hold.
+    """Return T in s or the air's share of absorption per band, NaN where the equation does not hold.
 
-    ``quantity`` is `LinearEquation.time` or `LinearEquation.air_share`; ``absorption_area`` is in m².
+    ``quantity`` is the method that calculates the value: `LinearEquation.time` or
+    `LinearEquation.air_share`. ``absorption_area`` (n_bands,) is that of the surfaces of ``room`` in
+    m². The values are (n_bands,).
     """
     try:
         return quantity(room, absorption_area)
@@ -79,7 +81,8 @@ def where_valid(
 def reach(numbers: Numbers) -> tuple[Array, Array]:
     """Return the least and the largest absorption area in m² that the bounds of the unknowns allow.
 
-    Each is (n_configurations, n_bands). Effects count with the bounds of their sizes.
+    Each is (n_configurations, n_bands). Absorption that an effect adds counts with the bounds of the
+    effect's size. ``numbers`` are the values of room and measurement of a solve.
     """
     lower, upper = numbers.box
     least = numbers.areas @ numbers.alpha(lower)
@@ -99,13 +102,15 @@ def restrict_to_reach(
 ) -> tuple[Numbers, NDArray[np.int8], tuple[Unreachable, ...]]:
     """Check whether coefficients can reach every matched T, and return numbers that can be solved.
 
-    Returns the numbers, in which an unreachable absorption area b is replaced by the nearest reachable
-    one; -1 or 1 for unknowns that a b at the end of the range forces to their lower or upper bound,
-    else 0, (size,); and the unreachable bands. ``matches`` are the least and the largest absorption
-    area in m² that each match allows, (n_configurations, n_bands) each.
+    The first of three results is ``numbers``, the values of room and measurement, with each unreachable
+    absorption area b replaced by the nearest reachable one. The second (size,) is -1 or 1 for an
+    unknown that must be at its lower or upper bound, because b is at an end of the reachable range, and
+    0 for all others. The third has the unreachable bands.
 
-    Raises InfeasibleError, with the bands, if one is unreachable and ``unreachable="raise"``, and for a
-    T that is too short for any absorption if no term matches T.
+    Each item of ``matches`` has the least and the largest absorption area in m² that one constraint on
+    T allows, (n_configurations, n_bands) each. ``unreachable`` is "raise" or "nearest": with "raise" an
+    unreachable band raises InfeasibleError, which has the bands. If no constraint matches T, a T that
+    is shorter than full absorption gives raises it too.
     """
     times, rooms, equation = numbers.time, numbers.rooms, numbers.equation
     none_held = np.zeros(numbers.layout.size, dtype=np.int8)
@@ -188,9 +193,10 @@ _NOTHING = 1e-9
 def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
     """Raise InfeasibleError, with the smallest change that helps, if constraints contradict each other.
 
-    It minimises the sum of all relaxations of constraints and bounds, in absorption coefficients
-    (elastic linear programme, Chinneck 2008, ch. 6). 0 <= alpha <= 1 and fixed unknowns are not
-    relaxed.
+    Without a contradiction nothing happens. The change relaxes constraints and bounds so that the sum
+    of the relaxations, in absorption coefficients, is least (elastic linear programme, Chinneck 2008,
+    ch. 6). The limits 0 <= alpha <= 1 and fixed unknowns are not relaxed. ``numbers`` are the values of
+    room and measurement, and ``program`` is the quadratic programme that has no solution.
     """
     from scipy.optimize import linprog
 

@@ -98,10 +98,11 @@ class MeasuredTimes:
 
 
 def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -> MeasuredTimes:
-    """Return the measured T and its uncertainty in the room's bands; NaN where a band has none.
+    """Return the measured T and its uncertainty in s in the room's bands; NaN in a band without T.
 
-    Raises DataError for a wrong shape, a T that is not above 0, an uncertainty above the value, or no
-    band in common.
+    ``measured`` is a `Measurement`, whose bands are converted to those of ``room``, or T in s,
+    (n_bands,). Raises DataError for a wrong shape, a T that is not above 0, an uncertainty larger than
+    its T, or a measurement without T in any band of the room.
     """
     frequencies = room.centre_frequencies
     if isinstance(measured, Measurement):
@@ -137,9 +138,9 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
 
 
 def notes_of_bands(room: Room, measured: Measurement) -> list[str]:
-    """Return notes on bands that are converted or left out, and on bands of the room without T.
+    """Return notes on measured bands that are converted or left out, and bands of the room without T.
 
-    Raises DataError without a band in common.
+    Raises DataError if ``room`` and ``measured`` have no band in common.
     """
     wanted = room.centre_frequencies
     in_room = measured.in_bands(wanted)

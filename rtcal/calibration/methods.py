@@ -70,10 +70,13 @@ within it (``rtcal.terms.SoftMatch(room=True)``). ``mle`` then also uses a state
 
 
 def preset(method: str, room: Room | None = None) -> Calibration:
-    """Return the calibration of a method, with the correlations and uncertainties that a room states.
+    """Return the calibration of a named method, with the correlations and uncertainties of a room.
 
-    ``lse`` uses no correlation, uncertainty or sigma. Raises ModelError for an unknown name, and for
-    ``robust`` with correlations, because it treats every coefficient separately.
+    ``method`` is a name that `rtcal.calibrate` knows, such as "mle". ``room`` states correlations of
+    its coefficients and uncertainties of its volume, areas and climate; with None the calibration has
+    neither. The method ``lse`` uses no correlation, no uncertainty and no sigma. Raises ModelError for
+    an unknown name, and for ``robust`` in a room with correlations, because that method treats every
+    coefficient separately.
     """
     if not isinstance(method, str) or method not in METHODS:
         raise ModelError(f'method "{method}" is unknown; known are {", ".join(METHODS)}')

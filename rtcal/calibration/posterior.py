@@ -64,9 +64,10 @@ class Posterior:
     """Samples of the size of each further unknown by its name, (n_samples,)."""
 
     def quantile(self, probability: float) -> Array:
-        """Return the value of each coefficient that is not exceeded with a probability, as an array.
+        """Return the value that each coefficient does not exceed with a given probability.
 
-        It is (n_materials, n_bands). Raises DataError for a probability that is not between 0 and 1.
+        The values are (n_materials, n_bands). Raises DataError for a ``probability`` that is not
+        between 0 and 1.
         """
         checks.number("probability", probability)
         if not 0 < probability < 1:
@@ -75,10 +76,12 @@ class Posterior:
         return np.apply_along_axis(lambda x: np.interp(z, NORMAL, x), -1, self.points)
 
     def interval(self, level: float = 0.9) -> tuple[Array, Array]:
-        """Return both ends of the credible interval of each coefficient, (n_materials, n_bands) each.
+        """Return the lower and the upper end of each coefficient's credible interval.
 
-        ``level`` is the probability of the interval. It is the central interval, moved just far enough
-        to contain the calibrated coefficient. Raises DataError for a level that is not between 0 and 1.
+        Both ends are (n_materials, n_bands). ``level`` is the probability that the interval contains
+        the coefficient. The interval is central: the same probability lies below and above it. If it
+        then does not contain the calibrated coefficient, it is moved just far enough to contain that.
+        Raises DataError for a ``level`` that is not between 0 and 1.
         """
         checks.number("level", level)
         if not 0 < level < 1:
@@ -89,9 +92,9 @@ class Posterior:
     def identifiability(self) -> Array:
         """Share of each coefficient's variance that the measurement removes, (n_materials, n_bands).
 
-        At 1 the measurement determines the coefficient, at 0 it gives no information. A value is
-        slightly below 0 if the measurement moves a coefficient away from a bound that cuts its input
-        distribution.
+        At 1 the measurement determines the coefficient, at 0 the measurement gives no information on
+        it. The share is slightly below 0 if the measurement moves the coefficient away from a bound
+        that cuts off part of its input distribution.
         """
         before = self.prior_sigma**2
         ratio = np.divide(self.sigma**2, before, out=np.ones_like(before), where=before > 0)
@@ -259,9 +262,12 @@ _POINTS = ndtr(np.linspace(-3.2, 3.2, 29))
 class Density:
     """Normal density of unknowns within bounds, linear equalities and linear inequalities.
 
-    The density of u is proportional to exp(-g'(u - p) - ½ (u - p)'H(u - p)). A sum that an equality
-    gives with a noise is normal about its value, cut to its reach; g, H and the bounds determine only
-    how the unknowns share it. Arrays are (size,), those of rows (n_rows,).
+    The density of the unknowns u (size,) is proportional to exp(-g'(u - p) - ½ (u - p)'H(u - p)), with
+    ``point`` p, ``gradient`` g and ``curvature`` H. ``lower`` and ``upper`` are the bounds of u, and
+    each row of ``matrix`` gives a sum that lies from ``row_lower`` to ``row_upper`` (n_rows,). If both
+    limits of a sum are equal and ``row_noise`` is above 0, the sum is normal about its limit and cut to
+    the values that the bounds allow; g, H and the bounds then determine only how the unknowns share the
+    sum.
     """
 
     point: Array  # p, where the equalities hold
@@ -329,10 +335,11 @@ class _Part:
 
 
 def draws(density: Density, number: int = 1024, seed: int = 0) -> list[Draws]:
-    """Return distributions and weighted draws of unknowns, for each part that is independent of others.
+    """Return random draws and quantiles of unknowns, for each group that is independent of the others.
 
-    ``number`` is a power of two; with a stated sum twice as many are drawn. Raises ModelError for more
-    than 2,000 unknowns, and SolverError if no draw is within the constraints.
+    ``number`` is the number of draws, a power of two; a group with a stated sum has twice as many.
+    ``seed`` is that of the random numbers. Raises ModelError for more than 2,000 unknowns, and
+    SolverError if no draw is within the constraints.
     """
     parts = _parts(density)
     pieces = [(i, *piece) for i, part in enumerate(parts) for piece in _pieces(part, number, seed)]

@@ -154,7 +154,8 @@ class Calibration:
     ) -> CalibrationProblem[CalibrationResult] | CalibrationProblem[JointResult]:
         """Return the calibration compiled for a room, or for several configurations of one room.
 
-        It can be solved for all rooms with the same materials and bands.
+        The compiled calibration can be solved for all rooms with the same materials and bands.
+        ``equation`` is the reverberation equation; None stands for `rtcal.Eyring` with the room's air.
 
         Raises
         ------
@@ -198,7 +199,8 @@ class Calibration:
 class CalibrationProblem(Composition, Generic[R]):
     """Compiled calibration, which `solve` solves for many measurements without compiling again.
 
-    Built for a room it returns a `CalibrationResult`, built for `Configurations` a `JointResult`.
+    If it was compiled for a room, `solve` returns a `CalibrationResult`; if for `Configurations`, a
+    `JointResult`.
     """
 
     def __repr__(self) -> str:
@@ -382,9 +384,10 @@ class Observation(Protocol):
         ...
 
     def predict(self, alpha: Array) -> Array:
-        """Return the model's values (n,) for coefficients ``alpha`` (n_materials, n_bands).
+        """Return the model's values (n,) of the measured data, for coefficients (n_materials, n_bands).
 
-        Raises DataError or SimulatorError where the model has no values; a step there is not made.
+        ``alpha`` are the coefficients. Raises DataError or SimulatorError if the model has no values
+        for them; `fit` then does not make the step to these coefficients.
         """
         ...
 
@@ -395,11 +398,12 @@ class Observation(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class GaussNewtonStep:
-    """Step of a fit: a calibration with the model linearised at the present coefficients.
+    """Step of a fit: one calibration, with the model linearised at the coefficients before the step.
 
-    ``alpha`` (n_materials, n_bands) are these coefficients, ``matrix`` (n, n_materials * n_bands) the
-    model's derivatives there, ``answer`` the calibration, and ``share`` the part of the way to its
-    coefficients that was made: 0 where the step was not made.
+    ``alpha`` (n_materials, n_bands) are the coefficients before the step, and ``matrix`` (n,
+    n_materials * n_bands) are the derivatives of the model's n values by them. ``answer`` is the
+    calibration. ``share`` is the part of the way from ``alpha`` to the coefficients of ``answer`` that
+    the fit went: 1 for the whole step, 0 if no part of it lowered the objective.
     """
 
     alpha: Array
@@ -424,10 +428,10 @@ class GaussNewtonFit:
 
 @dataclass(frozen=True, eq=False)
 class ModelObjective:
-    """Objective of a fit with the model itself in place of its linearisation.
+    """Objective of a fit, calculated with the model itself and not with its linearisation.
 
-    ``answer`` is a calibration of the linearised problem, ``term`` the term of the data, and ``factor``
-    the Cholesky factor of their covariance.
+    ``answer`` is a calibration of the linearised problem, ``term`` the term that stands for the data in
+    it, and ``factor`` (n, n) the lower Cholesky factor of the covariance of the data.
     """
 
     answer: CalibrationResult
@@ -440,10 +444,11 @@ class ModelObjective:
         return self.answer.joint.composition.without(self.term)
 
     def value(self, alpha: Array, residual: Array) -> float:
-        """Return the objective, a negative logarithm of probability, for some coefficients.
+        """Return the objective, a negative logarithm of probability, for given coefficients.
 
-        ``residual`` (n,) is the measured less the model's values. The objective is infinite where the
-        coefficients violate a bound or a constraint.
+        ``alpha`` (n_materials, n_bands) are the coefficients, and ``residual`` (n,) is the measured
+        values less the model's values for them. The objective is infinite where the coefficients
+        violate a bound or a constraint.
         """
         white = solve_triangular(self.factor, residual, lower=True)
         layout, u = self.others.layout, self.answer.joint.unknowns.copy()
@@ -472,17 +477,35 @@ def fit(
 ) -> GaussNewtonFit:
     """Return the coefficients that fit measured data by a model, found in Gauss-Newton steps.
 
-    Each step linearises the model and solves the calibration. A step that raises the objective is
-    halved, up to six times. The objective at the end is at most that of the start, if the start keeps
-    the bounds and constraints.
+    Each step linearises the model at the present coefficients and solves the calibration. A step that
+    raises the objective is halved, up to six times. If ``start`` keeps the bounds and constraints, the
+    objective at the end is at most that at the start. Raises InfeasibleError and SolverError for the
+    reasons that `CalibrationProblem.solve` names.
 
-    The problem must be built with ``term``, which stands for the data; ``times`` is the measured T for
-    its other terms, and ``method`` the name of the method in the result. ``start`` are coefficients
-    (n_materials, n_bands), ``most`` is the largest number of steps. A ``covariance`` (n, n) replaces
-    that of the data in the calibration, but not in the objective. ``allowed`` returns whether the fit
-    may end at some coefficients, ``settled`` whether a step, with the coefficients after it, is the
-    last: by default if no coefficient changes by more than `SETTLED` of its prior sigma. Raises
-    InfeasibleError and SolverError as `CalibrationProblem.solve`.
+    Parameters
+    ----------
+    problem : CalibrationProblem
+        Calibration that was built with ``term``.
+    data : Observation
+        Measured values, with their covariance and the model that predicts them.
+    start : array (n_materials, n_bands)
+        Coefficients before the first step.
+    term : LinearObservations
+        Term of the problem that stands for the data.
+    method : str
+        Name of the method in the result.
+    times : Measurement, or T in s, (n_bands,), optional
+        Measured T for the problem's other terms; None if these use no T.
+    most : int
+        Largest number of steps.
+    covariance : array (n, n), optional
+        Covariance that replaces the data's in each calibration, but not in the objective; by default
+        that of the data.
+    allowed : function of the coefficients (n_materials, n_bands)
+        Whether the fit may end at these coefficients; by default at any.
+    settled : function of a step and the coefficients after it, optional
+        Whether this step is the last. By default a step is the last if no coefficient changes by more
+        than `SETTLED` of its prior sigma.
     """
     factor = np.asarray(np.linalg.cholesky(data.covariance))
     in_qp = data.covariance if covariance is None else covariance

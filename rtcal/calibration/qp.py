@@ -65,14 +65,16 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 
 class CompiledProblem:
-    """Calibration that cvxpy has compiled for given materials and bands; `filled` returns its QP.
+    """Calibration that cvxpy has compiled for given materials and bands.
 
-    ``shape`` is materials, centre frequencies in Hz and the number of configurations. ``terms`` and
-    ``constraints`` are functions of a `Model`; constraints may also be `Shared`. `compile_once` shares
-    compiled problems between callers.
+    `filled` returns its quadratic programme for the values of one room and measurement. ``shape`` has
+    the names of the materials, the centre frequencies in Hz and the number of configurations. ``terms``
+    and ``constraints`` are functions of a `Model`; a constraint may also be a `Shared`. ``weights`` has
+    one factor per term. Call `compile_once` to get a compiled problem, because it returns an equal one
+    that exists already.
 
-    Raises ModelError if a term is no convex quadratic expression, a constraint is not linear, or every
-    solve would compile anew (the problem is not DPP).
+    Raises ModelError if a term is no convex quadratic expression, if a constraint is not linear, or if
+    cvxpy would have to compile again for every solve (the problem is not DPP).
     """
 
     def __init__(
@@ -148,11 +150,12 @@ class CompiledProblem:
 
     @functools.cached_property
     def signs(self) -> tuple[Array, Array]:
-        """Signs of errors of the forces (size, n) and of the rows (n_rows, n) that bound their effect.
+        """Signs with which the effect of many rounding errors is bounded by a few solves.
 
-        What a is moved by errors e of several rows is at most sum |a e|. With the n signs of a Hadamard
-        matrix for each of n rows this sum is at most the sum of |a signs e| over the n right sides.
-        Rows that no entry of P or A joins may have the same signs.
+        The first array (size, n) is for errors of the gradient, the second (n_rows, n) for errors of
+        the rows. If a coefficient changes by a'e for errors e of several rows, the change is at most
+        sum |a e|. With the n signs of a Hadamard matrix for n rows, this sum is at most the sum of
+        |a'(signs e)| over the n solves. Rows that no entry of P or A joins may have the same signs.
         """
         (rows, columns, _), ones = self.kkt[0], np.ones(len(self.kkt[0][0]))
         n = self.size + len(self.equal)
@@ -233,10 +236,12 @@ def compile_once(
     weights: Sequence[float],
     constraints: Sequence[Any],
 ) -> CompiledProblem:
-    """Return the compiled problem of terms and constraints, reused if they are the same as before.
+    """Return the compiled problem of terms and constraints; an equal one that exists is used again.
 
-    The 16 problems used last are kept. A term that cannot be hashed is compiled anew. Values that a
-    function refers to must not change, because they are constants of the compiled problem.
+    ``shape`` has the names of the materials, the centre frequencies in Hz and the number of
+    configurations; ``weights`` has one factor per term. The 16 problems used last are kept. A problem
+    with a term that cannot be hashed is compiled anew. A value that a function of the user refers to
+    must not change later, because it is a constant of the compiled problem.
     """
     structure = tuple(t.structure() if isinstance(t, Term) else t for t in terms)
     key = shape, structure, tuple(weights), tuple(constraints)
@@ -249,7 +254,7 @@ def compile_once(
 
 
 def forget() -> None:
-    """Remove the compiled problems, which later calibrations of the same materials would use again.
+    """Remove all compiled problems from memory; the next calibration compiles its problem again.
 
     Examples
     --------
@@ -263,8 +268,9 @@ def forget() -> None:
 class QP:
     """Quadratic programme of a calibration, as solvers take it.
 
-    minimise ½ v'Pv + c'v  subject to  A v = b or A v <= b,  lower <= v <= upper, where c and the bounds
-    are (size,) and b is (n_rows,).
+    The programme is to minimise ½ v'Pv + c'v subject to A v = b or A v <= b by row, and lower <= v <=
+    upper. The variables v (size,) are the unknowns' deviations from the input in sigmas, and auxiliary
+    variables of terms. ``c``, ``lower`` and ``upper`` are (size,), and ``b`` is (n_rows,).
     """
 
     compiled: CompiledProblem
@@ -330,12 +336,13 @@ class QP:
 
 
 class System:
-    """Factored optimality (KKT) conditions for given active bounds and rows.
+    """Factored linear equations of an optimum (KKT conditions) with given active bounds and rows.
 
         P dv + A'dy = force,  A dv = limit
 
-    over the free variables and the active rows. A small regularisation allows dependent rows, and
-    refinement removes its effect.
+    dv is the step of the variables and dy the multipliers of the rows. ``free`` (size,) is True for
+    variables at no bound, and ``active`` (n_rows,) for rows that hold with equality; only these count
+    in the equations. A small regularisation allows dependent rows, and refinement removes its effect.
     """
 
     _SHIFT = 1e-11
@@ -365,9 +372,12 @@ class System:
             ) from error
 
     def solve(self, force: Array, limit: Array, refine: bool = True) -> tuple[Array, Array]:
-        """Return dv (size, ...) and dy (n_rows, ...); they are 0 for fixed variables and inactive rows.
+        """Return the step dv of the variables and the multipliers dy of the rows.
 
-        ``force`` (size,) and ``limit`` (n_rows,) may have a second axis for several right sides.
+        They are (size, ...) and (n_rows, ...). dv is 0 for fixed variables, and dy is 0 for inactive
+        rows. ``force`` (size,) and ``limit`` (n_rows,) are the right sides of the equations, and may
+        have a second axis for several right sides. ``refine`` says whether the effect of the
+        regularisation is removed.
         """
         right = np.concatenate([force, (limit.T * self._unit).T])
         right[~self._on] = 0.0
@@ -411,12 +421,13 @@ _ROUNDING = 1e-13
 
 
 def polish(program: QP, at: Active, tight: Flags) -> Iterate | None:
-    """Return the optimum, by the active-set method from a guess; None if it does not converge.
+    """Return the optimum by the active-set method, from a guess of the active bounds and rows.
 
-    Each round solves the optimality conditions for the active bounds and rows. Violated ones join the
-    set; if none is violated, those with a multiplier of the wrong sign leave it. The answer depends on
-    the final set alone. The guess is ``at`` (size,), -1 or 1 for variables at their lower or upper
-    bound, and ``tight`` (n_rows,), True for inequalities that hold with equality.
+    Returns None if the method does not converge. The guess is ``at`` (size,), -1 or 1 for variables at
+    their lower or upper bound and else 0, and ``tight`` (n_rows,), True for inequalities that hold with
+    equality. Each round solves the optimality conditions for the active bounds and rows. Violated
+    bounds and rows then become active; if none is violated, active ones with a multiplier of the wrong
+    sign become inactive. The optimum depends on the final active set alone, and not on the guess.
     """
     at, tight, absolute = at.copy(), tight | program.equal, program.absolute
     at[program.fixed] = 0
@@ -507,12 +518,13 @@ def _rows_alone(
 
 
 def closed_form(program: QP, at: Active | None = None) -> Iterate | None:
-    """Return the optimum by `polish`, from the solution without inequalities.
+    """Return the optimum by `polish`, which starts with no active inequality; None if that fails.
 
     The first round is one linear system. For independent coefficients with an exact match it is the
-    closed form of Bellows & Katz (2025), Eqs. 22 to 25, as in `rtcal.calibration.exact`. Violated
-    bounds are then held, and the system is solved again. Auxiliary variables of a term that have a
-    bound begin at it. ``at`` is as for `polish`.
+    closed form of Bellows & Katz (2025), Eqs. 22 to 25, as in `rtcal.calibration.exact`. Bounds that
+    its solution violates are then held, and the system is solved again. ``at`` (size,) is -1 or 1 for
+    variables that start at their lower or upper bound and else 0; None if none does. Auxiliary
+    variables of a term that have a lower bound start at this bound.
     """
     own = np.isfinite(program.lower)
     own[program.compiled.places] = False
@@ -527,10 +539,12 @@ def solve(
     settings: Mapping[str, Any] | None = None,
     warm_start: bool = True,
 ) -> Iterate:
-    """Return the answer of a solver, such as Clarabel, to a QP.
+    """Return the answer of a solver, Clarabel or OSQP, to a quadratic programme.
 
-    Variables that ``at`` (-1 or 1) holds at a bound, or that have equal bounds, are constants.
-    ``settings`` override `SETTINGS`.
+    ``at`` (size,) is -1 or 1 for variables that are held at their lower or upper bound, and else 0;
+    these variables, and those with equal bounds, are constants. ``solver`` is "clarabel" or "osqp".
+    ``settings`` are the solver's settings by name, and override those of `SETTINGS`; None for no
+    others. ``warm_start`` says whether OSQP starts from the solution without bounds.
 
     Raises
     ------
@@ -684,15 +698,17 @@ class Certificate:
 
 
 def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
-    """Return the certificate of a point: its distance from the optimum, and its residuals.
+    """Return the certificate of a point: a bound of its distance from the optimum, and its residuals.
 
-    f - m |x|²/2 is convex in the deviations x, with the ``convexity`` m; with m = 0 the bounds of the
-    coefficients alone limit the error. From a point with dual residual r and duality gap g that keeps
-    its rows, the optimum x* is within
+    ``point`` has the variables and multipliers of an answer to ``program``. ``convexity`` is a number m
+    with which f - m |x|²/2 is convex, where f is the objective and x are the deviations of the unknowns
+    in sigmas. For a point that keeps its rows, with dual residual r and duality gap g, the optimum x*
+    is within
 
         m |x - x*|² <= |r| |x - x*| + g.
 
-    The step that would remove the residuals of the rows and their rounding is added.
+    If m = 0, the bounds of the coefficients alone limit the distance. The certified distance also has
+    the step that would remove the residuals of the rows and their rounding.
     """
     v, y, z = point.v, point.y, point.z
     force = program.force(v, y)

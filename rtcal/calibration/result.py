@@ -206,8 +206,9 @@ class JointResult(Result):
     def density(self, *, measured: bool = True) -> Density:
         """Return the probability density of the unknowns given the measured T, or before T is known.
 
-        ``measured`` says whether T is given. An exact match gives the absorption area with its
-        uncertainty. Raises ModelError for a method without a distribution (`lse`, `robust`).
+        ``measured`` is True for the density given T, and False for that of the input alone. With an
+        exact match, T gives the absorption area with the uncertainty of T. Raises ModelError for the
+        methods ``lse`` and ``robust``, which have no distribution.
         """
         prior, numbers, layout = self.composition.prior, self.numbers, self.composition.layout
         if not self.has_density:
@@ -245,10 +246,10 @@ class JointResult(Result):
         )
 
     def by_time(self) -> Array:
-        """Return the derivatives of the coefficients by the measured T in 1/s.
+        """Return the derivatives of the calibrated coefficients by the measured T in 1/s.
 
-        Their shape is (n_materials, n_bands, n_configurations, n_bands); the last two axes are those of
-        T. Coefficients at a bound stay there.
+        Their shape is (n_materials, n_bands, n_configurations, n_bands): the first two axes are those
+        of the coefficients, the last two those of T. Coefficients at a bound stay there.
         """
         layout = self.composition.layout
         slopes = self._slopes(bounds=True)[: layout.n_alpha]
@@ -298,11 +299,12 @@ class JointResult(Result):
 
     @cached_property
     def estimate_sigma(self) -> Array:
-        """Standard deviation of the error of each unknown's linear estimate, (size,), without bounds.
+        """Standard deviation of the error of each unknown, (size,), if bounds are left out.
 
-        The input has the room's covariance, also if the method uses another. An unknown uncertainty of
-        T counts as 0. With linear observations it is that of the normal distribution given the data,
-        with the objective's covariance of the input.
+        The error is that of the unknown's linear estimate from T. The input has the covariance that the
+        room states, even if the method uses another. An unknown uncertainty of T counts as 0. With
+        linear observations the standard deviation is that of the normal distribution given the data,
+        and the input then has the covariance that the objective uses.
         """
         if self.composition.observations:
             return self._gaussian_sigma()
@@ -350,8 +352,8 @@ class JointResult(Result):
     def unbounded(self, sigma: Array) -> Array:
         """Return the values that the unknowns would have without bounds, (size,).
 
-        An unknown at a bound would be m sigma² beyond it, where m is the bound's multiplier and
-        ``sigma`` (size,) the standard deviation without bounds.
+        ``sigma`` (size,) is the standard deviation of each unknown without bounds. An unknown at a
+        bound would lie m sigma² beyond this bound, where m is the bound's multiplier.
         """
         held = self.point.z[self.qp.compiled.places] * self.numbers.inverse_sigma
         return np.asarray(self.unknowns + held * sigma**2)
@@ -368,12 +370,13 @@ class JointResult(Result):
 
     @cached_property
     def innovation(self) -> tuple[Array, Array]:
-        """Absorption area that T needs less that of the input coefficients, in m², and its covariance.
+        """Absorption area that T needs less that of the input coefficients, and its covariance.
 
-        The difference b - S'mu is (n_configurations * n_bands,), NaN in a band without a match. The
-        covariance is S'KS + U: K is that of the input coefficients, with the room's sigma and
-        correlations, and U is that of b through T (0 where unknown), volume, areas and climate. For a T
-        that cannot be reached, b is that of T, or the nearest reachable b if no b has this T.
+        The difference b - S'mu in m² is (n_configurations * n_bands,), NaN in a band without a match.
+        Its covariance in m⁴ is S'KS + U. K is the covariance of the input coefficients, from the room's
+        sigma and correlations. U is the covariance of b, from the uncertainties of T (0 where unknown),
+        volume, areas and climate. If no coefficients reach T, b is still the area that T needs; only if
+        no area gives T, b is the nearest area that can be reached.
         """
         numbers = self.numbers
         target = numbers.target.copy()
@@ -448,10 +451,11 @@ class JointResult(Result):
 
     @cached_property
     def points(self) -> Array:
-        """Quantiles of the coefficients at the values `NORMAL`, (n_materials, n_bands, 201).
+        """Quantiles of each coefficient at 201 probabilities, (n_materials, n_bands, 201).
 
-        If the bands are independent, they are those of the distribution given T; otherwise those of the
-        linear estimate, with a normal error that is cut at the bounds.
+        The probabilities are those of a standard normal variable at `rtcal.support.normal.NORMAL`. If
+        the bands are independent, the quantiles are those of the distribution given T. Otherwise they
+        are those of a normal distribution about the linear estimate, cut at the bounds.
         """
         layout = self.composition.layout
         if self._separate is not None:
@@ -486,10 +490,10 @@ class JointResult(Result):
 
     @cached_property
     def interval(self) -> tuple[Array, Array]:
-        """Ends of the 90 % interval of each coefficient, (n_materials, n_bands) each.
+        """Lower and upper end of the 90 % interval of each coefficient, (n_materials, n_bands) each.
 
-        The interval follows from `points` and contains the calibrated coefficient. It includes the
-        uncertainty of T where that is stated.
+        The interval follows from the quantiles `points` and contains the calibrated coefficient. It
+        includes the uncertainty of T if one is stated.
         """
         return intervals(self.alpha, self.points, 0.9)
 
@@ -821,12 +825,29 @@ class CalibrationResult(Result):
         run: Run | None = None,
         run_after: Measurement | None = None,
     ) -> Prediction:
-        """Predict T after a change of this room.
+        """Return T after a change of this room, with its uncertainty.
 
-        T is the calibrated T times the ratio of T after and before the change. The equation gives the
-        ratio, or a simulation program with its results before (``run``) and after the change
-        (``run_after``). `rtcal.prediction.predict` describes the arguments and errors. All measured
-        configurations are used. Raises ModelError where `known` does.
+        T after the change is the calibrated T times the ratio of T after to T before the change. The
+        ratio is that of the equation, or of a simulation program if ``run`` and ``run_after`` are
+        given.
+
+        Parameters
+        ----------
+        changes : Change, sequence of Change, or Room
+            Changes in the given order, or the changed room itself.
+        name : str
+            Name of the variant in the output.
+        assumptions : Assumptions, optional
+            Uncertainties that the prediction assumes; those of `rtcal.Assumptions` by default.
+        run : Run, optional
+            Results of a simulation program for this room before the change.
+        run_after : Measurement, optional
+            Results of the same program after the change.
+
+        Raises
+        ------
+        ModelError
+            For the reasons that `known` names. `rtcal.prediction.predict` names the other errors.
         """
         return predict(
             self, changes, assumptions=assumptions, name=name, run=run, run_after=run_after
@@ -835,8 +856,8 @@ class CalibrationResult(Result):
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain numbers, lists and text for JSON; None where a value is missing.
 
-        ``inputs`` has the room and the mean T as texts of their files, from which the calibration can
-        be repeated.
+        The entry ``inputs`` has the text of the room's file and of a file of the mean T, from which the
+        calibration can be repeated.
         """
         return self._record(whole=True)
 

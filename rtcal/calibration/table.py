@@ -150,8 +150,8 @@ _SEEN = 0.05
 def blocks_of(record: Mapping[str, Any]) -> list[Block]:
     """Return the parts of a calibration's output: verdict, cautions, bands, materials, and details.
 
-    A terminal leaves out the details: input coefficients, all changes, and the solver. ``record`` is as
-    `CalibrationResult.to_dict` returns it.
+    ``record`` is the calibration as `CalibrationResult.to_dict` returns it. A terminal does not show
+    the details, which are the input coefficients, all changes, and the solver.
     """
     labels, materials = bands.labels(record["centre_frequencies"]), record["materials"]
     calibrated = [
@@ -213,9 +213,10 @@ def _made(record: Mapping[str, Any]) -> list[str]:
 
 
 def absorption_share(record: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the share of each material, further effects and the air in the absorption of each band.
+    """Return the share of each material, of further effects and of the air in each band's absorption.
 
-    The largest mean over the bands is first. The shares of a band sum to 1.
+    ``record`` is the calibration as `CalibrationResult.to_dict` returns it. The entries are sorted by
+    their mean over the bands, the largest first. The shares of a band sum to 1.
     """
     parts = [(m["name"], m["area"] * numbers(m["alpha_after"])) for m in record["materials"]]
     if any(added := record["added_absorption"]):
@@ -358,10 +359,10 @@ class CalibrationVerdict(NamedTuple):
 def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
     """Return the statement of a calibration on whether model and measurement agree.
 
-    The first that applies counts: a likely typing error; a calibration that does not use T; a remaining
-    deviation; the agreement of T with the input coefficients, which stays open if a caution is about
-    the whole room or all bands. ``record`` is as `rtcal.calibration.CalibrationResult.to_dict` returns
-    it.
+    The first reason that applies decides: a likely typing error; a calibration that does not use T; a
+    deviation that remains after the calibration; and last how well the measured T agrees with the input
+    coefficients. This agreement stays "open" if a caution is about the whole room or all bands.
+    ``record`` is the calibration as `rtcal.calibration.CalibrationResult.to_dict` returns it.
     """
     marks = record["trust_marks"]
     if typed := [mark for mark in _trust_marks(record) if mark.is_error]:
@@ -527,10 +528,10 @@ def numbers(values: Sequence[float | None] | Array) -> Array:
 
 
 def remaining_gap(record: Mapping[str, Any]) -> str:
-    """Return a sentence on bands in which the calibrated room does not have the measured T, and why.
+    """Return a sentence on bands in which the calibrated T differs from the measured T, and why.
 
-    It is "" if every measured T is met or the calibration does not use T. ``record`` is as for
-    `rtcal.calibration.table.blocks_of`.
+    The sentence is "" if the calibrated room has every measured T, or if the calibration does not use
+    T. ``record`` is the calibration as `rtcal.calibration.CalibrationResult.to_dict` returns it.
     """
     after, before = (np.abs(numbers(record[key])) for key in ("gap_after_jnd", "gap_before_jnd"))
     left = after >= MET  # not where there is no T

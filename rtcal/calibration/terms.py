@@ -129,9 +129,10 @@ class Model:
 
     @cached_property
     def misfit(self) -> Any:
-        """Absorption area less that of the measured T, over its standard uncertainty; 0 without T.
+        """Deviation of the absorption area from that of the measured T, in its standard uncertainties.
 
-        It is (S'alpha - b) / u_b, (n_configurations, n_bands).
+        It is (S'alpha - b) / u_b, (n_configurations, n_bands), and 0 in a band without T: S'alpha is
+        the absorption area, b the area that T needs, and u_b its standard uncertainty.
         """
 
         def steep(numbers: Numbers) -> Array:
@@ -180,9 +181,10 @@ class Model:
 
 
 def product(factors: Any, x: Any) -> Any:
-    """Return the product by elements of a cvxpy parameter and an expression, in blocks of 40 rows.
+    """Return the elementwise product of a cvxpy parameter and a cvxpy expression of the same shape.
 
-    Blocks save memory: cvxpy compiles a product of n factors with n² numbers.
+    ``factors`` is the parameter and ``x`` the expression. The product is made in blocks of 40 rows to
+    save memory, because cvxpy compiles a product of n factors with n² numbers.
     """
     blocks = range(0, x.shape[0], 40)
     return cp.vstack([cp.multiply(factors[i : i + 40], x[i : i + 40]) for i in blocks])
@@ -432,7 +434,8 @@ class ExactMatch:
     def target_limits(self, numbers: Numbers) -> tuple[Array, Array]:
         """Return the least and the largest absorption area in m² that this match allows.
 
-        Both are (n_configurations, n_bands), and both are the area that the measured T needs.
+        Both arrays are (n_configurations, n_bands) and equal: an exact match allows only the absorption
+        area that the measured T needs. ``numbers`` are the values of room and measurement.
         """
         return numbers.target, numbers.target
 
@@ -475,10 +478,11 @@ class MatchWithin(ExactMatch):
         return [m.absorption_area >= limit(0), m.absorption_area <= limit(1)]
 
     def target_limits(self, numbers: Numbers) -> tuple[Array, Array]:
-        """Return the absorption areas in m² of the longest and of the shortest T within the tolerance.
+        """Return the least and the largest absorption area in m² that this match allows.
 
-        Both are (n_configurations, n_bands). Where the measured T cannot be reached, the tolerance is
-        widened to the nearest T that can.
+        They are those of the longest and of the shortest T within the tolerance, (n_configurations,
+        n_bands) each. Where no coefficients reach the measured T, the tolerance is widened to the
+        nearest T that they reach. ``numbers`` are the values of room and measurement.
         """
         tolerance = TARGET.jnd * self.jnd
         low, high = (numbers.target_of(numbers.time * (1 + s * tolerance)) for s in (1, -1))
@@ -550,9 +554,10 @@ class SoftMatch(Term):
         return half_squares(m.parameter((n, n), whitener) @ cp.vec(m.misfit, order="C"))
 
     def uncertainty(self, numbers: Numbers) -> Array:
-        """Return the uncertainty u_b of the absorption area in m²; DataError if it is unknown or 0.
+        """Return the standard uncertainty in m² of the absorption area that T needs.
 
-        It is (n_configurations, n_bands).
+        The uncertainty u_b = |db/dT| u_T is (n_configurations, n_bands). Raises DataError if the
+        uncertainty of T is unknown or 0. ``numbers`` are the values of room and measurement.
         """
         u = numbers.target_uncertainty
         unknown = numbers.matched & ~np.isfinite(u)

@@ -160,10 +160,11 @@ class Configurations:
     def target_changes(self, equation: LinearEquation, times: Array) -> Array:
         """Return the changes of b - S'alpha in m² by one standard deviation of each error of the rooms.
 
-        Their shape is (n_changes, n_configurations n_bands), as
-        `rtcal.acoustics.room_errors.target_changes` defines them. Configurations share the errors of
-        volume and areas, but not those of the climate. ``times`` are the measured T in s,
-        (n_configurations, n_bands).
+        b is the absorption area that T needs, and S'alpha is that of the input coefficients. The shape
+        is (n_changes, n_configurations * n_bands), with the errors in the order of
+        `rtcal.acoustics.room_errors.target_changes`. Configurations share the errors of volume and
+        areas, but not those of the climate. ``times`` (n_configurations, n_bands) are the measured T in
+        s.
         """
         checks.instance("equation", equation, LinearEquation)
         times = checks.array("times", times)
@@ -261,9 +262,10 @@ class Layout:
         return np.array([self.alpha_rows.index(row) for row in range(self.n_alpha_rows)])
 
     def index(self, material: str | None = None, band: float | None = None) -> Integers:
-        """Return the indices of the coefficients of one material in one band; None stands for all.
+        """Return the indices, among the unknowns, of the coefficients of one material in one band.
 
-        Raises DataError for an unknown material or band.
+        ``material`` is a name, and None for all materials. ``band`` is a centre frequency in Hz, and
+        None for all bands. Raises DataError for an unknown material or band.
         """
         rows, columns = np.arange(self.n_alpha_rows), np.arange(self.n_bands)
         if material is not None:
@@ -361,13 +363,13 @@ class Observed:
         return f"<Observed: {self.values.size} observations of {self.matrix.shape[1]} coefficients>"
 
     def over(self, layout: Layout, mu: Array, sigma: Array) -> Array:
-        """Return a matrix R and a vector z for which ½ |R x - z|² is the term, except for a constant.
+        """Return an array [R, z] with which ½ |R x - z|² is the term of these data, but for a constant.
 
-        They are the columns of one array, (n_alpha, n_alpha + 1). x are the deviations of the
-        coefficients from ``mu`` (n_alpha,) in sigmas. R is the upper triangle of the QR decomposition
-        of the whitened J sigma. Columns of materials that share their coefficients are added up.
-
-        Raises DataError if the matrix has columns of other materials or bands.
+        x are the deviations of the coefficients from their input ``mu`` (n_alpha,), in units of
+        ``sigma`` (n_alpha,). The array is (n_alpha, n_alpha + 1), with the vector z as its last column.
+        R is the upper triangle of the QR decomposition of the derivatives times sigma, divided by the
+        errors (whitened). Columns of materials that share their coefficients are added up. Raises
+        DataError if the data are derivatives by other materials or bands than those of ``layout``.
         """
         n, k = len(layout.materials) * layout.n_bands, layout.n_bands
         if self.matrix.shape[1] != n:
@@ -389,10 +391,12 @@ class Observed:
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Numbers:
-    """Numbers of one solve, with which a compiled problem is filled.
+    """Values of room and measurement for one solve, with which a compiled problem is filled.
 
-    Input values, sigmas and bounds of the unknowns are (size,). T and what follows from it are
-    (n_configurations, n_bands), NaN where missing.
+    Input values ``mu``, standard deviations ``sigma`` and the bounds ``lower`` and ``upper`` of the
+    unknowns are (size,). ``time`` is the measured T in s and ``target`` the absorption area in m² that
+    T needs, with its standard uncertainty and sensitivity; all are (n_configurations, n_bands), NaN
+    where T is missing.
     """
 
     layout: Layout
@@ -470,10 +474,11 @@ class Numbers:
 
     @cached_property
     def target_covariance(self) -> Array:
-        """Covariance in m⁴ of the absorption area b that T needs less that of alpha.
+        """Covariance in m⁴ of b - S'alpha, where b is the absorption area that T needs.
 
-        It is (n_matches, n_matches), from the errors of T, volume, areas and climate; an unknown
-        uncertainty of T counts as 0.
+        S'alpha is the absorption area of the coefficients. The covariance has n_configurations *
+        n_bands rows and columns, and follows from the errors of T, volume, areas and climate. An
+        unknown uncertainty of T counts as 0.
         """
         noise = np.diag(np.nan_to_num(self.target_uncertainty).ravel() ** 2)
         changes = self.room_changes
@@ -481,9 +486,9 @@ class Numbers:
 
     @cached_property
     def match_whitener(self) -> Array:
-        """Lower triangular matrix W in 1/m² with W'W the inverse of `target_covariance`.
+        """Lower triangular matrix W in 1/m² for which W'W is the inverse of `target_covariance`.
 
-        It is (n_matches, n_matches); rows and columns without a match are 0.
+        It has n_configurations * n_bands rows and columns; those of a band without T are 0.
         """
         used = np.flatnonzero(self.matched.ravel())
         whitener = np.zeros_like(self.target_covariance)
