@@ -163,7 +163,7 @@ class Evidence:
         return _spread(minimize(self._cost, first, (rows,), method="L-BFGS-B").x)
 
     def plausible(self, spread: Spread) -> list[Spread]:
-        """Return equally weighted spreads around the fitted one; their scatter is the fit's uncertainty.
+        """Return equally weighted spreads around the fitted one, which scatter by its uncertainty.
 
         ``spread`` is the fitted one, as `fitted` returns it: the standard deviations within and between
         rooms. The posterior density of its six numbers is approximated by a normal density with the
