@@ -88,25 +88,27 @@ class Corrected:
     """Model of the case with its effects, as a simulator, for means."""
 
     def simulator(self, make: Callable[[Room], Simulator] | None = None) -> Any:
-        """Return a simulator of the corrected model, whose alpha has the materials of ``room`` as rows.
+        """Return a simulator of the corrected model; the rows of its alpha are the room's materials.
 
-        By default it is the case's simulator in the new geometry, in which a new material scatters as
-        its surface does. For means it is the case's equation, with the effects on decay and noise.
+        At positions, and for two states with a simulator, it is the case's simulator in the corrected
+        geometry, in which a new material has its surface's scattering coefficient. For means over
+        positions, it is the case's reverberation equation with the effects that were found.
 
         Parameters
         ----------
         make : function, optional
-            Function that makes a simulator for a room with the input materials and the finding's air,
-            volume and areas, for means: ``lambda room: PathTracing(room=room, geometry=..., ...)``. The
-            absorption that was found is then spread over all walls, as an equal share of what each
-            reflects.
+            Function that returns your own simulator for a room, for means over positions only: ``lambda
+            room: PathTracing(room=room, geometry=..., ...)``. rtcal calls it with a room that has the
+            input materials and the air, volume and areas of the finding. The absorption that was found
+            is then spread over all walls: each wall absorbs the same share of what it would reflect.
 
         Raises
         ------
         DataError
-            If no surface is identified; if ``make``'s simulator cannot represent an effect: a coupled
-            room, a noise floor, a custom effect on the decay, or an area or volume other than its
-            geometry's.
+            If no surface is identified at positions, or if ``make`` is given for such a case; if the
+            simulator of ``make`` cannot represent an effect: a coupled room, a noise floor, a custom
+            effect on the decay, or an area or volume that differs from that of the simulator's
+            geometry.
         """
         if self.model is not None:
             return self.model if make is None else self.model.spread_over(make)
@@ -156,9 +158,10 @@ class Corrected:
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write the corrected room's files into a folder, all or none, and return their paths.
 
-        ``room.toml`` is the room and, if a surface is identified, ``room.obj`` its mesh. For means,
-        ``case.json`` is the case. At positions, ``catt.txt`` and ``odeon.txt`` are lists of materials.
-        In these lists an octave that the room lacks has the coefficients of the room's nearest octave.
+        ``room.toml`` is the room and, if a surface is identified, ``room.obj`` is its mesh. For means
+        over positions, ``case.json`` is the case. At positions, ``catt.txt`` and ``odeon.txt`` are
+        lists of materials for CATT-Acoustic and ODEON. An octave of these lists that is not among the
+        room's bands has the coefficients of the room's nearest octave.
         """
         where = checks.path("folder", folder)
         contents = self.contents(where)
@@ -230,13 +233,23 @@ _DECAY, _NO_AIR, _TOO_MUCH = "decay not in a room", "air of no climate", "absorb
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CaseModel(RoomSimulator):
-    """A case's model with its effects as a `Simulator`; the rows of alpha are those of the ``room``.
+    """Simulate a case's model with its effects; the rows of alpha are the materials of ``room``.
 
-    The ``room`` has further materials for what absorbs, ``stated`` those of the case alone; ``whole``
-    is the model's state at the room's coefficients. Why a room cannot represent an effect is
-    ``absent``, by the effect's name. ``inner`` is a simulator of the stated materials over whose walls
-    the absorbers are spread. Without it T20, EDT, T30, C80 and G are those of the case's first
-    configuration, by the model.
+    Attributes
+    ----------
+    case : Case
+        Case with the effects in its model.
+    room : Room
+        Room with the input materials, followed by one material for each effect that absorbs.
+    stated : Room
+        Room with the input materials alone.
+    whole : RoomState
+        State of the model at the coefficients of ``room``.
+    absent : mapping
+        Reasons why a room cannot represent an effect, by the effect's name.
+    inner : Simulator, optional
+        Simulator of ``stated``, over whose walls the added absorption is spread. If it is None, T20,
+        EDT, T30, C80 and G are those of the case's first configuration by the case's equation.
     """
 
     case: Case
@@ -258,10 +271,10 @@ class CaseModel(RoomSimulator):
         return self.inner is None or self.inner.deterministic
 
     def state(self, alpha: Array) -> RoomState:
-        """Return the model's state at coefficients (n_materials, n_bands) of the room.
+        """Return the model's state at coefficients ``alpha`` (n_materials, n_bands) of ``room``.
 
-        If the further materials absorb more or less than with the room's own coefficients, the
-        difference counts as a free-standing absorber, so that the shape of a decay is the same, too.
+        If the materials of the effects absorb more or less than with the room's own coefficients, the
+        difference is added as a free-standing absorber, so that the shape of the decay does not change.
         """
         equation = mean_equation(self.whole.equation)
 
@@ -345,12 +358,13 @@ def _absorbing(s: RoomState) -> Array:
 
 
 def corrected_case(case: Case) -> Corrected:
-    """Return the room of a case with its effects: a step per effect, then an absorber for each.
+    """Return the corrected room of a case, to which each of the case's effects is added in turn.
 
-    A change of a stated material, such as a cover, is in its row, and its source says so. Absorbers are
-    materials after the stated ones, with the walls' mean scattering.
+    An effect that changes an input material, such as a cover, changes this material's coefficients, and
+    the material's ``source`` names the effect. An effect that adds absorption becomes a material after
+    the input materials, with the mean scattering coefficient of the walls.
 
-    Raises DataError for coefficients below 0 or above 1.
+    Raises DataError if a coefficient would be below 0 or above 1.
     """
     base = replace(case.configurations[0], changes={}, suspect_removed=False, air=None)
     room, air, last_air = case.room, case.room.air, "air"
@@ -669,9 +683,9 @@ def _in_geometry(
 
 
 def surface_at(case: PositionsCase, at: Sequence[float]) -> str:
-    """Return the name of the surface at a point in m.
+    """Return the name of the surface at a point (x, y, z) in m.
 
-    DataError if the point is far from every surface.
+    Raises DataError if the point is far from every surface.
     """
     place = point(at)
     face, distance = face_at(case.geometry, place)
@@ -697,11 +711,13 @@ def point(at: Sequence[float]) -> Array:
 def changed_room(
     case: StatesCase, area: Array, change: Array, surfaces: Sequence[str], kinds: Sequence[str]
 ) -> Corrected:
-    """Return the room of the second state; see `rtcal.finder.Finding.apply`.
+    """Return the room of the second of two states; see `rtcal.finder.Finding.apply`.
 
-    Its coefficients are those of a calibration to the first state, with the change's mean; their sigma
-    is the calibration's and the change's. ``area`` (n_bands,) and ``change`` (3, n_bands) in m² are as
-    of `Finding`, ``surfaces`` those that are identified, and ``kinds`` what may have changed.
+    The coefficients are those of a calibration to the first state plus the mean change, and their sigma
+    contains the uncertainty of both. ``area`` (n_bands,) is the absorption area of the first state in
+    m². ``change`` (3, n_bands) is the change of this area in m²: its mean, and the lower and upper end
+    of its 90 % interval. ``surfaces`` are the names of the surfaces that are identified, and ``kinds``
+    the kinds of effect that may have changed.
     """
     labels = bands.labels(case.room.centre_frequencies)
     stated = case.room.replace(calibration=None)

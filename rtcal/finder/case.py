@@ -95,9 +95,9 @@ a hygrometer on a wall leave this much open in a room. The values are a judgemen
 
 
 def checked_climate_uncertainty(value: object) -> tuple[float, float]:
-    """Return the climate's standard uncertainties in K and in % of relative humidity.
+    """Return the climate's standard uncertainties after a check: in K, and in % of relative humidity.
 
-    Raises DataError unless ``value`` is two numbers of 0 or more.
+    Raises DataError unless ``value`` consists of these two numbers, each 0 or more.
     """
     climate = checks.array("climate_uncertainty", value)
     if climate.shape != (2,) or not (np.isfinite(climate) & (climate >= 0)).all():
@@ -116,13 +116,13 @@ class ChangedTable(FileTable):
 
 
 class ConfigurationTable(FileTable):
-    """Hold a file's table of a configuration; see `Configuration`.
+    """Hold the table of one configuration in a case's file; see `Configuration`.
 
-    ``measured`` is the name of a measurement's file, or plain values as `Measurement.to_dict` returns
-    them, in the room's bands unless they state theirs. ``parameters`` and ``positions`` describe a
-    measurement that is only planned. ``simulated`` has a simulation program's values, in the form of
-    ``measured``. ``at`` is the room, or its alpha (n_materials, n_bands), with which the program ran;
-    by default the case's room.
+    ``measured`` is the name of a measurement's file, or the values as `Measurement.to_dict` returns
+    them, in the room's bands unless they name other bands. ``parameters`` and ``positions`` describe a
+    measurement that is only planned. ``simulated`` has the values of a simulation program, in the form
+    of ``measured``. ``at`` is the room, or its alpha (n_materials, n_bands), with which the program was
+    run; by default it is the case's room.
     """
 
     name: str | None = None
@@ -164,7 +164,7 @@ class CaseTable(FileTable):
 
 @dataclass(frozen=True)
 class ChangedMaterial:
-    """Hold a material's alpha in one configuration, with its standard uncertainty sigma, (n_bands,).
+    """Hold the alpha (n_bands,) of a material in one configuration, and its standard uncertainty sigma.
 
     Raises DataError if alpha or sigma is not an array of numbers from 0 to 1.
     """
@@ -251,10 +251,11 @@ class Configuration:
     def of(
         cls, table: ConfigurationTable, room: Room, folder: Path, stated: Uncertainty
     ) -> Configuration:
-        """Return the configuration of a file's table; paths in it are relative to ``folder``.
+        """Return the configuration that one table of a case's file describes.
 
-        Values without an uncertainty get the ``stated`` one. Raises DataError as the class does, and
-        for a table with neither a measurement nor a plan of one.
+        File names in the table are relative to ``folder``. Measured values without an uncertainty get
+        the uncertainty ``stated``. Raises DataError as `Configuration` does, and for a table that has
+        neither a measurement nor a planned one.
         """
         where = f'configuration "{table.name}"'
         planned = table.planned or table.parameters is not None
@@ -345,9 +346,9 @@ class Configuration:
     def in_room(self, room: Room) -> Configuration:
         """Return the configuration with its measurement in the room's bands, as `calibrate` takes it.
 
-        Measured parameters that the program's run lacks are left out. Warns if bands are converted or
-        left out. Raises DataError if the configuration does not fit the room, and for values that no
-        room has.
+        If the configuration has values of a simulation program, measured parameters that these values
+        lack are left out. Warns if bands are converted or left out. Raises DataError if the
+        configuration does not fit the room, or if a measured value is physically impossible.
         """
         where = f'configuration "{self.name}"'
         stated, wanted = self.measured.centre_frequencies, room.centre_frequencies
@@ -440,9 +441,9 @@ def _read(where: str, stated: str | MeasurementTable, room: Room, folder: Path) 
 class Case:
     """Describe a room, its reverberation equation and the configurations in which it was measured.
 
-    Means over positions are compared: see `PositionsCase` for each position, `StatesCase` for two
-    states. Raises DataError if a value breaks a rule; the message names the place, the value and the
-    rule.
+    Measured and predicted means over positions are compared. For a comparison at each position see
+    `PositionsCase`, for two states of a room `StatesCase`. Raises DataError if a value breaks a rule;
+    the message names the place, the value and the rule.
     """
 
     kind: ClassVar[str] = "means"
@@ -507,7 +508,7 @@ class Case:
 
     @cached_property
     def directions_known(self) -> bool:
-        """Whether the directions of most of the room's absorption are known.
+        """Whether the directions that the room's surfaces face are known for most of its absorption.
 
         Without these directions, effects that depend on them are not tried (`Effect.needs_directions`).
         """
@@ -559,9 +560,9 @@ class Case:
 
     @classmethod
     def from_file(cls, path: str) -> Case:
-        """Return the case in a TOML or JSON file, whose keys `rtcal.finder.case` lists.
+        """Return the case that is described in a TOML or JSON file; `rtcal.finder.case` lists its keys.
 
-        Raises DataError, which names the file and the rule.
+        Raises DataError, whose message names the file and the rule that it breaks.
         """
         with expecting("a case", path):
             return cls.from_dict(_content(path), Path(path).parent)
@@ -576,7 +577,7 @@ class Case:
         return json.dumps(head | self.to_dict(), indent=1, allow_nan=False) + "\n"
 
     def require_fresh(self) -> None:
-        """Raise DataError if a measurement would count twice, or if a configuration is only planned.
+        """Raise DataError if a measurement would be used twice, or if a configuration is only planned.
 
         The room must not have been calibrated to the measured T of any configuration, and no two
         configurations may have the same measurement.
@@ -686,11 +687,11 @@ def files_of_case(path: str) -> list[Path]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PositionsCase:
-    """Describe a room by its simulator, and its measurement at each source-receiver pair.
+    """Describe a room by its simulator, and the measurement at each source-receiver pair.
 
-    Raises DataError if the measurement is a mean over pairs, if ``simulated`` has no measured
-    parameter, if the room was calibrated already, if a pair of ``exclude`` was not measured, or if a
-    surface, parameter or number breaks its rule.
+    Raises DataError if the measurement is a mean over pairs, if ``simulated`` has none of the measured
+    parameters, if the room was already calibrated to this measurement, if a pair in ``exclude`` was not
+    measured, or if a surface, parameter or number breaks its rule.
     """
 
     kind: ClassVar[str] = "positions"
@@ -1027,9 +1028,10 @@ class StatesCase:
 
     @property
     def falls(self) -> bool:
-        """Whether T is shorter after than before, by the mean of ``change`` weighted by its certainty.
+        """Whether T is shorter after the change than before it, on average over bands and pairs.
 
-        If this mean is 0, the first T that changed decides.
+        The average is the mean of ``change``, in which more certain values count more. If this mean is
+        0, the first T that changed decides.
         """
         mean = np.nansum(self.change / self.variance)
         if mean == 0 and not self.same:
@@ -1056,29 +1058,32 @@ def case_of(
     program: str = "",
     **stated: Any,
 ) -> AnyCase:
-    """Return a room and its measurement as a case, whose type depends on the data given.
+    """Return a room and its measurement as a case; the type of the case depends on the data given.
 
-    With a measurement before a change, it is a `StatesCase`. With a measurement of each source-receiver
+    With a measurement ``before``, it is a `StatesCase`. With a measurement of each source-receiver
     pair, and a simulator or a room that has its mesh, sources and receivers, it is a `PositionsCase`.
-    Any other data make a `Case`, which compares means over positions.
+    Otherwise it is a `Case`, which compares means over positions.
 
     Parameters
     ----------
     room : Room
         Room with its input coefficients.
-    measured, before : Measurement
-        Measurement of the room and, optionally, an earlier one before the room was changed.
+    measured : Measurement
+        Measurement of the room.
     simulator : PathTracing, optional
-        Simulator of the room; by default a path tracing of the room's scene, if it has one.
+        Simulator of the room; by default a path tracing of the room's scene, if the room has one.
+    before : Measurement, optional
+        Measurement of the room at an earlier time, before the room was changed.
     tracing : mapping, optional
-        Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, where the scene is traced.
+        Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, for the path tracing of the
+        room's scene.
     simulated : Run, optional
-        Values of a simulation program, which replace those of the equation or of the path tracing. For
-        a path tracing, the program must have used the room's coefficients.
+        Values of a simulation program, which replace the results of the reverberation equation or of
+        the path tracing. At positions, the program must have used the room's input coefficients.
     program : str
         Kind of the simulation program, "geometrical" or "": see `Case.program`.
     **stated
-        Further parameters of a `PositionsCase`.
+        Further arguments of the `PositionsCase`.
 
     Raises
     ------

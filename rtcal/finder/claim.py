@@ -41,9 +41,10 @@ _ALIKE = 1.25
 
 
 def over_frequency(values: Array) -> str:
-    """Return in words how the magnitude of values (n_bands,) depends on frequency, by a fitted line.
+    """Return in words how the absolute value of ``values`` (n_bands,) changes with frequency.
 
-    The line is fitted by least squares over the numbers of the bands. A single band gives "alike".
+    A straight line is fitted to the absolute values over the band numbers by least squares. For a
+    single band the result is "alike at all frequencies".
 
     Examples
     --------
@@ -61,8 +62,9 @@ def over_frequency(values: Array) -> str:
 def posterior(evidence: Mapping[str, float], prior: Prior) -> dict[str, float]:
     """Return the probability after the measurement of each effect, "none" and the other explanations.
 
-    It is the Bayes factor times the probability before the measurement, to a power (`Prior.sharpness`).
-    The probabilities sum to 1.
+    ``evidence`` has the ln Bayes factor of each explanation. Each result is proportional to the Bayes
+    factor times the probability before the measurement, raised to the power `Prior.sharpness`. The
+    results sum to 1.
     """
     log = {k: prior.sharpness * (v + prior.log_probability[k]) for k, v in evidence.items()}
     total = float(logsumexp(list(log.values())))
@@ -74,8 +76,8 @@ def by_family(
 ) -> dict[str, float]:
     """Return the probability of each group of effects, the most probable first.
 
-    "none", "coefficients" and "unknown" are groups by themselves. "added absorption" is the sum of all
-    groups whose names begin with it.
+    ``probabilities`` are those of the single effects. "none", "coefficients" and "unknown" are groups
+    by themselves. "added absorption" is the sum of all groups whose names begin with these words.
     """
     return with_added(summed((family_of(name, effects), p) for name, p in probabilities.items()))
 
@@ -131,9 +133,10 @@ def numbers_of(sets: Mapping[Names, float]) -> tuple[float, ...]:
 
 
 def narrowest_family(families: Mapping[str, float], least: float) -> str | None:
-    """Return the most specific group of effects with a probability of at least ``least``, or None.
+    """Return the most specific group of effects with a probability of at least ``least``.
 
-    "added absorption, rising" is more specific than "added absorption".
+    "added absorption, rising" is more specific than "added absorption". The result is None if no group
+    is as probable.
     """
     probable = [f for f, p in families.items() if p >= least and f != NONE]
     return max(probable, key=lambda family: family.count(",")) if probable else None
@@ -141,9 +144,10 @@ def narrowest_family(families: Mapping[str, float], least: float) -> str | None:
 
 @dataclass(frozen=True)
 class Reason:
-    """Hold a reason, caution or advice as a code with its values, which ``str`` makes a sentence.
+    """Hold a reason, caution or advice as a code with its values; ``str`` returns it as a sentence.
 
-    ``values`` are numbers, names and sizes. `rtcal.report.finding_words` has the sentence of each code.
+    ``values`` are the numbers, names and sizes in the sentence. `rtcal.report.finding_words` has the
+    sentence of each code.
     """
 
     code: str
@@ -202,12 +206,20 @@ def conclude(
 ) -> Claim:
     """Return what is identified, by rules that are the same for every kind of data.
 
-    ``detected`` is "none" or "hint" if nothing is detected, and None if something is. The probabilities
-    of effects and of groups have the most probable first. ``by_family_alone`` are effects that are only
-    identified as a group (`Effect.alone`). ``reasons`` are doubts about the most probable effect, and
-    `LEAVES` has the verdict after each. If the data are ``weak`` (`too_weak`), the verdict is a hint
-    unless an effect or a group is identified. If the difference may be a geometrical program's
-    own (`of_program`), nothing is identified.
+    Parameters
+    ----------
+    detected : {"none", "hint"} or None
+        Verdict if nothing is detected; None if something is detected.
+    probabilities, families : mapping of str to float
+        Probabilities of single effects, and of groups of effects, the most probable first.
+    by_family_alone : collection of str
+        Names of the effects of which only the group can be identified (`Effect.alone`).
+    reasons : sequence of Reason
+        Doubts about the most probable effect; `LEAVES` has the verdict that each doubt leaves.
+    weak : Reason, optional
+        Reason why the data are too weak (`too_weak`): the verdict is then a hint, unless an effect or a
+        group is identified. If the reason is that the difference may be a geometrical program's own
+        error (`of_program`), nothing is identified.
     """
     own = weak is not None and weak.code == OWN_FIELD
     if weak is not None and own and (detected is None or next(iter(families)) == FIELD):
@@ -252,10 +264,11 @@ FIELD = "field"
 def of_program(families: Mapping[str, float]) -> Reason | None:
     """Return the reason why a geometrical program's own error may be the difference, or None.
 
-    The program uses the scattering that you enter, and has a second room if you drew it. A difference
-    in its field is therefore no error of the room's model, and counts as nothing missing. So does a
-    difference that no effect explains: where the field is uneven, two programs differ by more than the
-    reference simulations show (benchmarks/studies/runs).
+    A geometrical program uses the scattering coefficients that you enter, and simulates a second room
+    if you drew it. A difference that only its sound field explains is therefore not an error of the
+    room's model, and counts as nothing missing. A difference that no effect explains counts as nothing
+    missing, too: in uneven sound fields, two programs differ by more than the reference simulations
+    show (benchmarks/studies/runs).
 
     Examples
     --------
@@ -304,10 +317,11 @@ def amount(value: float, unit: str, interval: tuple[float, float] | None = None)
 
 @dataclass(frozen=True)
 class Size:
-    """Hold the size of an effect: its mean and the ends of its 90 % interval, in ``unit``.
+    """Hold the size of an effect: its mean, and the ends ``low`` and ``high`` of its 90 % interval.
 
-    ``end`` is "least" if the data allow any size above ``low``, and "most" if they allow any size below
-    ``high``: the largest or smallest size that was tried then fits nearly as well as the best one.
+    All three are in ``unit``. ``end`` is "least" if the data allow any size above ``low``, "most" if
+    they allow any size below ``high``, and "" otherwise. With "least" or "most", the largest or
+    smallest size that was tried fits nearly as well as the best size.
     """
 
     mean: float
@@ -318,7 +332,7 @@ class Size:
 
     @property
     def words(self) -> str:
-        """Size with its interval, as text.
+        """Size of the effect with its 90 % interval, or with its only limit, as text.
 
         Examples
         --------
@@ -428,7 +442,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Detection:
-    """Hold the score that anything differs from the model, a ln Bayes factor, and its threshold.
+    """Hold the score, a ln Bayes factor, that something differs from the model, and its threshold.
 
     Raises ModelError for a score that is not a finite number.
     """

@@ -88,10 +88,14 @@ def diagnose(
 
     Parameters
     ----------
-    room, measured, simulator, cache, progress, scheduler
-        Room or case, its measurement, and options of the computation: see `rtcal.find`.
+    room : Room, or a case
+        Room with its input coefficients, or a case that contains the measurement.
+    measured : Measurement, optional
+        Measurement of the room; not given with a case.
+    simulator, cache, progress, scheduler
+        Simulator of the room, and options of the computation: see `rtcal.find`.
     seeds : sequence of int
-        Seeds of the simulator's random numbers. A check at positions is repeated with each seed.
+        Seeds of the simulator's random numbers. At positions, the check is repeated with each seed.
     **options
         Further options of `rtcal.find`.
 

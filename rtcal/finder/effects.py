@@ -69,8 +69,9 @@ class Parameter:
 class Effect(ABC):
     """Describe something that may be missing from a room's model, such as an opening or a curtain.
 
-    An effect has parameters, a change of the room's acoustic state (`change`), words for a report, and
-    a form in a corrected room. To add an effect of your own, write a subclass.
+    An effect has parameters, such as an area; a method `change`, which adds it to the acoustic state of
+    a room; words for a report; and a form in the corrected room. For an effect of your own, write a
+    subclass.
     """
 
     name: ClassVar[str]
@@ -162,19 +163,19 @@ class Effect(ABC):
         return []
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
-        """Return the probability density of parameters before the measurement, up to a factor.
+        """Return the probability density of parameter values before the measurement, up to a factor.
 
-        Each parameter has n values, (n,). The density is per unit of ln of a parameter that is always
-        above 0, and per unit of any other one. For a discrete parameter it is a probability. By default
-        it is 1.
+        Each parameter has n values, (n,), and the result has one density for each of the n
+        combinations. By default the density is 1. For a parameter that is always above 0 it is a
+        density of the parameter's logarithm, for a discrete parameter a probability.
         """
         return 1.0
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the physical limits of the parameters in this room, or in any room if None.
+        """Return the physical limits of each parameter in a room; for None, those in any room.
 
-        The size is searched within its limits, and a case refuses parameters outside theirs. A
-        parameter without limits may have any value.
+        The size of an effect is searched within its limits, and a case raises an error for parameters
+        outside their limits. A parameter without limits may have any value.
         """
         return {name: of.within for name, of in self.parameters.items()}
 
@@ -185,7 +186,7 @@ class Effect(ABC):
     def prior_odds(self, room: Room) -> float:
         """Return the effect's odds before the measurement in this room, relative to the other effects.
 
-        Most effects of the library have 1. The default is `odds`.
+        By default the result is `odds`, which is 1 for most effects of the library.
         """
         return self.odds
 
@@ -217,10 +218,11 @@ class Effect(ABC):
         return stated
 
     def errors_over_bands(self, frequencies: Array) -> Array:
-        """Return independent relative errors of the effect's change, as standard deviations per band.
+        """Return independent relative errors of the effect's change, as standard deviations by band.
 
-        The columns of (n_bands, 2 + n_bands) are an error common to all bands, an error that grows with
-        frequency, and errors per band, which are correlated between neighbouring bands.
+        The shape is (n_bands, 2 + n_bands). The first column is an error common to all bands, the
+        second an error that grows with frequency. The other columns are errors of single bands,
+        correlated between neighbouring bands.
         """
         common, tilt, rough = self.spectrum_error
         octaves = np.log2(frequencies / 1000)
@@ -239,11 +241,12 @@ class Effect(ABC):
 
 
 class AbsorbingObject(Effect):
-    """Describe objects whose absorption is proportional to a size, and that can be taken out.
+    """Describe missing objects whose absorption is proportional to their size, such as people.
 
-    An object of size 1 has the absorption area ``each`` in m² at the octaves from 63 Hz to 8 kHz, and
-    ``of_one`` in m² at 500 to 2000 Hz. Sizes are tried that give ``least`` to ``most`` times the room's
-    absorption area there. Objects need no wall, so that any size is possible.
+    The objects can be taken out of the room again. A size of 1 has the absorption area ``each`` in m²
+    at the octaves from 63 Hz to 8 kHz, and ``of_one`` in m² as a mean from 500 to 2000 Hz. The sizes
+    that are tried absorb ``least`` to ``most`` times the room's absorption area from 500 to 2000 Hz.
+    Because objects need no wall, their size has no upper limit.
     """
 
     removable: ClassVar[bool] = True
@@ -332,7 +335,7 @@ class Absorber(AbsorbingObject):
 def all_surfaces(room: Room | None) -> float:
     """Return the area of all surfaces of a room in m².
 
-    For None, the largest area that a room may have.
+    If ``room`` is None, the result is the largest area that any room may have.
     """
     return LARGEST if room is None else room.total_area
 
@@ -356,8 +359,8 @@ _SPEED = 343.2
 class Porous(Absorber):
     """Describe a porous layer on a rigid wall that is missing from the model (Miki 1990).
 
-    The layer is locally reacting, with diffuse incidence up to 78°. For a curtain, which hangs free,
-    see `Curtain`.
+    The layer is locally reacting, and sound arrives diffusely at angles up to 78°. For a curtain, which
+    hangs free, see `Curtain`.
     """
 
     name: ClassVar[str] = "porous"
@@ -404,9 +407,9 @@ _IMPEDANCE_OF_AIR = 413.0
 class Curtain(Absorber):
     """Describe a missing curtain by flow resistance, mass and airspace (Ingard 1994; Kuttruff 2016).
 
-    The fabric's impedance is r and i omega m in parallel; behind it stands -i cot(k d cos theta), of
-    plane waves in the airspace. Far from a wall the mean over a band is that of a curtain that hangs
-    free and absorbs on both sides.
+    The impedance of the fabric is its flow resistance r in parallel with its mass i omega m. Behind it
+    is the impedance -i cot(k d cos theta) of plane waves in an airspace of depth d. If d is large, the
+    mean over a band is that of a curtain that hangs free in the room and absorbs on both sides.
     """
 
     name: ClassVar[str] = "curtain"
@@ -649,9 +652,9 @@ class WrongArea(WrongStatement):
 class WrongVolume(WrongStatement):
     """Describe a wrong input volume, by the ratio of the true volume to the input volume.
 
-    Small errors follow the input volume's standard deviation (`RoomState.volume_sigma`). Larger errors
-    are gross mistakes by a factor: half of the room was not drawn, a length is wrong, or feet stand for
-    metres.
+    Small errors have the standard deviation of the input volume (`RoomState.volume_sigma`). Larger
+    errors are gross mistakes, each by a typical factor: half of the room was not drawn, a length is
+    wrong, or feet were taken for metres.
     """
 
     FACTORS: ClassVar[Mapping[float, float]] = {
@@ -879,8 +882,8 @@ class OmittedAir(Effect):
     def prior_odds(self, room: Room) -> float:
         """Return the odds before the measurement: 3 if the input has no climate, 0.3 if it has one.
 
-        Every room has air. The uncertainty of an input climate is `Case.climate_uncertainty`, which
-        counts for every effect.
+        The odds are high without a climate because every room has air. The usual uncertainty of an
+        input climate is `Case.climate_uncertainty`, and is allowed for with every effect.
         """
         return 3.0 if room.air is None else 0.3
 
@@ -971,10 +974,10 @@ class CoupledRoom(Effect):
     )
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return combinations of aperture, volume and alpha of the second room that are tried.
+        """Return the combinations of aperture, volume and alpha of the second room that are tried.
 
-        The aperture is 0.05 to 1.2 times the first room's absorption area, the volume 0.2 to 3 times
-        its volume, and alpha 0.02 to 0.3.
+        The aperture is 0.05 to 1.2 times the first room's absorption area, the second room's volume 0.2
+        to 3 times the first room's, and its alpha 0.02 to 0.3.
         """
         area = middle_absorption(state)
         return [
@@ -997,10 +1000,10 @@ class CoupledRoom(Effect):
 class CoupledDecay:
     """Describe the decay of a room with a second room behind an aperture (Kuttruff 2016, Sect. 5.8).
 
-    The second room has a ``volume`` in m³, a mean absorption coefficient ``alpha``, and the surface of
-    a cube; the ``aperture`` S is in m². With energy densities E1, E2 and absorption areas A1, A2, V1
-    dE1/dt = -(c/4) (A1 + S) E1 + (c/4) S E2, and the same with 1 and 2 exchanged (Cremer & Mueller
-    1982).
+    The second room has a ``volume`` V2 in m³, a mean absorption coefficient ``alpha``, and the surface
+    area of a cube. The ``aperture`` S is in m². With energy densities E1 and E2 and absorption areas A1
+    and A2 of the two rooms, V1 dE1/dt = -(c/4) (A1 + S) E1 + (c/4) S E2, and the same with 1 and 2
+    exchanged (Cremer & Mueller 1982).
     """
 
     aperture: float
@@ -1069,9 +1072,9 @@ def library() -> tuple[Effect, ...]:
 
 
 def checked_effects(effects: object | None) -> tuple[Effect, ...]:
-    """Return the effects as a tuple after checking them; the whole library for None.
+    """Return effects as a tuple, after a check; for None, all effects of the library.
 
-    Raises DataError unless each effect is complete and no two have the same name.
+    Raises DataError if an effect is incomplete, or if two effects have the same name.
     """
     if effects is None:
         return library()
@@ -1125,9 +1128,11 @@ IN_RUN = "a geometrical program computes none"
 def judged_effects(
     effects: Sequence[Effect], directions_known: bool, geometrical: bool = False
 ) -> tuple[tuple[Effect, ...], dict[str, str]]:
-    """Return the effects that can be tried, and by name the reasons why others cannot.
+    """Return the effects that can be tried, and the reasons why others cannot, by the effect's name.
 
-    A run of a ``geometrical`` program already includes some effects. Raises DataError if none is left.
+    ``directions_known`` is whether the directions of the room's surfaces are known. ``geometrical`` is
+    True if the model is a run of a geometrical program, which already includes some effects. Raises
+    DataError if no effect is left.
     """
     lacking = {e.name: NOT_KNOWN for e in effects if e.needs_directions and not directions_known}
     lacking |= {e.name: IN_RUN for e in effects if e.in_geometry and geometrical}
@@ -1146,10 +1151,11 @@ def columns(grid: Sequence[Parameters]) -> dict[str, Array]:
 def checked_grid(
     effect: Effect, state: RoomState, room: Room | None = None
 ) -> Sequence[Parameters]:
-    """Return the combinations of parameters that an effect tries in a room, after checking them.
+    """Return the combinations of parameters that an effect tries in a room, after a check.
 
-    There must be at least one. Each must have the same parameters, with the size, as finite numbers.
-    Combinations outside the room's limits (`Effect.limits`) are left out if others are within.
+    There must be at least one combination, and each must have the same parameters, all of them finite
+    numbers, one of them the size. Combinations outside the room's limits (`Effect.limits`) are left
+    out, unless all are outside. Raises DataError for a broken rule.
     """
     where = f'effect "{effect.name}": grid'
     grid = checks.listed(where, _run(where, lambda: effect.grid(state)))
@@ -1179,10 +1185,11 @@ def checked_grid(
 def beyond(
     effect: Effect, grid: Sequence[Parameters], likeliest: Parameters, room: Room
 ) -> list[Parameters]:
-    """Return the combinations of parameters to try, extended if the largest or smallest size fits best.
+    """Return the parameters to try, with further sizes if the largest or smallest size fits best.
 
-    If the ``likeliest`` parameters have the last size, `_MORE` sizes are added in the same steps, away
-    from the size that changes nothing, up to the limits of the room.
+    ``likeliest`` are the parameters of ``grid`` that fit best. If they have the last size of the grid,
+    `_MORE` sizes in the same steps are added, up to the limits of the room. None are added at the end
+    where the effect changes nothing.
     """
     every, value = list(grid), likeliest[effect.size]
     sizes = np.unique([theta[effect.size] for theta in grid])
@@ -1213,8 +1220,8 @@ def check_parameters(
 ) -> None:
     """Raise DataError for parameters that are missing or outside the effect's `Effect.limits`.
 
-    Without a ``room``, the limits are those of any room. The ``interval`` of the size must be within
-    its limits, too.
+    If ``room`` is None, the limits are those of any room. ``interval`` has the ends of the 90 %
+    interval of the size, which must be within the limits, too.
     """
     where, limits = f'effect "{effect.name}"', _limits(effect, room)
     for name, (least, most) in limits.items():
@@ -1318,7 +1325,7 @@ def _run(where: str, call: Callable[[], T], parameters: Parameters | None = None
 
 @dataclass(frozen=True)
 class AppliedEffect:
-    """Hold an effect that was added to the model, with its parameters and the interval of its size.
+    """Hold an effect that was added to the model, with its parameters and its size's 90 % interval.
 
     Raises DataError if the library has no effect of this name, or if a parameter is missing or outside
     the effect's `Effect.limits`.

@@ -42,10 +42,23 @@ from rtcal.support.types import Array, read_only_view
 def with_columns(
     square: Array, half: Array | float, across: Array, inner: Array
 ) -> tuple[Array, Array]:
-    """Return r' (C + U U')⁻¹ r, (..., m), and ln sqrt|C + U U'|, (..., 1) (Woodbury).
+    """Return r' (C + U U')⁻¹ r and ln sqrt|C + U U'| from products with C⁻¹ (Woodbury's identity).
 
-    From ``square`` (..., m), r' C⁻¹ r of m residuals, ``half`` (..., 1), ln sqrt|C|, ``across`` (...,
-    n_columns, m), U' C⁻¹ r, and ``inner`` (..., n_columns, n_columns), U' C⁻¹ U.
+    Parameters
+    ----------
+    square : array (..., m)
+        r' C⁻¹ r of m residuals r.
+    half : array (..., 1)
+        ln sqrt|C| of the covariance C.
+    across : array (..., n_columns, m)
+        U' C⁻¹ r, with the further error columns U.
+    inner : array (..., n_columns, n_columns)
+        U' C⁻¹ U.
+
+    Returns
+    -------
+    tuple of arrays (..., m) and (..., 1)
+        The two results, in the shapes of ``square`` and ``half``.
     """
     factor = np.asarray(np.linalg.cholesky(inner + np.eye(inner.shape[-1])), dtype=float)
     whitened = np.array(across.swapaxes(-2, -1), order="C")
@@ -76,9 +89,10 @@ development rooms of both worlds."""
 
 
 def student(square: Array, half: Array | float, n: int, *, coarsened: bool = True) -> Array:
-    """Return the log density of n values from r' C⁻¹ r and ln sqrt|C|: Student's t of covariance C.
+    """Return the log density of n values, by Student's t distribution with the covariance C.
 
-    It is taken to the power that `COARSENING` gives. Not ``coarsened``, its power is 1.
+    ``square`` is r' C⁻¹ r of the residuals r, and ``half`` is ln sqrt|C|. If ``coarsened``, the density
+    is raised to the power that `COARSENING` gives.
     """
     power = COARSENING / (COARSENING + n) if coarsened and np.isfinite(COARSENING) else 1.0
     if np.isinf(DEGREES):
@@ -92,18 +106,18 @@ def student(square: Array, half: Array | float, n: int, *, coarsened: bool = Tru
 def bounded(square: Array, half: Array | float, n: int) -> Array:
     """Return the log density of n values up to a constant, bounded for large residuals.
 
-    ``square`` is r' C⁻¹ r and ``half`` ln sqrt|C|. The density is normal if ``square`` is at most n.
-    Above n, C is scaled by ``square`` / n, because few reference simulations do not determine well
-    how large the errors are.
+    ``square`` is r' C⁻¹ r of the residuals r, and ``half`` is ln sqrt|C| of their covariance C. The
+    density is normal if ``square`` is at most n. Above n, C is scaled by ``square`` / n, because a few
+    reference simulations do not determine well how large the errors are.
     """
     beyond = n / 2 * (1 + np.log(np.maximum(square / n, 1.0)))
     return np.asarray(-np.where(square <= n, square / 2, beyond) - half)
 
 
 def log_mixture(one: Array, other: Array, share: float) -> Array:
-    """Return the log density where ``one`` holds, or with the probability ``share`` the other.
+    """Return the log density of a mixture: ``other`` with the probability ``share``, else ``one``.
 
-    ``one`` and ``other`` are log densities of the same data, of one shape.
+    ``one`` and ``other`` are log densities of the same data, in arrays of the same shape.
     """
     with np.errstate(divide="ignore"):
         return np.asarray(np.logaddexp(np.log1p(-share) + one, np.log(share) + other))
@@ -112,13 +126,27 @@ def log_mixture(one: Array, other: Array, share: float) -> Array:
 def leading_products(
     covariance: Array, rows: Array, first: int, ends: Sequence[int]
 ) -> Iterator[tuple[Array, Array, Array, Array]]:
-    """Yield ln sqrt|C| and products x C⁻¹ y' of rows (n, d, m), for leading parts of C (n, m, m).
+    """Yield ln sqrt|C| and products x C⁻¹ y' of rows x and y, for leading parts of covariances C.
 
-    ``ends`` are the parts' numbers of rows and columns; they rise. The Cholesky factor of a leading
-    part is the leading part of the factor, so that all cost little more than the last. The products are
-    the squares of the ``first`` rows (n, first), those of the others with them (n, d - first, first),
-    and those of the others with one another. Both arrays are overwritten. LinAlgError if a covariance
-    is not positive definite.
+    The leading parts share one Cholesky factor, so that all of them cost little more than the largest.
+    Both arrays are overwritten. Raises LinAlgError if a covariance is not positive definite.
+
+    Parameters
+    ----------
+    covariance : array (n, m, m)
+        Covariances C.
+    rows : array (n, d, m)
+        Rows x and y.
+    first : int
+        Number of rows for which only the squares x C⁻¹ x' are wanted.
+    ends : sequence of int
+        Sizes of the leading parts, rising.
+
+    Yields
+    ------
+    tuple of four arrays
+        ln sqrt|C| (n, 1); squares of the first rows (n, first); products of the other rows with the
+        first ones (n, d - first, first), and with one another (n, d - first, d - first).
     """
     # LAPACK sees the transpose of a matrix in C order, so its upper factor is the lower one.
     for i, matrix in enumerate(covariance):
@@ -163,8 +191,9 @@ classifier is (Guo, Pleiss, Sun & Weinberger 2017)."""
 class Prior:
     """Hold the log probabilities before the measurement of "none", "unknown" and each effect.
 
-    The probabilities sum to 1. ``off`` is the probability of a common error of the coefficients.
-    ``sharpness`` is the power of the probabilities after the measurement (`sharpness`).
+    The probabilities sum to 1. ``off`` is the probability that the input coefficients have a common
+    error. ``sharpness`` is the power to which the probabilities after the measurement are raised
+    (`rtcal.finder.evidence.sharpness`).
     """
 
     log_probability: Mapping[str, float]
@@ -173,19 +202,20 @@ class Prior:
 
 
 def relative_sigma(room: Room) -> float:
-    """Return the input sigma of the coefficients, relative to that of handbook values, at most 1.
+    """Return how large the sigma of the input coefficients is relative to that of handbook values.
 
-    It is sigma over alpha, both weighted by area and summed over bands, over `HANDBOOK_SIGMA`.
+    The result is at most 1. It is the ratio of sigma to alpha, each summed over bands and weighted by
+    area, divided by `HANDBOOK_SIGMA`.
     """
     stated = float((room.areas @ room.sigma).sum() / max((room.areas @ room.alpha).sum(), 1e-12))
     return min(1.0, stated / HANDBOOK_SIGMA)
 
 
 def probability_off(room: Room) -> float:
-    """Return the probability before the measurement of a common error of the room's coefficients.
+    """Return the probability before the measurement of a common error of the input coefficients.
 
-    It is `OFF_TOGETHER` times the square of `relative_sigma`, because coefficients with a small sigma
-    come from a measurement, so that a larger common error is improbable.
+    It is `OFF_TOGETHER` times the square of `relative_sigma`: coefficients with a small sigma were
+    measured, so that a large common error is improbable.
     """
     return OFF_TOGETHER * relative_sigma(room) ** 2
 
@@ -196,10 +226,11 @@ def sharpness(room: Room) -> float:
 
 
 def log_priors(odds: ArrayLike, off: float, no_effect: float = NO_EFFECT) -> Array:
-    """Return log prior probabilities, (2 + n,), which sum to 1, of any kind of data.
+    """Return log prior probabilities (2 + n,), whose probabilities sum to 1, for any kind of data.
 
-    The first two are those of a model that lacks nothing, with coefficients as stated and with
-    coefficients that are ``off`` together; the others those of effects with these prior odds, (n,).
+    The first two are those of a model from which nothing is missing: with the input coefficients, and
+    with coefficients that have a common error, whose probability is ``off``. The others are those of n
+    effects with the prior ``odds`` (n,). ``no_effect`` is the probability that nothing is missing.
     """
     of_effects = (1 - no_effect) * np.asarray(odds) / np.sum(odds)
     with np.errstate(divide="ignore"):
@@ -230,10 +261,10 @@ def left_out_of(
     possible: Sequence[str],
     in_any_case: Sequence[str] = (),
 ) -> tuple[str, ...]:
-    """Return the names that are not tried: those ``without``, and with ``only`` all others.
+    """Return the names that are not tried: those in ``without``; if ``only`` is given, all others.
 
-    ``in_any_case`` are tried beside ``only``. Raises DataError for a name that is not ``possible``,
-    and where nothing is left.
+    ``possible`` are all names. The names ``in_any_case`` are tried in addition to those in ``only``.
+    Raises DataError for a name that is not in ``possible``, and if nothing is left to try.
     """
     named = {"only": checks.listed("only", only), "without": checks.listed("without", without)}
     for place, names in named.items():
@@ -251,11 +282,12 @@ NONE_LEFT = "only and without leave no effect to try"
 
 
 def grid_weights(effect: Effect, grid: Sequence[Parameters], state: RoomState) -> Array:
-    """Return the prior probability of each set of parameters given the effect, (n,); they sum to 1.
+    """Return the prior probability of each set of parameters, given the effect, (n,); the sum is 1.
 
-    It is the effect's density times the width of the set's cell: half of the distance between the
-    neighbours on either side, in ln of a parameter that is above 0. So a grid twice as fine gives each
-    point half of the weight, and the effect the same evidence.
+    It is the effect's density times the width of the set's cell in the grid: half of the distance
+    between the neighbours on both sides, on a logarithmic scale for a parameter above 0. In a grid
+    twice as fine each set has half of the probability, so that the effect's evidence does not depend on
+    the grid.
     """
     values = columns(grid)
     weights = np.ones(len(grid)) * effect.density(values, state)
@@ -288,12 +320,14 @@ SCALES = ((2.0, 0.6), (4.0, 0.4))
 
 @lru_cache(maxsize=4)
 def directions(case: Case, power: float = POWER) -> Array:
-    """Return the changes of alpha in which the coefficients of a case may be off together.
+    """Return the changes of alpha that common errors of a case's coefficients cause.
 
-    (n_configurations, n_directions, n_materials, n_bands), one standard deviation each: factor and tilt
-    of all materials, then each material's factor, then its tilt, which are 0 where a configuration
-    changed it. They fall with the ``power`` of the stated relative sigma, below a handbook's. What the
-    room states of its volume, its areas and its tables comes on top.
+    The shape is (n_configurations, n_directions, n_materials, n_bands), and each change is one standard
+    deviation. The first two directions are a factor and a tilt over frequency of all materials
+    together. Then follow each material's own factor, and each material's own tilt, which are 0 where a
+    configuration changed the material. If the relative sigma of the coefficients is below a handbook's,
+    the changes decrease with this ratio to the ``power``. The input uncertainties of volume and areas,
+    and of tables of coefficients, are added.
     """
     return read_only_view(np.array([_directions(case.room, c, power) for c in case.configurations]))
 
@@ -313,10 +347,11 @@ def _directions(room: Room, c: Configuration | None = None, power: float = POWER
 
 
 def by_direction(changes: Array, slopes: Array) -> Array:
-    """Return the fall of ln T20 by each of `directions`, (n, n_values, n_directions).
+    """Return the decrease of ln T20 by each common error of alpha, (n, n_values, n_directions).
 
-    ``slopes`` (n, n_configurations, n_materials, n_bands) are -d ln T20 / d alpha. The values are
-    configurations and bands, raveled.
+    ``changes`` are the common errors, from `directions`. ``slopes`` (n, n_configurations, n_materials,
+    n_bands) are -d ln T20 / d alpha in n states. The n_values are all bands of the first configuration,
+    then those of the next.
     """
     n, count, materials, n_bands = slopes.shape
     of_own = changes[:, 2:].reshape(count, 2, materials, materials, n_bands)
@@ -354,9 +389,10 @@ def by_name(rng: np.random.Generator, names: Sequence[str]) -> list[np.random.Ge
 class OffTogether:
     """Hold the common error of the input coefficients, as it follows from the measurement.
 
-    ``probability`` is given the effect that is identified beside it. ``factor`` (n_materials, n_bands)
-    is the mean ratio of the true to the input coefficients, ``spread`` the standard deviation of its
-    logarithm. ``ratio`` (n_bands,) is that of the room's true to its input absorption area.
+    ``probability`` is that of a common error, given the effect that is identified in addition.
+    ``factor`` (n_materials, n_bands) is the mean ratio of true to input coefficients, and ``spread``
+    the standard deviation of the ratio's logarithm. ``ratio`` (n_bands,) is the room's true absorption
+    area over its input absorption area.
     """
 
     probability: float
@@ -388,11 +424,11 @@ class OffTogether:
 def off_together(
     case: Case, changes: Array, residual: Array, covariance: Array, probability: float
 ) -> OffTogether:
-    """Return the posterior of a common error of the coefficients, whose ``probability`` is known.
+    """Return the common error of the coefficients after the measurement, given its ``probability``.
 
-    ``changes`` (n_used, n_directions) are those of the features by each direction (`by_direction`).
-    ``residual`` (n_used,) is measured less predicted with the coefficients as stated, and
-    ``covariance`` (n_used, n_used) its own, the usual common error in it.
+    ``changes`` (n_used, n_directions) are the changes of the measured features by each common error
+    (`by_direction`). ``residual`` (n_used,) is measured minus predicted with the input coefficients.
+    ``covariance`` (n_used, n_used) is that of the residual, including the usual common error.
     """
     f = changes
     weights, means, variances = [], [], []

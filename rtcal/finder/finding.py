@@ -75,11 +75,11 @@ class Finding(Result):
     Notes
     -----
     The data are means over positions, values at every position, or two states of the room. If you
-    exchange the two states, "added" and "removed" are exchanged and every change has the other sign;
-    the finding is otherwise the same. For two states, ``score`` is the ln Bayes factor:
-    the natural logarithm of how many times more probable the measurements are if something changed
-    than if nothing did. If nothing changed and the noise is as assumed, the mean Bayes factor is 1, so
-    that the score exceeds the threshold ln 20 in at most one of twenty cases (Markov's inequality).
+    exchange the two states, "added" and "removed" are exchanged, every change has the other sign, and
+    the finding is otherwise the same. For two states, ``score`` is the ln Bayes factor: the natural
+    logarithm of how many times more probable the measurements are if something changed than if nothing
+    changed. If nothing changed and the noise is as assumed, the mean Bayes factor is 1, so that the
+    score exceeds the threshold ln 20 in at most one of twenty cases (Markov's inequality).
     """
 
     record_kind: ClassVar[str] = "finding 6"
@@ -317,7 +317,7 @@ class Finding(Result):
     def likely_surfaces(self) -> Names:
         """Names of the most probable surfaces, whose probabilities together reach `LIKELY`.
 
-        Empty if the probability that anything is missing on a surface is below `SAID`.
+        Empty if the probability that anything on a surface is missing is below `SAID`.
         """
         if sum(c.probability for c in self.candidates if c.surface is not None) < SAID:
             return ()
@@ -326,10 +326,10 @@ class Finding(Result):
 
     @property
     def likeliest(self) -> Candidate | None:
-        """Most probable candidate that is an effect of the library, which `apply` adds, or None.
+        """Most probable candidate that is an effect of the library, which `apply` adds; or None.
 
         If the verdict at positions is "unknown", the candidate's surface or its group must have at
-        least half of the probability that is left.
+        least half of the probability that does not belong to "unknown".
         """
         known = [c for c in self.candidates if c.effect != UNKNOWN] if self.best else []
         if not known or self.verdict != UNKNOWN:
@@ -354,10 +354,11 @@ class Finding(Result):
 
     @property
     def can_be_added(self) -> bool:
-        """Whether `apply` has an effect that it can add to the model.
+        """Whether `apply` can add the effect that was found to the model.
 
-        For means this is an effect of the library. At positions something must be detected and be on a
-        surface, and it must not be a second room. For two states it is absorption that changed.
+        For means over positions, the effect must be one of the library. At positions, something on a
+        surface must be detected, and it must not be an aperture to a second room. For two states,
+        absorption must have changed.
         """
         if self.kind == "means":
             return self.verdict in ("named", "family", "ambiguous") and bool(self.members)
@@ -367,10 +368,10 @@ class Finding(Result):
 
     @property
     def can_be_verified(self) -> bool:
-        """Whether `rtcal.finder.verify` can compare the deviation with and without what was found.
+        """Whether `rtcal.finder.verify` can compare the model with and without what was found.
 
-        For means there must be one probable effect; at positions, enough pairs for half to predict the
-        others.
+        For means over positions, one effect must be probable. At positions, there must be enough pairs
+        that one half of them can predict the other half.
         """
         if self.kind == "means":
             return self.can_be_added and len(self.members) == 1 and self._least >= LEAST_ADDED
@@ -413,8 +414,9 @@ class Finding(Result):
     def undecided(self) -> Reason | None:
         """Reason why you must give `apply` the name of an effect; None if you need not.
 
-        Effects of one group on one surface count together, because they change the model alike. If the
-        verdict is "unknown", probabilities are shares of what is left.
+        The probabilities of effects of one group on one surface are added, because these effects change
+        the model alike. If the verdict is "unknown", probabilities are shares of what does not belong
+        to "unknown".
         """
         best, known = self.likeliest, [c for c in self.candidates if c.effect != UNKNOWN]
         if not self.can_be_added or self.kind == "states" or best is None:
@@ -546,7 +548,8 @@ class Finding(Result):
     ) -> Case:
         """Return a case whose model has the most probable effects, or the candidates ``added``.
 
-        `verify` compares this case with the original one, however probable the effects are.
+        ``case`` is the case to which they are added, by default the finding's case. `verify` compares
+        the result with the case without these effects, however probable the effects are.
         """
         base: Case = self.case if case is None else case
         present = {a.name for a in base.applied}

@@ -34,7 +34,8 @@ STEEPEST = 0.98
 class Decay:
     """Hold the energy density after a pulse of unit energy: the sum of ``weights`` exp(-``rates`` t).
 
-    Both are (n_bands, n_terms), in 1/m³ and 1/s; (n, n_bands, n_terms) for n rooms.
+    ``weights`` in 1/m³ and ``rates`` in 1/s are (n_bands, n_terms) arrays; for n rooms they are (n,
+    n_bands, n_terms).
     """
 
     weights: Array
@@ -55,17 +56,30 @@ def volume_sigma_of(room: Room) -> float:
 
 @dataclass(frozen=True, eq=False)
 class RoomState:
-    """Hold the acoustic data of a room in one configuration, from which features are predicted.
+    """Hold the acoustic data of a room in one configuration, from which T20, C80 and G are predicted.
 
-    ``areas`` (n_materials,), ``alpha`` (n_materials, n_bands), ``facing`` (n_materials, 3), ``air``
-    (n_bands,) in 1/m. ``equation`` is the key of a `MeanEquation`. ``covering`` (n_bands,) is the
-    contribution of panels and openings to the equation's sum S_i h(alpha_i) in m². ``objects``
-    (n_bands,) is the absorption area of free-standing objects in m². ``floor_db`` is the noise's
-    level relative to the start of the decay, over a record of ``record`` reverberation times.
-    ``direct_db`` is the level of the direct sound relative to an omnidirectional source.
-    ``volume_sigma`` is the relative standard deviation of the stated volume (`volume_sigma_of`).
-    ``shape`` turns a state into its `Decay`, or its ``together`` turns states and their shapes into a
-    decay of many; None is one exponential.
+    Attributes
+    ----------
+    volume : float
+        Volume in m³; ``volume_sigma`` is its relative standard deviation (`volume_sigma_of`).
+    areas, alpha, facing : arrays
+        Area of each material in m², (n_materials,); coefficients (n_materials, n_bands); shares of the
+        area that face along x, y and z, (n_materials, 3).
+    air : array (n_bands,)
+        Attenuation by air in 1/m.
+    equation : str
+        Key of a `MeanEquation`.
+    covering : array (n_bands,)
+        Contribution of panels and openings to the equation's sum of S_i h(alpha_i), in m².
+    objects : array (n_bands,)
+        Absorption area of free-standing objects in m².
+    floor_db : float
+        Noise level relative to the start of the decay, in a record of ``record`` reverberation times.
+    direct_db : float
+        Level of the direct sound relative to that of an omnidirectional source.
+    shape : optional
+        Function that returns the `Decay` of the state; its ``together`` returns one of many states and
+        their shapes. None means a single exponential decay.
     """
 
     volume: float
@@ -129,7 +143,10 @@ class RoomState:
 
     @property
     def rate(self) -> Array:
-        """Decay rate k = c (S a + 4 m V + A_objects) / 4 V in 1/s, (n_bands,), with T = 6 ln 10 / k."""
+        """Decay rate k of the energy in 1/s, (n_bands,), with T = 6 ln 10 / k.
+
+        k = c (S a + 4 m V + A_objects) / 4 V, with the mean absorption exponent a of the surfaces S.
+        """
         return np.asarray(rates([self])[0])
 
     @cached_property
@@ -147,9 +164,10 @@ class RoomState:
 
 
 def covered(states: Sequence[RoomState], areas: Array, spectra: Array) -> list[RoomState]:
-    """Return each state with an area of wall in m² replaced by a covering: areas (n,).
+    """Return each state with an area of its walls replaced by a cover.
 
-    ``spectra`` (n, n_bands) are the coverings' alpha.
+    ``areas`` (n,) are the areas in m², and ``spectra`` (n, n_bands) the alpha of the covers, one for
+    each of the n states.
     """
     out = list(states)
     for equation, where in _by_equation(states):
@@ -211,7 +229,10 @@ def speeds(states: Sequence[RoomState]) -> Array:
 
 
 def rates(states: Sequence[RoomState]) -> Array:
-    """Return k = c (S a + 4 m V + A_objects) / 4 V in 1/s of many states, (n, n_bands)."""
+    """Return the decay rates k of the energy in 1/s in many states of one room, (n, n_bands).
+
+    k = c (S a + 4 m V + A_objects) / 4 V: see `RoomState.rate`.
+    """
     volume = np.array([s.volume for s in states])[:, None]
     absorbed = surface_absorption(states) + 4 * _attribute(states, "air") * volume
     absorbed += _attribute(states, "objects")
@@ -353,11 +374,11 @@ _ORDER = 5
 
 @dataclass(frozen=True)
 class DirectionalDecay:
-    """Describe the decay of a box in each direction, for walls with this scattering coefficient.
+    """Describe the decay of a box in each direction, for walls with this scattering coefficient s.
 
     dE(u)/dt = -r(u) E - nu (E - <E>), with r(u) = c sum_i |u_i| A_i / 2V over the axes, A_i the
-    absorption area of the walls that face along i, and nu = s c S / 4V; after Nilsson 2004 and
-    EN 12354-6, D.
+    absorption area of the walls that face along axis i, and nu = s c S / 4V; after Nilsson 2004 and EN
+    12354-6, D.
     """
 
     scattering: float

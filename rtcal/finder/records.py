@@ -37,7 +37,7 @@ class Share:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Both ends of the 95 % interval (Clopper and Pearson 1934).
+        """Lower and upper end of the 95 % interval of the share (Clopper and Pearson 1934).
 
         Examples
         --------
@@ -62,12 +62,13 @@ def stored() -> Mapping[str, Any]:
 
 
 def record_of(*kind: str) -> dict[str, Share]:
-    """Return the counts in judged rooms with data of one kind: its keys in `FILE`.
+    """Return how often findings from one kind of data were right, in rooms with known answers.
 
-    "detected" are the rooms in which something was detected, of those in which something was hidden;
-    "flagged" the same of those in which nothing was. The others are claims that were right, by what is
-    claimed. An "ambiguous" set is right if it holds the truth. A "surface" is the most probable one of
-    an absorber that was detected, whether it was claimed or not.
+    ``kind`` are the keys of this kind in the table `FILE`. "detected" is the number of rooms in which
+    something was detected, out of those in which something was hidden. "flagged" is the same for rooms
+    in which nothing was hidden. Every other entry is the number of right answers out of all answers of
+    this type. An "ambiguous" set of effects is right if it contains the true effect. A "surface" is the
+    most probable surface of an absorber that was detected, whether or not it was identified.
     """
     table = stored()
     for key in kind:
@@ -77,7 +78,7 @@ def record_of(*kind: str) -> dict[str, Share]:
 
 
 def data_of(case: Case) -> str:
-    """Return which of the three kinds of data a case has.
+    """Return the name of the kind of data that a case has, one of three.
 
     >>> import rtcal as rt
     >>> data_of(rt.datasets.hidden_room()[0])

@@ -101,12 +101,23 @@ _INTERVAL = (0.05, 0.95)
 
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """Hold the changes that are tried: none, and each spectrum with a size, added or removed.
+    """Hold the possible changes between two states: none, or a spectrum of some size added or removed.
 
-    Each is tried with the same and with another climate. ``names`` and families are given, log prior
-    probabilities (n,) that sum to 1, and whether the climate differs (n,). ``size`` (n, n_bands) is an
-    absorption area in m² before saturation, above 0 where T is shorter in the second state, 0 for none.
-    ``covariance`` is that of the error of ln |size|.
+    Each change is tried with the same climate in both states, and with different climates.
+
+    Attributes
+    ----------
+    names, families : tuple of str
+        Name of each of the n changes, and of its group.
+    log_weight : array (n,)
+        Log prior probabilities; the probabilities sum to 1.
+    size : array (n, n_bands)
+        Absorption area in m² before saturation, above 0 where T is shorter in the second state, and 0
+        where nothing changed.
+    covariance : array (n, n_bands, n_bands)
+        Covariance of the error of ln |size|.
+    of_air : array (n,) of bool
+        Whether the climate differs between the two states.
     """
 
     names: tuple[str, ...]
@@ -126,10 +137,11 @@ class Hypotheses:
         without: Collection[str],
         more: str,
     ) -> Hypotheses:
-        """Return the hypotheses of a room with an absorption area ``before`` in m², by band.
+        """Return the possible changes of a room with an absorption area ``before`` in m², by band.
 
-        ``without`` are names of `tried` that are left out; ``more`` names a size above 0, "added" or
-        "removed".
+        ``where`` (n_bands,) are the bands with T in both states, and ``effects`` those whose spectra
+        are tried. ``without`` are names of `tried` that are left out. ``more`` is the word for a size
+        above 0: "added" or "removed".
         """
         area = float(before[bands.is_middle(room.centre_frequencies[where])].mean())
         levels, n = area * np.geomspace(LEAST, MOST, SIZES), int(where.sum())
@@ -225,11 +237,12 @@ KINDS = {
 
 
 def climate_covariance(room: Room, uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY) -> Array:
-    """Return the covariance in m⁴ of the difference of the air's 4 m V, (n_bands, n_bands).
+    """Return the covariance (n_bands, n_bands) in m⁴ of the difference of the air's absorption 4 m V.
 
-    Both climates are independent of each other: normal about the stated one, with ``uncertainty`` in K
-    and in percent of relative humidity; any indoor one (`INDOORS`) where none is stated. So the
-    covariance is twice that of one state, by quadrature over the climates.
+    The climates of the two states are independent and normally distributed about the input climate,
+    with the ``uncertainty`` in K and in % of relative humidity. Without an input climate, both are any
+    indoor climate (`INDOORS`). The covariance is therefore twice that of one state, which is integrated
+    numerically over the climates.
     """
     if room.air is None:
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
@@ -262,9 +275,10 @@ _NODES = 4
 class Baseline:
     """Hold the absorption of the room before a change, in the bands in which both states were measured.
 
-    ``area`` is the surfaces' absorption area in m² by the equation from T before, ``air`` is 4 m V of
-    the air in m², (n_bands,) each. ``climate`` is the covariance (n_bands, n_bands) of ln T by another
-    climate, at the mean of ln T of both states.
+    ``area`` (n_bands,) is the absorption area of the surfaces in m², which the equation gives for T
+    before the change. ``air`` (n_bands,) is the absorption 4 m V of the air in m². ``climate``
+    (n_bands, n_bands) is the covariance of ln T by a difference of climate, at the mean of ln T of both
+    states.
     """
 
     equation: LinearEquation
@@ -275,9 +289,9 @@ class Baseline:
 
     @classmethod
     def of(cls, case: StatesCase, times: Array) -> Baseline:
-        """Return the baseline of a case with T in s of the first and the second state, (2, n_bands).
+        """Return the baseline of a case from T in s of the first and the second state, (2, n_bands).
 
-        Raises InfeasibleError where no coefficients give the first.
+        Raises InfeasibleError if no coefficients give T of the first state.
         """
         room, where = case.room, case.known
         area = case.equation.absorption_area(room, np.where(where, times[0], np.nan))[where]
@@ -288,19 +302,21 @@ class Baseline:
         return replace(made, climate=of_air / np.outer(whole, whole))
 
     def after(self, size: Array) -> Array:
-        """Return the surfaces' absorption area after a change in m², (..., n_bands).
+        """Return the absorption area of the surfaces after a change of a given size, (..., n_bands).
 
-        What is added covers surfaces: b + (S - b) (1 - exp(-size / (S - b))). What is removed, of a
-        size below 0, leaves b exp(size / b). To first order both are b + size.
+        All areas are in m². With the area b before and the area S of all surfaces, what is added covers
+        surfaces: b + (S - b) (1 - exp(-size / (S - b))). What is removed has a size below 0, and leaves
+        b exp(size / b). A small size changes the absorption area by the size itself.
         """
         left = self._left(size)
         covered = -np.expm1(-np.minimum(np.abs(size) / left, _MOST_COVERED))
         return np.asarray(self.area + np.sign(size) * left * covered)
 
     def shift(self, size: Array) -> tuple[Array, Array]:
-        """Return the shift of ln T and its derivative by ln |size|, both (..., n_bands).
+        """Return the change of ln T, and its derivative by ln |size|, both (..., n_bands).
 
-        ``size`` (..., n_bands) is an absorption area in m², before it saturates.
+        ``size`` (..., n_bands) is the absorption area in m² that is added or, below 0, removed, before
+        saturation (see `after`).
         """
         mean = self.after(size) / self.total_area
         whole, before = self.whole(mean * self.total_area), self.whole(self.area)
@@ -349,11 +365,12 @@ _MOST_AT_ONCE = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """Each hypothesis with each scale: the evidence, and the sizes that follow.
+    """Hold how well each hypothesis fits at each scale of the noise, and the sizes that follow.
 
-    ``log`` (n, n_scales) is the log probability density of the data, with the prior probability of
-    hypothesis and scale; ``mean`` (n, n_scales, n_bands) and ``covariance`` those of ln |size| less
-    that of the grid; ``shift`` (n, n_scales, n_bands) the mean shift of ln T by size and climate.
+    ``log`` (n, n_scales) is the log probability density of the data, times the prior probability of
+    hypothesis and scale. ``mean`` (n, n_scales, n_bands) and ``covariance`` are those of the difference
+    of ln |size| from its value in the hypothesis. ``shift`` (n, n_scales, n_bands) is the mean change
+    of ln T by size and climate.
     """
 
     log: Array
@@ -363,11 +380,12 @@ class Fits:
 
 
 def chance_of_climate(change: Array, variance: Array, baseline: Baseline, degrees: float) -> float:
-    """Return the p-value of the pairs' mean shift if the climate alone is another, by chi-square.
+    """Return the p-value of the mean change of ln T over the pairs if only the climate differs.
 
-    The covariance is that of the climate, of a remeasurement, and of the pairs' noise with the scale
-    and the pairs' weights that make the data most probable; one degree of freedom per band. A pair's
-    precision is at most that of its noise.
+    ``change`` of ln T and its ``variance`` are (n_pairs, n_bands), and ``degrees`` those of `fits`. The
+    test is chi-square with one degree of freedom per band. Its covariance has parts of the climate, of
+    a repeated measurement, and of the pairs' noise, with the noise scale and the weights of the pairs
+    that make the data most probable. A pair counts at most as much as its noise allows.
     """
     n = change.shape[1]
     prior, best, inverse = baseline.climate + REMEASURED**2 * np.eye(n), -np.inf, variance
@@ -392,7 +410,8 @@ def fits(
     """Return the log evidence of each hypothesis, with the size of the change that best fits it.
 
     ``change`` of ln T and its ``variance`` are (n_pairs, n_bands), NaN where nothing was measured.
-    ``degrees`` of freedom of the noise are `DEGREES`, or `OF_MEANS` for means over positions.
+    ``degrees`` of freedom of the noise are `DEGREES`, or `OF_MEANS` for means over positions. ``of``
+    are the hypotheses.
     """
     n, k = of.size.shape
     shape = n, len(SCALES)

@@ -229,10 +229,10 @@ class Verification(Result):
     def verdict(self) -> str:
         """Result in one word, such as ``supported``: the deviation decreases by more than `needed`.
 
-        ``supported`` also requires that there are no `objections`. ``withdrawn``: the deviation grows.
-        ``unproven``: it changes less, or there are `objections`. ``not tested``: no data could be held
-        out, or calibration alone leaves a deviation so small that no second run can support the
-        finding.
+        ``supported`` also requires that there are no `objections`. ``withdrawn`` means that the
+        deviation grows. ``unproven`` means that the deviation changes by less than `needed`, or that
+        there are `objections`. ``not tested`` means that no data could be held out, or that calibration
+        alone leaves a deviation so small that a second run cannot support the finding.
         """
         if np.isnan(self.before):
             return "not tested"
@@ -275,11 +275,11 @@ class Verification(Result):
 
     @property
     def found_elsewhere(self) -> tuple[list[Candidate | None], bool]:
-        """Different effects that halves of the pairs found, and whether their group differs.
+        """Different effects that were found from halves of the pairs, and whether their group differs.
 
         An effect counts as the same if its group is the same, with all added absorption as one group.
-        If a surface is identified, it must also be on that surface, or on one that these positions do
-        not distinguish from it.
+        If a surface is identified, the effect must also be on that surface, or on one that these
+        positions do not distinguish from it.
         """
         found = self.finding.likeliest if self.added else None
         if found is None:
@@ -654,10 +654,13 @@ def of_means(
     before: Recalibrated,
     after: Recalibrated,
 ) -> Verification:
-    """Return the verification of a finding by the gaps of means.
+    """Return the verification of a finding by deviations of means over positions.
 
-    The ``uncertainty`` is that by measurement, model and the effect's size. ``before`` and ``after``
-    are the calibrations without and with it.
+    ``gaps`` are simulated minus measured values in JND, and ``counted`` which of them count.
+    ``uncertainty`` is the standard uncertainty in JND by the measurement, the model and the effect's
+    size. ``predictive`` is the ln Bayes factor of the effect from the held-out data. ``misses`` are the
+    bands whose T the corrected model does not reproduce, and ``held_out`` the names of the held-out
+    data. ``before`` and ``after`` are the calibrations without and with the effect.
     """
     configurations = after.case.configurations
     names = zip(*(feature_names(c.measured) for c in configurations), strict=True)
@@ -729,10 +732,12 @@ def reverberation_times(
 
 
 def at_pairs(finding: Finding, pairs: Sequence[Pair], gaps: Array, **said: Any) -> Verification:
-    """Return the verification of a finding by the gaps at held-out pairs; ``said`` is the rest of it.
+    """Return the verification of a finding by deviations at held-out pairs.
 
-    The standard error is over pairs and, of two seeds and more, over seeds. More than it is needed,
-    one-sided, by Student's t over the pairs, and `LEAST_SHRINKAGE`.
+    ``gaps`` (n_models, n_seeds, n_parameters, n_pairs, n_bands) are simulated minus measured values in
+    JND, and ``said`` the remaining fields of the `Verification`. The standard error of the decrease has
+    parts from the pairs and, with two or more seeds, from the seeds. The decrease must be significant
+    in a one-sided Student's t test over the pairs, and at least `LEAST_SHRINKAGE`.
     """
     of_pairs = mean_of_known(np.abs(gaps), (2, 4))
     gains = of_pairs[-2] - of_pairs[-1]  # (n_seeds, n_pairs)
@@ -909,11 +914,11 @@ def at_positions(
     added: Sequence[Candidate | None],
     halves: Sequence[Sequence[Pair]],
 ) -> Verification:
-    """Return the verification of a finding by the gaps at pairs that were not fitted.
+    """Return the verification of a finding by the deviations at pairs that were not fitted.
 
-    ``gaps`` (n_models, n_seeds, n_parameters, n_pairs, n_bands) are simulated less measured in JND at
-    held-out pairs, of each of `MODELS`. ``added`` is what each half added to its model; None where it
-    found no surface.
+    ``gaps`` (n_models, n_seeds, n_parameters, n_pairs, n_bands) are simulated minus measured values in
+    JND at held-out pairs, for each of `MODELS`. ``added`` is the candidate that each half of the pairs
+    added to its model, None where it found no surface. ``halves`` are the pairs of each half.
     """
     pairs, parameters = finding.pairs, finding.parameters
     measured = Observations.of_measurement(finding.case.in_room, parameters, pairs)
